@@ -53,6 +53,7 @@ bench: $(STAMP)
 	$(BIN)/python benchmarks/stack.py
 	$(BIN)/python benchmarks/simulate.py
 	$(BIN)/python benchmarks/links.py
+	$(BIN)/python benchmarks/impairment.py
 	$(BIN)/python benchmarks/startup.py --rounds 5
 
 # Columnar decoding beside construct, scapy, struct, tshark and a plain copy, side by side in one run.

@@ -13,14 +13,14 @@ import time
 from collections.abc import Iterator
 
 from dcp_conformance.check.judge import Judge
-from dcp_conformance.pics import Pics
+from dcp_conformance.model.pics import Pics
 from flights import Attack, Flight
 from rich.console import Console
 from rich.table import Table
 
 from dcp_codec.capture import Frame
 from dcp_codec.codec import Codec
-from dcp_codec.framing import OtherTraffic, locate
+from dcp_codec.framing.locate import OtherTraffic, locate
 
 PROFILE = "dcp-2.0"
 #: Beacon periods between two values of a variable: 5 s, as in ``dcp-node simulate``.

@@ -29,7 +29,7 @@ from rich.table import Table
 
 from dcp_codec import Beacon, Codec, DecodeError, get_codec
 from dcp_codec.capture import open_capture
-from dcp_codec.framing import Framing, locate
+from dcp_codec.framing.locate import Framing, locate
 
 sys.path.insert(0, str(Path(__file__).parent))
 logging.getLogger("scapy").setLevel(logging.ERROR)

@@ -77,7 +77,12 @@ def figures(found: Sequence[Contender]) -> list[dict[str, Any]]:
     return rows
 
 
-def show(materials: Sequence[Material], rows: Sequence[dict[str, Any]], cores: dict[str, float] | None) -> None:
+def show(
+    materials: Sequence[Material],
+    rows: Sequence[dict[str, Any]],
+    cores: dict[str, float] | None,
+    waits: dict[str, float],
+) -> None:
     """Print everything as one table."""
     console = Console(width=130)
     for material in materials:
@@ -107,3 +112,5 @@ def show(materials: Sequence[Material], rows: Sequence[dict[str, Any]], cores: d
     if cores is not None:
         listed = ", ".join(f"{name} {ratio:.2f}" for name, ratio in cores.items())
         console.print(f"two cores: times as fast as one (two files, two processes): {listed}")
+    listed = ", ".join(f"{name} {ratio:.2f}" for name, ratio in waits.items())
+    console.print(f"all cores: times the wall time of {COLUMNAR} (one file, one process): {listed}")

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 from dcp_codec.capture import Frame
 from dcp_codec.codec import Codec
-from dcp_codec.envelope import Envelope
+from dcp_codec.framing.envelope import Envelope
 from dcp_codec.values import (
     Beacon,
     BPHeader,

@@ -32,9 +32,9 @@ from dcp_stack.effects import NeighbourSeen, VariableChanged
 from dcp_stack.links.memory import Quality
 from dcp_stack.links.topology import Full, Line
 from dcp_stack.node import Node
-from dcp_stack.sim.network import Network
-from dcp_stack.sim.scenario import Scenario, Topology
-from dcp_stack.sim.testbed import Testbed
+from dcp_stack.sim.scenario.definition import Scenario, Topology
+from dcp_stack.sim.testbed.testbed import Testbed
+from dcp_stack.sim.virtual.network import Network
 
 CODEC = get_codec("dcp-2.0")
 MS = 1_000_000
@@ -146,18 +146,18 @@ def report_age(loss: float, jitter: float, seconds: int) -> float:
     received: list[tuple[int, int]] = []
     data = {"x": 0.0, "y": 0.0, "z": 0.0}
 
-    def hand_down() -> None:
+    def submit() -> None:
         def update(node: Node, now: int, wall: int) -> int | None:
             node.srp.update_safety_data(data, now=now, wall=wall)
             return node.bp.poll_timeout()
 
         due = net.call(0, update)
         stamped.append(net.now)
-        net.at(due + 1, lambda: net.at(net.node(0).bp.poll_timeout() - 1, hand_down))
+        net.at(due + 1, lambda: net.at(net.node(0).bp.poll_timeout() - 1, submit))
 
     net.start(0)
     net.start(1)
-    net.at(net.node(0).bp.poll_timeout() - 1, hand_down)
+    net.at(net.node(0).bp.poll_timeout() - 1, submit)
     net.listen(NeighbourSeen, lambda now, index, _: received.append((now, stamped[-1])) if index == 1 else None)
     net.run_until(seconds * SECOND)
     area = 0.0

@@ -28,24 +28,24 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from dcp_conformance.bench import Session
-from dcp_conformance.fuzz.batches import Lives
+from dcp_conformance.execution.runner import Runner
+from dcp_conformance.execution.target import Target
 from dcp_conformance.fuzz.campaign import read_state
-from dcp_conformance.fuzz.live import LiveTarget
-from dcp_conformance.fuzz.observing import Observer
-from dcp_conformance.fuzz.sequences import Sequences
-from dcp_conformance.fuzz.soaking import Soak
-from dcp_conformance.fuzz.stack import StackTarget
+from dcp_conformance.fuzz.execute.live import LiveTarget
+from dcp_conformance.fuzz.execute.model_monitor import Observer
+from dcp_conformance.fuzz.execute.soak import Soak
+from dcp_conformance.fuzz.execute.stack import StackTarget
+from dcp_conformance.fuzz.generate.sequence_batches import Lifetimes
+from dcp_conformance.fuzz.generate.sequences import Sequences
 from dcp_conformance.fuzz.steps import Frame
-from dcp_conformance.pics import Pics, Testing
+from dcp_conformance.model.pics import Pics, Testing
 from dcp_conformance.reference.inprocess import plain_node
 from dcp_conformance.reference.process import reference_process
-from dcp_conformance.runner import Runner
-from dcp_conformance.target import Target
+from dcp_conformance.test_system.bench import Session
 
 from dcp_codec.codec import Codec
 from dcp_codec.errors import DecodeError
-from dcp_codec.mutation import Mutator, drawn_pool
+from dcp_codec.testing.mutation import Mutator, drawn_pool
 from dcp_stack.node import Node
 
 SEED = 1
@@ -137,7 +137,7 @@ def where_the_time_goes(codec: Codec, count: int) -> dict[str, float]:
     """us of CPU time for each part of a sequence, of so many; what the watch itself takes is among them."""
     watch = Stopwatch()
     target = TimedTarget(codec, watch)
-    lives = Lives(Sequences(codec, random.Random(SEED), target.own_id, mutator_of(codec)))
+    lives = Lifetimes(Sequences(codec, random.Random(SEED), target.own_id, mutator_of(codec)))
     draw, run = watch.timed("drawing", lives.draw), watch.timed("around it", target.run)
     drawn = 0
     while drawn < count:
@@ -149,7 +149,7 @@ def where_the_time_goes(codec: Codec, count: int) -> dict[str, float]:
 def stack_rate(codec: Codec, seconds: float) -> dict[str, Any]:
     """Draw sequences, run them on fresh nodes as ``fuzz stack`` does, compare with the model, probe."""
     target = StackTarget(codec)
-    lives = Lives(Sequences(codec, random.Random(SEED), target.own_id, mutator_of(codec)))
+    lives = Lifetimes(Sequences(codec, random.Random(SEED), target.own_id, mutator_of(codec)))
     nodes, count, begun = 0, 0, time.process_time()
     while time.process_time() - begun < seconds:
         effect = target.run(lives.draw())

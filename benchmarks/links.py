@@ -17,12 +17,12 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from dcp_conformance.lower import open_ethernet as open_tester
+from dcp_conformance.lower_tester import open_ethernet as open_tester
 from dcp_conformance.reference.namespace import SUT_INTERFACE, TESTER_INTERFACE, Namespace, NamespaceError
-from dcp_spec.profile import Link
+from dcp_spec.profile.definition import Link
 
-from dcp_codec import sockets
-from dcp_codec.live import open_live
+from dcp_codec.network import sockets
+from dcp_codec.network.live import open_live
 from dcp_stack.links.ethernet import open_ethernet
 from dcp_stack.links.udp import open_udp
 

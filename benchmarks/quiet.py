@@ -6,7 +6,7 @@ Three nodes at 10 Hz on one Ethernet, each with state reports, and with two vari
 Two of them run with a part changed, so that one run under one load says what the part is worth:
 
 ``node``         as it is
-``no slack``     frames, and timers shortly before a beacon, wake the node each by itself
+``no hold``      each frame and each position wakes the node by itself
 ``early``        VarDis composes each payload right after the beacon before it (X54 ``after-the-beacon``)
 
 In the namespace of the first node run two empty programs on the same frames: ``empty, each frame`` wakes for every
@@ -27,17 +27,17 @@ from pathlib import Path
 from typing import Any
 
 from dcp_codec.codec import get_codec
-from dcp_stack.sim.fabric import INTERFACE
-from dcp_stack.sim.namespaces import enter_command
-from dcp_stack.sim.processes import NodeProcess
-from dcp_stack.sim.scenario import Scenario, Tracks
-from dcp_stack.sim.testbed import Testbed
+from dcp_stack.sim.scenario.definition import Scenario, Tracks
+from dcp_stack.sim.testbed.fabric import INTERFACE
+from dcp_stack.sim.testbed.namespaces import enter_command
+from dcp_stack.sim.testbed.processes import NodeProcess
+from dcp_stack.sim.testbed.testbed import Testbed
 
 PARTS = {
     "node": "",
-    "no slack": "import dcp_stack.runtime.driver as driver; driver.SLACK = 0",
+    "no hold": "import dcp_stack.runtime.driver as driver; driver.HOLD = -1 << 60",
     "early": """
-from dcp_stack.vardis import Vardis
+from dcp_stack.vardis.entity import Vardis
 made = Vardis.__init__
 def init(self, *args, **more):
     made(self, *args, **more)

@@ -9,7 +9,7 @@ from pathlib import Path
 from mcap.reader import make_reader
 
 from dcp_codec.capture import convert, open_capture
-from dcp_codec.framing import Framing, locate
+from dcp_codec.framing.locate import Framing, locate
 from dcp_codec.table.job import resolve
 
 #: Beacons that contenders get which need microseconds, and tens of microseconds, for each.

@@ -18,9 +18,9 @@ import time
 from pathlib import Path
 from typing import Any
 
-from dcp_stack.sim.defaults import default_scenario
-from dcp_stack.sim.player import Simulation
-from dcp_stack.sim.scenario import NS_PER_S, Topology
+from dcp_stack.sim.scenario.defaults import default_scenario
+from dcp_stack.sim.scenario.definition import NS_PER_S, Topology
+from dcp_stack.sim.virtual.player import Simulation
 
 #: Name -> nodes, topology, virtual seconds with cheap and with plain nodes.
 NETWORKS = {

@@ -31,12 +31,12 @@ from dcp_codec.values import Beacon, BPHeader, Payload
 from dcp_stack.config import NodeConfig
 from dcp_stack.control import ControlServer
 from dcp_stack.node import Node
-from dcp_stack.sim.defaults import default_scenario
-from dcp_stack.sim.namespaces import enter_command
-from dcp_stack.sim.player import Simulation
-from dcp_stack.sim.processes import NodeProcess
-from dcp_stack.sim.scenario import Converged, Create, Scenario, Topology, Tracks, Update
-from dcp_stack.sim.testbed import Testbed
+from dcp_stack.sim.scenario.defaults import default_scenario
+from dcp_stack.sim.scenario.definition import Converged, Create, Scenario, Topology, Tracks, Update
+from dcp_stack.sim.testbed.namespaces import enter_command
+from dcp_stack.sim.testbed.processes import NodeProcess
+from dcp_stack.sim.testbed.testbed import Testbed
+from dcp_stack.sim.virtual.player import Simulation
 
 CODEC = get_codec("dcp-2.0")
 SECOND = 1_000_000_000

@@ -25,7 +25,7 @@ from rich.console import Console
 from rich.table import Table
 
 from dcp_codec.cli import main as codec
-from dcp_codec.commandline import CommandLine
+from dcp_codec.common.commandline import CommandLine
 from dcp_stack.cli import main as node
 
 RECORDING = Path(__file__).resolve().parents[1] / "captures" / "b_crud.mcap"

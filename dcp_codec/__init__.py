@@ -24,8 +24,6 @@ from dcp_spec.exports import exported
 if TYPE_CHECKING:
     from .codec import Codec, get_codec
     from .errors import CodecError, DecodeError, EncodeError, Problem
-    from .fields import Dissection, Field
-    from .salvage import Damaged, Salvaged
     from .table.opening import OpenTable, Source
     from .values import (
         Beacon,
@@ -43,6 +41,8 @@ if TYPE_CHECKING:
         VarSumm,
         VarUpdate,
     )
+    from .views.fields import Dissection, Field
+    from .views.salvage import Damaged, Salvaged
 
 # Commands that only say what they can do load neither schemas nor profiles.
 __getattr__ = exported(
@@ -50,8 +50,8 @@ __getattr__ = exported(
     {
         "codec": ("Codec", "get_codec"),
         "errors": ("CodecError", "DecodeError", "EncodeError", "Problem"),
-        "fields": ("Dissection", "Field"),
-        "salvage": ("Damaged", "Salvaged"),
+        "views.fields": ("Dissection", "Field"),
+        "views.salvage": ("Damaged", "Salvaged"),
         "values": (
             *(
                 "BPHeader",

@@ -6,21 +6,21 @@ import functools
 from dataclasses import replace
 from pathlib import Path
 
-from dcp_spec.profile import Profile
-from dcp_spec.profile_loading import load_profile
-from dcp_spec.schema import Schema, build_schema
+from dcp_spec.profile.definition import Profile
+from dcp_spec.profile.loading import load_profile
+from dcp_spec.wire.schema import Schema, build_schema
 
-from .decoder import Decode, generate_decoder
-from .dissector import Dissect, generate_dissector
-from .encoder import Encode, generate_encoder
 from .errors import DecodeError, Problem
-from .fields import Dissection
-from .layout import ValueTypes, read_scalar, walk
-from .lint import DOUBTS, warnings
-from .measures import least_size, member, places, record
-from .plan import Many, Node, Scalar, Select, lower
-from .salvage import Salvaged, Salvager
+from .plan.layout import ValueTypes, read_scalar, walk
+from .plan.measures import least_size, member, places, record
+from .plan.tree import Many, Node, Scalar, Select, lower
 from .values import Beacon, Container, ExtendedSafetyData, OwnRecord, SafetyData
+from .views.decoder import Decode, generate_decoder
+from .views.dissector import Dissect, generate_dissector
+from .views.encoder import Encode, generate_encoder
+from .views.fields import Dissection
+from .views.lint import DOUBTS, warnings
+from .views.salvage import Salvaged, Salvager
 
 
 class Codec:
@@ -34,7 +34,7 @@ class Codec:
     def __init__(self, profile: Profile | str | Path) -> None:
         """``profile`` is a loaded profile, the name of a built-in one, or the path of a TOML file.
 
-        Raises ``dcp_spec.profile_loading.ProfileError`` if there is no such profile or it contradicts itself.
+        Raises ``dcp_spec.profile.loading.ProfileError`` if there is no such profile or it contradicts itself.
         """
         self.profile = profile if isinstance(profile, Profile) else load_profile(profile)
         self.types = ValueTypes(self.profile)
@@ -154,7 +154,8 @@ class Codec:
         """What can be read of a bearer payload, and everything that is wrong with it. Never raises.
 
         For octets that :meth:`decode` accepts this is its result. Otherwise payloads and containers that are sound in
-        themselves are read, and the header as far as its rules are only broken in value; see :mod:`dcp_codec.salvage`
+        themselves are read, and the header as far as its rules are only broken in value; see
+        :mod:`dcp_codec.views.salvage`
         for where it stops.
         """
         try:

@@ -14,10 +14,10 @@ from typing import Any
 
 from .codec import Codec
 from .errors import EncodeError, Problem
-from .fields import Field
-from .layout import ValueTypes
-from .plan import Exact, Fill, Group, Many, Node, Region, Rest, Scalar, Select, Text
+from .plan.layout import ValueTypes
+from .plan.tree import Exact, Fill, Group, Many, Node, Region, Rest, Scalar, Select, Text
 from .values import Beacon
+from .views.fields import Field
 
 #: What can have a role. (A union would be made anew for each field that is asked about.)
 _ROLES = (Scalar, Text)

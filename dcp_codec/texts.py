@@ -5,12 +5,13 @@ from __future__ import annotations
 from datetime import UTC, datetime, timedelta
 
 from dcp_spec.constants import BP_PROTID_SRP, BP_PROTID_VARDIS
-from dcp_spec.profile import Profile
+from dcp_spec.profile.definition import Profile
 
-from dcp_codec.fields import Field
+from dcp_codec.common.printable import plain
 from dcp_codec.jsonform import node_id_text
-from dcp_codec.plain import plain
-from dcp_codec.plan import Fill, Group, Many, Rest, Scalar, Text
+from dcp_codec.plan.tree import Fill, Group, Many, Rest, Scalar, Text
+
+from .views.fields import Field
 
 PROTOCOLS = {int(BP_PROTID_SRP): "SRP", int(BP_PROTID_VARDIS): "VarDis"}
 # Unions would be made anew for each field that is asked about.

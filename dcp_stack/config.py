@@ -7,18 +7,18 @@ from collections.abc import Callable, Mapping
 from typing import Any, TypeVar
 
 import msgspec
+from dcp_spec.catalogue.readings import reading
 from dcp_spec.constants import Features, ICType, SpecVersion, features
 from dcp_spec.parameters import Sizes
-from dcp_spec.profile import Profile
-from dcp_spec.readings import reading
-from dcp_spec.usability import refusal
+from dcp_spec.profile.definition import Profile
+from dcp_spec.profile.usability import refusal
 
 from dcp_codec.codec import Codec
-from dcp_codec.measures import least_size, record
-from dcp_codec.plan import Scalar
+from dcp_codec.plan.measures import least_size, record
+from dcp_codec.plan.tree import Scalar
 
 from .positions.fields import SafetyFields
-from .vardis_sizes import RecordSizes
+from .record_sizes import RecordSizes
 
 MS = 1_000_000
 """ns in a millisecond."""
@@ -80,7 +80,7 @@ class VardisConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
 
 
 class NodeConfig(msgspec.Struct, frozen=True, kw_only=True, dict=True):
-    """A whole node. ``readings`` chooses among the alternatives of disputed text (``dcp_spec.readings``) by id.
+    """A whole node. ``readings`` chooses among the alternatives of disputed text (docs/readings.md) by id.
 
     What follows from it alone is found out once, so that many nodes can be made of one configuration.
     """
@@ -97,8 +97,8 @@ class NodeConfig(msgspec.Struct, frozen=True, kw_only=True, dict=True):
     def __post_init__(self) -> None:
         """Raises ``ValueError`` for a node id of the wrong width or a choice that a reading does not have.
 
-        Also for a profile with fields of the implementation's own that a node cannot fill (``dcp_spec.usability``).
-        Raises ``UnknownReadingError`` for an id that is not a reading's.
+        Also for a profile with fields of the implementation's own that a node cannot fill
+        (``dcp_spec.profile.usability``). Raises ``UnknownReadingError`` for an id that is not a reading's.
         """
         if (unusable := refusal(self.profile)) is not None:
             raise ValueError(unusable)

@@ -12,12 +12,12 @@ from typing import Any
 
 from dcp_spec.constants import BP_PROTID_SRP, BP_PROTID_VARDIS
 
-from .bp import BeaconingProtocol
-from .client_port import ClientPort
+from .bp.client_port import ClientPort
+from .bp.entity import BeaconingProtocol
 from .config import NodeConfig
 from .effects import Effect, PayloadReceived, PayloadTransmitted
-from .srp import StateReporting
-from .vardis import Vardis
+from .srp.entity import StateReporting
+from .vardis.entity import Vardis
 
 
 class Node:

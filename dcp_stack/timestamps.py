@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from dcp_spec.profile import TimestampType
+from dcp_spec.profile.definition import TimestampType
 
 _PS_PER_SECOND: Final = 10**12
 _PS_PER_NS: Final = 1_000

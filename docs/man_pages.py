@@ -11,7 +11,7 @@ from dcp_conformance.cli import main as conformance
 from dcp_spec.version import __version__
 
 from dcp_codec.cli import main as codec
-from dcp_codec.commandline import CommandLine
+from dcp_codec.common.commandline import CommandLine
 from dcp_stack.cli import main as node
 
 

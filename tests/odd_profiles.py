@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from dcp_spec.profile_loading import BUILTIN_PROFILES
+from dcp_spec.profile.loading import BUILTIN_PROFILES
 
 from dcp_codec import Codec, get_codec
 

@@ -20,12 +20,12 @@ from pathlib import Path
 from typing import Final
 
 import msgspec
+from dcp_spec.catalogue.origins import origins
+from dcp_spec.catalogue.requirements import Requirement, requirements
 from dcp_spec.constants import SpecVersion
-from dcp_spec.origins import origins
-from dcp_spec.requirements import Requirement, requirements
 
-from .case import Case, all_cases
 from .errors import UsageError
+from .model.case import Case, all_cases
 
 CODE: Final = ("spec/dcp_spec", "dcp_codec", "dcp_stack")
 """Where what fulfils a requirement stands."""

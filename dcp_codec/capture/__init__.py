@@ -5,9 +5,8 @@ of a file that can be opened makes reading raise; what is wrong with it is a lis
 The mcap library is imported when the first MCAP file is opened or created.
 """
 
-from dcp_codec.capture.attachments import Attachment, attachments, extract_attachment
-from dcp_codec.capture.convert import ConvertReport, convert
-from dcp_codec.capture.frame import (
+from .convert import ConvertReport, convert
+from .frame import (
     ETHERNET,
     MAX_FRAME_LENGTH,
     MAX_TIME_NS,
@@ -16,9 +15,10 @@ from dcp_codec.capture.frame import (
     Frame,
     Reason,
 )
-from dcp_codec.capture.opening import FORMATS, SUFFIXES, create_capture, open_capture
-from dcp_codec.capture.reader import CaptureReader
-from dcp_codec.capture.writer import CaptureWriter, ChannelMessage, MessageSource
+from .mcap.attachments import Attachment, attachments, extract_attachment
+from .opening import FORMATS, SUFFIXES, create_capture, open_capture
+from .reader import CaptureReader
+from .writer import CaptureWriter, ChannelMessage, MessageSource
 
 __all__ = [
     "ETHERNET",

@@ -8,9 +8,9 @@ import sys
 from pathlib import Path
 from typing import IO, BinaryIO
 
-from dcp_codec.capture.bytesource import explain, stream_name
-from dcp_codec.capture.compressed import compressing, compression_of
-from dcp_codec.capture.frame import CaptureError
+from .bytesource import explain, stream_name
+from .compressed import compressing, compression_of
+from .frame import CaptureError
 
 
 class ByteSink:

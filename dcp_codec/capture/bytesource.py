@@ -11,7 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import BinaryIO
 
-from dcp_codec.capture.frame import CaptureError
+from .frame import CaptureError
 
 #: Octets asked for at once. Pipes give what they have, so this delays nothing.
 READ_SIZE = 1024 * 1024

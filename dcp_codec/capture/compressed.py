@@ -7,7 +7,7 @@ import zlib
 from pathlib import Path
 from typing import Any, BinaryIO, cast
 
-from dcp_codec.capture.bytesource import ByteSource
+from .bytesource import ByteSource
 
 #: Suffix after that of the format -> compression.
 COMPRESSED_SUFFIXES = {".gz": "gzip", ".zst": "zstd", ".zstd": "zstd"}

@@ -9,10 +9,10 @@ from typing import BinaryIO, Literal, cast
 
 import msgspec
 
-from dcp_codec.capture.bytesink import same_file
-from dcp_codec.capture.frame import CaptureError, CaptureProblem
-from dcp_codec.capture.opening import create_capture, open_capture
-from dcp_codec.capture.writer import MessageSource, Metadata
+from .bytesink import same_file
+from .frame import CaptureError, CaptureProblem
+from .opening import create_capture, open_capture
+from .writer import MessageSource, Metadata
 
 #: Frames between two reports of progress.
 _STRIDE = 1024

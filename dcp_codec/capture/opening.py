@@ -6,16 +6,16 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import BinaryIO, Literal
 
-from dcp_codec.capture.bytesink import open_sink, same_file
-from dcp_codec.capture.bytesource import ByteSource, open_source
-from dcp_codec.capture.compressed import decompressed, without_compression
-from dcp_codec.capture.frame import ETHERNET, CaptureError
-from dcp_codec.capture.pcap import MAGICS, MODIFIED_MAGICS, PcapReader
-from dcp_codec.capture.pcapng import PcapngReader
-from dcp_codec.capture.pcapngwriter import PcapngWriter
-from dcp_codec.capture.pcapwriter import PcapWriter
-from dcp_codec.capture.reader import CaptureReader
-from dcp_codec.capture.writer import CaptureWriter, MessageSource, Metadata
+from .bytesink import open_sink, same_file
+from .bytesource import ByteSource, open_source
+from .compressed import decompressed, without_compression
+from .frame import ETHERNET, CaptureError
+from .pcap.reader import MAGICS, MODIFIED_MAGICS, PcapReader
+from .pcap.writer import PcapWriter
+from .pcapng.reader import PcapngReader
+from .pcapng.writer import PcapngWriter
+from .reader import CaptureReader
+from .writer import CaptureWriter, MessageSource, Metadata
 
 PCAPNG_MAGIC = b"\x0a\x0d\x0d\x0a"
 MCAP_MAGIC = b"\x89MCAP0\r\n"
@@ -124,7 +124,7 @@ def _create_mcap(
     *,
     whole: bool,
 ) -> CaptureWriter:
-    from dcp_codec.capture.mcapwriter import COMPRESSIONS, McapWriter, OpenAttachment
+    from .mcap.writer import COMPRESSIONS, McapWriter, OpenAttachment
 
     if compression not in COMPRESSIONS:
         raise ValueError(f"compression {compression!r} is none of {', '.join(COMPRESSIONS)}")
@@ -165,7 +165,7 @@ def _reader(source: ByteSource, link_types: frozenset[int]) -> CaptureReader:
         return PcapngReader(source, link_types)
     if start.startswith(MCAP_MAGIC):
         # Here, so that nobody who has no MCAP file pays for importing the library.
-        from dcp_codec.capture.mcapfile import McapReader
+        from .mcap.reader import McapReader
 
         return McapReader(source, link_types)
     raise CaptureError(f"{source.name}: {_what_else(start)}")

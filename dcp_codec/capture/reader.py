@@ -6,8 +6,8 @@ from collections.abc import Callable, Generator, Hashable, Iterator, Mapping
 from types import TracebackType
 from typing import Self
 
-from dcp_codec.capture.bytesource import ByteSource
-from dcp_codec.capture.frame import MAX_TIME_NS, CaptureError, CaptureProblem, Frame, Reason
+from .bytesource import ByteSource
+from .frame import MAX_TIME_NS, CaptureError, CaptureProblem, Frame, Reason
 
 #: What is wrong with a number of things, as a sentence.
 Describe = Callable[[int], str]

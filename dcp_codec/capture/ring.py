@@ -7,10 +7,10 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from dcp_codec.capture.compressed import without_compression
-from dcp_codec.capture.frame import Frame
-from dcp_codec.capture.opening import create_capture
-from dcp_codec.capture.writer import CaptureWriter, Metadata
+from .compressed import without_compression
+from .frame import Frame
+from .opening import create_capture
+from .writer import CaptureWriter, Metadata
 
 #: Nanoseconds after which frames are handed to the system at the latest, when the next one comes.
 _FLUSH_NS = 1_000_000_000

@@ -8,8 +8,8 @@ from typing import Protocol, Self
 
 import msgspec
 
-from dcp_codec.capture.bytesink import ByteSink
-from dcp_codec.capture.frame import MAX_FRAME_LENGTH, MAX_TIME_NS, CaptureError, Frame
+from .bytesink import ByteSink
+from .frame import MAX_FRAME_LENGTH, MAX_TIME_NS, CaptureError, Frame
 
 #: Named records of names and values.
 Metadata = Mapping[str, Mapping[str, str]]

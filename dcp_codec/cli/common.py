@@ -12,19 +12,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
-from dcp_spec.profile import Link
-from dcp_spec.profile_loading import ProfileError, profile_names
+from dcp_spec.profile.definition import Link
+from dcp_spec.profile.loading import ProfileError, profile_names
 
 from dcp_codec.capture import CaptureError, CaptureReader, Frame, open_capture
 from dcp_codec.codec import Codec, get_codec
-from dcp_codec.commandline import UNUSABLE, ExpectedError
-from dcp_codec.ethertype import parse_ether_type
-from dcp_codec.frames import FrameDissector, with_ether_type
+from dcp_codec.common.commandline import UNUSABLE, ExpectedError
+from dcp_codec.framing.ethertype import parse_ether_type
+from dcp_codec.framing.frames import FrameDissector, with_ether_type
 
 from . import main
 
 if TYPE_CHECKING:
-    from dcp_codec.guess import Guess
+    from dcp_codec.analysis.guess import Guess
 
 MALFORMED = 1
 
@@ -34,7 +34,7 @@ note = main.note
 
 
 def ether_type(_ctx: click.Context, _param: click.Parameter, value: str | None) -> int | None:
-    """Parse an EtherType; see :mod:`dcp_codec.ethertype` for the rule."""
+    """Parse an EtherType; see :mod:`dcp_codec.framing.ethertype` for the rule."""
     try:
         return None if value is None else parse_ether_type(value)
     except ValueError as error:
@@ -120,7 +120,7 @@ def choose(
     if profile != "auto":
         codec = load_codec(profile)
         return FrameDissector(codec, link_of(codec, ether_type)), frames
-    from dcp_codec.guess import guess, sample
+    from dcp_codec.analysis.guess import guess, sample
 
     first, frames = sample(frames, ether_type=ether_type)
     found = guess(first, ether_type=ether_type)

@@ -8,14 +8,14 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import click
-from dcp_spec.profile import Link
+from dcp_spec.profile.definition import Link
 
+from dcp_codec.analysis.guess import guess, sample
 from dcp_codec.capture import FORMATS, CaptureError, convert, extract_attachment, open_capture
 from dcp_codec.capture import attachments as list_attachments
 from dcp_codec.capture.bytesink import same_file
 from dcp_codec.codec import Codec, get_codec
-from dcp_codec.commandline import UNUSABLE, ExpectedError
-from dcp_codec.guess import guess, sample
+from dcp_codec.common.commandline import UNUSABLE, ExpectedError
 
 from .common import interruptible, link_of, load_codec, note, note_guess, profile_options
 from .recordings import extras
@@ -81,7 +81,7 @@ def command(
                 raise ExpectedError("a pipe is read once: name the --profile of its frames, or give --no-decoded")
         messages, metadata = None, None
         if mcap and decoded:
-            from dcp_codec.mcap_channels import DecodedChannels, capture_metadata
+            from dcp_codec.foxglove.channels import DecodedChannels, capture_metadata
 
             codec, link = _codec(source, profile, ether_type)
             messages = DecodedChannels(codec, link)

@@ -16,9 +16,9 @@ import click
 
 from dcp_codec.capture import Frame
 from dcp_codec.codec import get_codec
-from dcp_codec.commandline import ExpectedError
-from dcp_codec.frames import DissectedFrame, FrameDissector
-from dcp_codec.framing import OtherTraffic
+from dcp_codec.common.commandline import ExpectedError
+from dcp_codec.framing.frames import DissectedFrame, FrameDissector
+from dcp_codec.framing.locate import OtherTraffic
 
 from .common import (
     MALFORMED,
@@ -224,7 +224,7 @@ class _Run:
             raise ExpectedError(f"--hex: {text[:60]!r} is not a string of hex octets") from None
         if not octets:
             raise ExpectedError("--hex: there are no octets to decode")
-        from dcp_codec.guess import guess, looks_bare
+        from dcp_codec.analysis.guess import guess, looks_bare
 
         names = () if self.profile == "auto" else (self.profile,)
         if names:
@@ -253,7 +253,7 @@ class _Run:
 
     def live(self, interface: str) -> int:
         """Decode live traffic until interrupted or --count frames were shown."""
-        from dcp_codec.live import LiveError, open_live
+        from dcp_codec.network.live import LiveError, open_live
 
         if self.options["form"] == "tree" and not sys.stdout.isatty():
             self.output = Output()
@@ -287,7 +287,7 @@ class _Run:
                 FrameDissector(codec, link_of(codec, self.ether_type)), iter(reader), interface, _nothing
             )
         # A live source is not looked ahead into for long: the first beacons decide, behind whatever else is there.
-        from dcp_codec.guess import guess
+        from dcp_codec.analysis.guess import guess
 
         frames = iter(reader)
         first: list[Frame] = []

@@ -12,7 +12,7 @@ import click
 
 from dcp_codec.capture import CaptureError, Frame, create_capture
 from dcp_codec.codec import Codec
-from dcp_codec.commandline import UNUSABLE, ExpectedError
+from dcp_codec.common.commandline import UNUSABLE, ExpectedError
 from dcp_codec.errors import EncodeError
 from dcp_codec.jsonform import beacon_from_json
 

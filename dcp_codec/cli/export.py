@@ -11,7 +11,7 @@ from typing import Any
 import click
 
 from dcp_codec.codec import Codec
-from dcp_codec.commandline import ExpectedError
+from dcp_codec.common.commandline import ExpectedError
 
 from .common import load_codec
 
@@ -21,7 +21,7 @@ _KINDS = {
     "ksy": ("dcp_codec.export.ksy", "kaitai_struct", "Kaitai Struct specification"),
     "jsonschema": ("dcp_codec.export.jsonschema", "frame_schema", "JSON Schema of 'decode --format jsonl'"),
     "markdown": ("dcp_codec.export.markdown", "format_tables", "Markdown tables with bit offsets"),
-    "scapy": ("dcp_codec.scapy_layers", "export_script", "start-up script for scapy with the layers loaded"),
+    "scapy": ("dcp_codec.scapy.layers", "export_script", "start-up script for scapy with the layers loaded"),
 }
 
 
@@ -53,11 +53,6 @@ def command(kind: str, profile: str, out: str | None) -> int:
 
 def _text(kind: str, codec: Codec, profile: str) -> str:
     module, name, _ = _KINDS[kind]
-    try:
-        function: Callable[[Any], Any] = getattr(importlib.import_module(module), name)
-    except ModuleNotFoundError as error:
-        if error.name is None or not error.name.startswith("scapy"):
-            raise
-        raise ExpectedError("scapy is not installed: pip install 'dcp-conformance-kit[scapy]'") from None
+    function: Callable[[Any], Any] = getattr(importlib.import_module(module), name)
     result = function(profile if kind == "scapy" else codec)
     return result if isinstance(result, str) else json.dumps(result, indent=2)

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import click
 
+from dcp_codec.analysis.conditions import Where, WhereError, field_names
 from dcp_codec.capture import FORMATS, CaptureError, create_capture
 from dcp_codec.codec import Codec
-from dcp_codec.commandline import ExpectedError
-from dcp_codec.framing import OtherTraffic
-from dcp_codec.where import Where, WhereError, field_names
+from dcp_codec.common.commandline import ExpectedError
+from dcp_codec.framing.locate import OtherTraffic
 
 from .common import (
     choose,

@@ -11,8 +11,8 @@ import msgspec
 from dcp_spec.constants import ICType
 
 from dcp_codec.capture import Frame
-from dcp_codec.fields import Field
-from dcp_codec.frames import DissectedFrame
+from dcp_codec.framing.frames import DissectedFrame
+from dcp_codec.views.fields import Field
 
 _PROTOCOLS = {"srp": 1, "vardis": 2}
 

@@ -9,10 +9,10 @@ from collections.abc import Sequence
 import click
 import msgspec
 
+from dcp_codec.analysis.guess import SAMPLE, Candidate, Guess, guess, sample
+from dcp_codec.analysis.shortfall import Shortfall, shortfalls
 from dcp_codec.capture import Frame
 from dcp_codec.codec import get_codec
-from dcp_codec.guess import SAMPLE, Candidate, Guess, guess, sample
-from dcp_codec.shortfall import Shortfall, shortfalls
 
 from .common import each_file, open_input, report_capture_problems
 from .common import ether_type as parse_ether_type

@@ -7,8 +7,8 @@ from pathlib import Path
 import click
 
 from dcp_codec.capture import CaptureError
-from dcp_codec.commandline import ExpectedError
-from dcp_codec.wholefile import write_whole
+from dcp_codec.common.atomic_write import write_whole
+from dcp_codec.common.commandline import ExpectedError
 
 from .common import note
 
@@ -32,7 +32,7 @@ def command(file: Path, out: Path | None, force: bool) -> int:
 
     It shows the positions of all nodes in space and over time, beacons, instructions, and what is wrong with frames.
     """
-    from dcp_codec.foxglove import layout_of, layout_text
+    from dcp_codec.foxglove.layouts import layout_of, layout_text
 
     target = out or Path(f"{file.stem}.foxglove.json")
     if str(target) != "-" and target.exists() and not force:

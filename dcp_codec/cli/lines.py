@@ -11,11 +11,11 @@ from typing import Any
 import click
 
 from dcp_codec.codec import Codec
+from dcp_codec.common.spreadsheet import safe_cell
 from dcp_codec.errors import Problem
-from dcp_codec.frames import DissectedFrame
-from dcp_codec.framing import mac
+from dcp_codec.framing.frames import DissectedFrame
+from dcp_codec.framing.locate import mac
 from dcp_codec.jsonform import beacon_json
-from dcp_codec.spreadsheet import safe_cell
 from dcp_codec.texts import payload_line, utc
 
 

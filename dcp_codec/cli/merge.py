@@ -11,7 +11,7 @@ import click
 import msgspec
 
 from dcp_codec.capture import FORMATS, CaptureError, Frame, create_capture
-from dcp_codec.commandline import ExpectedError
+from dcp_codec.common.commandline import ExpectedError
 
 from .common import interruptible, note, open_input, report_capture_problems
 

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import click
 import msgspec
-from dcp_spec.profile_loading import ProfileError, load_profile, profile_names
-from dcp_spec.usability import refusal
+from dcp_spec.profile.loading import ProfileError, load_profile, profile_names
+from dcp_spec.profile.usability import refusal
 
-from dcp_codec.commandline import ExpectedError
+from dcp_codec.common.commandline import ExpectedError
 
 from . import main
 
@@ -104,9 +104,9 @@ def _show(name: str, form: str) -> int:
 
 
 def _new(name: str, recording: str, out: Path, ether_type: int | None, *, force: bool) -> int:
-    from dcp_codec.draft import draft_profile
-    from dcp_codec.guess import sample
-    from dcp_codec.wholefile import write_whole
+    from dcp_codec.analysis.guess import sample
+    from dcp_codec.analysis.profile_draft import draft_profile
+    from dcp_codec.common.atomic_write import write_whole
 
     from .common import open_input, report_capture_problems
 

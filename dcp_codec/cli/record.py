@@ -10,8 +10,8 @@ import click
 
 from dcp_codec.capture import FORMATS, CaptureError
 from dcp_codec.capture.ring import RingWriter
-from dcp_codec.commandline import ExpectedError
-from dcp_codec.frames import with_ether_type
+from dcp_codec.common.commandline import ExpectedError
+from dcp_codec.framing.frames import with_ether_type
 
 from .common import ether_type as parse_ether_type
 from .common import load_codec, note
@@ -59,7 +59,7 @@ def command(
     """
     if ring_files is not None and ring_size is None and ring_time is None:
         raise click.UsageError("--ring-files needs --ring-size or --ring-time")
-    from dcp_codec.live import LiveError, open_live
+    from dcp_codec.network.live import LiveError, open_live
 
     link = load_codec(profile).profile.link if profile is not None else None
     if ether_type is not None:

@@ -9,15 +9,13 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dcp_codec.commandline import UNUSABLE, ExpectedError
+from dcp_codec.common.commandline import UNUSABLE, ExpectedError
+from dcp_codec.common.extras import EXTRAS, advice
 
 from .common import MALFORMED, load_codec, malformed_note, no_beacons_note, note
 
 if TYPE_CHECKING:
     from dcp_codec.table.job import Outcome
-
-#: Package that is missing -> extra that has it; else "table".
-_EXTRAS = {"duckdb": "duckdb", "distributed": "dask", "bokeh": "report", "jinja2": "report", "mcap_ros2": "ros2"}
 
 
 def check_input(files: Sequence[str], profile: str) -> None:
@@ -33,16 +31,13 @@ def check_input(files: Sequence[str], profile: str) -> None:
 def extras() -> Iterator[None]:
     """Say which extra to install where a package is missing, and that the decoder is compiled when it is."""
     try:
-        from dcp_codec.table.jit import announcing
+        from dcp_codec.table.kernel.jit import announcing
 
         with announcing(note):
             yield
     except ImportError as error:
         package = (error.name or "").partition(".")[0]
-        extra = _EXTRAS.get(package, "table")
-        raise ExpectedError(
-            f"{package or error} is not installed: pip install 'dcp-conformance-kit[{extra}]'"
-        ) from None
+        raise ExpectedError(advice(package or str(error), EXTRAS.get(package, "table"))) from None
 
 
 def need_duckdb() -> None:

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import click
 
 from dcp_codec.capture import CaptureError
-from dcp_codec.commandline import ExpectedError
-from dcp_codec.wholefile import refuse_irregular, write_whole
+from dcp_codec.common.atomic_write import refuse_irregular, write_whole
+from dcp_codec.common.commandline import ExpectedError
 
 from .common import note, profile_options
 from .recordings import check_input, extras, octets_progress, tell
@@ -47,7 +47,8 @@ def command(files: tuple[str, ...], out: Path | None, profile: str, ether_type: 
     """
     check_input(files, profile)
     with extras():
-        from dcp_codec.table.archive import TableError, find_recordings
+        from dcp_codec.table.archive import find_recordings
+        from dcp_codec.table.job import TableError
 
         try:
             recordings = find_recordings(files)

@@ -9,9 +9,9 @@ from typing import Any
 
 import click
 
-from dcp_codec.framing import locate
-from dcp_codec.stats import Stats
-from dcp_codec.vantage import NO_LOSSES, records_transmissions
+from dcp_codec.analysis.stats import Stats
+from dcp_codec.analysis.vantage_point import NO_LOSSES, records_transmissions
+from dcp_codec.framing.locate import locate
 
 from .common import (
     MALFORMED,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from dcp_codec.commandline import ExpectedError
+from dcp_codec.common.commandline import ExpectedError
 
 from .common import load_codec, note, profile_options
 from .recordings import check_input, extras, need_duckdb, octets_progress, tell
@@ -32,7 +32,7 @@ def _tables(_ctx: click.Context, _param: click.Parameter, value: tuple[str, ...]
 
 def _known_tables(names: tuple[str, ...] | None, profile: str) -> None:
     """Refuse tables that a recording of that profile cannot have; a profile may have record types of its own."""
-    from dcp_codec.table.shape import TABLES, table_names
+    from dcp_codec.table.kernel.shape import TABLES, table_names
 
     known = TABLES if profile == "auto" else table_names(load_codec(profile).profile)
     for name in names or ():
@@ -107,7 +107,8 @@ def command(
     if form == "duckdb":
         need_duckdb()
     with extras():
-        from dcp_codec.table.archive import Order, TableError, find_recordings
+        from dcp_codec.table.archive import Order, find_recordings
+        from dcp_codec.table.job import TableError
 
         try:
             recordings = tuple(find_recordings(files))

@@ -8,11 +8,7 @@ from pathlib import Path
 
 import click
 
-from dcp_codec.capture import Frame
-from dcp_codec.commandline import ExpectedError
-from dcp_codec.frames import FrameDissector
-from dcp_codec.framing import OtherTraffic
-from dcp_codec.track import (
+from dcp_codec.analysis.tracks import (
     Position,
     Positions,
     Reference,
@@ -22,7 +18,11 @@ from dcp_codec.track import (
     write_gpx,
     write_kml,
 )
-from dcp_codec.wholefile import write_whole
+from dcp_codec.capture import Frame
+from dcp_codec.common.atomic_write import write_whole
+from dcp_codec.common.commandline import ExpectedError
+from dcp_codec.framing.frames import FrameDissector
+from dcp_codec.framing.locate import OtherTraffic
 
 from .common import choose, note, open_input, profile_options, progress, report_capture_problems
 

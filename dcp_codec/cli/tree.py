@@ -6,15 +6,15 @@ import textwrap
 from collections.abc import Iterator
 
 import click
+from dcp_spec.catalogue.requirements import requirement
 from dcp_spec.reasons import REASONS, WARNINGS, quantity
-from dcp_spec.requirements import requirement
 
 from dcp_codec.errors import Problem
-from dcp_codec.fields import Dissection, Field
-from dcp_codec.frames import DissectedFrame
-from dcp_codec.framing import mac
-from dcp_codec.plan import Group, Many, Text
+from dcp_codec.framing.frames import DissectedFrame
+from dcp_codec.framing.locate import mac
+from dcp_codec.plan.tree import Group, Many, Text
 from dcp_codec.texts import payload_name, utc, value_text
+from dcp_codec.views.fields import Dissection, Field
 
 _NARROW = 60
 _VALUE_COLUMN = 34

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from dcp_codec.commandline import ExpectedError
+from dcp_codec.common.commandline import ExpectedError
 
 
 @click.command(
@@ -18,7 +18,7 @@ def command(manifest: Path) -> int:
 
     The recordings of this project are verified with: dcp-codec verify captures/manifest.toml
     """
-    from dcp_codec.goldens import GoldensError, verify
+    from dcp_codec.testing.goldens import GoldensError, verify
 
     try:
         findings = verify(manifest)

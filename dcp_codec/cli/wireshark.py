@@ -8,9 +8,9 @@ import subprocess
 from pathlib import Path
 
 import click
-from dcp_spec.profile_loading import profile_names
+from dcp_spec.profile.loading import profile_names
 
-from dcp_codec.commandline import ExpectedError
+from dcp_codec.common.commandline import ExpectedError
 
 from .common import load_codec
 
@@ -47,8 +47,8 @@ def command(action: str, profiles: tuple[str, ...], folder: Path | None) -> int:
     if action == "where":
         click.echo(str(place))
         return 0
+    from dcp_codec.common.atomic_write import write_whole
     from dcp_codec.export.lua import wireshark_dissector
-    from dcp_codec.wholefile import write_whole
 
     for name in profiles or profile_names():
         codec = load_codec(name)

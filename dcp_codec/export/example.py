@@ -8,10 +8,8 @@ from typing import Any
 from dcp_spec.constants import BP_PROTID_SRP, BP_PROTID_VARDIS
 
 from dcp_codec.codec import Codec
-from dcp_codec.fields import Field
 from dcp_codec.jsonform import scalar_json
-from dcp_codec.misfit import zero
-from dcp_codec.plan import Exact, Fill, Group, Node, Rest, Scalar
+from dcp_codec.plan.tree import Exact, Fill, Group, Node, Rest, Scalar
 from dcp_codec.values import (
     Beacon,
     BPHeader,
@@ -19,6 +17,8 @@ from dcp_codec.values import (
     ExtendedSafetyData,
     Payload,
 )
+from dcp_codec.views.encode_diagnosis import zero
+from dcp_codec.views.fields import Field
 
 #: 2023-11-14T22:13:20Z
 _NOW_S = 1_700_000_000

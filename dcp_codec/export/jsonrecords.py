@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any, Literal, NamedTuple
 
-from dcp_spec.profile import Profile
+from dcp_spec.profile.definition import Profile
 
-from dcp_codec.plan import Exact, Fill, Group, Many, Node, Region, Rest, Scalar, Select, Text
+from dcp_codec.plan.tree import Exact, Fill, Group, Many, Node, Region, Rest, Scalar, Select, Text
 
 from .wording import description, meaning
 

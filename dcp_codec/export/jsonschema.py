@@ -13,11 +13,11 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from dcp_spec.profile import Profile
+from dcp_spec.profile.definition import Profile
 from dcp_spec.reasons import REASONS, WARNINGS
 
 from dcp_codec.codec import Codec
-from dcp_codec.plan import Exact, Group, Many, Node
+from dcp_codec.plan.tree import Exact, Group, Many, Node
 
 from .jsonrecords import JSONSchema, RecordSchemas, ViewerRecord
 
@@ -34,7 +34,7 @@ _DOUBT: dict[str, JSONSchema] = {
 
 
 def frame_schema(codec: Codec) -> JSONSchema:
-    """The schema of :meth:`dcp_codec.frames.DissectedFrame.as_json`, well-formed beacons and others."""
+    """The schema of :meth:`dcp_codec.framing.frames.DissectedFrame.as_json`, well-formed beacons and others."""
     strict, partial = RecordSchemas(codec.profile, "strict"), RecordSchemas(codec.profile, "partial")
     beacon = _beacon_group(codec)
     well_formed, remains = strict.group(beacon), partial.group(beacon)
@@ -136,7 +136,7 @@ def _integer(about: str, minimum: int, maximum: int | None = None) -> JSONSchema
 
 
 def _frame_members() -> dict[str, JSONSchema]:
-    """What :class:`dcp_codec.frames.DissectedFrame` prints in front of the beacon."""
+    """What :class:`dcp_codec.framing.frames.DissectedFrame` prints in front of the beacon."""
     absent = "; null without a link-layer header"
     return {
         "frame": _integer("number of the frame in the recording, from 1", 1),

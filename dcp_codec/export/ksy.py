@@ -19,11 +19,11 @@ import textwrap
 from collections.abc import Mapping
 from typing import Any
 
-from dcp_spec.requirements import requirement
+from dcp_spec.catalogue.requirements import requirement
 from dcp_spec.version import __version__
 
 from dcp_codec.codec import Codec
-from dcp_codec.plan import Exact, Fill, Group, Many, Node, Region, Rest, Scalar, Select, Text
+from dcp_codec.plan.tree import Exact, Fill, Group, Many, Node, Region, Rest, Scalar, Select, Text
 
 from .ksy_yaml import Hex, dump
 from .wording import meaning, requirement_of, unit_of

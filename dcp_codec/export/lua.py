@@ -25,13 +25,13 @@ import re
 from typing import Any
 
 from dcp_spec.constants import BP_PROTID_SRP, BP_PROTID_VARDIS
-from dcp_spec.profile import TICKS_PER_SECOND, Profile
+from dcp_spec.profile.definition import TICKS_PER_SECOND, Profile
 from dcp_spec.reasons import COMPARISONS, REASONS, WARNINGS
 from dcp_spec.version import __version__
 
 from dcp_codec.codec import Codec
-from dcp_codec.layout import walk
-from dcp_codec.plan import Exact, Fill, Group, Many, Node, Region, Rest, Scalar, Select, Text
+from dcp_codec.plan.layout import walk
+from dcp_codec.plan.tree import Exact, Fill, Group, Many, Node, Region, Rest, Scalar, Select, Text
 
 from .lua_text import literal
 

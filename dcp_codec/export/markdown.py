@@ -10,13 +10,13 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 import msgspec
+from dcp_spec.catalogue.requirements import requirements
 from dcp_spec.constants import BP_MAGIC_NO, BP_PROTID_SRP, BP_PROTID_VARDIS, BP_VERSION
-from dcp_spec.profile import Profile
-from dcp_spec.requirements import requirements
+from dcp_spec.profile.definition import Profile
 
 from dcp_codec.codec import Codec
-from dcp_codec.layout import walk
-from dcp_codec.plan import Exact, Fill, Group, Many, Node, Region, Rest, Scalar, Select, Text
+from dcp_codec.plan.layout import walk
+from dcp_codec.plan.tree import Exact, Fill, Group, Many, Node, Region, Rest, Scalar, Select, Text
 
 from .example import annotated, example_beacon
 from .wording import meaning, requirement_of, unit_of

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import msgspec
-from dcp_spec.profile import Profile
+from dcp_spec.profile.definition import Profile
 
 _BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
 _LINE = 110

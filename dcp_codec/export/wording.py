@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dcp_spec.profile import Profile
+from dcp_spec.profile.definition import Profile
 
-from dcp_codec.plan import Exact, Fill, Group, Many, Node, Region, Rest, Scalar, Select, Text
+from dcp_codec.plan.tree import Exact, Fill, Group, Many, Node, Region, Rest, Scalar, Select, Text
 
 _EPOCHS = {
     "unix": "1970-01-01T00:00:00Z",

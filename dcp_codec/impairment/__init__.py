@@ -8,7 +8,7 @@ from .channel import Channel, Copy, Fate
 from .counters import Counters
 from .network import Network, Transit
 from .parameters import PERFECT, Impairment, ImpairmentError, Outage
-from .text import impairment_of, parse_impairment
+from .text import impairment_of, parse_impairment, text_of
 
 __all__ = [
     "PERFECT",
@@ -23,4 +23,5 @@ __all__ = [
     "Transit",
     "impairment_of",
     "parse_impairment",
+    "text_of",
 ]

@@ -141,12 +141,6 @@ class Impairment(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         """The same delay and jitter, and nothing else."""
         return Impairment(delay=self.delay, jitter=self.jitter, distribution=self.distribution)
 
-    def __str__(self) -> str:
-        """The text form, which ``parse_impairment`` reads; empty for a perfect link."""
-        from .text import text_of
-
-        return text_of(self)
-
 
 PERFECT: Final = Impairment()
 

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from dcp_codec.plain import plain
-from dcp_codec.vantage import NO_LOSSES
+from dcp_codec.analysis.vantage_point import NO_LOSSES
+from dcp_codec.common.printable import plain
 
 from . import analysis, holding, reactions, sections, variables
 from .analysis import Sender, Steps, Time

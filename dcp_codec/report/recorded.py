@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
-from dcp_spec.profile import SafetyField
+from dcp_spec.profile.definition import SafetyField
 
+from dcp_codec.analysis.holdings import DELETED, UNKNOWN
+from dcp_codec.analysis.vantage_point import is_of_medium
 from dcp_codec.codec import Codec
-from dcp_codec.holdings import DELETED, UNKNOWN
-from dcp_codec.plain import plain
+from dcp_codec.common.printable import plain
 from dcp_codec.table.decoding import Batch, ColumnDecoder, worth_compiling
+from dcp_codec.table.input.sources import Recording
 from dcp_codec.table.job import Advance, Outcome, others, resolve
-from dcp_codec.table.sources import Recording
-from dcp_codec.vantage import is_of_medium
 
 Column = npt.NDArray[Any]
 
@@ -27,7 +27,7 @@ NUMBER_OCTETS = 8
 NOBODY = "unknown"
 #: Rows of all tables that are kept of one recording: about four for each beacon, some 55 octets each while it is read.
 MOST_ROWS = 20_000_000
-#: Tables of records by which a node says what it holds of a variable, as dcp_codec.holdings takes them.
+#: Tables of records by which a node says what it holds of a variable, as dcp_codec.analysis.holdings takes them.
 HOLDING = ("creates", "updates", "summaries", "deletes", "req_updates", "req_creates")
 #: What the tables without sequence numbers say instead.
 _INSTEAD = {"deletes": DELETED, "req_creates": UNKNOWN}
@@ -65,7 +65,7 @@ class Texts:
         many = len(column.dictionary)
         # The last place is for null.
         known = np.array([self.number(text) for text in column.dictionary.to_pylist()] + [-1], np.int32)
-        indices = column.indices.fill_null(many).to_numpy(zero_copy_only=False).astype(np.int64)
+        indices = _array(column.indices, many).astype(np.int64)
         if known.size and (indices == many).any():
             known[many] = self.number(None)
         found: Column = known[indices]
@@ -195,11 +195,7 @@ class _Gatherer:
         for axis in "xyz":
             member = self.roles.get(f"position.{axis}")
             known = member is not None and member.name in rows.schema.names
-            places[axis] = (
-                rows[member.name].to_numpy(zero_copy_only=False)
-                if member is not None and known
-                else np.full(rows.num_rows, np.nan)
-            )
+            places[axis] = _array(rows[member.name]) if member is not None and known else np.full(rows.num_rows, np.nan)
         self._keep("srp", time=_integers(rows["time"]), node=self.nodes.numbers(rows["nodeId"]), **places)
 
     def _said(self, rows: pa.RecordBatch) -> None:
@@ -275,10 +271,18 @@ class _Gatherer:
 
 
 def _integers(column: pa.Array) -> Column:
-    if pa.types.is_timestamp(column.type):
-        column = column.cast(pa.int64())
-    found: Column = column.to_numpy(zero_copy_only=False)
-    return found
+    return _array(column.view(pa.int64()) if pa.types.is_timestamp(column.type) else column)
+
+
+def _array(column: pa.Array, null: float = np.nan) -> Column:
+    """The numbers of a column, read-only, with ``null`` for those that are missing.
+
+    ``to_numpy`` would import pandas, where that is installed, which takes as long as reading some thousand beacons.
+    """
+    if column.null_count:
+        found: Column = np.nan_to_num(column.to_numpy(zero_copy_only=False), nan=null)
+        return found
+    return np.from_dlpack(column)
 
 
 def _creation_times(rows: pa.RecordBatch) -> Column:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from dcp_codec.plain import plain
+from dcp_codec.common.printable import plain
 
 from . import analysis, holding, plots, reactions, variables
 from .analysis import Sender, Steps

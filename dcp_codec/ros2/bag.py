@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import IO, Any, BinaryIO
 
 import msgspec
-from dcp_spec.profile import Link
+from dcp_spec.profile.definition import Link
 
 from dcp_codec.capture import CaptureError, CaptureProblem, CaptureReader, open_capture
 from dcp_codec.codec import Codec
-from dcp_codec.wholefile import refuse_irregular
+from dcp_codec.common.atomic_write import refuse_irregular
 
 from .content import LAST_SECOND, Content, Message
 from .definitions import DEFINITIONS

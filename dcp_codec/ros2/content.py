@@ -7,12 +7,12 @@ import re
 from collections.abc import Iterator
 from typing import Any, Final, NamedTuple
 
-from dcp_spec.profile import Link
+from dcp_spec.profile.definition import Link
 
+from dcp_codec.analysis.cartesian import cartesian_axes
 from dcp_codec.capture import Frame
-from dcp_codec.cartesian import cartesian_axes
 from dcp_codec.codec import Codec
-from dcp_codec.framing import Framing, locate, mac
+from dcp_codec.framing.locate import Framing, locate, mac
 from dcp_codec.jsonform import node_id_text
 from dcp_codec.values import Beacon, ExtendedSafetyData, VarCreate, VarDelete, VarUpdate
 

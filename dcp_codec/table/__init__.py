@@ -12,9 +12,9 @@ from dcp_spec.exports import exported
 
 if TYPE_CHECKING:
     from .decoding import Batch, Block, ColumnDecoder
+    from .input.sources import Recording
+    from .kernel.shape import TABLES, Shape
     from .opening import OpenTable, open_table
-    from .shape import TABLES, Shape
-    from .sources import Recording
 
 __all__ = ["TABLES", "Batch", "Block", "ColumnDecoder", "OpenTable", "Recording", "Shape", "open_table"]
 
@@ -23,7 +23,7 @@ __getattr__ = exported(
     {
         "decoding": ("Batch", "Block", "ColumnDecoder"),
         "opening": ("OpenTable", "open_table"),
-        "shape": ("TABLES", "Shape"),
-        "sources": ("Recording",),
+        "kernel.shape": ("TABLES", "Shape"),
+        "input.sources": ("Recording",),
     },
 )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import glob
 import multiprocessing
+import os
 import shutil
 import signal
 import tempfile
@@ -19,21 +20,17 @@ import msgspec
 from dcp_codec.capture import SUFFIXES
 from dcp_codec.capture.compressed import without_compression
 from dcp_codec.codec import get_codec
-from dcp_codec.wholefile import rename_durably, sync_tree
+from dcp_codec.common.atomic_write import rename_durably, sync_tree
 
-from .jit import COMPILING, LOG, announce
-from .job import Advance, Job, Outcome, run
-from .shape import ERRORS, Shape
+from .job import Advance, Job, Outcome, TableError, run
+from .kernel.jit import COMPILING, LOG, announce
+from .kernel.shape import ERRORS, Shape
 from .writing import Format, write_database
 
 Engine = Literal["local", "dask"]
 
 #: Seconds between two looks at how far the workers are.
 _LOOK = 0.2
-
-
-class TableError(Exception):
-    """Tables cannot be made or put where they should go; the message is one for people."""
 
 
 class Order(msgspec.Struct, frozen=True):
@@ -160,6 +157,7 @@ def _run(order: Order, jobs: Sequence[Job], advance: Advance) -> list[Outcome]:
 
         return run_on_cluster(jobs, order.jobs, order.scheduler, advance)
     workers = min(order.jobs, len(jobs))
+    jobs = [msgspec.structs.replace(job, threads=_threads(workers)) for job in jobs]
     if workers <= 1:
         return [run(job, advance) for job in jobs]
     context = multiprocessing.get_context("spawn")
@@ -183,6 +181,12 @@ def _run(order: Order, jobs: Sequence[Job], advance: Advance) -> list[Outcome]:
             for process in set(multiprocessing.active_children()) - others:
                 process.terminate()
             raise
+
+
+def _threads(workers: int) -> int:
+    """How many threads each of so many processes should have for writing: none where each process has one core."""
+    share = len(os.sched_getaffinity(0)) // workers
+    return share if share > 1 else 0
 
 
 class _Worker:

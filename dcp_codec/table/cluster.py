@@ -10,8 +10,7 @@ from typing import Any
 
 import msgspec
 
-from .archive import TableError
-from .job import Advance, Job, Outcome, run
+from .job import Advance, Job, Outcome, TableError, run
 
 #: Seconds that a scheduler has to answer.
 _PATIENCE = 10

@@ -12,9 +12,9 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
-from .pools import Pool
-from .shape import Column, Table
-from .stage import item, row_size, table_layout
+from .kernel.pools import Pool, text_array
+from .kernel.row_buffer import item, row_size, table_layout
+from .kernel.shape import Column, Table
 
 Octets = npt.NDArray[np.uint8]
 _INTEGERS = {
@@ -125,10 +125,11 @@ class Storage:
 
 #: References to memory that only a piece has: its own, and that of asking.
 _UNSHARED = 2
-#: Where rows are collected (``writing.Pile``), batches with few that are copied together, and with many that are kept.
+#: Where rows are collected (``parquet_output.Pile``), batches with few that are copied together, and with many that are
+#: kept.
 TOGETHER, KEPT = 4, 8
-#: Batches whose memory is remembered: the one being made, and those that wait.
-_SPARE = max(TOGETHER, KEPT) + 1
+#: Batches whose memory is remembered: the one being made, those that wait, and those that a thread is writing.
+_SPARE = 2 * max(TOGETHER, KEPT) + 1
 
 
 def _table_memory(table: Table, rows: int) -> _Piece:
@@ -170,7 +171,7 @@ def arrow_arrays(
             return [pa.DictionaryArray.from_arrays(codes, pool.dictionary, safe=False)]
         case "label":
             codes = pa.Array.from_buffers(pa.int8(), rows, [None, pa.py_buffer(values[:rows])])
-            return [pa.DictionaryArray.from_arrays(codes, pa.array(column.labels, pa.string()), safe=False)]
+            return [pa.DictionaryArray.from_arrays(codes, text_array(column.labels), safe=False)]
         case "octets":
             return [_plain(column, rows, values[: rows * column.size])]
         case "varying" | "text":

@@ -8,20 +8,20 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
-from dcp_spec.profile import Link
+from dcp_spec.profile.definition import Link
 
 from dcp_codec.codec import Codec
-from dcp_codec.framing import mac
+from dcp_codec.framing.locate import mac
 from dcp_codec.jsonform import node_id_text
 
 from .columns import IDENTIFIER, TIME, Memory, Storage, arrow_arrays, schema_of
-from .compiled import compiled, interpreted
-from .damaged import DamagedFrames, merged
-from .kernel import result_names
-from .kernellines import DONE, FULL, POOL_FULL
-from .pools import Pool
-from .shape import ERRORS, Shape
-from .stage import MOVED, OF_A_FRAME, Stage
+from .input.damaged import DamagedFrames, merged
+from .kernel.compiled import compiled, interpreted
+from .kernel.generator import result_names
+from .kernel.lines import DONE, FULL, POOL_FULL
+from .kernel.pools import Pool
+from .kernel.row_buffer import MOVED, OF_A_FRAME, Stage
+from .kernel.shape import ERRORS, Shape
 
 Integers = npt.NDArray[np.int64]
 
@@ -98,7 +98,7 @@ class ColumnDecoder:
         self.shape = Shape(codec.beacon_plan)
         self.schemas = {table.name: schema_of(table) for table in self.shape.tables} | {ERRORS: ERRORS_SCHEMA}
         self._none = {
-            name: pa.RecordBatch.from_arrays([pa.array([], field.type) for field in schema], schema=schema)
+            name: pa.RecordBatch.from_arrays([pa.nulls(0, field.type) for field in schema], schema=schema)
             for name, schema in self.schemas.items()
         }
         self._decode = interpreted(self.shape) if interpret else compiled(self.shape)

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
 
 import msgspec
-from dcp_spec.profile import Link
+from dcp_spec.profile.definition import Link
 
+from dcp_codec.analysis.guess import guess, sample
 from dcp_codec.capture import CaptureError, open_capture
 from dcp_codec.codec import Codec, get_codec
-from dcp_codec.frames import with_ether_type
-from dcp_codec.framing import OtherTraffic, locate
-from dcp_codec.guess import guess, sample
+from dcp_codec.framing.frames import with_ether_type
+from dcp_codec.framing.locate import OtherTraffic, locate
 
 from .decoding import ColumnDecoder, worth_compiling
-from .sources import Recording
+from .input.sources import Recording
 from .writing import SUFFIXES, Format, Writer, file_schema, open_writer, with_file
 
 #: Frames that are looked at to tell what there is in a recording without beacons.
@@ -25,12 +26,17 @@ _LOOKED_AT = 10_000
 Advance = Callable[[int], object]
 
 
+class TableError(Exception):
+    """Tables cannot be made or written; the message is for the user."""
+
+
 class Job(msgspec.Struct, frozen=True):
     """What to do with one recording; it can be sent to another process.
 
     ``profile`` is a name, a profile file, or "auto"; ``tables`` are those that are wanted, None for all. The files
     are ``folder/TABLE/STEM.SUFFIX``, or ``folder/TABLE.SUFFIX`` if ``stem`` is None. ``file`` is what the recording is
-    called in the column of that name, None for no such column.
+    called in the column of that name, None for no such column. ``threads`` write tables while the recording is decoded;
+    with 0 rows are written between decoding one block and the next, which takes less processor time.
     """
 
     path: str
@@ -41,6 +47,7 @@ class Job(msgspec.Struct, frozen=True):
     ether_type: int | None
     tables: tuple[str, ...] | None
     form: Format
+    threads: int = 0
 
 
 class Outcome(msgspec.Struct):
@@ -106,11 +113,12 @@ def _write(job: Job, recording: Recording, decoder: ColumnDecoder, outcome: Outc
     if job.file is not None:
         schemas = {name: file_schema(schema) for name, schema in schemas.items()}
     with ExitStack() as stack:
+        executor = stack.enter_context(ThreadPoolExecutor(job.threads)) if job.threads else None
         writers: dict[str, Writer] = {}
         for name in names:
             path = _path(job, name)
             path.parent.mkdir(parents=True, exist_ok=True)
-            writers[name] = open_writer(job.form, path, schemas[name])
+            writers[name] = open_writer(job.form, path, schemas[name], executor)
             stack.callback(writers[name].close)
             outcome.files[name] = str(path)
             outcome.rows[name] = 0
@@ -126,6 +134,8 @@ def _write(job: Job, recording: Recording, decoder: ColumnDecoder, outcome: Outc
                     writers[name].write(rows if job.file is None else with_file(rows, schemas[name], job.file))
             advance(block.position - position)
             position = block.position
+        for writer in writers.values():
+            writer.flush()
 
 
 def _path(job: Job, table: str) -> Path:

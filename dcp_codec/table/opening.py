@@ -7,16 +7,17 @@ from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
-from dcp_spec.profile import Link
+from dcp_spec.profile.definition import Link
 
 from dcp_codec.codec import Codec, get_codec
 
 from .archive import find_recordings
 from .decoding import ColumnDecoder, worth_compiling
+from .input.sources import Recording
 from .job import resolve
-from .shape import TABLES, table_names
-from .sources import Recording
-from .writing import Pile, file_schema, joint_schema, with_file
+from .kernel.shape import TABLES, table_names
+from .parquet_output import Pile
+from .writing import file_schema, joint_schema, with_file
 
 Source = str | Path | Sequence[str | Path]
 
@@ -108,7 +109,7 @@ def open_table(
 
     Raises ``ValueError`` for a table that does not exist, :class:`~dcp_codec.table.archive.TableError` where there
     are no recordings, :class:`~dcp_codec.capture.CaptureError` for one that cannot be read at all, and
-    ``dcp_spec.profile_loading.ProfileError`` for a profile that cannot be had.
+    ``dcp_spec.profile.loading.ProfileError`` for a profile that cannot be had.
     """
     known = TABLES if profile == "auto" else table_names(get_codec(profile).profile)
     if table not in known:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dcp_codec.commandline import CommandLine
+from dcp_codec.common.commandline import CommandLine
 
 #: Entry point of ``dcp-node``.
 main = CommandLine(

@@ -13,8 +13,8 @@ from typing import Any, TypeVar
 
 import click
 
-from dcp_codec.commandline import UNUSABLE, ExpectedError
-from dcp_codec.plain import plain
+from dcp_codec.common.commandline import UNUSABLE, ExpectedError
+from dcp_codec.common.printable import plain
 from dcp_stack.control.client import ControlClient, ControlError, Notification, ServiceError
 from dcp_stack.control.jsonrpc import INVALID_PARAMS, INVALID_REQUEST, METHOD_NOT_FOUND, PARSE_ERROR
 from dcp_stack.control.places import find_socket, places

@@ -9,7 +9,7 @@ from typing import Any
 import click
 from dcp_spec.parameters import UnknownParameterError, parameter
 
-from dcp_codec.commandline import ExpectedError
+from dcp_codec.common.commandline import ExpectedError
 from dcp_stack.control.client import ControlClient, ServiceError
 from dcp_stack.control.jsonrpc import METHOD_NOT_FOUND
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 import msgspec
 
-from dcp_codec.commandline import ExpectedError
+from dcp_codec.common.commandline import ExpectedError
 from dcp_stack.control.places import SYSTEM, default_socket, is_answered
 
 if TYPE_CHECKING:

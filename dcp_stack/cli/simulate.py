@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 
 import click
 
-from dcp_codec.commandline import UNUSABLE, ExpectedError
+from dcp_codec.common.commandline import UNUSABLE, ExpectedError
 
 from .common import Seconds
 
 if TYPE_CHECKING:
-    from dcp_stack.sim.scenario import Scenario
+    from dcp_stack.sim.scenario.definition import Scenario
 
 NOT_MET = 1
 
@@ -36,11 +36,11 @@ def scenario_of(
     """
     # Here, as in the command: --help needs neither nodes nor networks.
     import msgspec
-    from dcp_spec.profile_loading import ProfileError
+    from dcp_spec.profile.loading import ProfileError
 
-    from dcp_stack.sim.defaults import default_scenario
-    from dcp_stack.sim.loading import check, load_scenario, parse_topology
-    from dcp_stack.sim.scenario import LinkQuality, ScenarioError
+    from dcp_stack.sim.scenario.defaults import default_scenario
+    from dcp_stack.sim.scenario.definition import LinkQuality, ScenarioError
+    from dcp_stack.sim.scenario.loading import check, load_scenario, parse_topology
 
     try:
         shape = None if topology is None else parse_topology(topology)
@@ -130,9 +130,9 @@ def command(
     and updated; options replace what a SCENARIO says.
     """
     from dcp_stack.links.base import LinkError
-    from dcp_stack.sim.player import Simulation
-    from dcp_stack.sim.report import lines
-    from dcp_stack.sim.scenario import ScenarioError
+    from dcp_stack.sim.scenario.definition import ScenarioError
+    from dcp_stack.sim.scenario.report import lines
+    from dcp_stack.sim.virtual.player import Simulation
 
     played = scenario_of(
         scenario,

@@ -8,7 +8,7 @@ import time
 
 import click
 
-from dcp_codec.commandline import ExpectedError
+from dcp_codec.common.commandline import ExpectedError
 from dcp_stack.control.client import ControlError
 
 from .common import EXIT_STATUS, NOT_OK, Seconds, connect, control_option

@@ -16,7 +16,7 @@ from types import FrameType
 
 import click
 
-from dcp_codec.commandline import ExpectedError
+from dcp_codec.common.commandline import ExpectedError
 
 from .common import Seconds, note
 from .simulate import NOT_MET, scenario_of
@@ -69,10 +69,10 @@ def command(
     While it runs, 'dcp-node ... --control DIR/node-0.sock' talks to the nodes. Afterwards nothing is left but what
     --keep asks for. Needs root, or a system that allows user namespaces.
     """
-    from dcp_stack.sim.namespaces import NamespaceError
-    from dcp_stack.sim.report import lines
-    from dcp_stack.sim.scenario import ScenarioError
-    from dcp_stack.sim.testbed import StartError, Testbed
+    from dcp_stack.sim.scenario.definition import ScenarioError
+    from dcp_stack.sim.scenario.report import lines
+    from dcp_stack.sim.testbed.namespaces import NamespaceError
+    from dcp_stack.sim.testbed.testbed import StartError, Testbed
 
     played = scenario_of(
         scenario,
@@ -134,7 +134,7 @@ def _signals() -> Iterator[None]:
 
 def _get_rights() -> None:
     """Go on if namespaces can be made; otherwise begin again in a user namespace, if that is possible."""
-    from dcp_stack.sim.namespaces import permitted
+    from dcp_stack.sim.testbed.namespaces import permitted
 
     if permitted():
         return

@@ -33,7 +33,7 @@ from .common import (
 )
 
 if TYPE_CHECKING:
-    from dcp_spec.profile import Profile
+    from dcp_spec.profile.definition import Profile
 
 
 @click.group("var", epilog=EXIT_STATUS)
@@ -90,7 +90,7 @@ def _repetitions(client: ControlClient) -> int:
 
 def _profile(client: ControlClient) -> Profile | None:
     """The node's profile; None for one of its own, in a file that only the node knows."""
-    from dcp_spec.profile_loading import ProfileError, load_profile
+    from dcp_spec.profile.loading import ProfileError, load_profile
 
     try:
         return load_profile(client.call("UT-Hello")["profile"])

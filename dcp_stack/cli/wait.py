@@ -6,7 +6,7 @@ import time
 
 import click
 
-from dcp_codec.commandline import ExpectedError
+from dcp_codec.common.commandline import ExpectedError
 from dcp_stack.control.client import ControlClient, ControlError
 from dcp_stack.control.places import default_socket
 

@@ -7,15 +7,14 @@ import socket
 import time
 from collections import deque
 from pathlib import Path
-from types import TracebackType
 from typing import Any, NamedTuple, Self
 
-import msgspec
-
-from .jsonrpc import request_message
+from .jsonrpc import LineBuffer, RpcError, parse, request_message
 
 PATIENCE = 10.0
 """Seconds that a node may take to answer."""
+LONGEST_ANSWER = 1 << 30
+"""Octets of a line of the node: a database of 65,536 variables has some ten million."""
 
 
 class ControlError(Exception):
@@ -46,8 +45,7 @@ class ControlClient:
         """Raises ControlError if nobody listens at ``path``; ``patience`` is in s, for each answer."""
         self.path = Path(path)
         self._patience = patience
-        self._buffer = bytearray()
-        self._searched = 0
+        self._lines = LineBuffer(LONGEST_ANSWER)
         self._notifications: deque[Notification] = deque()
         self._last_id = 0
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
@@ -117,19 +115,17 @@ class ControlClient:
     def _message(self, deadline: float | None, *, once: bool = False) -> dict[str, Any] | None:
         """The next response; None at the deadline. Notifications are put aside, ``once``: any message will do."""
         while True:
-            end = self._buffer.find(b"\n", self._searched)
-            if end < 0:
-                self._searched = len(self._buffer)
+            try:
+                line = self._lines.next()
+                message = None if line is None else parse(line)
+            except RpcError:
+                raise self._no_node() from None
+            if line is None:
                 if not self._fill(deadline):
                     return None
                 continue
-            line = bytes(self._buffer[:end])
-            del self._buffer[: end + 1]
-            self._searched = 0
-            try:
-                message = msgspec.json.decode(line, type=dict[str, Any])
-            except (msgspec.MsgspecError, ValueError, RecursionError):
-                raise self._no_node() from None
+            if not isinstance(message, dict):
+                raise self._no_node()
             match message:
                 case {"method": str(method), "params": dict(params)}:
                     self._notifications.append(Notification(method, params))
@@ -156,7 +152,7 @@ class ControlClient:
             raise ControlError(f"{self.path}: {_why_not(error)}") from None
         if not data:
             raise ControlError(f"{self.path}: the node has closed the connection")
-        self._buffer += data
+        self._lines.add(data)
         return True
 
     def close(self) -> None:
@@ -166,9 +162,7 @@ class ControlClient:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *exception: object) -> None:
         self.close()
 
 

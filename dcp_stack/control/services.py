@@ -12,14 +12,14 @@ from dcp_spec.version import __version__
 from msgspec import UNSET
 
 from dcp_codec.values import VarSpec
-from dcp_stack.bp_services import UnknownServiceError
+from dcp_stack.bp.services import UnknownServiceError
 from dcp_stack.config import MS
-from dcp_stack.neighbours import NeighbourTable, NeighbourTableEntry
 from dcp_stack.node import Node
 from dcp_stack.positions.geometry import Motion, distance
-from dcp_stack.srp import NotInitializedError, StateReporting
-from dcp_stack.vardis import Vardis
-from dcp_stack.vardis_confirms import NoResponseError
+from dcp_stack.srp.entity import NotInitializedError, StateReporting
+from dcp_stack.srp.neighbour_table import NeighbourTable, NeighbourTableEntry
+from dcp_stack.vardis.confirms import NoResponseError
+from dcp_stack.vardis.entity import Vardis
 
 from . import messages as m
 from .jsonrpc import INVALID_PARAMS, METHOD_NOT_FOUND, NO_ANSWER, REFUSED, RpcError

@@ -9,10 +9,11 @@ import socket
 import struct
 import time
 
-from dcp_codec import interfaces, sockets
-from dcp_codec.sockets import ANCILLARY, CUT_OFF, ETHERNET_HEADER, LONGEST, OTHERHOST, OUTGOING, stamp_of
-from dcp_stack.links.base import LinkError, Reception
-from dcp_stack.links.sockets import PORTION, SocketLink
+from dcp_codec.network import interfaces, sockets
+from dcp_codec.network.sockets import ANCILLARY, CUT_OFF, ETHERNET_HEADER, LONGEST, OTHERHOST, OUTGOING, stamp_of
+
+from .base import LinkError, Reception
+from .sockets import PORTION, SocketLink
 
 BROADCAST = b"\xff" * 6
 #: More frames than fit into the receive buffer.

@@ -19,8 +19,8 @@ from typing import NamedTuple
 
 import msgspec
 
-from dcp_stack.links.base import LinkCounters, Reception
-from dcp_stack.links.topology import Full, Topology
+from .base import LinkCounters, Reception
+from .topology import Full, Topology
 
 #: 2026-01-01T00:00:00Z in ns since 1970: the wall clock at virtual time 0, unless said otherwise.
 WALL_START = 1_767_225_600_000_000_000

@@ -5,9 +5,10 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping
 
-from dcp_codec.ethertype import parse_ether_type
+from dcp_codec.framing.ethertype import parse_ether_type
 from dcp_stack.config import NodeConfig
-from dcp_stack.links.base import Link, LinkError
+
+from .base import Link, LinkError
 
 #: What :func:`open_link` understands, for help texts.
 FORMS: Mapping[str, str] = {
@@ -60,7 +61,7 @@ def _split(spec: str, known: tuple[str, ...] = ()) -> tuple[str, Options]:
 
 
 def _open_eth(interface: str, options: Options, config: NodeConfig) -> Link:
-    from dcp_stack.links.ethernet import open_ethernet
+    from .ethernet import open_ethernet
 
     if not interface:
         raise LinkError("eth: which interface? as in eth:wlan0")
@@ -78,7 +79,7 @@ def _open_eth(interface: str, options: Options, config: NodeConfig) -> Link:
 
 
 def _open_udp(rest: str, options: Options, config: NodeConfig) -> Link:
-    from dcp_stack.links.udp import DEFAULT_GROUP, DEFAULT_PORT, open_udp
+    from .udp import DEFAULT_GROUP, DEFAULT_PORT, open_udp
 
     group, _, port = rest.partition(":")
     return open_udp(
@@ -91,7 +92,7 @@ def _open_udp(rest: str, options: Options, config: NodeConfig) -> Link:
 
 
 def _open_replay(path: str, options: Options, config: NodeConfig) -> Link:
-    from dcp_stack.links.replay import open_replay
+    from .replay import open_replay
 
     if not path:
         raise LinkError("replay: which file? as in replay:flight.mcap")

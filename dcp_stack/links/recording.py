@@ -12,9 +12,10 @@ from typing import Protocol, runtime_checkable
 
 from dcp_codec.capture import MAX_TIME_NS, CaptureError, CaptureWriter, Frame, create_capture
 from dcp_codec.codec import Codec
-from dcp_codec.envelope import Envelope
-from dcp_codec.mcap_channels import DecodedChannels, capture_metadata
-from dcp_stack.links.base import Link, LinkCounters, LinkError, Reception, TimedLink, Watcher
+from dcp_codec.foxglove.channels import DecodedChannels, capture_metadata
+from dcp_codec.framing.envelope import Envelope
+
+from .base import Link, LinkCounters, LinkError, Reception, TimedLink, Watcher
 
 log = logging.getLogger(__name__)
 

@@ -8,11 +8,12 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from dcp_spec.profile import Link as Framing
+from dcp_spec.profile.definition import Link as Framing
 
 from dcp_codec.capture import CaptureError, CaptureProblem, Frame, open_capture
-from dcp_codec.framing import OtherTraffic, locate
-from dcp_stack.links.base import LinkCounters, LinkError, Reception
+from dcp_codec.framing.locate import OtherTraffic, locate
+
+from .base import LinkCounters, LinkError, Reception
 
 log = logging.getLogger(__name__)
 

@@ -12,8 +12,8 @@ from typing import Final
 
 import msgspec
 
-from dcp_stack.links.base import LinkError
-from dcp_stack.links.recording import Recorder
+from .base import LinkError
+from .recording import Recorder
 
 log = logging.getLogger(__name__)
 

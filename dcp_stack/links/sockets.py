@@ -9,8 +9,8 @@ import selectors
 import socket
 import time
 
-from dcp_stack.links.base import LinkCounters, LinkError, Reception
-from dcp_stack.links.interfaces import InterfaceWatch
+from .base import LinkCounters, LinkError, Reception
+from .interfaces import InterfaceWatch
 
 log = logging.getLogger(__name__)
 

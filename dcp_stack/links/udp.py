@@ -13,10 +13,11 @@ import os
 import socket
 import time
 
-from dcp_codec import sockets
-from dcp_codec.sockets import ANCILLARY, LONGEST, stamp_of
-from dcp_stack.links.base import LinkError, Reception
-from dcp_stack.links.sockets import PORTION, SocketLink
+from dcp_codec.network import sockets
+from dcp_codec.network.sockets import ANCILLARY, LONGEST, stamp_of
+
+from .base import LinkError, Reception
+from .sockets import PORTION, SocketLink
 
 #: A group of the administratively scoped range (RFC 2365), which routers keep inside of a site.
 DEFAULT_GROUP = "239.73.126.1"

@@ -11,13 +11,12 @@ import stat
 import struct
 import zlib
 from pathlib import Path
-from types import TracebackType
 from typing import Final, Self
 
-from dcp_spec.profile import Profile
+from dcp_spec.profile.definition import Profile
 
-from dcp_stack.neighbours import NeighbourTable, NeighbourTableEntry
 from dcp_stack.positions.fields import ROLES
+from dcp_stack.srp.neighbour_table import NeighbourTable, NeighbourTableEntry
 
 from .layout import (
     CLOSED,
@@ -218,9 +217,7 @@ class NeighbourFileWriter:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *exception: object) -> None:
         self.close()
 
 

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from types import SimpleNamespace
 from typing import Any, Final
 
-from dcp_spec.profile import Profile, SafetyField
+from dcp_spec.profile.definition import Profile, SafetyField
 
 from .geometry import Vector
 

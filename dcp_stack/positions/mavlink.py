@@ -18,6 +18,8 @@ import socket
 from collections.abc import Callable
 from typing import Any, Final, Literal, Protocol
 
+from dcp_codec.common.extras import advice
+
 from .base import Sample, Source, SourceError
 from .fields import FieldError, SafetyFields
 from .geometry import NS_PER_S, Vector
@@ -125,10 +127,7 @@ def _parser() -> Any:
         # By name, because the package is optional and has no type information.
         common = importlib.import_module("pymavlink.dialects.v20.common")
     except ImportError:
-        raise SourceError(
-            "pymavlink is not installed: pip install 'dcp-conformance-kit[mavlink]'"
-            " (or install this package with its extra 'mavlink')"
-        ) from None
+        raise SourceError(advice("pymavlink")) from None
     made = common.MAVLink(None)
     made.robust_parsing = True
     return made

@@ -11,7 +11,7 @@ from typing import Any, Final
 from dcp_codec.capture import CaptureError, open_capture
 from dcp_codec.codec import Codec
 from dcp_codec.errors import DecodeError
-from dcp_codec.framing import OtherTraffic, locate
+from dcp_codec.framing.locate import OtherTraffic, locate
 from dcp_codec.jsonform import node_id_text
 from dcp_codec.values import Beacon, ExtendedSafetyData
 

@@ -14,11 +14,11 @@ import sys
 from pathlib import Path
 
 import msgspec
-from dcp_spec.profile_loading import ProfileError
+from dcp_spec.profile.loading import ProfileError
 
 from dcp_codec.capture import CaptureError
 from dcp_codec.impairment import ImpairmentError, Network, parse_impairment
-from dcp_codec.sockets import OpeningError
+from dcp_codec.network.sockets import OpeningError
 
 from .loop import Relay, prefer
 from .messages import Answer, Command, Setup

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Final, Self
 
-from dcp_codec.impairment import PERFECT, Impairment
-from dcp_stack.sim import namespaces
+from dcp_codec.impairment import PERFECT, Impairment, text_of
+from dcp_stack.sim.testbed import namespaces
 
 from .control import RelayError, RelayProcess
 from .messages import Partition, SetQuality, Setup, SwitchPort
@@ -20,8 +19,8 @@ INTERFACE: Final = "dcp0"
 class RelayFabric:
     """Namespaces with an interface each, and a relay between the other ends of their cables.
 
-    Namespaces are made as a testbed makes them (``dcp_stack.sim.namespaces``): with a prefix that names this process,
-    and to be deleted with ``namespaces.delete``, which :meth:`close` does unless told otherwise.
+    Namespaces are made as a testbed makes them (``dcp_stack.sim.testbed.namespaces``): with a prefix that names this
+    process. :meth:`close` deletes them with ``namespaces.delete`` unless told otherwise.
     """
 
     def __init__(
@@ -52,7 +51,7 @@ class RelayFabric:
             self._cable([address[:6].hex(":") for address in addresses])
             setup = Setup(
                 ports=tuple(f"p{number}" for number in range(len(addresses))),
-                impairment=str(impairment),
+                impairment=text_of(impairment),
                 seed=seed,
                 hears=None if pairs is None else tuple(pairs),
                 record="" if record is None else str(Path(record).resolve()),
@@ -84,7 +83,7 @@ class RelayFabric:
         Raises :class:`RelayError`, as the following do.
         """
         sender, receiver = direction if direction is not None else (None, None)
-        self._relay.command(SetQuality(impairment=str(impairment), sender=sender, receiver=receiver))
+        self._relay.command(SetQuality(impairment=text_of(impairment), sender=sender, receiver=receiver))
 
     def partition(self, groups: Sequence[Sequence[int]]) -> None:
         """Let frames stay within their groups; stations in none form one more. No groups: heal."""
@@ -109,9 +108,7 @@ class RelayFabric:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *exception: object) -> None:
         self.close()
 
 

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any, Final
 
 from dcp_codec.impairment import ImpairmentError, Network, parse_impairment
-from dcp_codec.sockets import ETHERNET_HEADER
+from dcp_codec.network.sockets import ETHERNET_HEADER
 
 from .lateness import Lateness
 from .messages import Answer, Command, Count, Partition, SetQuality, SwitchPort

@@ -7,8 +7,8 @@ import socket
 import time
 from typing import Final, NamedTuple
 
-from dcp_codec import interfaces, sockets
-from dcp_codec.sockets import ANCILLARY, CUT_OFF, ETHERNET_HEADER, EVERY_ETHER_TYPE, LONGEST, OUTGOING
+from dcp_codec.network import interfaces, sockets
+from dcp_codec.network.sockets import ANCILLARY, CUT_OFF, ETHERNET_HEADER, EVERY_ETHER_TYPE, LONGEST, OUTGOING
 
 #: ns between two attempts to open an interface that is away.
 _PAUSE: Final = 200_000_000
@@ -27,7 +27,7 @@ class Port:
     """A socket for all frames on one interface."""
 
     def __init__(self, interface: str) -> None:
-        """Raises ``dcp_codec.sockets.OpeningError`` and ``OSError``."""
+        """Raises ``dcp_codec.network.sockets.OpeningError`` and ``OSError``."""
         self.interface = interface
         self.refused = 0
         """Frames that could not be sent: too long for the interface, or the interface was down or full."""

@@ -25,7 +25,7 @@ class PortRecorder:
         if profile:
             # Only here: reading a profile takes longer than starting the relay.
             from dcp_codec.codec import Codec
-            from dcp_codec.mcap_channels import capture_metadata
+            from dcp_codec.foxglove.channels import capture_metadata
 
             metadata = capture_metadata(Codec(profile), about)
         # Uncompressed: compressing a chunk would hold up the frames that are due meanwhile.

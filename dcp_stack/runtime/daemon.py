@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NoReturn
 
-from dcp_codec.commandline import UNUSABLE
+from dcp_codec.common.commandline import UNUSABLE
 
 
 class LogFileError(Exception):

@@ -32,20 +32,20 @@ PUBLISH_INTERVAL: Final = 20 * MS
 """Least time between two versions of the neighbour file, which costs microseconds for each neighbour."""
 HEARTBEAT_INTERVAL: Final = 100 * MS
 HOUSEKEEPING_INTERVAL: Final = 1000 * MS
-SLACK: Final = 150 * MS
-"""Timers and frames that come up so shortly before a beacon are handled with it: a wake-up costs more than they do.
+HOLD: Final = 150 * MS
+"""While the next beacon is at most this far away, frames, positions and housekeeping wait for it.
 
-Without it a quiet node among three takes twice the CPU time (``benchmarks/quiet.py``, "no slack"). Nothing is lost by
-it. What VarDis and positions hand down goes on the air with that beacon at the earliest, and frames that wait in the
-kernel, with their time of arrival, are processed before it is made. Before a request is answered the frames are
-processed, too, and while a client is subscribed to indications they are processed at once.
+A wake-up costs more than a frame: without this a quiet node among three takes 1.7 times the CPU time
+(``benchmarks/quiet.py``, "no hold"). Nothing is lost: frames wait in the kernel with their time of arrival, and are
+processed before the beacon is made and before a client is answered.
 """
 FLOOD: Final = 64
-"""As many frames that waited for a beacon are processed before it, however late it is; more at once are a flood, after
-which the link is not left alone until the next beacon."""
+"""At most this many frames that waited for a beacon are processed before it, however late it is. More at once are a
+flood, after which frames do not wait for the next beacon."""
 OBSTACLE_INTERVAL: Final = 10_000 * MS
+"""Least time between two lines of the log about variables that do not get through."""
 MOST_TOLD: Final = 100
-"""Least time between two lines of the log about what does not get through, and how many there are in a life."""
+"""Most lines about them while the process runs."""
 _NEIGHBOURS: Final = (NeighbourSeen, NeighbourExpired)
 #: Signals that end the node in an orderly way; hanging up is one of them, or a recording would be cut off.
 SIGNALS: Final = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
@@ -95,9 +95,7 @@ class Driver:
         self._stopping = False
         self._wake: int | None = None
         self._arrived = self.started
-        self._link_fd = link.fileno()
-        self._lazy = self._flooded = False
-        self._srp_slack = self._slack_of_srp()
+        self._holding = self._flooded = False
         # Only links without a descriptor have to be asked; whether this is one is too slow to find out each time.
         self._timed = link if link.fileno() < 0 and isinstance(link, TimedLink) else None
         self._housekeeping = self.started + HOUSEKEEPING_INTERVAL
@@ -137,32 +135,34 @@ class Driver:
     # -- one turn -------------------------------------------------------------------------------------------------
 
     def _turn(self) -> None:
+        """Wait until a descriptor is ready or a deadline has come, and do all that is to be done then."""
         self.reactor.wait(self._patience())
-        now, wall = _times()
-        if self._timed is not None and (due := self._timed.poll_timeout()) is not None and now >= due:
-            self._on_link(READ)
-        if self._wake is not None and now >= self._wake:
-            if self._lazy:
-                self._on_link()
-                now, wall = _times()
-            if self._wake is not None and now >= self._wake:
-                self._timeout(now, wall)
+        now = time.monotonic_ns()
+        if self._holding or (self._timed is not None and _reached(self._timed.poll_timeout(), now)):
+            self._on_link()
+            now = time.monotonic_ns()
+        # Positions before the beacon: the newest goes into it.
+        if self._positions is not None and _reached(self._positions.poll_timeout(), now):
+            self._poll_positions()
+        if _reached(self._wake, now):
+            self._timeout(now, time.time_ns())
         if now >= self._housekeeping:
             self._housekeep(now)
-        self._after_turn(now, wall)
+        self._after_turn(*_times())
 
-    def _patience(self) -> float | None:
+    def _patience(self) -> float:
         """How long to wait in s."""
         if self._busy():
             return 0
-        due = self._wake
-        # Housekeeping is in no hurry either.
-        if due is None or due > self._housekeeping + SLACK:
-            due = self._housekeeping
-        if self._timed is not None and (when := self._timed.poll_timeout()) is not None:
-            due = min(due, when)
+        deadlines = [self._wake]
+        if not self._holding:
+            deadlines.append(self._housekeeping)
+            deadlines += [each.poll_timeout() for each in (self._positions, self._timed) if each is not None]
         if self._neighbour_file is not None:
-            due = min(due, self._published + PUBLISH_INTERVAL if self._dirty else self._heartbeat + HEARTBEAT_INTERVAL)
+            deadlines.append(
+                self._published + PUBLISH_INTERVAL if self._dirty else self._heartbeat + HEARTBEAT_INTERVAL
+            )
+        due = min(deadline for deadline in deadlines if deadline is not None)
         return max(due - time.monotonic_ns(), 0) / 1e9
 
     def _busy(self) -> bool:
@@ -174,11 +174,7 @@ class Driver:
         return False
 
     def _after_turn(self, now: int, wall: int) -> None:
-        """What any input may have set off."""
-        if self._lazy and self._busy():
-            self._plan()
-            self._on_link()
-            now, wall = _times()
+        """Answer clients, do what the node wants done, and plan the next turn."""
         self._serve(now, wall)
         effects = self.node.take_effects()
         if effects:
@@ -198,8 +194,8 @@ class Driver:
 
     def _on_link(self, _events: int = 0) -> None:
         """Take what has arrived, and keep the node's time while doing so."""
-        # Frames that were left to wait for a beacon belong before it, and the beacon can wait for them a little.
-        before_it = FLOOD if self._lazy else 0
+        # Frames that waited for a beacon belong before it, and the beacon can wait for them a little.
+        before_it = FLOOD if self._holding else 0
         node = self.node
         receptions = self.link.receive()
         self._flooded = len(receptions) > FLOOD
@@ -207,9 +203,8 @@ class Driver:
         offset = time.time_ns() - time.monotonic_ns()
         for number, reception in enumerate(receptions):
             now = time.monotonic_ns()
-            if number >= before_it and self._wake is not None and now >= self._wake:
+            if number >= before_it and _reached(self._wake, now):
                 self._timeout(now, time.time_ns())
-                self._plan()
             # Soft state is as old as its frame, also if that waited in the kernel. From frame to frame time goes
             # forward, whatever the clocks do.
             arrived = self._arrived = min(max(reception.wall - offset, self._arrived), now)
@@ -221,36 +216,25 @@ class Driver:
                     self._serve(now, time.time_ns())
 
     def _timeout(self, now: int, wall: int) -> None:
-        if self._wake is not None and now - self._wake > self.late_ns:
-            self.late_ns = now - self._wake
-        # Positions first: the newest goes into the beacon of now.
-        if self._positions is not None and (due := self._positions.poll_timeout()) is not None and now >= due:
-            self._poll_positions()
+        if self._wake is not None:
+            self.late_ns = max(self.late_ns, now - self._wake)
         self.node.handle_timeout(now, wall)
         self._carry_out(self.node.take_effects(), now, wall)
+        self._wake = self.node.poll_timeout()
 
     def _plan(self) -> None:
-        """When to wake the node or the positions next, and whether frames can wait until then."""
-        node = self.node
-        wake = beacon = node.bp.poll_timeout()
-        srp, vardis, positions = node.srp, node.vardis, self._positions
-        for due, slack in (
-            (None if srp is None else srp.poll_timeout(), self._srp_slack),
-            (None if vardis is None else vardis.poll_timeout(), SLACK),
-            (None if positions is None else positions.poll_timeout(), SLACK),
-        ):
-            if due is not None and (wake is None or (due < wake and (beacon is None or beacon - due > slack))):
-                wake = due
-        self._wake = wake
-        self._lazy = (
+        """When to wake next, and whether frames can wait until then."""
+        self._wake = self.node.poll_timeout()
+        beacon = self.node.bp.poll_timeout()
+        self._holding = (
             beacon is not None
-            and beacon - time.monotonic_ns() <= SLACK
+            and beacon - time.monotonic_ns() <= HOLD
             and not self._flooded
             and self._neighbour_file is None
             and not self.server.listening
         )
-        if self._link_fd >= 0:
-            self.reactor.watch(self._link_fd, 0 if self._lazy else READ, self._on_link)
+        if self.link.fileno() >= 0:
+            self.reactor.watch(self.link.fileno(), 0 if self._holding else READ, self._on_link)
 
     def _carry_out(self, effects: list[Effect], now: int, wall: int) -> None:
         for effect in effects:
@@ -304,7 +288,6 @@ class Driver:
 
     def _housekeep(self, now: int) -> None:
         self._housekeeping = now + HOUSEKEEPING_INTERVAL
-        self._srp_slack = self._slack_of_srp()
         if self._recorder is not None:
             self._recorder.tick()
         self._tell_obstacles(now)
@@ -326,11 +309,6 @@ class Driver:
                 self._obstacles_told = now
                 log.warning("%s", obstacle)
                 return
-
-    def _slack_of_srp(self) -> int:
-        # SRP traverses its table six times in a timeout and must five times: 1/6 + 1/30 = 1/5.
-        srp = self.node.srp
-        return SLACK if srp is None else min(SLACK, round(min(srp.parameters().values()) * MS / 30))
 
     def describe(self) -> dict[str, Any]:
         """What is around the node, as plain data."""
@@ -418,6 +396,10 @@ def _signals(stop: Callable[[], None], reactor: Reactor) -> Iterator[None]:
             signal.signal(number, handler)
         os.close(reader)
         os.close(writer)
+
+
+def _reached(deadline: int | None, now: int) -> bool:
+    return deadline is not None and now >= deadline
 
 
 def _times() -> tuple[int, int]:

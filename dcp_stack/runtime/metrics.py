@@ -16,6 +16,7 @@ from collections import Counter
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any, Final
 
+from dcp_codec.common.extras import advice
 from dcp_stack.control.server import ControlServer
 from dcp_stack.links.base import Link
 
@@ -164,8 +165,7 @@ class MetricsServer:
 
             from prometheus_client.openmetrics import exposition
         except ImportError:
-            advice = "pip install 'dcp-conformance-kit[metrics]'"
-            raise MetricsError(f"prometheus_client is not installed: {advice}") from None
+            raise MetricsError(advice("prometheus_client")) from None
         self._exposition: Any = exposition
         self._parser: Any = http.server.BaseHTTPRequestHandler
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_STREAM)

@@ -144,7 +144,7 @@ def _open(settings: Settings, make: MakeNode, stack: contextlib.ExitStack) -> Dr
 def _load_what_follows(settings: Settings) -> None:
     """Load modules that are needed later: the user may lack the right to read the interpreter's folders."""
     if settings.record is not None:
-        importlib.import_module("dcp_codec.capture.mcapwriter")
+        importlib.import_module("dcp_codec.capture.mcap.writer")
 
 
 def _about(settings: Settings, config: NodeConfig, recorder: RotatingRecorder | None) -> dict[str, object]:
@@ -167,7 +167,7 @@ def _address_of(interface: str | None) -> bytes | None:
     """The address of an interface, which is what a node is called if nobody says otherwise."""
     if interface is None:
         return None
-    from dcp_codec.interfaces import hardware_address
+    from dcp_codec.network.interfaces import hardware_address
 
     try:
         return hardware_address(interface)[1]

@@ -8,7 +8,7 @@ import stat
 from pathlib import Path
 from typing import NamedTuple
 
-from dcp_codec.trust import distrust
+from dcp_codec.common.trust import distrust
 
 
 class PrivilegeError(Exception):

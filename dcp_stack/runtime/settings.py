@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import msgspec
-from dcp_spec.profile import Profile
-from dcp_spec.profile_loading import ProfileError
-from dcp_spec.readings import UnknownReadingError
+from dcp_spec.catalogue.readings import UnknownReadingError
+from dcp_spec.profile.definition import Profile
+from dcp_spec.profile.loading import ProfileError
 
 from dcp_codec.codec import Codec, get_codec
 from dcp_stack.config import BPConfig, NodeConfig, SRPConfig, VardisConfig

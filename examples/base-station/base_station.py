@@ -26,8 +26,8 @@ from pathlib import Path
 from typing import Any
 
 from dcp_stack.control import ControlClient, ControlError, ServiceError
-from dcp_stack.sim.loading import load_scenario
-from dcp_stack.sim.player import Simulation
+from dcp_stack.sim.scenario.loading import load_scenario
+from dcp_stack.sim.virtual.player import Simulation
 
 SCENARIO = Path(__file__).with_name("scenario.toml")
 DRONE, BASE = 0, 4

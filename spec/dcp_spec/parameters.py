@@ -13,8 +13,8 @@ from typing import Final, Literal
 
 import msgspec
 
-from dcp_spec.catalogue import UnknownEntryError
-from dcp_spec.constants import ETHERTYPE_MIN, UWB_MIN_MTU, SpecVersion
+from .catalogue.entries import UnknownEntryError
+from .constants import ETHERTYPE_MIN, UWB_MIN_MTU, SpecVersion
 
 _V = SpecVersion
 

@@ -9,7 +9,7 @@ from enum import StrEnum
 from types import MappingProxyType
 from typing import Final, Self, cast
 
-from dcp_spec.constants import SpecVersion
+from .constants import SpecVersion
 
 _V = SpecVersion
 

@@ -13,15 +13,16 @@ from pathlib import Path
 import jsonschema
 import msgspec
 import pytest
-from dcp_spec.profile import Link, Profile
-from dcp_spec.profile_loading import load_profile, profile_names
+from dcp_spec.profile.definition import Link, Profile
+from dcp_spec.profile.loading import load_profile, profile_names
 from dcp_spec.version import __version__
 from mcap.reader import make_reader
 
 from dcp_codec import Codec, get_codec
-from dcp_codec.capture import Frame, create_capture, rawframe
+from dcp_codec.capture import Frame, create_capture
+from dcp_codec.capture.mcap import raw_frame as rawframe
 from dcp_codec.export.example import example_beacon
-from dcp_codec.mcap_channels import MAX_POSE_TOPICS, DecodedChannels, capture_metadata, pose_topic
+from dcp_codec.foxglove.channels import MAX_POSE_TOPICS, DecodedChannels, capture_metadata, pose_topic
 from dcp_codec.values import Beacon, BPHeader, Container, ExtendedSafetyData, Payload, VarSumm
 
 CAPTURES = Path(__file__).resolve().parents[2] / "captures"

@@ -15,13 +15,14 @@ from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 
 from dcp_codec import get_codec
-from dcp_codec.capture import CaptureError, Frame, convert, create_capture, open_capture, rawframe
+from dcp_codec.capture import CaptureError, Frame, convert, create_capture, open_capture
+from dcp_codec.capture.mcap import raw_frame as rawframe
 from dcp_codec.cli import main
 from dcp_codec.export.example import example_beacon
-from dcp_codec.foxglove import layout_of
-from dcp_codec.frames import FrameDissector
-from dcp_codec.framing import OtherTraffic
-from dcp_codec.mcap_channels import DecodedChannels
+from dcp_codec.foxglove.channels import DecodedChannels
+from dcp_codec.foxglove.layouts import layout_of
+from dcp_codec.framing.frames import FrameDissector
+from dcp_codec.framing.locate import OtherTraffic
 from dcp_codec.ros2 import DEFINITIONS, write_bag
 from dcp_codec.ros2.content import Content, pose_topic
 

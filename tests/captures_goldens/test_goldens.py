@@ -13,7 +13,7 @@ import pytest
 
 from dcp_codec import get_codec
 from dcp_codec.capture import attachments, create_capture, extract_attachment, open_capture
-from dcp_codec.goldens import Counts, GoldensError, load_manifest, main, make, verify
+from dcp_codec.testing.goldens import Counts, GoldensError, load_manifest, main, make, verify
 
 CAPTURES = Path(__file__).resolve().parents[2] / "captures"
 MANIFEST = CAPTURES / "manifest.toml"
@@ -64,7 +64,7 @@ def test_the_command(capsys):
 
 
 def test_the_command_of_the_module():
-    command = [sys.executable, "-m", "dcp_codec.goldens", "verify", str(MANIFEST)]
+    command = [sys.executable, "-m", "dcp_codec.testing.goldens", "verify", str(MANIFEST)]
     ran = subprocess.run(command, capture_output=True, text=True, check=False)
     assert (ran.returncode, ran.stderr) == (0, "")
 

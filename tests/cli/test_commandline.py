@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 COMMAND = """
-from dcp_codec.commandline import CommandLine
+from dcp_codec.common.commandline import CommandLine
 
 class Apart(Exception):
     pass
@@ -25,7 +25,7 @@ main = CommandLine(name="trial", package="trial", commands={"end-it": "End.", "b
 
 SUBCOMMAND = """
 import click, sys
-from dcp_codec.commandline import ExpectedError
+from dcp_codec.common.commandline import ExpectedError
 from rich.console import Console
 from trial import Further
 

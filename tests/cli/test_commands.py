@@ -15,7 +15,7 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from dcp_spec.profile_loading import load_profile, profile_names
+from dcp_spec.profile.loading import load_profile, profile_names
 
 from dcp_codec.capture import Frame, create_capture, open_capture
 

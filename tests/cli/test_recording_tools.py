@@ -15,9 +15,9 @@ from pathlib import Path
 import pytest
 
 from dcp_codec import Beacon, BPHeader, Container, Payload, VarCreate, VarSpec, VarUpdate, get_codec
+from dcp_codec.analysis.tracks import Position, Reference, degrees
 from dcp_codec.capture import Frame, create_capture, open_capture
-from dcp_codec.spreadsheet import safe_cell
-from dcp_codec.track import Position, Reference, degrees
+from dcp_codec.common.spreadsheet import safe_cell
 
 CAPTURES = Path(__file__).resolve().parents[2] / "captures"
 CRUD, BUS = CAPTURES / "b_crud.mcap", CAPTURES / "a_bus3.mcap"

@@ -14,16 +14,17 @@ from typing import Any
 import construct as cs
 import msgspec
 import pytest
+from dcp_spec.catalogue.requirements import requirements
 from dcp_spec.reasons import REASONS, WARNINGS
-from dcp_spec.requirements import requirements
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dcp_codec import Codec, DecodeError, Dissection, EncodeError, Problem, VarSumm, strategies
-from dcp_codec.dissect import dissect
-from dcp_codec.dissector import Doubt, generate_dissector
-from dcp_codec.lint import DOUBTS, warnings
-from dcp_codec.plan import Exact, Group, Many, Node, Region, Select
+from dcp_codec import Codec, DecodeError, Dissection, EncodeError, Problem, VarSumm
+from dcp_codec.plan.tree import Exact, Group, Many, Node, Region, Select
+from dcp_codec.testing import strategies
+from dcp_codec.views.dissect import dissect
+from dcp_codec.views.dissector import Doubt, generate_dissector
+from dcp_codec.views.lint import DOUBTS, warnings
 
 from ..chance import examples
 

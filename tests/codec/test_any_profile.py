@@ -6,7 +6,7 @@ from typing import Any
 
 import construct as cs
 import msgspec
-from dcp_spec.profile import (
+from dcp_spec.profile.definition import (
     RECORD_MEMBERS,
     BPLayout,
     ContainerTypes,
@@ -25,13 +25,14 @@ from dcp_spec.profile import (
     VardisLayout,
     standard_fields,
 )
-from dcp_spec.profile_loading import load_profile
-from dcp_spec.profile_rules import contradictions
+from dcp_spec.profile.loading import load_profile
+from dcp_spec.profile.rules import contradictions
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dcp_codec import Codec, DecodeError, strategies
+from dcp_codec import Codec, DecodeError
 from dcp_codec.jsonform import beacon_from_json, value_json
+from dcp_codec.testing import strategies
 
 from ..chance import examples
 

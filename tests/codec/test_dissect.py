@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from dcp_codec import Dissection, Field, Problem, get_codec
-from dcp_codec.dissect import dissect
+from dcp_codec.views.dissect import dissect
 
 BEACON = bytes.fromhex(
     "01497e0200000000bb1111 0031 02 00000029"

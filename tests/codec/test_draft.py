@@ -6,16 +6,16 @@ import re
 from pathlib import Path
 
 import pytest
-from dcp_spec.profile_loading import load_profile
+from dcp_spec.profile.loading import load_profile
 
 from dcp_codec import Beacon, BPHeader, Codec, Container, Payload, VarSumm, get_codec
+from dcp_codec.analysis.guess import guess
+from dcp_codec.analysis.profile_draft import draft_profile
+from dcp_codec.analysis.shortfall import shortfalls
 from dcp_codec.capture import Frame
-from dcp_codec.draft import draft_profile
-from dcp_codec.envelope import Envelope
-from dcp_codec.ethertype import parse_ether_type
-from dcp_codec.frames import FrameDissector
-from dcp_codec.guess import guess
-from dcp_codec.shortfall import shortfalls
+from dcp_codec.framing.envelope import Envelope
+from dcp_codec.framing.ethertype import parse_ether_type
+from dcp_codec.framing.frames import FrameDissector
 
 from ..odd_profiles import codec_of
 

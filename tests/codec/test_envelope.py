@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import pytest
-from dcp_spec.profile import Link
+from dcp_spec.profile.definition import Link
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dcp_codec.envelope import Envelope, unicast
-from dcp_codec.framing import Framing, locate
+from dcp_codec.framing.envelope import Envelope, unicast
+from dcp_codec.framing.locate import Framing, locate
 
 MAC = bytes.fromhex("020000000001")
 LINKS = [Link(ether_type=0x4953), Link(transport="udp", udp_port=5950)]

@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 import construct as cs
 import msgspec
 import pytest
-from dcp_spec.combinators import SchemaViolation
+from dcp_spec.catalogue.requirements import requirements
 from dcp_spec.reasons import REASONS, WARNINGS
-from dcp_spec.requirements import requirements
+from dcp_spec.wire.combinators import SchemaViolation
 
 from dcp_codec import (
     Beacon,

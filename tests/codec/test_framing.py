@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import pytest
-from dcp_spec.profile import Link
+from dcp_spec.profile.definition import Link
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dcp_codec import get_codec
 from dcp_codec.capture import Frame
-from dcp_codec.frames import DissectedFrame, FrameDissector, with_ether_type
-from dcp_codec.framing import Framing, OtherTraffic, bare, locate, mac
+from dcp_codec.framing.frames import DissectedFrame, FrameDissector, with_ether_type
+from dcp_codec.framing.locate import Framing, OtherTraffic, bare, locate, mac
 
 from ..chance import examples
 

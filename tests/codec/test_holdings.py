@@ -21,9 +21,9 @@ from dcp_codec import (
     VarUpdate,
     get_codec,
 )  # fmt: skip
+from dcp_codec.analysis.holdings import DELETED, UNKNOWN, Held, History, Holdings
 from dcp_codec.capture import open_capture
-from dcp_codec.framing import OtherTraffic, locate
-from dcp_codec.holdings import DELETED, UNKNOWN, Held, History, Holdings
+from dcp_codec.framing.locate import OtherTraffic, locate
 
 CAPTURES = Path(__file__).resolve().parents[2] / "captures"
 ONE, TWO = b"\x02\0\0\0\0\1", b"\x02\0\0\0\0\2"

@@ -25,7 +25,6 @@ from dcp_codec import (
     VarSpec,
     VarUpdate,
     get_codec,
-    strategies,
 )
 from dcp_codec.jsonform import (
     beacon_from_json,
@@ -35,6 +34,7 @@ from dcp_codec.jsonform import (
     problem_json,
     value_json,
 )
+from dcp_codec.testing import strategies
 
 from ..chance import examples
 

@@ -10,19 +10,9 @@ import pytest
 from hypothesis import assume, given, reject, settings
 from hypothesis import strategies as st
 
-from dcp_codec import (
-    Beacon,
-    Codec,
-    Container,
-    DecodeError,
-    EncodeError,
-    Payload,
-    Salvaged,
-    VarSumm,
-    get_codec,
-    strategies,
-)
-from dcp_codec.fields import Field
+from dcp_codec import Beacon, Codec, Container, DecodeError, EncodeError, Payload, Salvaged, VarSumm, get_codec
+from dcp_codec.testing import strategies
+from dcp_codec.views.fields import Field
 
 #: Dissecting takes its time, and there are many profiles; a long run still draws more than a short one.
 EXAMPLES = settings(max_examples=max(20, settings().max_examples // 4))

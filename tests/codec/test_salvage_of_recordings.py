@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dcp_spec.profile_loading import BUILTIN_PROFILES
+from dcp_spec.profile.loading import BUILTIN_PROFILES
 
 from dcp_codec import Beacon, BPHeader, Container, Payload, VarSumm, get_codec
+from dcp_codec.analysis.guess import guess
+from dcp_codec.analysis.stats import Stats
 from dcp_codec.capture import Frame
-from dcp_codec.envelope import Envelope
-from dcp_codec.framing import locate
-from dcp_codec.guess import guess
-from dcp_codec.stats import Stats
+from dcp_codec.framing.envelope import Envelope
+from dcp_codec.framing.locate import locate
 
 SENDER = bytes.fromhex("020000000001")
 PATTERN = bytes(range(0x20, 0x20 + 40))

@@ -23,8 +23,8 @@ from dcp_codec import (
     VarSumm,
     VarUpdate,
     get_codec,
-    strategies,
 )
+from dcp_codec.testing import strategies
 
 from ..chance import examples
 

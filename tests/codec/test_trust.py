@@ -9,8 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from dcp_codec import sockets, wholefile
-from dcp_codec.trust import distrust, invoking_user
+from dcp_codec.common import atomic_write as wholefile
+from dcp_codec.common.trust import distrust, invoking_user
+from dcp_codec.network import sockets
 
 needs_root = pytest.mark.skipif(os.geteuid() != 0, reason="only root can give files away")
 

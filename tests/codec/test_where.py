@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dcp_codec import get_codec
+from dcp_codec.analysis.conditions import Where, WhereError, field_names
 from dcp_codec.capture import open_capture
-from dcp_codec.frames import DissectedFrame, FrameDissector
-from dcp_codec.where import Where, WhereError, field_names
+from dcp_codec.framing.frames import DissectedFrame, FrameDissector
 
 CODEC = get_codec("cpp-2.0")
 CAPTURES = Path(__file__).resolve().parents[2] / "captures"

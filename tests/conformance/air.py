@@ -7,9 +7,9 @@ import random
 from collections.abc import Callable, Iterable, Sequence
 
 from dcp_conformance.check import Judge
-from dcp_conformance.pics import Pics
-from dcp_conformance.results import CaseResult, RunResult
-from dcp_conformance.verdict import Verdict
+from dcp_conformance.model.pics import Pics
+from dcp_conformance.model.results import CaseResult, RunResult
+from dcp_conformance.model.verdict import Verdict
 from dcp_spec.constants import features
 
 from dcp_codec import Codec
@@ -32,7 +32,7 @@ from dcp_codec.values import (
 from dcp_stack.config import BPConfig, SRPConfig, VardisConfig
 from dcp_stack.links.memory import PERFECT, Quality
 from dcp_stack.links.topology import Full, Topology
-from dcp_stack.sim.network import Network
+from dcp_stack.sim.virtual.network import Network
 
 from .rig import codec_of
 

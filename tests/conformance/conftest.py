@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import pytest
-from dcp_conformance.results import CaseResult
+from dcp_conformance.model.results import CaseResult
 
 from .command import Command
 from .rig import one_case

@@ -5,12 +5,12 @@ from __future__ import annotations
 import importlib
 from functools import cache
 
-from dcp_conformance.bench import Session
-from dcp_conformance.case import CASES, Case, all_cases, cases_of
-from dcp_conformance.pics import Pics
+from dcp_conformance.execution.runner import Runner
+from dcp_conformance.model.case import CASES, Case, all_cases, cases_of
+from dcp_conformance.model.pics import Pics
+from dcp_conformance.model.results import CaseResult
 from dcp_conformance.reference.inprocess import InProcess, MakeNode, plain_node, reference_config
-from dcp_conformance.results import CaseResult
-from dcp_conformance.runner import Runner
+from dcp_conformance.test_system.bench import Session
 
 from dcp_codec import Codec
 
@@ -31,7 +31,7 @@ def known_cases() -> dict[str, Case]:
 
 
 def ids_of(*modules: str) -> list[str]:
-    """The identifiers of the cases in modules of ``dcp_conformance.cases``, by their names without the package."""
+    """The identifiers of the cases in modules of ``dcp_conformance.suite``, by their names without the package."""
     return [each.id for name in modules for each in cases_of(importlib.import_module(f"{CASES}.{name}"))]
 
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import msgspec
-from dcp_conformance.bench import MS, Session
-from dcp_conformance.pics import Pics
+from dcp_conformance.execution.runner import Runner
+from dcp_conformance.model.pics import Pics
 from dcp_conformance.reference.inprocess import InProcess, MakeNode, plain_node, reference_config
-from dcp_conformance.runner import Runner
-from dcp_conformance.variants.surroundings import Upper, slow
-from dcp_conformance.variants.timing import polling
+from dcp_conformance.selftest.variants.surroundings import Upper, slow
+from dcp_conformance.selftest.variants.timing import polling
+from dcp_conformance.test_system.bench import MS, Session
 
 from dcp_stack.config import VardisConfig
 

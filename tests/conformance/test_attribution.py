@@ -7,19 +7,19 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from dcp_conformance.bench import Bench, Session
-from dcp_conformance.case import Case, Kind, Needs
 from dcp_conformance.cli.display import print_summary
 from dcp_conformance.errors import UpperTesterError
-from dcp_conformance.gaps import pausable
-from dcp_conformance.life import Loss
-from dcp_conformance.pics import Pics, Testing
+from dcp_conformance.execution.life import Loss
+from dcp_conformance.execution.runner import Runner
+from dcp_conformance.model.case import Case, Kind, Needs
+from dcp_conformance.model.pics import Pics, Testing
+from dcp_conformance.model.results import CaseResult, RunResult
+from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, VirtualUpperTester, reference_config
 from dcp_conformance.reporting.overview import headline, undecided_deaths
-from dcp_conformance.results import CaseResult, RunResult
-from dcp_conformance.runner import Runner
-from dcp_conformance.upper import Answer, Notification
-from dcp_conformance.verdict import Verdict
+from dcp_conformance.test_steps.beacon_gaps import pausable
+from dcp_conformance.test_system.bench import Bench, Session
+from dcp_conformance.upper_tester import Answer, Notification
 
 from .rig import codec_of
 

@@ -6,14 +6,14 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from dcp_conformance.bench import MS, Bench
-from dcp_conformance.clients import ACTIVATE, DEACTIVATE, ONCE, BPClient
 from dcp_conformance.errors import StopCase
-from dcp_conformance.gaps import between_beacons, in_a_gap
-from dcp_conformance.mutants import all_mutants
-from dcp_conformance.upper import Answer
-from dcp_conformance.variants.surroundings import Upper, slow
-from dcp_conformance.verdict import Verdict
+from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.selftest.mutants import all_mutants
+from dcp_conformance.selftest.variants.surroundings import Upper, slow
+from dcp_conformance.test_steps.beacon_gaps import between_beacons, in_a_gap
+from dcp_conformance.test_steps.bp_clients import ACTIVATE, DEACTIVATE, ONCE, BPClient
+from dcp_conformance.test_system.bench import MS, Bench
+from dcp_conformance.upper_tester import Answer
 
 from .rig import known_cases
 from .slow import SlowUpper, runner_for

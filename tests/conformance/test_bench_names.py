@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import pytest
-from dcp_conformance.bench import Bench, Session
-from dcp_conformance.clients import unused_protocol_id
 from dcp_conformance.errors import NamesUsedUp
-from dcp_conformance.identifiers import Identifiers
-from dcp_conformance.pics import Pics, Testing
+from dcp_conformance.model.pics import Pics, Testing
+from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, VirtualLowerTester, reference_config
-from dcp_conformance.verdict import Verdict
+from dcp_conformance.test_steps.bp_clients import unused_protocol_id
+from dcp_conformance.test_system.bench import Bench, Session
+from dcp_conformance.test_system.identifiers import Identifiers
 
 from .rig import codec_of, known_cases
 

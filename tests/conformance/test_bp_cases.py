@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import pytest
-from dcp_conformance.pics import Capabilities, Pics, Testing
-from dcp_conformance.verdict import Verdict
+from dcp_conformance.model.pics import Capabilities, Pics, Testing
+from dcp_conformance.model.verdict import Verdict
 
 from .rig import one_case
 

@@ -10,13 +10,13 @@ from typing import Any
 
 import msgspec
 import pytest
-from dcp_conformance.verdict import Verdict
+from dcp_conformance.model.verdict import Verdict
 from dcp_spec.constants import BP_PROTID_VARDIS, QueueingMode
 from dcp_spec.status import BPStatus
 
 from dcp_codec.errors import DecodeError
 from dcp_codec.values import Beacon, Payload
-from dcp_stack.bp_services import NumberConfirm, RegisterConfirm, StatusConfirm
+from dcp_stack.bp.services import NumberConfirm, RegisterConfirm, StatusConfirm
 from dcp_stack.config import NodeConfig
 from dcp_stack.effects import Effect, PayloadReceived, PayloadTransmitted, SendBeacon
 from dcp_stack.node import Node

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from dcp_conformance.citations import campaign, unit_tests
-from dcp_conformance.citations.campaign import chosen, run
-from dcp_conformance.citations.changes import changes_under
-from dcp_conformance.citations.ledger import _File, key, ledger
-from dcp_conformance.citations.places import Citation, citations, citations_in
 from dcp_conformance.errors import UsageError
+from dcp_conformance.selftest.citations import campaign, unit_tests
+from dcp_conformance.selftest.citations.campaign import chosen, run
+from dcp_conformance.selftest.citations.changes import changes_under
+from dcp_conformance.selftest.citations.ledger import _File, key, ledger
+from dcp_conformance.selftest.citations.places import Citation, citations, citations_in
 
 from .command import Command
 
@@ -79,7 +79,7 @@ def test_changes_lie_in_the_cited_code():
 
 
 def test_entries_of_tables_are_exchanged():
-    droptail = citation("BP-QM-01", "bp_queue")
+    droptail = citation("BP-QM-01", "bp/queue.py")
     changes = changes_under(droptail)
     assert len(changes) >= 3
     for change in changes:
@@ -94,7 +94,7 @@ def misplaced(requirement: str, code_of: Citation) -> Citation:
 
 def test_two_ids_in_each_others_place_are_noticed():
     """The pair that nobody noticed: drop-tail and repeat in the table of queueing modes."""
-    droptail, repeat = citation("BP-QM-01", "bp_queue"), citation("BP-QM-05", "bp_queue")
+    droptail, repeat = citation("BP-QM-01", "bp/queue.py"), citation("BP-QM-05", "bp/queue.py")
     right = run([droptail, repeat], jobs=1)
     assert [each.proof for each in right.verdicts] == ["case", "case"]
     assert right.unproved == ()
@@ -104,7 +104,7 @@ def test_two_ids_in_each_others_place_are_noticed():
 
 
 def test_unit_tests_with_the_requirement_count_as_well():
-    droptail = citation("BP-QM-01", "bp_queue")
+    droptail = citation("BP-QM-01", "bp/queue.py")
     (change, *_) = [each for each in changes_under(droptail) if "discard-new" in each.text.partition("->")[0]]
     source = ast.unparse(change.tree()).replace("'discard-new', 'remove', True", "'displace-oldest', 'remove', True", 1)
     failed = unit_tests.failing_test(ROOT, "BP-QM-01", change.module, source)
@@ -113,7 +113,7 @@ def test_unit_tests_with_the_requirement_count_as_well():
 
 
 def test_a_reason_in_the_ledger_counts_until_the_citation_is_proved(monkeypatch):
-    droptail, repeat = citation("BP-QM-01", "bp_queue"), citation("BP-QM-05", "bp_queue")
+    droptail, repeat = citation("BP-QM-01", "bp/queue.py"), citation("BP-QM-05", "bp/queue.py")
     monkeypatch.setattr(campaign, "ledger", lambda: {key(droptail): "cannot be seen", key(repeat): "cannot be seen"})
     result = run([droptail, misplaced("BP-QM-05", droptail)], jobs=1)
     assert result.unproved == ()
@@ -133,9 +133,9 @@ def test_the_ledger_is_well_formed():
 
 class TestCommand:
     def test_the_list(self, dcp_conformance: Command):
-        done = dcp_conformance("selftest", "--citations", "--list", "bp_queue.py")
+        done = dcp_conformance("selftest", "--citations", "--list", "bp/queue.py")
         assert done.status == 0
-        assert "BP-QM-01    dcp_stack/bp_queue.py:" in done.out
+        assert "BP-QM-01    dcp_stack/bp/queue.py:" in done.out
 
     @pytest.mark.parametrize(
         ("words", "message"), [(["NO-SUCH"], "neither a requirement"), (["--full"], "--full does not go with")]
@@ -146,7 +146,7 @@ class TestCommand:
         assert message in done.err
 
     def test_proved_and_unproved(self, dcp_conformance: Command, monkeypatch, tmp_path):
-        droptail = citation("BP-QM-01", "bp_queue")
+        droptail = citation("BP-QM-01", "bp/queue.py")
         monkeypatch.setattr(campaign, "citations", lambda: (droptail, misplaced("BP-QM-05", droptail)))
         monkeypatch.setattr(unit_tests, "checkout", lambda: None)
         done = dcp_conformance("selftest", "--citations", "--verbose", "--report-dir", tmp_path, "--jobs", "1")
@@ -158,7 +158,7 @@ class TestCommand:
 
 def test_a_pattern_means_ids_or_files():
     assert {each.requirement for each in chosen(["BP-QM-0*"])} >= {"BP-QM-01", "BP-QM-05"}
-    assert {each.path for each in chosen(["bp_queue.py"])} == {"dcp_stack/bp_queue.py"}
+    assert {each.path for each in chosen(["bp/queue.py"])} == {"dcp_stack/bp/queue.py"}
     assert len(chosen([])) == len(citations())
     with pytest.raises(UsageError):
         chosen(["XX-01"])

@@ -4,20 +4,20 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import dcp_conformance.cases as cases
+import dcp_conformance.suite as cases
 import msgspec
 import pytest
-from dcp_conformance.bench import Bench
-from dcp_conformance.case import all_cases
-from dcp_conformance.pics import Capabilities, Pics
+from dcp_conformance.model.case import all_cases
+from dcp_conformance.model.pics import Capabilities, Pics
+from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import plain_node
-from dcp_conformance.verdict import Verdict
+from dcp_conformance.test_system.bench import Bench
 
 from dcp_stack.config import BPConfig
 
 from .rig import ids_of
 
-CASES = ids_of("bp_claims")
+CASES = ids_of("bp.queues.claims")
 ALL = Pics(
     pics=Capabilities(triggered_beacons=True, loss_estimation=True, runtime_parameters=True, parameter_feedback=True)
 )
@@ -87,8 +87,8 @@ def test_parameters_that_stay_and_refusals_that_are_hidden_are_noticed(run_case,
 
 def test_every_claim_is_looked_at_somewhere():
     """A capability that no case needs or reads could be claimed by anybody."""
-    text = "".join(path.read_text() for path in Path(cases.__file__).parent.glob("*.py"))
-    text += Path(cases.__file__).parent.parent.joinpath("clients.py").read_text()
+    text = "".join(path.read_text() for path in Path(cases.__file__).parent.rglob("*.py"))
+    text += Path(cases.__file__).parent.parent.joinpath("test_steps", "bp_clients.py").read_text()
     needed = {name for case in all_cases().values() for name in (*case.needs.pics, *case.needs.entities)}
     missing = [name for name in Capabilities.__struct_fields__ if name not in needed and f"pics.{name}" not in text]
     assert missing == []

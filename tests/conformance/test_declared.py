@@ -8,21 +8,21 @@ from pathlib import Path
 import msgspec
 import pytest
 from click.testing import CliRunner, Result
-from dcp_conformance.case import DECLARED, DENIED, SANITY
 from dcp_conformance.check.judge import Judge
 from dcp_conformance.cli.compare import command as compare_cli
 from dcp_conformance.cli.display import print_summary
-from dcp_conformance.declared import declared_by, denied_by
-from dcp_conformance.expected import ExpectedResults
-from dcp_conformance.outcome import AS_EXPECTED, INCONCLUSIVE, assemble, exit_status
-from dcp_conformance.pics import Capabilities, Pics
+from dcp_conformance.execution.expected import ExpectedResults
+from dcp_conformance.model.case import DECLARED, DENIED, SANITY
+from dcp_conformance.model.declared import declared_by, denied_by
+from dcp_conformance.model.outcome import AS_EXPECTED, INCONCLUSIVE, assemble, exit_status
+from dcp_conformance.model.pics import Capabilities, Pics
+from dcp_conformance.model.results import Check
+from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reporting import write_report
 from dcp_conformance.reporting.page import render
-from dcp_conformance.results import Check
-from dcp_conformance.selftest import baseline
-from dcp_conformance.verdict import Verdict
-from dcp_spec.profile_loading import load_profile
-from dcp_spec.requirements import requirements
+from dcp_conformance.selftest.runner import baseline
+from dcp_spec.catalogue.requirements import requirements
+from dcp_spec.profile.loading import load_profile
 
 from dcp_codec.values import VarSumm
 
@@ -81,9 +81,9 @@ def test_one_line_accepts_what_is_declared(tmp_path: Path):
 
 def test_a_baseline_is_good_with_what_is_declared_and_with_nothing_else(monkeypatch: pytest.MonkeyPatch):
     chosen = tuple(known_cases()[each] for each in (SANITY, DECLARED, "TC_DCP_DATA_BV_02"))
-    monkeypatch.setattr("dcp_conformance.selftest.cases", lambda: chosen)
+    monkeypatch.setattr("dcp_conformance.selftest.runner.cases", lambda: chosen)
     assert baseline("cpp-2.0").good
-    monkeypatch.setattr("dcp_conformance.selftest.declared_by", lambda _: {"DATA-01": "less than there is"})
+    monkeypatch.setattr("dcp_conformance.selftest.runner.declared_by", lambda _: {"DATA-01": "less than there is"})
     assert [each.case for each in baseline("cpp-2.0").findings] == [DECLARED]
 
 

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import msgspec
 import pytest
-from dcp_conformance.case import all_cases
 from dcp_conformance.diagnosis import Dictionary, Fault, explain, load
 from dcp_conformance.diagnosis.dictionary import decode, encode
-from dcp_conformance.diagnosis.measuring import draw, outcome
-from dcp_conformance.mutants import all_mutants
-from dcp_conformance.mutants.combination import combined
-from dcp_conformance.results import CaseResult, Check, Mark
-from dcp_conformance.verdict import Verdict
+from dcp_conformance.model.case import all_cases
+from dcp_conformance.model.results import CaseResult, Check, Mark
+from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.selftest.diagnosis.measuring import draw, outcome
+from dcp_conformance.selftest.mutants import all_mutants
+from dcp_conformance.selftest.mutants.combination import combined
 from hypothesis import given
 from hypothesis import strategies as st
 

@@ -6,11 +6,11 @@ from collections.abc import Iterable
 from functools import cache
 
 import pytest
-from dcp_conformance.case import DECLARED, DENIED
-from dcp_conformance.pics import Pics, Testing
-from dcp_conformance.probe import PIXIT_OF
+from dcp_conformance.interconnection.probe import PIXIT_OF
+from dcp_conformance.model.case import DECLARED, DENIED
+from dcp_conformance.model.pics import Pics, Testing
+from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, reference_config
-from dcp_conformance.verdict import Verdict
 
 from .rig import OTHER_PROFILES, PROFILES, codec_of, known_cases, one_case
 

@@ -8,15 +8,15 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from dcp_conformance.bench import MS, Bench, Session
-from dcp_conformance.case import Case, Kind
 from dcp_conformance.errors import LowerTesterError, StopCase
-from dcp_conformance.lower import Arrival, LinkHealth
-from dcp_conformance.lower import sockets as lower_sockets
-from dcp_conformance.lower.sockets import SocketLowerTester
-from dcp_conformance.pics import Pics
+from dcp_conformance.lower_tester import Arrival, LinkHealth
+from dcp_conformance.lower_tester import sockets as lower_sockets
+from dcp_conformance.lower_tester.sockets import SocketLowerTester
+from dcp_conformance.model.case import Case, Kind
+from dcp_conformance.model.pics import Pics
+from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, VirtualLowerTester, reference_config
-from dcp_conformance.verdict import Verdict
+from dcp_conformance.test_system.bench import MS, Bench, Session
 
 from .rig import codec_of
 

@@ -8,18 +8,18 @@ from typing import Any
 
 import msgspec
 import pytest
-from dcp_conformance.mutants import all_mutants, node_with
-from dcp_conformance.mutants.vardis_compose import Stops
-from dcp_conformance.pics import Pics, Testing
+from dcp_conformance.execution.selection import ordered
+from dcp_conformance.model.pics import Pics, Testing
+from dcp_conformance.model.results import CaseResult
+from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import MakeNode
-from dcp_conformance.results import CaseResult
-from dcp_conformance.selection import ordered
-from dcp_conformance.verdict import Verdict
+from dcp_conformance.selftest.mutants import all_mutants, node_with
+from dcp_conformance.selftest.mutants.vardis.compose import Stops
 
 from dcp_codec.values import Container
 from dcp_stack.config import BPConfig, NodeConfig
 from dcp_stack.node import Node
-from dcp_stack.vardis_compose import Composer
+from dcp_stack.vardis.compose import Composer
 
 from .rig import known_cases
 from .slow import runner_for

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dcp_conformance.bench import Bench, Session
-from dcp_conformance.case import all_cases
-from dcp_conformance.heard import Heard
-from dcp_conformance.pics import Pics
+from dcp_conformance.frames.received import ReceivedBeacon
+from dcp_conformance.model.case import all_cases
+from dcp_conformance.model.pics import Pics
 from dcp_conformance.reference.inprocess import InProcess, reference_config
+from dcp_conformance.test_system.bench import Bench, Session
 
 from dcp_codec import Beacon, BPHeader, Codec, Payload
 
@@ -17,7 +17,7 @@ SENDER = bytes.fromhex("020000000001")
 def bench_that_heard(*frames: bytes) -> Bench:
     sut = InProcess(reference_config(CODEC))
     bench = Bench(Session(CODEC, sut.lower_tester(), None, Pics()), all_cases()["TC_DCP_SANITY_BV_01"])
-    bench.heard = [Heard(CODEC, number, 0, 0, octets, SENDER) for number, octets in enumerate(frames, 1)]
+    bench.heard = [ReceivedBeacon(CODEC, number, 0, 0, octets, SENDER) for number, octets in enumerate(frames, 1)]
     return bench
 
 

@@ -10,16 +10,16 @@ from concurrent.futures import ProcessPoolExecutor
 
 import msgspec
 import pytest
-from dcp_conformance.case import DECLARED, SANITY
 from dcp_conformance.errors import ConformanceError
-from dcp_conformance.generated import campaign
-from dcp_conformance.generated.campaign import GeneratedResult, Trial, draw, run
-from dcp_conformance.generated.ledger import CLASSES, entries, ledger
-from dcp_conformance.generated.reach import Reach, measure
-from dcp_conformance.generated.reports import _SHOWING, reports_of
-from dcp_conformance.generated.sites import Site, _candidates, _changes, cited, mutated, sites
-from dcp_conformance.generated.table import section
-from dcp_conformance.generated.trial import NODES, Outcome, Step, _in_order, cases, steps, try_site
+from dcp_conformance.model.case import DECLARED, SANITY
+from dcp_conformance.selftest.generated import campaign
+from dcp_conformance.selftest.generated.campaign import GeneratedResult, Trial, draw, run
+from dcp_conformance.selftest.generated.ledger import CLASSES, entries, ledger
+from dcp_conformance.selftest.generated.reach import Reach
+from dcp_conformance.selftest.generated.reports import _SHOWING, reports_of
+from dcp_conformance.selftest.generated.sites import Site, _candidates, _changes, cited, mutated, sites
+from dcp_conformance.selftest.generated.table import section
+from dcp_conformance.selftest.generated.trial import NODES, Outcome, Step, _in_order, cases, measure, steps, try_site
 
 from .command import Command
 
@@ -39,7 +39,7 @@ def test_every_change_is_one_and_compiles():
 
 
 def _original(each: Site) -> ast.Module:
-    from dcp_conformance.generated.sites import _source
+    from dcp_conformance.selftest.generated.sites import _source
 
     return ast.parse(_source(each.module))
 
@@ -97,7 +97,7 @@ def test_what_only_reports_or_shows_is_not_changed():
 def test_the_same_seed_draws_the_same():
     assert draw(50, 3) == draw(50, 3)
     assert draw(50, 3) != draw(50, 4)
-    assert {each.module for each in draw(40, 1, patterns=["vardis_receive.py"])} == {"vardis_receive"}
+    assert {each.module for each in draw(40, 1, patterns=["vardis/receive.py"])} == {"vardis.receive"}
 
 
 def test_the_ledger_is_well_formed_and_about_code_that_is_there():
@@ -195,7 +195,7 @@ def test_what_the_ledger_excuses_does_not_count():
 
 
 def test_a_trial_refuses_a_process_that_knows_the_node():
-    code = "import dcp_stack.bp\nfrom dcp_conformance.generated.trial import try_site\ntry_site(None)"
+    code = "import dcp_stack.bp.entity\nfrom dcp_conformance.selftest.generated.trial import try_site\ntry_site(None)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert "has been imported already" in done.stderr
 
@@ -241,15 +241,15 @@ class TestCommand:
         wrong = site("Database.store: dropped assignment: entry.value = value", "dropped assignment")
         done = dcp_conformance("selftest", "--generated", "1", wrong.key, "-v", "--report-dir", tmp_path)
         assert done.status == 0, done.out
-        assert "dcp_stack/vardis_db.py:" in done.out
+        assert "dcp_stack/vardis/database.py:" in done.out
         assert "1 of 1 random changes killed (100.0%)" in done.out
         assert (tmp_path / "generated.json").exists()
 
 
 def test_a_node_that_sends_without_end_at_one_time_is_dead():
     """In virtual time the tester would listen for ever; on a link time passes."""
-    from dcp_conformance.mutants import all_mutants
     from dcp_conformance.reference.inprocess import InProcess, reference_config
+    from dcp_conformance.selftest.mutants import all_mutants
 
     from .rig import codec_of
 

@@ -11,12 +11,12 @@ import msgspec
 import pytest
 from dcp_conformance.diagnosis import Dictionary, Fault, explain
 from dcp_conformance.errors import UsageError
-from dcp_conformance.issue_reports import write_issues
-from dcp_conformance.issue_reports.stimulus import needs_calls, stimulus
-from dcp_conformance.mutants import all_mutants
-from dcp_conformance.results import RunResult, Sut
-from dcp_conformance.selftest import Suite, cases
-from dcp_conformance.verdict import Verdict
+from dcp_conformance.model.results import RunResult, Sut
+from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.reporting.issues import write_issues
+from dcp_conformance.reporting.issues.stimulus import needs_calls, stimulus
+from dcp_conformance.selftest.mutants import all_mutants
+from dcp_conformance.selftest.runner import Suite, cases
 
 from dcp_codec.codec import Codec
 
@@ -53,7 +53,7 @@ def test_a_report_says_what_is_asked_what_happens_and_how_to_repeat_it(answered:
     text = page.read_text()
     fault = answered.diagnosis.faults[0]
     assert text.startswith(f"# drone {fault.what.replace('-', '-')[:20]}")
-    for part in ("VD-RU-03", "What happens instead", "observed: **", fault.rerun, f"{page.stem}.py", f"`{fault.case}`"):
+    for part in ("VD-RU-03", "What was observed", "observed: **", fault.rerun, f"{page.stem}.py", f"`{fault.case}`"):
         assert part in text, part
     assert "```\n0000 " in text
     assert "|" not in text.splitlines()[0]

@@ -6,8 +6,8 @@ import itertools
 import random
 
 import pytest
-from dcp_conformance.heard import Heard
-from dcp_conformance.jitter import SHIFT, compare, intervals
+from dcp_conformance.frames.received import ReceivedBeacon
+from dcp_conformance.test_steps.jitter import SHIFT, compare, intervals
 
 from dcp_codec.values import VarSumm
 
@@ -84,6 +84,6 @@ def test_a_beacon_that_was_not_heard_hides_two_intervals():
     for number in (4, 5, 8, 9):
         air.time += PERIOD if number == 8 else 0
         air.say(1, VarSumm(1, 0), seqno=number)
-    heard = [Heard(air.codec, each.number, each.time_ns, each.time_ns, each.data[14:], each.data[6:12])
+    heard = [ReceivedBeacon(air.codec, each.number, each.time_ns, each.time_ns, each.data[14:], each.data[6:12])
              for each in air.frames]  # fmt: skip
     assert intervals(heard) == [PERIOD, None, None, None, PERIOD]

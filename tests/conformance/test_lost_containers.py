@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import pytest
-from dcp_conformance.case import DECLARED, DENIED
-from dcp_conformance.extraction import OWNERS
-from dcp_conformance.selection import ordered
-from dcp_conformance.verdict import Verdict
+from dcp_conformance.execution.selection import ordered
+from dcp_conformance.model.case import DECLARED, DENIED
+from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.test_system.extraction import OWNERS
 
 from dcp_codec.errors import DecodeError
-from dcp_stack.vardis_wire import Extracted, Extractor
+from dcp_stack.vardis.wire import Extracted, Extractor
 
 from .rig import known_cases
 from .slow import runner_for

@@ -7,14 +7,14 @@ from typing import Any
 
 import msgspec
 import pytest
-from dcp_conformance.case import DECLARED, DENIED
-from dcp_conformance.pics import Pics
+from dcp_conformance.execution.runner import Runner
+from dcp_conformance.execution.selection import ordered
+from dcp_conformance.model.case import DECLARED, DENIED
+from dcp_conformance.model.pics import Pics
+from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, reference_config
-from dcp_conformance.runner import Runner
-from dcp_conformance.selection import ordered
-from dcp_conformance.session import Session
-from dcp_conformance.verdict import Verdict
-from dcp_spec.profile import Profile
+from dcp_conformance.test_system.session import Session
+from dcp_spec.profile.definition import Profile
 
 from dcp_codec.codec import Codec
 

@@ -11,19 +11,19 @@ import pytest
 from click.testing import CliRunner
 from dcp_conformance.cli.selftest import command
 from dcp_conformance.errors import UsageError
-from dcp_conformance.kill_matrix import markdown
-from dcp_conformance.mutants import Mutant, all_mutants, mutant, node_with
-from dcp_conformance.mutants.mutant import replaced
+from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import plain_node
-from dcp_conformance.selftest import Baseline, Finding, SelftestResult, Trial, chosen, selftest, trial, trials
-from dcp_conformance.verdict import Verdict
+from dcp_conformance.selftest.kill_matrix import markdown
+from dcp_conformance.selftest.mutants import Mutant, all_mutants, mutant, node_with
+from dcp_conformance.selftest.mutants.mutant import replaced
+from dcp_conformance.selftest.runner import Baseline, Finding, SelftestResult, Trial, chosen, selftest, trial, trials
+from dcp_spec.catalogue.requirements import requirements
 from dcp_spec.constants import SpecVersion
-from dcp_spec.requirements import requirements
 
 from dcp_codec.codec import get_codec
 from dcp_stack.config import NodeConfig
 from dcp_stack.node import Node
-from dcp_stack.vardis_receive import Receiver
+from dcp_stack.vardis.receive import Receiver
 
 MUTANTS = all_mutants()
 DOCUMENT = Path(__file__).parents[2] / "docs" / "selftest.md"

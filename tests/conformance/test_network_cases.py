@@ -8,8 +8,8 @@ from typing import Any
 
 import msgspec
 import pytest
-from dcp_conformance.pics import Capabilities, Pics
-from dcp_conformance.verdict import Verdict
+from dcp_conformance.model.pics import Capabilities, Pics
+from dcp_conformance.model.verdict import Verdict
 from dcp_spec.constants import ICType
 
 from dcp_codec import Codec
@@ -21,18 +21,18 @@ from dcp_stack.node import Node
 from .rig import codec_of, ids_of, one_case
 
 MODULES = (
-    "vardis_payload",
-    "vardis_composing",
-    "vardis_summaries",
-    "vardis_runtime",
-    "vardis_scrubbing",
-    "vardis_timeouts",
-    "network_joining",
-    "network_forwarding",
-    "network_conflicts",
-    "network_crowd",
-    "network_partition",
-    "network_hazards",
+    "vardis.reception.payload",
+    "vardis.composition.composing",
+    "vardis.composition.summaries",
+    "vardis.lifecycle.runtime",
+    "vardis.lifecycle.scrubbing",
+    "vardis.lifecycle.timeouts",
+    "network.joining",
+    "network.forwarding",
+    "network.conflicts",
+    "network.crowd",
+    "network.partition",
+    "network.hazards",
 )
 CASES = ids_of(*MODULES)
 GOOD = (Verdict.PASS, Verdict.NOT_APPLICABLE)

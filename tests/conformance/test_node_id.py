@@ -6,12 +6,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from dcp_conformance.bench import Session
 from dcp_conformance.errors import UpperTesterError
-from dcp_conformance.node_id import node_id_octets
-from dcp_conformance.pics import Pics
+from dcp_conformance.execution.runner import Runner
+from dcp_conformance.model.node_id import node_id_octets
+from dcp_conformance.model.pics import Pics
 from dcp_conformance.reference.inprocess import InProcess, VirtualUpperTester, reference_config
-from dcp_conformance.runner import Runner
+from dcp_conformance.test_system.bench import Session
 
 from dcp_codec.cli.common import UNUSABLE
 

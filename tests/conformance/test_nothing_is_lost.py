@@ -9,19 +9,19 @@ from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 
 import pytest
-from dcp_conformance.bench import Bench, Session
-from dcp_conformance.case import SANITY, Case
 from dcp_conformance.errors import ConformanceError, UpperTesterError
-from dcp_conformance.lanes import LaneEnd, messages
-from dcp_conformance.pics import Pics, Testing
+from dcp_conformance.execution.parallel import WorkerEnd, messages
+from dcp_conformance.execution.run import ConformanceRun
+from dcp_conformance.execution.runner import Runner
+from dcp_conformance.execution.selection import Selection
+from dcp_conformance.execution.target import TargetOptions
+from dcp_conformance.model.case import SANITY, Case
+from dcp_conformance.model.pics import Pics, Testing
+from dcp_conformance.model.results import CaseResult, Mark
+from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, VirtualUpperTester, reference_config
-from dcp_conformance.results import CaseResult, Mark
-from dcp_conformance.run import ConformanceRun
-from dcp_conformance.runner import Runner
-from dcp_conformance.selection import Selection
-from dcp_conformance.target import TargetOptions
-from dcp_conformance.upper import Answer
-from dcp_conformance.verdict import Verdict
+from dcp_conformance.test_system.bench import Bench, Session
+from dcp_conformance.upper_tester import Answer
 
 from .rig import codec_of
 from .test_attribution import Frail, case_of, failed_in, says
@@ -109,7 +109,7 @@ def failing(case: Case, attempt: int) -> CaseResult:
                       attempt=attempt)  # fmt: skip
 
 
-# -- lanes -------------------------------------------------------------------------------------------------------------
+# -- workers --------------------------------------------------------------------------------------------------------
 
 
 class Ended:
@@ -128,8 +128,8 @@ def test_a_lane_that_is_killed_in_the_middle_of_a_message(octets: bytes):
     theirs.close()
     waiting: dict[Connection, object] = {ours: Ended()}
     [end] = list(messages(waiting))
-    assert isinstance(end, LaneEnd)
-    assert "a lane of the tester has ended with status -9" in end.trouble
+    assert isinstance(end, WorkerEnd)
+    assert "a worker of the tester has ended with status -9" in end.trouble
     ours.close()
 
 

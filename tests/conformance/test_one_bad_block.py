@@ -6,9 +6,9 @@ What fails names the requirement of what is wrong, and nothing that merely stand
 from __future__ import annotations
 
 import pytest
-from dcp_conformance.cases.bp_client_reception import broken_by
-from dcp_conformance.mutants import all_mutants
-from dcp_conformance.selftest import Finding, Trial, trial
+from dcp_conformance.selftest.mutants import all_mutants
+from dcp_conformance.selftest.runner import Finding, Trial, trial
+from dcp_conformance.suite.bp.services.client_reception import broken_by
 
 MUTANTS = all_mutants()
 REPORTS = ("M-SRP-FMT-01-test-pattern", "M-SRP-FMT-01-two-more", "M-SRP-FMT-01-filled-up", "M-SRP-FMT-01-two")

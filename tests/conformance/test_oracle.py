@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from dcp_conformance.heard import Heard
+from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.oracle import Complaint, Limits, Oracle, Owed
 from dcp_conformance.reference.inprocess import InProcess, MakeNode, plain_node, reference_config
 from dcp_spec.constants import ICType, features
@@ -100,7 +100,7 @@ class Duel:
         until = self.sut.now + round(periods * PERIOD)
         while (arrival := self.air.receive(until)) is not None:
             self.frame += 1
-            heard = Heard(self.codec, self.frame, arrival.time, arrival.wall, arrival.octets, arrival.source)
+            heard = ReceivedBeacon(self.codec, self.frame, arrival.time, arrival.wall, arrival.octets, arrival.source)
             said = [(each.kind, each.record) for each in heard.instructions()]
             self.complaints += self.oracle.said(said, self.sut.now, self.frame)
         self.late += self.oracle.overdue(self.sut.now - PERIOD)

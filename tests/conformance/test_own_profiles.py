@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 from dcp_conformance.check.recording import judge_recording
 from dcp_conformance.errors import UsageError
-from dcp_conformance.pics import Pics
-from dcp_conformance.target import TargetOptions, describe
+from dcp_conformance.execution.target import TargetOptions, describe
+from dcp_conformance.model.pics import Pics
 
 from dcp_codec import Codec
 from dcp_codec.capture import Frame, create_capture

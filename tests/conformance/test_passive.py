@@ -11,23 +11,23 @@ from pathlib import Path
 import msgspec
 import pytest
 from dcp_conformance import check, passive
-from dcp_conformance.bench import Bench, Session
-from dcp_conformance.case import Case, Kind
-from dcp_conformance.clients import ONCE, BPClient
-from dcp_conformance.heard import Heard
-from dcp_conformance.lanes import LaneEnd
-from dcp_conformance.mutants import all_mutants
+from dcp_conformance.execution.parallel import WorkerEnd
+from dcp_conformance.execution.run import ConformanceRun
+from dcp_conformance.execution.runner import Runner
+from dcp_conformance.execution.selection import Selection
+from dcp_conformance.execution.target import TargetOptions
+from dcp_conformance.frames.received import ReceivedBeacon
+from dcp_conformance.model.case import Case, Kind
+from dcp_conformance.model.pics import Pics, Testing
+from dcp_conformance.model.results import CaseResult
+from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.passive import PassiveTester, joined
-from dcp_conformance.pics import Pics, Testing
 from dcp_conformance.reference.inprocess import InProcess, reference_config
 from dcp_conformance.reporting import load_results, write_report
 from dcp_conformance.reporting.merge import compare
-from dcp_conformance.results import CaseResult
-from dcp_conformance.run import ConformanceRun
-from dcp_conformance.runner import Runner
-from dcp_conformance.selection import Selection
-from dcp_conformance.target import TargetOptions
-from dcp_conformance.verdict import Verdict
+from dcp_conformance.selftest.mutants import all_mutants
+from dcp_conformance.test_steps.bp_clients import ONCE, BPClient
+from dcp_conformance.test_system.bench import Bench, Session
 
 from dcp_codec.values import VarSumm
 
@@ -53,7 +53,9 @@ class Ear:
     def listen(self, case: str = "TC_BP_HDR_BV_01") -> None:
         """Hear what was said since the last time."""
         for frame in self.air.frames[self._heard :]:
-            heard = Heard(self.air.codec, frame.number, frame.time_ns, frame.time_ns, frame.data[14:], frame.data[6:12])
+            heard = ReceivedBeacon(
+                self.air.codec, frame.number, frame.time_ns, frame.time_ns, frame.data[14:], frame.data[6:12]
+            )
             self.tester.heard(heard, frame.data, 14, case, self)
         self._heard = len(self.air.frames)
 
@@ -162,7 +164,7 @@ def test_stations_other_than_the_implementation_are_not_judged():
     def run(bench: Bench) -> None:
         bench.probe()
         tester, count = bench.session.passive, bench.session.passive.frames
-        beacon = bench.forge.beacon(bench.peer().node_id, 7, [])
+        beacon = bench.builder.beacon(bench.peer().node_id, 7, [])
         bench.session.lower._sut.arrivals.append(  # type: ignore[attr-defined]
             _arrival(bench, beacon[:1] + b"\0" + beacon[2:])
         )
@@ -174,7 +176,7 @@ def test_stations_other_than_the_implementation_are_not_judged():
 
 
 def _arrival(bench: Bench, octets: bytes) -> object:
-    from dcp_conformance.lower import Arrival
+    from dcp_conformance.lower_tester import Arrival
 
     frame = b"\xff" * 6 + b"\x02" * 6 + b"\x49\x53" + octets
     return Arrival(bench.now(), bench.lower.wall(), octets, frame, b"\x02" * 6)
@@ -441,8 +443,8 @@ class TestRun:
 
     def test_lanes_are_joined(self):
         run = a_run("TC_VD_CRE_BV_01")
-        ends = [LaneEnd(None, (), "", usage=False, passive=(a_finding(),)) for _ in range(3)]
-        run.close_lanes(ends, 3, [])
+        ends = [WorkerEnd(None, (), "", usage=False, passive=(a_finding(),)) for _ in range(3)]
+        run.close_workers(ends, 3, [])
         (found,) = run.passive
         assert len(found.checks) == 3
         frames = [mark.frame for each in found.checks for mark in each.frames]

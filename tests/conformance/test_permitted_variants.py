@@ -6,15 +6,15 @@ from collections.abc import Callable
 from fnmatch import fnmatchcase
 
 import pytest
-from dcp_conformance.case import all_cases
-from dcp_conformance.mutants import node_with
-from dcp_conformance.pics import Testing
-from dcp_conformance.variants import Variant, all_variants
-from dcp_conformance.variants.campaign import judge
-from dcp_conformance.variants.variant import setup
-from dcp_conformance.verdict import Verdict
+from dcp_conformance.model.case import all_cases
+from dcp_conformance.model.pics import Testing
+from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.selftest.mutants import node_with
+from dcp_conformance.selftest.variants import Variant, all_variants
+from dcp_conformance.selftest.variants.campaign import judge
+from dcp_conformance.selftest.variants.variant import setup
 
-from dcp_stack.bp_clients import Chosen, ClientList
+from dcp_stack.bp.clients import Chosen, ClientList
 
 from .rig import PROFILES, ids_of, one_case
 
@@ -52,7 +52,14 @@ class Forgets(ClientList):
         return super().take(room, size, most)
 
 
-BP = ids_of("bp_header", "bp_fitting", "bp_queueing", "bp_services", "bp_registration", "bp_deregistration")
+BP = ids_of(
+    "bp.beacons.header",
+    "bp.queues.fitting",
+    "bp.queues.queueing",
+    "bp.services.services",
+    "bp.services.registration",
+    "bp.services.deregistration",
+)
 
 
 @pytest.mark.parametrize("variant", [FixedOrder, LastFirst, OneBlock])
@@ -79,7 +86,7 @@ def test_a_payload_that_nothing_keeps_back_and_is_never_sent_fails():
     assert failed == {"BP-TX-04"}
 
 
-_SRP = "srp_forwarding srp_init srp_record srp_soft_state srp_table"
+_SRP = "srp.forwarding srp.init srp.record srp.soft_state srp.table"
 _APPLICATIONS = ["V-APP-initial-report", "V-APP-reports-1Hz", "V-APP-reports-10Hz", "V-APP-reports-50Hz"]
 
 
@@ -99,11 +106,11 @@ def test_reports_of_an_application_are_not_taken_for_the_testers(variant: str, p
 
 @pytest.mark.parametrize("profile", ["dcp-2.0", "dcp-1.1"])
 def test_a_beacon_with_another_number_of_blocks_may_be_discarded(profile: str):
-    assert not judged("V-BP-RX-count-checked", profile, "bp_receive")
+    assert not judged("V-BP-RX-count-checked", profile, "bp.beacons.receive")
 
 
 def test_an_empty_payload_is_judged_without_a_confirm_too():
-    assert not judged("V-UT-unconfirmed", "dcp-2.0", "bp_services", "bp_queueing")
+    assert not judged("V-UT-unconfirmed", "dcp-2.0", "bp.services.services", "bp.queues.queueing")
 
 
 @pytest.mark.parametrize("profile", ["dcp-2.0", "cpp-2.0"])
@@ -119,12 +126,15 @@ def test_an_empty_payload_is_judged_without_a_confirm_too():
     ],
 )
 def test_freedoms_of_bp_do_not_fail(variant: str, profile: str):
-    modules = "bp_fitting bp_header bp_parameters bp_queueing bp_registration bp_services bp_timing"
+    modules = (
+        "bp.queues.fitting bp.beacons.header bp.services.parameters bp.queues.queueing "
+        "bp.services.registration bp.services.services bp.beacons.timing"
+    )
     assert not judged(variant, profile, *modules.split())
 
 
 def test_whole_records_may_be_listed_in_1_0():
-    assert not judged("V-UT-whole-records", "dcp-1.0", "bp_deregistration")
+    assert not judged("V-UT-whole-records", "dcp-1.0", "bp.services.deregistration")
 
 
 @pytest.mark.parametrize(

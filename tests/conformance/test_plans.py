@@ -6,15 +6,15 @@ import random
 from pathlib import Path
 
 import pytest
-from dcp_conformance.bench import Bench, Session
-from dcp_conformance.case import Case, Kind
 from dcp_conformance.errors import StopCase
-from dcp_conformance.pics import Pics, Testing
+from dcp_conformance.execution.runner import Runner
+from dcp_conformance.execution.selection import PLANS, Selection, left_out, select
+from dcp_conformance.model.case import Case, Kind
+from dcp_conformance.model.pics import Pics, Testing
+from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, reference_config
 from dcp_conformance.reporting.files import load_results
-from dcp_conformance.runner import Runner
-from dcp_conformance.selection import PLANS, Selection, left_out, select
-from dcp_conformance.verdict import Verdict
+from dcp_conformance.test_system.bench import Bench, Session
 
 from .command import Command
 from .rig import codec_of, known_cases, one_case

@@ -10,8 +10,8 @@ import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import pytest
-from dcp_conformance.case import SANITY
-from dcp_conformance.outcome import AS_EXPECTED, TESTER_ERROR, UNEXPECTED, USAGE
+from dcp_conformance.model.case import SANITY
+from dcp_conformance.model.outcome import AS_EXPECTED, TESTER_ERROR, UNEXPECTED, USAGE
 from dcp_conformance.reporting import load_results
 
 from ..waiting import PATIENCE
@@ -37,7 +37,7 @@ class Pytest:
         self.shown = ""
 
     def __call__(self, *options: str, target: tuple[str, ...] = ("--dcp-in-process",)) -> int:
-        plugin = ("-p", "dcp_conformance.plugin", "--pyargs", "dcp_conformance.cases")
+        plugin = ("-p", "dcp_conformance.pytest_plugin", "--pyargs", "dcp_conformance.suite")
         done = started(
             self.folder,
             (sys.executable, "-m", "pytest", *plugin, *target, "--rootdir", ".", "--junitxml", "out.xml", *options),

@@ -8,25 +8,25 @@ from typing import Any
 
 import msgspec
 import pytest
-from dcp_conformance.bench import Session
-from dcp_conformance.case import DECLARED, DENIED, all_cases
-from dcp_conformance.declared import denied_by
 from dcp_conformance.errors import UsageError
-from dcp_conformance.forge import Block, Forge
-from dcp_conformance.lower import Arrival
-from dcp_conformance.mutants import all_mutants
-from dcp_conformance.pics import UNKNOWN_PROFILE, Capabilities, Pics, Testing, load_pics
-from dcp_conformance.pics_file import QUESTIONS, pics_text
-from dcp_conformance.probe import Period, draft, measured_period, rounded, write_pics
-from dcp_conformance.ranking import doubtful, ranked_with
+from dcp_conformance.execution.runner import Runner
+from dcp_conformance.execution.selection import ordered
+from dcp_conformance.execution.target import TargetOptions, describe
+from dcp_conformance.frames.builder import Block, FrameBuilder
+from dcp_conformance.interconnection.probe import Period, draft, measured_period, rounded, write_pics
+from dcp_conformance.interconnection.profile_ranking import doubtful, ranked_with
+from dcp_conformance.lower_tester import Arrival
+from dcp_conformance.model.case import DECLARED, DENIED, all_cases
+from dcp_conformance.model.declared import denied_by
+from dcp_conformance.model.pics import UNKNOWN_PROFILE, Capabilities, Pics, Testing, load_pics
+from dcp_conformance.model.pics_file import QUESTIONS, pics_text
+from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, VirtualLowerTester, VirtualUpperTester, reference_config
-from dcp_conformance.runner import Runner
-from dcp_conformance.selection import ordered
-from dcp_conformance.selftest import PROFILES
-from dcp_conformance.target import TargetOptions, describe
-from dcp_conformance.upper import Answer
-from dcp_conformance.verdict import Verdict
-from dcp_spec.profile_loading import BUILTIN_PROFILES
+from dcp_conformance.selftest.mutants import all_mutants
+from dcp_conformance.selftest.runner import PROFILES
+from dcp_conformance.test_system.bench import Session
+from dcp_conformance.upper_tester import Answer
+from dcp_spec.profile.loading import BUILTIN_PROFILES
 
 from dcp_codec import Codec
 from dcp_codec.values import Beacon, BPHeader, VarSumm
@@ -188,10 +188,10 @@ def test_several_senders():
 
 def test_several_of_one_kind():
     made = codec("dcp-2.0")
-    forge = Forge(made)
-    twice = forge.vardis(forge.container(VarSumm(1, 1)), forge.container(VarSumm(2, 1)))
+    builder = FrameBuilder(made)
+    twice = builder.vardis(builder.container(VarSumm(1, 1)), builder.container(VarSumm(2, 1)))
     blocks = [twice, Block(5, b"a"), Block(5, b"b")]
-    arrivals = [Arrival(at, at, forge.beacon(b"\x02" * 6, at, blocks, network_id=7), b"", b"") for at in range(20)]
+    arrivals = [Arrival(at, at, builder.beacon(b"\x02" * 6, at, blocks, network_id=7), b"", b"") for at in range(20)]
     pics, remarks = draft(Air(arrivals), None, [made], 1)  # type: ignore[arg-type]
     assert (pics.pics.several_containers, pics.pics.multiple_payloads, pics.pics.srp) == (True, True, None)
     assert "pics.several_containers: seen in 20 of 20 beacons" in remarks
@@ -252,9 +252,9 @@ def test_a_draft_without_a_profile_is_not_run(tmp_path):
 @pytest.mark.parametrize("asked_for", ["dcp-2.0", "cpp-2.0"])
 def test_a_tie_goes_to_the_profile_that_was_asked_for(asked_for):
     # Only summaries: nothing in which the two differ.
-    forge = Forge(codec("dcp-2.0"))
-    blocks = [forge.vardis(forge.container(VarSumm(1, 1)))]
-    arrivals = [Arrival(at, at, forge.beacon(b"\x02" * 6, at, blocks), b"", b"") for at in range(20)]
+    builder = FrameBuilder(codec("dcp-2.0"))
+    blocks = [builder.vardis(builder.container(VarSumm(1, 1)))]
+    arrivals = [Arrival(at, at, builder.beacon(b"\x02" * 6, at, blocks), b"", b"") for at in range(20)]
     pics, remarks = draft(Air(arrivals), None, CANDIDATES, 1, asked_for=asked_for)  # type: ignore[arg-type]
     assert pics.pixit.profile == asked_for
     (remark,) = [each for each in remarks if each.startswith("pixit.profile: ")]

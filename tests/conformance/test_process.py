@@ -14,8 +14,8 @@ from pathlib import Path
 
 import pytest
 from dcp_conformance.errors import ConformanceError, UsageError
-from dcp_conformance.process import ProcessControl, started_at
-from dcp_conformance.upper.channels import split
+from dcp_conformance.sut.process import ProcessControl, started_at
+from dcp_conformance.upper_tester.channels import split
 
 from ..waiting import PATIENCE, eventually
 
@@ -276,7 +276,7 @@ def test_all_that_it_started_ends_with_it(tmp_path, control):
 def test_not_even_sigkill_leaves_it_behind(tmp_path):
     inner = program(tmp_path, FOREVER, "inner")
     outer = (
-        "from dcp_conformance.process import ProcessControl\n"
+        "from dcp_conformance.sut.process import ProcessControl\n"
         f"it = ProcessControl(start={inner!r}, ends_with_tester=True, settle=0)\nit.start()\ntime.sleep(600)"
     )
     with subprocess.Popen(shlex.split(program(tmp_path, outer, "outer"))) as tester:

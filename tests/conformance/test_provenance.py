@@ -21,8 +21,8 @@ from dcp_conformance.provenance.checkout import read_checkout
 from dcp_conformance.provenance.recording import record
 from dcp_conformance.provenance.report import Baseline, ProvenanceResult, compare
 from dcp_conformance.provenance.statements import distance, statements
+from dcp_spec.catalogue.origins import OriginsFile
 from dcp_spec.constants import SpecVersion
-from dcp_spec.origins import OriginsFile
 
 from .command import Command
 
@@ -187,7 +187,7 @@ def test_a_changed_number(specification, baseline):
     assert of(result, "changed") == ["A bag holds at most 60 letters."]
     (entry,) = result.touched
     assert "TC_VD_PAR_BV_02" in entry.cases
-    assert any(each.startswith("dcp_stack/vardis_parameters.py:") for each in entry.code)
+    assert any(each.startswith("dcp_stack/vardis/parameters.py:") for each in entry.code)
     assert result.exit_status() == 1
 
 
@@ -336,7 +336,7 @@ class TestCommand:
         assert "dcp-bp.md:25  Limits\n    | A bag holds at most 60 letters.\n    VD-PAR-01\n" in done.out
         assert "dcp-srp.md, Tracking -> dcp-srp.md, Following Parcels\n    SRP-TYP-02 SRP-TYP-03\n" in done.out
         assert "TC_VD_PAR_BV_02" in done.out
-        assert "dcp_stack/vardis_parameters.py:" in done.out
+        assert "dcp_stack/vardis/parameters.py:" in done.out
         # The folder may have any length; everything else is wrapped.
         assert max(len(line) for line in done.out.splitlines() if str(specification) not in line) <= 80
 

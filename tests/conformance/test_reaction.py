@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import pytest
-from dcp_conformance.bench import Bench
-from dcp_conformance.pics import Capabilities, Pics, Testing
-from dcp_conformance.reaction import measure, prepare
-from dcp_conformance.session import FLOOR
+from dcp_conformance.interconnection.reaction import measure, prepare
+from dcp_conformance.model.pics import Capabilities, Pics, Testing
+from dcp_conformance.test_system.bench import Bench
+from dcp_conformance.test_system.session import FLOOR
 
 from .rig import known_cases
 from .slow import polling, runner_for
@@ -47,7 +47,7 @@ def test_while_payloads_wait_reactions_may_take_longer():
     bench.wait(50)
     assert bench.reaction == found.periods
     peer = bench.peer()
-    peer.send(*(bench.forge.vardis(peer.summary(each, 1)) for each in range(8)))
+    peer.send(*(bench.builder.vardis(peer.summary(each, 1)) for each in range(8)))
     assert bench.reaction == pytest.approx(found.periods + 8 * found.per_payload)
     bench.wait(8 * found.per_payload)
     assert bench.reaction == pytest.approx(found.periods)

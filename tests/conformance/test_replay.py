@@ -6,17 +6,17 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from dcp_conformance.bench import Session
 from dcp_conformance.check.recording import guessed_profile
 from dcp_conformance.errors import UsageError
-from dcp_conformance.mutants import all_mutants
-from dcp_conformance.pics import Pics
+from dcp_conformance.execution.replay import Cast, Replay, ReplayOptions, cast_of, choose_node, decided
+from dcp_conformance.execution.runner import Runner
+from dcp_conformance.model.pics import Pics
+from dcp_conformance.model.results import CaseResult
+from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, MakeNode, plain_node, reference_config
-from dcp_conformance.replay import Cast, Replay, ReplayOptions, cast_of, choose_node, decided
 from dcp_conformance.reporting import load_results
-from dcp_conformance.results import CaseResult
-from dcp_conformance.runner import Runner
-from dcp_conformance.verdict import Verdict
+from dcp_conformance.selftest.mutants import all_mutants
+from dcp_conformance.test_system.bench import Session
 
 from dcp_codec.capture import Frame, create_capture
 from dcp_codec.values import VarSumm, VarUpdate

@@ -6,16 +6,16 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from dcp_conformance.bench import Bench, Session
-from dcp_conformance.case import Case, Kind
-from dcp_conformance.changes import Changes
 from dcp_conformance.errors import ConformanceError, StopCase, UpperTesterError
-from dcp_conformance.pics import Pics
+from dcp_conformance.execution.runner import Runner
+from dcp_conformance.model.case import Case, Kind
+from dcp_conformance.model.pics import Pics
+from dcp_conformance.model.results import CaseResult
+from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, VirtualUpperTester, reference_config
-from dcp_conformance.results import CaseResult
-from dcp_conformance.runner import Runner
-from dcp_conformance.upper import Answer
-from dcp_conformance.verdict import Verdict
+from dcp_conformance.test_system.bench import Bench, Session
+from dcp_conformance.test_system.changes import Changes
+from dcp_conformance.upper_tester import Answer
 
 from .rig import codec_of, known_cases
 

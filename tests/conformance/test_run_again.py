@@ -13,10 +13,10 @@ from typing import Any
 import click
 import pytest
 from dcp_conformance.cli.options import target_of, target_options
+from dcp_conformance.execution.target import TargetOptions
+from dcp_conformance.model.results import CaseResult
+from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reporting import load_results
-from dcp_conformance.results import CaseResult
-from dcp_conformance.target import TargetOptions
-from dcp_conformance.verdict import Verdict
 from hypothesis import given
 from hypothesis import strategies as st
 

@@ -12,25 +12,33 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from dcp_conformance.case import SANITY, all_cases
 from dcp_conformance.errors import UsageError
-from dcp_conformance.expected import ExpectedResults
-from dcp_conformance.lanes import lanes_of, run_in_lanes
-from dcp_conformance.outcome import AS_EXPECTED, INCONCLUSIVE, INTERRUPTED, TESTER_ERROR, UNEXPECTED, USAGE, exit_status
-from dcp_conformance.plugin import run_with_pytest
-from dcp_conformance.process import started_at
+from dcp_conformance.execution.expected import ExpectedResults
+from dcp_conformance.execution.parallel import run_in_workers, workers_for
+from dcp_conformance.execution.run import ConformanceRun
+from dcp_conformance.execution.selection import Selection, select
+from dcp_conformance.execution.target import TargetOptions, open_target
+from dcp_conformance.model.case import SANITY, all_cases
+from dcp_conformance.model.outcome import (
+    AS_EXPECTED,
+    INCONCLUSIVE,
+    INTERRUPTED,
+    TESTER_ERROR,
+    UNEXPECTED,
+    USAGE,
+    exit_status,
+)
+from dcp_conformance.model.results import CaseResult
+from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.pytest_plugin import run_with_pytest
 from dcp_conformance.reporting import load_results
-from dcp_conformance.results import CaseResult
-from dcp_conformance.run import ConformanceRun
-from dcp_conformance.selection import Selection, select
-from dcp_conformance.target import TargetOptions, open_target
-from dcp_conformance.verdict import Verdict
+from dcp_conformance.sut.process import started_at
 
 from ..ports import own_port
 from ..waiting import PATIENCE, eventually
 from .command import Command
 
-#: Two cases against our own node, each in a lane of its own, that wait for something that must not come.
+#: Two cases against our own node, each in a worker of its own, that wait for something that must not come.
 RUN = (
     *(sys.executable, "-c", "from dcp_conformance.cli import main; main()", "run", "-j", "2"),
     *("TC_VD_STATE_BV_03-deleted-producer.app-update", "TC_VD_STATE_BV_03-deleted-consumer.app-update"),
@@ -115,7 +123,7 @@ class TestExitStatus:
         self, dcp_conformance: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ):
         """Its last words tell why nobody listens at the upper tester's address."""
-        monkeypatch.setattr("dcp_conformance.target.UPPER_PATIENCE", 1.5)
+        monkeypatch.setattr("dcp_conformance.execution.target.UPPER_PATIENCE", 1.5)
         script = tmp_path / "start.sh"
         script.write_text("sleep 0.7; echo config file missing >&2; exit 3\n")
         done = dcp_conformance(
@@ -256,7 +264,7 @@ class TestWhatIsRun:
 
     def test_the_smoke_plan_has_something_of_everything(self):
         smoke = [case for case in all_cases().values() if case.smoke]
-        assert 20 <= len(smoke) <= 30
+        assert 100 <= len(smoke) <= 300
         documents = {case.section.partition(":")[0] for case in smoke}
         assert documents >= {"dcp-bp.md", "dcp-srp.md", "dcp-vardis.md", "Networks"}
         assert not any(case.destructive for case in smoke)
@@ -354,7 +362,8 @@ class TestList:
 class TestPytest:
     def test_cases_are_pytest_items_anywhere(self, tmp_path: Path):
         done = subprocess.run(
-            [sys.executable, "-m", "pytest", "-p", "dcp_conformance.plugin", "--pyargs", "dcp_conformance.cases",
+            [sys.executable, "-m", "pytest", "-p", "dcp_conformance.pytest_plugin",
+             "--pyargs", "dcp_conformance.suite",
              "--dcp-in-process", "-k", "TC_VD_UPD_BV", "-q", "-p", "no:cacheprovider"],
             cwd=tmp_path, capture_output=True, text=True, timeout=PATIENCE, check=False,
         )  # fmt: skip
@@ -392,16 +401,16 @@ class TestLanes:
         # Without those that wait all of that time for something that must not come.
         wanted = Selection(patterns=("VD-UPD-0*", "BP-HDR-01", "SRP-RX-06"), exclude=("*deleted*",))
         verdicts = []
-        for lanes in (1, 3):
+        for workers in (1, 3):
             run = ConformanceRun(options, wanted)
-            run_in_lanes(run, lanes)
+            run_in_workers(run, workers)
             assert run.exit_status() == AS_EXPECTED, run.trouble
             verdicts.append({result.id: result.verdict for result in run.results if result.id != SANITY})
         assert verdicts[0] == verdicts[1]
         assert len(verdicts[0]) > 5
 
     @pytest.mark.parametrize(
-        ("target", "patterns", "jobs", "lanes"),
+        ("target", "patterns", "jobs", "workers"),
         [
             (TargetOptions(), ("BP-HDR-0*",), 3, 3),
             (TargetOptions(), ("BP-HDR-0*",), 1, 1),
@@ -410,12 +419,12 @@ class TestLanes:
             (TargetOptions(link="udp"), (), 4, 1),
         ],
     )
-    def test_there_are_no_more_than_there_is_work_for(self, target, patterns, jobs: int, lanes: int):
-        assert lanes_of(ConformanceRun(target, Selection(patterns=patterns)), jobs) == lanes
+    def test_there_are_no_more_than_there_is_work_for(self, target, patterns, jobs: int, workers: int):
+        assert workers_for(ConformanceRun(target, Selection(patterns=patterns)), jobs) == workers
 
     def test_the_sanity_case_alone_stays_alone(self, options: TargetOptions):
         run = ConformanceRun(options, Selection(patterns=(SANITY,)))
-        run_in_lanes(run, 4)
+        run_in_workers(run, 4)
         assert {result.id for result in run.results} == {SANITY}
 
     def test_a_lane_that_is_killed_is_the_testers_trouble(self, tmp_path: Path):
@@ -423,16 +432,16 @@ class TestLanes:
         with subprocess.Popen(
             command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
         ) as process:
-            for lane in self._lanes_of(process.pid):
-                os.kill(lane, signal.SIGKILL)
+            for worker in self._workers_of(process.pid):
+                os.kill(worker, signal.SIGKILL)
             _, err = process.communicate(timeout=PATIENCE)
         assert process.returncode == TESTER_ERROR, err
-        assert "a lane of the tester has ended" in err
+        assert "a worker of the tester has ended" in err
         # No case is missing without a word.
         lost = {case.id: case for case in load_results(tmp_path).cases if case.verdict is Verdict.ERROR}
         assert set(lost) == set(RUN[-2:])
-        assert all("a lane of the tester has ended" in case.reason for case in lost.values())
-        assert any("a lane of the tester" in note for note in load_results(tmp_path).notes)
+        assert all("a worker of the tester has ended" in case.reason for case in lost.values())
+        assert any("a worker of the tester" in note for note in load_results(tmp_path).notes)
 
     @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
     def test_an_interrupted_run_leaves_a_report_and_nothing_else(self, tmp_path: Path, number: signal.Signals):
@@ -440,13 +449,13 @@ class TestLanes:
         with subprocess.Popen(
             command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
         ) as process:
-            lanes = self._lanes_of(process.pid)
+            workers = self._workers_of(process.pid)
             process.send_signal(number)
             out, err = process.communicate(timeout=PATIENCE)
         assert process.returncode == INTERRUPTED == 130, err
         assert "note: interrupted after" in out
         assert (tmp_path / "report.html").exists()
-        eventually(lambda: all(started_at(lane) is None for lane in lanes), "the lanes end")
+        eventually(lambda: all(started_at(worker) is None for worker in workers), "the workers end")
 
     def _for_ever(self, folder: Path) -> list[str]:
         """A run that is not over before it is ended, however long the machine takes to end it."""
@@ -454,10 +463,10 @@ class TestLanes:
         pics.write_text("[pixit]\nleast_patience_ms = 3600000\n")
         return [*RUN, "--pics", str(pics), "--report-dir", str(folder)]
 
-    def _lanes_of(self, parent: int) -> list[int]:
-        """The processes of both lanes, once they have nodes of their own."""
+    def _workers_of(self, parent: int) -> list[int]:
+        """The processes of both workers, once they have nodes of their own."""
 
-        def lanes() -> list[int]:
+        def workers() -> list[int]:
             found = [
                 each
                 for each in below(parent)
@@ -466,7 +475,7 @@ class TestLanes:
             ]
             return found if len(found) == 2 else []
 
-        return eventually(lanes, "the lanes start")
+        return eventually(workers, "the workers start")
 
 
 def children(pid: int) -> list[int]:

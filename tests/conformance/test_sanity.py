@@ -8,15 +8,15 @@ from typing import Any
 
 import msgspec
 import pytest
-from dcp_conformance.bench import Session
-from dcp_conformance.case import SANITY
-from dcp_conformance.contact import Contact
-from dcp_conformance.mutants import all_mutants
-from dcp_conformance.pics import Capabilities, Pics, Testing
+from dcp_conformance.execution.runner import Runner
+from dcp_conformance.model.case import SANITY
+from dcp_conformance.model.pics import Capabilities, Pics, Testing
+from dcp_conformance.model.results import CaseResult, Check
+from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, MakeNode, plain_node, reference_config
-from dcp_conformance.results import CaseResult, Check
-from dcp_conformance.runner import Runner
-from dcp_conformance.verdict import Verdict
+from dcp_conformance.selftest.mutants import all_mutants
+from dcp_conformance.test_system.bench import Session
+from dcp_conformance.test_system.contact import Contact
 
 from dcp_stack.node import Node
 

@@ -9,7 +9,7 @@ import pytest
 from click.testing import CliRunner
 from dcp_conformance.cli.selftest import command
 from dcp_conformance.errors import UsageError
-from dcp_conformance.selftest_document import SECTIONS, DocumentError, section_of, with_section, write_section
+from dcp_conformance.selftest.document import SECTIONS, DocumentError, section_of, with_section, write_section
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "selftest.md"
 

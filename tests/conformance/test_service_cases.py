@@ -5,30 +5,30 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from dcp_conformance.bench import Session
-from dcp_conformance.pics import Capabilities, Pics
+from dcp_conformance.execution.runner import Runner
+from dcp_conformance.model.pics import Capabilities, Pics
+from dcp_conformance.model.results import CaseResult
+from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, VirtualUpperTester, reference_config
-from dcp_conformance.results import CaseResult
-from dcp_conformance.runner import Runner
-from dcp_conformance.upper import Answer
-from dcp_conformance.verdict import Verdict
+from dcp_conformance.test_system.bench import Session
+from dcp_conformance.upper_tester import Answer
 
 from .rig import codec_of, ids_of, known_cases, one_case
 
 MODULES = (
-    "srp_record",
-    "srp_table",
-    "srp_soft_state",
-    "srp_forwarding",
-    "srp_init",
-    "vardis_create",
-    "vardis_recreate",
-    "vardis_update",
-    "vardis_delete",
-    "vardis_read",
-    "vardis_management",
-    "vardis_parameters",
-    "vardis_init",
+    "srp.record",
+    "srp.table",
+    "srp.soft_state",
+    "srp.forwarding",
+    "srp.init",
+    "vardis.services.create",
+    "vardis.reception.recreate",
+    "vardis.services.update",
+    "vardis.services.delete",
+    "vardis.services.read",
+    "vardis.services.management",
+    "vardis.services.parameters",
+    "vardis.lifecycle.init",
 )
 CASES = ids_of(*MODULES)
 GOOD = (Verdict.PASS, Verdict.INFO, Verdict.NOT_APPLICABLE)

@@ -8,7 +8,7 @@ from typing import Any
 
 import msgspec
 import pytest
-from dcp_conformance.verdict import Verdict
+from dcp_conformance.model.verdict import Verdict
 from dcp_spec.constants import BP_PROTID_SRP, BP_PROTID_VARDIS, ICType
 from dcp_spec.status import VardisStatus
 
@@ -17,7 +17,7 @@ from dcp_codec.values import Beacon, Container, ExtendedSafetyData, Payload, Var
 from dcp_stack.config import NodeConfig
 from dcp_stack.effects import Effect, SendBeacon
 from dcp_stack.node import Node
-from dcp_stack.vardis_services import Confirm, ReadConfirm
+from dcp_stack.vardis.services import Confirm, ReadConfirm
 
 from .rig import one_case
 

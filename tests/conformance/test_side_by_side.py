@@ -8,23 +8,23 @@ from collections import Counter
 from typing import ClassVar
 
 import pytest
-from dcp_conformance.case import SANITY, all_cases
-from dcp_conformance.concurrent import WIDTH, why_alone
-from dcp_conformance.concurrent.comparison import compare
-from dcp_conformance.concurrent.executor import SideBySide
-from dcp_conformance.concurrent.scheduler import Scheduler, Task
-from dcp_conformance.concurrent.shared import SharedLink, SharedUpper
-from dcp_conformance.concurrent.sharing import _MEASURES, ALONE
 from dcp_conformance.errors import LowerTesterError, UpperTesterError
-from dcp_conformance.lower import Arrival, LinkHealth
-from dcp_conformance.mutants import all_mutants
+from dcp_conformance.execution.concurrent import WIDTH, why_alone
+from dcp_conformance.execution.concurrent.executor import SideBySide
+from dcp_conformance.execution.concurrent.scheduler import Scheduler, Task
+from dcp_conformance.execution.concurrent.shared import SharedLink, SharedUpper
+from dcp_conformance.execution.concurrent.sharing import _MEASURES, ALONE
+from dcp_conformance.execution.run import ConformanceRun
+from dcp_conformance.execution.selection import Selection
+from dcp_conformance.execution.target import TargetOptions
+from dcp_conformance.lower_tester import Arrival, LinkHealth
+from dcp_conformance.model.case import SANITY, all_cases
+from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, reference_config
-from dcp_conformance.run import ConformanceRun
-from dcp_conformance.selection import Selection
-from dcp_conformance.selftest import cases
-from dcp_conformance.target import TargetOptions
-from dcp_conformance.upper import Answer
-from dcp_conformance.verdict import Verdict
+from dcp_conformance.selftest.mutants import all_mutants
+from dcp_conformance.selftest.runner import cases
+from dcp_conformance.selftest.side_by_side import compare
+from dcp_conformance.upper_tester import Answer
 
 from dcp_codec.codec import Codec
 
@@ -99,7 +99,7 @@ def test_cases_that_change_the_node_as_a_whole_are_alone() -> None:
 @pytest.mark.parametrize("name", ["TC_BP_RXP_BV_05-VarDis", "TC_VD_SRV_BO_01"])
 def test_vardis_stays_registered_while_others_are_executed(monkeypatch, name: str) -> None:
     # Even if no rule keeps the case from being executed beside others.
-    monkeypatch.setattr("dcp_conformance.concurrent.executor.why_alone", lambda _: "")
+    monkeypatch.setattr("dcp_conformance.execution.concurrent.executor.why_alone", lambda _: "")
     found = run(WIDTH, name, "TC_VD_STATE_BV_03-*")
     assert found.repeated_alone.keys() == {name}
     assert "stay registered" in found.repeated_alone[name]
@@ -144,7 +144,7 @@ def test_live_cases_never_share_an_identifier(monkeypatch) -> None:
         clashes.append({each for each, count in used.items() if count > 1})
 
     monkeypatch.setattr(SideBySide, "_account", checked)
-    run(WIDTH, "TC_VD_STATE_*", "TC_VD_SEQ_*")
+    run(WIDTH, "TC_VD_STATE_*", "TC_VD_SEQ_*", "TC_VD_UPD_*", "TC_VD_FWD_*")
     assert len(clashes) > 50
     assert not set().union(*clashes)
 
@@ -377,9 +377,9 @@ def test_an_implementation_that_dies_is_found_and_its_killer_named() -> None:
         handle(octets)
 
     sut.deliver = fragile
-    from dcp_conformance.pics import Pics
-    from dcp_conformance.runner import Runner
-    from dcp_conformance.session import Session
+    from dcp_conformance.execution.runner import Runner
+    from dcp_conformance.model.pics import Pics
+    from dcp_conformance.test_system.session import Session
 
     runner = Runner(Session(codec, sut.lower_tester(), sut.upper_tester(), Pics()), sut)
     runner.prepare()

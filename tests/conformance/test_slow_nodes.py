@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from typing import Any
 
 import pytest
-from dcp_conformance.case import DECLARED, DENIED
-from dcp_conformance.mutants import all_mutants
-from dcp_conformance.selection import ordered
-from dcp_conformance.verdict import Verdict
+from dcp_conformance.execution.selection import ordered
+from dcp_conformance.model.case import DECLARED, DENIED
+from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.selftest.mutants import all_mutants
 
 from .rig import known_cases
 from .slow import polling, runner_for

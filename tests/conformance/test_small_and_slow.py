@@ -6,22 +6,25 @@ from typing import Any
 
 import msgspec
 import pytest
-from dcp_conformance.bench import Bench, Session
-from dcp_conformance.case import SANITY
-from dcp_conformance.pics import Pics, Testing
+from dcp_conformance.execution.runner import Runner
+from dcp_conformance.model.case import SANITY
+from dcp_conformance.model.pics import Pics, Testing
+from dcp_conformance.model.results import CaseResult
+from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, VirtualUpperTester, reference_config
-from dcp_conformance.results import CaseResult
-from dcp_conformance.runner import Runner
-from dcp_conformance.upper import Answer
-from dcp_conformance.verdict import Verdict
-from dcp_spec.profile_loading import load_profile
+from dcp_conformance.test_system.bench import Bench, Session
+from dcp_conformance.upper_tester import Answer
+from dcp_spec.profile.loading import load_profile
 
 from dcp_codec import Codec
 
 from .rig import codec_of, ids_of, known_cases
 
 FINE = (Verdict.PASS, Verdict.INFO, Verdict.NOT_APPLICABLE)
-SCRUBBING = [*ids_of("vardis_scrubbing", "vardis_timeouts", "vardis_init"), "TC_VD_TYP_BV_03"]
+SCRUBBING = [
+    *ids_of("vardis.lifecycle.scrubbing", "vardis.lifecycle.timeouts", "vardis.lifecycle.init"),
+    "TC_VD_TYP_BV_03",
+]
 
 
 def results(
@@ -71,7 +74,7 @@ def _profile(tmp_path: Any, types: str) -> Codec:
 
 
 def test_timeouts_of_one_octet_make_cases_with_longer_ones_not_applicable(tmp_path: Any):
-    ids = [*SCRUBBING, *ids_of("vardis_create")]
+    ids = [*SCRUBBING, *ids_of("vardis.services.create")]
     found = results(ids, codec=_profile(tmp_path, "var_timeout = { width = 1 }"))
     assert not not_fine(found)
     assert found["TC_VD_CRE_BV_01"].verdict is Verdict.PASS
@@ -82,7 +85,7 @@ def test_timeouts_of_one_octet_make_cases_with_longer_ones_not_applicable(tmp_pa
 
 
 def test_layouts_of_other_versions_are_sent_with_the_identifiers_of_the_profile(tmp_path: Any):
-    ids = ids_of("bp_robustness")
+    ids = ids_of("bp.beacons.robustness")
     found = results(ids, codec=_profile(tmp_path, "var_id = { width = 2 }"))
     assert not not_fine(found)
     assert found["TC_BP_RX_BI_20"].verdict is Verdict.PASS
@@ -105,7 +108,7 @@ class Bare(InProcess):
 
 
 def test_rows_of_the_database_need_no_more_than_a_specification():
-    found = results([*ids_of("vardis_types", "vardis_read"), "TC_VD_DDB_BV_02"], kind=Bare)
+    found = results([*ids_of("vardis.services.types", "vardis.services.read"), "TC_VD_DDB_BV_02"], kind=Bare)
     assert not not_fine(found)
     assert found["TC_VD_DB_BV_03-own"].verdict is Verdict.PASS
     reported = [each for each in found["TC_VD_DDB_BV_02"].checks if each.verdict is Verdict.INFO]

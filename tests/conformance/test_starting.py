@@ -7,16 +7,16 @@ import socket
 from pathlib import Path
 
 import pytest
-from dcp_conformance.bench import Session
-from dcp_conformance.case import SANITY
-from dcp_conformance.life import READY_PATIENCE, SILENT, START_PATIENCE, Life
-from dcp_conformance.pics import Pics
-from dcp_conformance.process import has_link_socket
+from dcp_conformance.execution.life import READY_PATIENCE, SILENT, START_PATIENCE, Life
+from dcp_conformance.execution.runner import Runner
+from dcp_conformance.execution.target import TargetOptions
+from dcp_conformance.model.case import SANITY
+from dcp_conformance.model.pics import Pics
+from dcp_conformance.model.results import Check
+from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, reference_config
-from dcp_conformance.results import Check
-from dcp_conformance.runner import Runner
-from dcp_conformance.target import TargetOptions
-from dcp_conformance.verdict import Verdict
+from dcp_conformance.sut.process import has_link_socket
+from dcp_conformance.test_system.bench import Session
 
 from .rig import codec_of, known_cases
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import pytest
-from dcp_conformance.bench import Bench, Session
-from dcp_conformance.case import Case, Kind
-from dcp_conformance.mutants import all_mutants
-from dcp_conformance.pics import Pics, Testing
+from dcp_conformance.execution.runner import Runner
+from dcp_conformance.model.case import Case, Kind
+from dcp_conformance.model.pics import Pics, Testing
+from dcp_conformance.model.results import CaseResult
+from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, reference_config
-from dcp_conformance.results import CaseResult
-from dcp_conformance.runner import Runner
-from dcp_conformance.verdict import Verdict
+from dcp_conformance.selftest.mutants import all_mutants
+from dcp_conformance.test_system.bench import Bench, Session
 
 from .rig import codec_of, known_cases, one_case
 
@@ -159,7 +159,7 @@ def test_a_death_is_told_with_the_last_sign_of_life():
         peer = bench.peer()
         bench.must("RTDB-Create", varId=bench.own_var_id(), repCnt=3, descr="d", value="01")
         bench.require(bench.beacons(2, 5), "beacons", "")
-        peer.send(bench.forge.container(peer.summary(1, 1), ic_type=0))
+        peer.send(bench.builder.container(peer.summary(1, 1), ic_type=0))
         peer.send(peer.summary(1, 1))
 
     sut = InProcess(reference_config(codec_of("dcp-2.0")), make=all_mutants()["M-VD-ROB-01-dies-of-type"].make)

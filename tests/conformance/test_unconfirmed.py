@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import pytest
-from dcp_conformance.mutants import all_mutants
-from dcp_conformance.pics import Capabilities, Pics
-from dcp_conformance.verdict import Verdict
+from dcp_conformance.model.pics import Capabilities, Pics
+from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.selftest.mutants import all_mutants
 
 from .rig import one_case
 

@@ -15,9 +15,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from dcp_conformance import upper as uppers
+from dcp_conformance import upper_tester as uppers
 from dcp_conformance.errors import UpperTesterError, UsageError
-from dcp_conformance.upper.stream import DROPPED, MOST_NOTIFICATIONS
+from dcp_conformance.upper_tester.stream import DROPPED, MOST_NOTIFICATIONS
 
 from ..waiting import PATIENCE
 

@@ -6,11 +6,11 @@ import random
 from collections import deque
 
 import pytest
-from dcp_conformance.bench import MS, Session
-from dcp_conformance.pics import Pics, Testing
+from dcp_conformance.execution.runner import Runner
+from dcp_conformance.model.pics import Pics, Testing
+from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, MakeNode, plain_node, reference_config
-from dcp_conformance.runner import Runner
-from dcp_conformance.verdict import Verdict
+from dcp_conformance.test_system.bench import MS, Session
 
 from dcp_stack.config import NodeConfig
 from dcp_stack.node import Node
@@ -18,18 +18,18 @@ from dcp_stack.node import Node
 from .rig import codec_of, ids_of, known_cases
 
 MODULES = (
-    "vardis_states",
-    "vardis_state_services",
-    "vardis_split",
-    "vardis_receive",
-    "vardis_seqno",
-    "vardis_forwarding",
-    "vardis_scope",
-    "vardis_pending",
-    "vardis_lengths",
-    "vardis_robustness",
-    "vardis_creation",
-    "vardis_types",
+    "vardis.reception.states",
+    "vardis.services.state_services",
+    "vardis.reception.split",
+    "vardis.reception.receive",
+    "vardis.reception.seqno",
+    "vardis.composition.forwarding",
+    "vardis.reception.scope",
+    "vardis.composition.pending",
+    "vardis.services.lengths",
+    "vardis.reception.robustness",
+    "vardis.reception.creation",
+    "vardis.services.types",
 )
 FINE = {Verdict.PASS, Verdict.INFO, Verdict.NOT_APPLICABLE}
 

@@ -8,18 +8,18 @@ from typing import Any
 
 import msgspec
 import pytest
-from dcp_conformance.mutants import node_with
-from dcp_conformance.verdict import Verdict
+from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.selftest.mutants import node_with
 from dcp_spec.constants import ICType
 
 from dcp_codec.values import VarCreate, VarSpec
 from dcp_stack.config import NodeConfig
 from dcp_stack.node import Node
-from dcp_stack.vardis_core import Core, Sequence
-from dcp_stack.vardis_db import Database, DBEntry
-from dcp_stack.vardis_receive import Receiver
-from dcp_stack.vardis_table import Action, Cell, Event, State
-from dcp_stack.vardis_wire import Extracted, Extractor
+from dcp_stack.vardis.core import Core, Sequence
+from dcp_stack.vardis.database import Database, DBEntry
+from dcp_stack.vardis.receive import Receiver
+from dcp_stack.vardis.state_table import Action, Cell, Event, State
+from dcp_stack.vardis.wire import Extracted, Extractor
 
 from .rig import known_cases, one_case
 

@@ -6,16 +6,16 @@ import importlib
 import pkgutil
 
 import pytest
-from dcp_conformance import variants
-from dcp_conformance.case import SANITY
 from dcp_conformance.errors import UsageError
-from dcp_conformance.mutants.mutant import all_mutants
-from dcp_conformance.selection import ordered
-from dcp_conformance.variants import Setup, Variant, all_variants, chosen
-from dcp_conformance.variants.campaign import VariantsResult, judge, trials_of
-from dcp_conformance.variants.table import section
-from dcp_conformance.variants.variant import setup
-from dcp_conformance.variants.variant import variants_of as of_module
+from dcp_conformance.execution.selection import ordered
+from dcp_conformance.model.case import SANITY
+from dcp_conformance.selftest import variants
+from dcp_conformance.selftest.mutants.mutant import all_mutants
+from dcp_conformance.selftest.variants import Setup, Variant, all_variants, chosen
+from dcp_conformance.selftest.variants.campaign import VariantsResult, judge, trials_of
+from dcp_conformance.selftest.variants.table import section
+from dcp_conformance.selftest.variants.variant import setup
+from dcp_conformance.selftest.variants.variant import variants_of as of_module
 from dcp_spec.constants import SpecVersion
 
 from .rig import known_cases

@@ -8,13 +8,11 @@ import re
 from importlib import import_module
 
 import pytest
-from dcp_conformance import variants
-from dcp_conformance.selftest import PROFILES
-from dcp_conformance.variants import Variant, all_variants
-from dcp_conformance.variants.variant import variants_of
-from dcp_spec.readings import readings
-
-import dcp_stack
+from dcp_conformance.selftest import variants
+from dcp_conformance.selftest.runner import PROFILES
+from dcp_conformance.selftest.variants import Variant, all_variants
+from dcp_conformance.selftest.variants.variant import variants_of
+from dcp_spec.catalogue.readings import readings
 
 #: Alternatives that no variant follows, as ``<reading> <alternative>``, with the reason.
 EXEMPT: dict[str, str] = {}
@@ -25,9 +23,11 @@ ALTERNATIVES = [(each.id, one.name) for each in readings().values() for one in e
 
 
 def _source_of_the_node() -> str:
+    packages = ("dcp_stack", "dcp_stack.bp", "dcp_stack.srp", "dcp_stack.vardis")
     return "\n".join(
-        inspect.getsource(import_module(f"dcp_stack.{info.name}"))
-        for info in pkgutil.iter_modules(dcp_stack.__path__)
+        inspect.getsource(import_module(f"{package}.{info.name}"))
+        for package in packages
+        for info in pkgutil.iter_modules(import_module(package).__path__)
         if not info.ispkg
     )
 

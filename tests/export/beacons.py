@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from dcp_spec.usability import unusable_keys
+from dcp_spec.profile.usability import unusable_keys
 from hypothesis import HealthCheck, Phase, given, settings
 
 from dcp_codec import (
@@ -25,8 +25,8 @@ from dcp_codec import (
     VarSumm,
     VarUpdate,
 )
-from dcp_codec.layout import walk
-from dcp_codec.plan import Group, Many, Node, Scalar, Select, Text
+from dcp_codec.plan.layout import walk
+from dcp_codec.plan.tree import Group, Many, Node, Scalar, Select, Text
 
 RECORDINGS = sorted((Path(__file__).parent.parent.parent / "captures").glob("*.mcap"))
 

@@ -13,13 +13,13 @@ import jsonschema
 import msgspec
 import pytest
 from dcp_spec.constants import BP_PROTID_SRP, BP_PROTID_VARDIS
-from dcp_spec.profile_loading import load_profile, profile_names
+from dcp_spec.profile.loading import load_profile, profile_names
 
 from dcp_codec import Codec, get_codec
 from dcp_codec.capture import Frame, open_capture
 from dcp_codec.export.example import example_beacon
 from dcp_codec.export.jsonschema import beacon_schema, container_schema, frame_schema, report_schema, schema_octets
-from dcp_codec.frames import FrameDissector
+from dcp_codec.framing.frames import FrameDissector
 from dcp_codec.jsonform import value_json
 from dcp_codec.values import (
     Beacon,

@@ -16,13 +16,14 @@ from typing import Any
 
 import pytest
 import yaml
-from dcp_spec.profile_loading import ProfileError
+from dcp_spec.profile.loading import ProfileError
 
-from dcp_codec import Codec, DecodeError, Field, get_codec, strategies
+from dcp_codec import Codec, DecodeError, Field, get_codec
 from dcp_codec.capture import open_capture
 from dcp_codec.export.ksy import kaitai_name, kaitai_struct
-from dcp_codec.frames import DissectedFrame, FrameDissector
-from dcp_codec.plan import Many, Text
+from dcp_codec.framing.frames import DissectedFrame, FrameDissector
+from dcp_codec.plan.tree import Many, Text
+from dcp_codec.testing import strategies
 
 from ..odd_profiles import NAMES, codec_of
 from .beacons import RECORDINGS, drawn, everything, malformed

@@ -6,9 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from dcp_codec import Codec, get_codec, strategies
+from dcp_codec import Codec, get_codec
 from dcp_codec.capture import create_capture, open_capture
 from dcp_codec.export.lua import wireshark_dissector
+from dcp_codec.testing import strategies
 
 from .beacons import RECORDINGS, drawn, everything, malformed
 from .wireshark import compare, write

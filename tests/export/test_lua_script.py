@@ -6,7 +6,7 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from dcp_spec.profile import Link, OwnField
+from dcp_spec.profile.definition import Link, OwnField
 
 from dcp_codec import Codec, get_codec
 from dcp_codec.export.lua import filter_name, wireshark_dissector

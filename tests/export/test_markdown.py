@@ -5,13 +5,13 @@ from __future__ import annotations
 import re
 
 import pytest
-from dcp_spec.profile_loading import load_profile, profile_names
+from dcp_spec.profile.loading import load_profile, profile_names
 from markdown_it import MarkdownIt
 
 from dcp_codec import Codec, get_codec
 from dcp_codec.export.example import annotated, example_beacon
 from dcp_codec.export.markdown import format_tables
-from dcp_codec.plan import Group
+from dcp_codec.plan.tree import Group
 
 
 def sections(text):

@@ -11,13 +11,13 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from dcp_spec.profile import Link
+from dcp_spec.profile.definition import Link
 
 from dcp_codec import Codec, Field
 from dcp_codec.capture import Frame, create_capture, open_capture
 from dcp_codec.export.lua import filter_name
-from dcp_codec.frames import DissectedFrame, FrameDissector
-from dcp_codec.plan import Exact, Group, Many, Text
+from dcp_codec.framing.frames import DissectedFrame, FrameDissector
+from dcp_codec.plan.tree import Exact, Group, Many, Text
 
 
 class Shown(NamedTuple):

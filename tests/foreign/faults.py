@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import importlib
-import pkgutil
 from collections import deque
 from collections.abc import Callable, Iterable
 from typing import Any, Protocol
@@ -16,7 +15,7 @@ from dcp_spec.constants import BP_PROTID_SRP, BP_PROTID_VARDIS, ICType, Queueing
 
 from dcp_codec.errors import DecodeError
 from dcp_codec.values import Beacon, Payload
-from dcp_stack.bp_wire import BPWire, Reception
+from dcp_stack.bp.wire import BPWire, Reception
 from dcp_stack.effects import SendBeacon
 from dcp_stack.node import Node
 
@@ -47,10 +46,10 @@ def with_faults(names: Iterable[str], victim: Victim, *, poll_ms: float | None =
 
 def mutant(name: str) -> NodeClass:
     """The class of a node that is a mutant of the self-test."""
-    package = importlib.import_module("dcp_conformance.mutants")
-    node_with = importlib.import_module("dcp_conformance.mutants.mutant").node_with
-    for info in pkgutil.iter_modules(package.__path__):
-        for value in vars(importlib.import_module(f"{package.__name__}.{info.name}")).values():
+    node_with = importlib.import_module("dcp_conformance.selftest.mutants.mutant").node_with
+    modules_of = importlib.import_module("dcp_conformance.model.case").modules_of
+    for module in modules_of("dcp_conformance.selftest.mutants"):
+        for value in vars(importlib.import_module(module)).values():
             made = vars(value).get("__dcp_mutant__") if isinstance(value, type) else None
             if made is not None and made.id == name:
                 found: NodeClass = node_with(value)

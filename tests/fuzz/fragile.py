@@ -5,13 +5,13 @@ from __future__ import annotations
 import random
 from collections.abc import Callable, Iterator
 
-from dcp_conformance.bench import Session
+from dcp_conformance.execution.runner import Runner
+from dcp_conformance.execution.target import Target
 from dcp_conformance.fuzz import Frame
-from dcp_conformance.fuzz.samples import Samples
-from dcp_conformance.pics import Pics
+from dcp_conformance.fuzz.generate.samples import Samples
+from dcp_conformance.model.pics import Pics
 from dcp_conformance.reference.inprocess import InProcess, reference_config
-from dcp_conformance.runner import Runner
-from dcp_conformance.target import Target
+from dcp_conformance.test_system.bench import Session
 from dcp_spec.constants import BP_PROTID_VARDIS, ICType
 
 from dcp_codec import Codec

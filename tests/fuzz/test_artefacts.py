@@ -8,18 +8,18 @@ import random
 import pytest
 from dcp_conformance.errors import UsageError
 from dcp_conformance.fuzz import Call, Campaign, Effect, Frame, Wait, load, save
-from dcp_conformance.fuzz.artefact import SavedTarget, codec_of, found_in, make_artefact
-from dcp_conformance.fuzz.cases import artefact_cases
-from dcp_conformance.fuzz.causes import explained
-from dcp_conformance.fuzz.evidence import evidence_lines, headline, summary_lines
-from dcp_conformance.fuzz.reduction import Finding
-from dcp_conformance.fuzz.replaying import judged, replay, target_in_process
-from dcp_conformance.fuzz.samples import Samples
+from dcp_conformance.fuzz.findings.artefact import SavedTarget, codec_of, found_in, make_artefact
+from dcp_conformance.fuzz.findings.cases import artefact_cases
+from dcp_conformance.fuzz.findings.description import evidence_lines, headline, summary_lines
+from dcp_conformance.fuzz.findings.replaying import judged, replay, target_in_process
+from dcp_conformance.fuzz.generate.samples import Samples
+from dcp_conformance.fuzz.reduce.causes import explained
+from dcp_conformance.fuzz.reduce.reduction import Finding
 from dcp_conformance.fuzz.steps import ROBUSTNESS
 
 from dcp_codec import Beacon, BPHeader, Codec, Payload
 from dcp_codec.capture import open_capture
-from dcp_codec.mutation_values import valid_beacons
+from dcp_codec.testing.mutation_values import valid_beacons
 from dcp_codec.values import Container, VarSumm
 
 CODEC = Codec("dcp-2.0")
@@ -197,11 +197,11 @@ def test_what_is_wrong_with_a_frame_is_told_however_long_it_is(tmp_path):
 
 @pytest.mark.parametrize(("mutant", "verdict"), [("", "pass"), ("M-BP-RX-15-dies", "fail")])
 def test_artefacts_are_cases_of_the_runner(tmp_path, mutant, verdict):
-    from dcp_conformance.bench import Session
-    from dcp_conformance.mutants import all_mutants
-    from dcp_conformance.pics import Pics
+    from dcp_conformance.execution.runner import Runner
+    from dcp_conformance.model.pics import Pics
     from dcp_conformance.reference.inprocess import InProcess, plain_node, reference_config
-    from dcp_conformance.runner import Runner
+    from dcp_conformance.selftest.mutants import all_mutants
+    from dcp_conformance.test_system.bench import Session
 
     saved(tmp_path)
     [case] = artefact_cases(tmp_path)
@@ -215,10 +215,10 @@ def test_artefacts_are_cases_of_the_runner(tmp_path, mutant, verdict):
 
 
 def test_an_artefact_of_another_profile_is_inconclusive(tmp_path):
-    from dcp_conformance.bench import Session
-    from dcp_conformance.pics import Pics
+    from dcp_conformance.execution.runner import Runner
+    from dcp_conformance.model.pics import Pics
     from dcp_conformance.reference.inprocess import InProcess, reference_config
-    from dcp_conformance.runner import Runner
+    from dcp_conformance.test_system.bench import Session
 
     saved(tmp_path)
     [case] = artefact_cases(tmp_path)
@@ -231,14 +231,14 @@ def test_an_artefact_of_another_profile_is_inconclusive(tmp_path):
 def test_the_steps_of_a_wrong_state_are_compared_with_the_model(tmp_path):
     import random
 
-    from dcp_conformance.bench import Session
-    from dcp_conformance.fuzz.sequences import Sequences
-    from dcp_conformance.mutants import all_mutants
-    from dcp_conformance.pics import Pics
+    from dcp_conformance.execution.runner import Runner
+    from dcp_conformance.fuzz.generate.sequences import Sequences
+    from dcp_conformance.model.pics import Pics
     from dcp_conformance.reference.inprocess import InProcess, plain_node, reference_config
-    from dcp_conformance.runner import Runner
+    from dcp_conformance.selftest.mutants import all_mutants
+    from dcp_conformance.test_system.bench import Session
 
-    from dcp_codec.mutation import Mutator
+    from dcp_codec.testing.mutation import Mutator
     from dcp_codec.values import VarUpdate
 
     pool = valid_beacons(CODEC, random.Random(1), 8)

@@ -6,10 +6,10 @@ from collections.abc import Callable
 
 import pytest
 from dcp_conformance.fuzz import Campaign, Effect, Frame, Limits, Minimiser, Wait
-from dcp_conformance.fuzz.artefact import SavedTarget
-from dcp_conformance.fuzz.causes import cause_of, kinds_in
-from dcp_conformance.fuzz.reduction import Reduction
-from dcp_conformance.fuzz.samples import Samples
+from dcp_conformance.fuzz.findings.artefact import SavedTarget
+from dcp_conformance.fuzz.generate.samples import Samples
+from dcp_conformance.fuzz.reduce.causes import cause_of, kinds_in
+from dcp_conformance.fuzz.reduce.reduction import Reduction
 from dcp_conformance.fuzz.steps import Call
 
 from dcp_codec import Codec

@@ -6,14 +6,14 @@ import random
 
 import pytest
 
-from dcp_codec.chance import Chance
+from dcp_codec.testing.draws import Draws
 
 ENDS = (1, 2, 3, 4, 5, 7, 8, 9, 60, 255, 256, 257, 1 << 16, (1 << 32) - 1, 1 << 32, (1 << 64) + 1)
 
 
 def test_draws_what_random_draws() -> None:
     rng, twin = random.Random(7), random.Random(7)
-    chance = Chance(rng)
+    chance = Draws(rng)
     for end in ENDS * 20:
         assert chance.below(end) == twin.randrange(end)
         members = range(min(end, 1000))
@@ -25,9 +25,9 @@ def test_draws_what_random_draws() -> None:
 @pytest.mark.parametrize("end", [0, -1])
 def test_no_number_is_refused(end: int) -> None:
     with pytest.raises(ValueError, match="no number"):
-        Chance(random.Random(1)).below(end)
+        Draws(random.Random(1)).below(end)
 
 
 def test_no_member_is_refused() -> None:
     with pytest.raises(ValueError, match="nothing to choose"):
-        Chance(random.Random(1)).one_of(())
+        Draws(random.Random(1)).one_of(())

@@ -6,13 +6,13 @@ import random
 from collections import Counter
 
 import pytest
-from dcp_conformance.fuzz.coverage import shown, tables
-from dcp_conformance.fuzz.directed import Directed, possible_states
-from dcp_conformance.fuzz.sequences import Sequences
-from dcp_conformance.fuzz.stack import StackTarget
+from dcp_conformance.fuzz.execute.stack import StackTarget
+from dcp_conformance.fuzz.generate.coverage import shown, tables
+from dcp_conformance.fuzz.generate.directed import Directed, possible_states
+from dcp_conformance.fuzz.generate.sequences import Sequences
 
 from dcp_codec import Codec
-from dcp_codec.mutation import Mutator, drawn_pool
+from dcp_codec.testing.mutation import Mutator, drawn_pool
 
 
 @pytest.mark.parametrize("profile", ["dcp-2.0", "dcp-1.1", "cpp-2.0"])

@@ -42,7 +42,7 @@ def test_it_runs_to_its_limit_and_keeps_its_corpus(tmp_path, part):
 
 @pytest.mark.skipif(not HAS_ATHERIS, reason="needs the extra: pip install 'dcp-conformance-kit[atheris]'")
 def test_what_it_finds_is_gathered_and_what_ends_it_is_kept(tmp_path):
-    from dcp_conformance.fuzz.engine import gathered
+    from dcp_conformance.fuzz.execute.atheris_engine import gathered
 
     (tmp_path / "findings").write_text("00ff\n\n")
     (tmp_path / "timeout-1").write_bytes(b"slow")

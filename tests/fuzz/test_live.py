@@ -6,28 +6,29 @@ import random
 
 import msgspec
 import pytest
-from dcp_conformance.bench import Bench, Session
-from dcp_conformance.case import all_cases
 from dcp_conformance.errors import ConformanceError, UsageError
+from dcp_conformance.execution.runner import Runner
+from dcp_conformance.execution.target import Target
 from dcp_conformance.fuzz import Call, Campaign, Frame, Limits, Wait
-from dcp_conformance.fuzz.artefact import SavedTarget
-from dcp_conformance.fuzz.batches import Joined
-from dcp_conformance.fuzz.live import LiveTarget, UnhealthyError
-from dcp_conformance.fuzz.liveness import ailing
-from dcp_conformance.fuzz.replaying import stack_target
-from dcp_conformance.fuzz.sequences import Sequences
-from dcp_conformance.mutants import all_mutants
-from dcp_conformance.pics import Pics
+from dcp_conformance.fuzz.execute.live import LiveTarget, UnhealthyError
+from dcp_conformance.fuzz.execute.liveness import ailing
+from dcp_conformance.fuzz.findings.artefact import SavedTarget
+from dcp_conformance.fuzz.findings.replaying import stack_target
+from dcp_conformance.fuzz.generate.sequence_batches import Joined
+from dcp_conformance.fuzz.generate.sequences import Sequences
+from dcp_conformance.model.case import all_cases
+from dcp_conformance.model.pics import Pics
 from dcp_conformance.reference.inprocess import InProcess, plain_node, reference_config
-from dcp_conformance.runner import Runner
-from dcp_conformance.target import Target
-from dcp_conformance.variants.variant import node_of
+from dcp_conformance.selftest.mutants.mutant import all_mutants
+from dcp_conformance.selftest.variants.variant import node_of
+from dcp_conformance.test_system.bench import Bench
+from dcp_conformance.test_system.session import Session
 
 from dcp_codec import Codec
-from dcp_codec.mutation import Mutator, drawn_pool
+from dcp_codec.testing.mutation import Mutator, drawn_pool
 from dcp_codec.values import VarSumm
 from dcp_stack.node import Node
-from dcp_stack.vardis import Vardis
+from dcp_stack.vardis.entity import Vardis
 
 CODEC = Codec("dcp-2.0")
 OWN = b"\x02\x00\x00\x00\x00\x01"

@@ -5,12 +5,12 @@ from __future__ import annotations
 import random
 
 from dcp_conformance.fuzz import Campaign, Effect, Frame, Limits, Minimiser, Wait
-from dcp_conformance.fuzz.artefact import SavedTarget
-from dcp_conformance.fuzz.causes import kinds_in
-from dcp_conformance.fuzz.samples import Samples
+from dcp_conformance.fuzz.findings.artefact import SavedTarget
+from dcp_conformance.fuzz.generate.samples import Samples
+from dcp_conformance.fuzz.reduce.causes import kinds_in
 
 from dcp_codec import Codec
-from dcp_codec.mutation_values import valid_beacons
+from dcp_codec.testing.mutation_values import valid_beacons
 
 CODEC = Codec("dcp-2.0")
 

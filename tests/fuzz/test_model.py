@@ -9,29 +9,29 @@ import random
 from typing import Any
 
 import pytest
-from dcp_conformance.forge import Forge
+from dcp_conformance.frames.builder import FrameBuilder
 from dcp_conformance.fuzz import Frame, Wait
-from dcp_conformance.fuzz.batches import Lives
-from dcp_conformance.fuzz.replaying import stack_target
-from dcp_conformance.fuzz.sequences import Sequences
-from dcp_conformance.fuzz.soaking import Soak
-from dcp_conformance.fuzz.stack import StackTarget
+from dcp_conformance.fuzz.execute.soak import Soak
+from dcp_conformance.fuzz.execute.stack import StackTarget
+from dcp_conformance.fuzz.findings.replaying import stack_target
+from dcp_conformance.fuzz.generate.sequence_batches import Lifetimes
+from dcp_conformance.fuzz.generate.sequences import Sequences
 from dcp_conformance.fuzz.steps import Call, Step
-from dcp_conformance.mutants.mutant import all_mutants, node_with
 from dcp_conformance.reference.inprocess import plain_node
+from dcp_conformance.selftest.mutants.mutant import all_mutants, node_with
 
 from dcp_codec import Codec
-from dcp_codec.mutation import Mutator, drawn_pool
+from dcp_codec.testing.mutation import Mutator, drawn_pool
 from dcp_codec.values import VarCreate, VarDelete, VardisRecord, VarReqCreate, VarReqUpdate, VarSpec, VarSumm, VarUpdate
 from dcp_stack.config import NodeConfig
 from dcp_stack.node import Node
-from dcp_stack.vardis_compose import Composer
-from dcp_stack.vardis_db import Database, DBEntry
-from dcp_stack.vardis_receive import Receiver
-from dcp_stack.vardis_wire import Extracted
+from dcp_stack.vardis.compose import Composer
+from dcp_stack.vardis.database import Database, DBEntry
+from dcp_stack.vardis.receive import Receiver
+from dcp_stack.vardis.wire import Extracted
 
 CODEC = Codec("dcp-2.0")
-FORGE = Forge(CODEC)
+FORGE = FrameBuilder(CODEC)
 PEER = b"\x02\xdc\x90\0\0\1"
 NETWORK = CODEC.profile.bp.network_id
 
@@ -145,10 +145,10 @@ def test_mutants_are_found_by_what_was_not_judged_before(mutant: str, steps: lis
     assert StackTarget(CODEC).run(steps) is None
 
 
-def drawn_lives(codec: Codec, seed: int) -> Lives:
+def drawn_lives(codec: Codec, seed: int) -> Lifetimes:
     rng = random.Random(seed)
     mutator = Mutator(codec, rng, drawn_pool(codec, rng, 40))
-    return Lives(Sequences(codec, rng, StackTarget(codec).own_id, mutator))
+    return Lifetimes(Sequences(codec, rng, StackTarget(codec).own_id, mutator))
 
 
 @pytest.mark.parametrize(
@@ -200,11 +200,13 @@ def test_the_node_as_it_is_says_all_that_it_has_to(profile: str):
 
 def test_a_payload_that_found_no_room_beside_a_report_is_older_than_others():
     codec = Codec("cpp-2.0")
-    forge, target = Forge(codec), StackTarget(codec)
+    builder, target = FrameBuilder(codec), StackTarget(codec)
     width = codec.profile.types.node_id.width
 
     def beacon(*records: VardisRecord) -> Frame:
-        return Frame(forge.beacon(PEER[-width:], 1, [forge.vardis(*records)], network_id=codec.profile.bp.network_id))
+        return Frame(
+            builder.beacon(PEER[-width:], 1, [builder.vardis(*records)], network_id=codec.profile.bp.network_id)
+        )
 
     def many(first: int) -> Frame:
         specs = (VarSpec(var_id, PEER[-width:], 9, b"d" * 20, 1, 0) for var_id in range(first, first + 15))
@@ -218,8 +220,8 @@ def test_a_payload_that_found_no_room_beside_a_report_is_older_than_others():
 
 def test_an_own_variable_may_have_been_requested_while_it_was_in_doubt():
     codec = Codec("dcp-1.0")
-    forge, target = Forge(codec), StackTarget(codec)
-    request = Frame(forge.beacon(PEER, 1, [forge.vardis(VarReqCreate(2))]))
+    builder, target = FrameBuilder(codec), StackTarget(codec)
+    request = Frame(builder.beacon(PEER, 1, [builder.vardis(VarReqCreate(2))]))
     own = Call("RTDB-Create", {"varId": 2, "repCnt": 2, "descr": "own", "value": "00"})
     update = Call("RTDB-Update", {"varId": 2, "value": "01"})
     # Whoever goes on behind what is wrong may take the 2 for something about the variable.

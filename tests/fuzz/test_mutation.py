@@ -5,11 +5,11 @@ from __future__ import annotations
 import random
 
 import pytest
-from dcp_spec.profile_loading import profile_names
+from dcp_spec.profile.loading import profile_names
 
 from dcp_codec import Codec, DecodeError
-from dcp_codec.mutation import FIELD_CLASSES, STRUCTURE_CLASSES, Mutator, drawn_pool
-from dcp_codec.mutation_values import ValidValues, valid_beacons
+from dcp_codec.testing.mutation import FIELD_CLASSES, STRUCTURE_CLASSES, Mutator, drawn_pool
+from dcp_codec.testing.mutation_values import ValidValues, valid_beacons
 
 
 @pytest.fixture(params=profile_names())

@@ -9,17 +9,17 @@ import sys
 
 import pytest
 from dcp_conformance.fuzz import Campaign, Frame, Limits, save
-from dcp_conformance.fuzz.artefact import SavedTarget
-from dcp_conformance.fuzz.batches import Batches, Joined, Lives
-from dcp_conformance.fuzz.cases import artefact_cases
-from dcp_conformance.fuzz.live import LiveTarget
-from dcp_conformance.fuzz.replaying import stack_target
-from dcp_conformance.fuzz.samples import Samples
-from dcp_conformance.fuzz.sequences import Sequences
-from dcp_conformance.fuzz.sweep import Swept
-from dcp_conformance.mutants import all_mutants
+from dcp_conformance.fuzz.execute.live import LiveTarget
+from dcp_conformance.fuzz.findings.artefact import SavedTarget
+from dcp_conformance.fuzz.findings.cases import artefact_cases
+from dcp_conformance.fuzz.findings.replaying import stack_target
+from dcp_conformance.fuzz.generate.samples import Samples
+from dcp_conformance.fuzz.generate.sequence_batches import Batches, Joined, Lifetimes
+from dcp_conformance.fuzz.generate.sequences import Sequences
+from dcp_conformance.fuzz.generate.sweep import Swept
+from dcp_conformance.selftest.mutants import all_mutants
 
-from dcp_codec.mutation import Mutator, drawn_pool
+from dcp_codec.testing.mutation import Mutator, drawn_pool
 
 from .fragile import CODEC, FAULTS, make_of, mixed, opened
 
@@ -159,7 +159,7 @@ def found_in_process(mutant: str, findings: int = 2) -> Campaign:
     target = stack_target(CODEC, mutant)
     drawn = Sequences(CODEC, rng, target.own_id, Mutator(CODEC, rng, drawn_pool(CODEC, rng, 60)))
     saved = SavedTarget("stack", target.name, mutant)
-    campaign = Campaign(CODEC, target, Lives(Swept(drawn, CODEC)), saved, 1, own_id=target.own_id)
+    campaign = Campaign(CODEC, target, Lifetimes(Swept(drawn, CODEC)), saved, 1, own_id=target.own_id)
     campaign.run(Limits(cases=400, findings=findings))
     return campaign
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 
 import pytest
-from dcp_conformance.fuzz.overtime import Overtime, TimeLimit
+from dcp_conformance.fuzz.execute.time_limit import Overtime, TimeLimit
 
 
 def forever():

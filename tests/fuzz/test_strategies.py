@@ -8,7 +8,8 @@ import pytest
 from hypothesis import Phase, find, settings
 from hypothesis import strategies as st
 
-from dcp_codec import Codec, strategies
+from dcp_codec import Codec
+from dcp_codec.testing import strategies
 from dcp_codec.values import Beacon, BPHeader, Container, Payload, VarDelete, VarSumm
 
 CODEC = Codec("dcp-2.0")

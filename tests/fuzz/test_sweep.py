@@ -7,18 +7,18 @@ import random
 import msgspec
 import pytest
 from dcp_conformance.fuzz import Frame
-from dcp_conformance.fuzz.anatomy import Anatomy
-from dcp_conformance.fuzz.anomalies import anomalies, kinds_of
-from dcp_conformance.fuzz.batches import Batches
-from dcp_conformance.fuzz.repairs import Repairs
-from dcp_conformance.fuzz.samples import Samples
-from dcp_conformance.fuzz.shrinking import Shrinker
-from dcp_conformance.fuzz.sweep import Sweep, Swept
-from dcp_spec.profile_loading import profile_names
+from dcp_conformance.fuzz.generate.samples import Samples
+from dcp_conformance.fuzz.generate.sequence_batches import Batches
+from dcp_conformance.fuzz.generate.sweep import Sweep, Swept
+from dcp_conformance.fuzz.reduce.anatomy import Anatomy
+from dcp_conformance.fuzz.reduce.anomalies import anomalies, kinds_of
+from dcp_conformance.fuzz.reduce.repairs import Repairs
+from dcp_conformance.fuzz.reduce.shrinking import Shrinker
+from dcp_spec.profile.loading import profile_names
 
 from dcp_codec import Codec
-from dcp_codec.mutation import Mutator, drawn_pool
-from dcp_codec.mutation_values import valid_beacons
+from dcp_codec.testing.mutation import Mutator, drawn_pool
+from dcp_codec.testing.mutation_values import valid_beacons
 
 CODEC = Codec("dcp-2.0")
 

@@ -6,7 +6,7 @@ import tomllib
 
 import pytest
 
-from dcp_codec.impairment import Impairment, ImpairmentError, Outage, impairment_of, parse_impairment
+from dcp_codec.impairment import Impairment, ImpairmentError, Outage, impairment_of, parse_impairment, text_of
 
 MS = 1_000_000
 EVERYTHING = (
@@ -36,7 +36,7 @@ def test_every_key_is_read() -> None:
 
 @pytest.mark.parametrize("text", ["", EVERYTHING, "loss=0.3", "p=0.1,r=0.5,bad=0.9", "delay=300us,jitter=17ns"])
 def test_the_text_form_is_given_back(text: str) -> None:
-    assert parse_impairment(str(parse_impairment(text))) == parse_impairment(text)
+    assert parse_impairment(text_of(parse_impairment(text))) == parse_impairment(text)
 
 
 def test_a_table_has_the_same_keys() -> None:

@@ -12,18 +12,19 @@ from ipaddress import IPv4Address
 from pathlib import Path
 
 import pytest
-from dcp_conformance.bench import Bench, Session
-from dcp_conformance.case import SANITY, Case, Kind, all_cases
 from dcp_conformance.errors import ConformanceError, UpperTesterError
-from dcp_conformance.lower.udp import DEFAULT_GROUP
-from dcp_conformance.pics import Pics, Testing
-from dcp_conformance.process import ProcessControl, started_at
+from dcp_conformance.execution.runner import Runner
+from dcp_conformance.lower_tester.udp import DEFAULT_GROUP
+from dcp_conformance.model.case import SANITY, Case, Kind, all_cases
+from dcp_conformance.model.pics import Pics, Testing
+from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.namespace import Namespace, NamespaceError
 from dcp_conformance.reference.process import ReferenceProcess, free_port, reference_process, wait_for
-from dcp_conformance.runner import Runner
-from dcp_conformance.verdict import Verdict
+from dcp_conformance.sut.process import ProcessControl, started_at
+from dcp_conformance.test_system.bench import Bench, Session
 
-from dcp_codec import Codec, sockets
+from dcp_codec import Codec
+from dcp_codec.network import sockets
 
 from ..waiting import PATIENCE, eventually
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import random
+import threading
 import time
 
 import pytest
@@ -149,3 +151,56 @@ def test_soft_state_is_as_old_as_its_frame():
     entry = node.srp._table.lookup(neighbour)
     assert (time.monotonic_ns() - entry.received_at) >= waited
     assert node.srp._table.expire(time.monotonic_ns(), waited) == [neighbour]
+
+
+class PipeLink(ListedLink):
+    """Has a frame for each octet in a pipe; counts how often it is asked."""
+
+    def __init__(self) -> None:
+        super().__init__([])
+        self.reader, self.writer = os.pipe()
+        os.set_blocking(self.reader, False)
+        self.asked = self.frames = 0
+
+    def fileno(self) -> int:
+        return self.reader
+
+    def receive(self) -> list[Reception]:
+        self.asked += 1
+        try:
+            count = len(os.read(self.reader, 1000))
+        except BlockingIOError:
+            return []
+        self.frames += count
+        return [Reception(b"no beacon", time.time_ns())] * count
+
+    def close(self) -> None:
+        os.close(self.reader)
+
+
+@pytest.mark.parametrize("listening", [False, True])
+def test_frames_wait_for_a_beacon_unless_a_client_listens(listening):
+    now, wall = time.monotonic_ns(), time.time_ns()
+    link = PipeLink()
+    config = NodeConfig(node_id=bytes.fromhex("020000000001"), codec=CODEC)
+    driver = Driver(Node(config, rng=random.Random(1), now=now, wall=wall), link)
+    if listening:
+        session = driver.server.open()
+        session.feed(
+            b'{"jsonrpc":"2.0","id":1,"method":"UT-Subscribe","params":{"neighbours":true}}\n', now=now, wall=wall
+        )
+        assert driver.server.listening
+
+    def talk() -> None:
+        for _ in range(50):
+            os.write(link.writer, b"f")
+            time.sleep(0.01)
+        os.close(link.writer)
+        driver.stop()
+
+    thread = threading.Thread(target=talk)
+    driver.run(thread.start)
+    thread.join()
+    # Half a second has five beacons.
+    assert link.asked >= 25 if listening else link.asked <= 12
+    assert link.frames >= (40 if listening else 25)

@@ -11,12 +11,12 @@ from pathlib import Path
 import msgspec
 import pytest
 from dcp_conformance.diagnosis import Dictionary, Fault, explain
-from dcp_conformance.issue_reports import write_issues
-from dcp_conformance.issue_reports.stimulus import stimulus
-from dcp_conformance.mutants import all_mutants
+from dcp_conformance.model.results import RunResult, Sut
 from dcp_conformance.reference.namespace import SUT_INTERFACE, TESTER_INTERFACE, Namespace, NamespaceError
-from dcp_conformance.results import RunResult, Sut
-from dcp_conformance.selftest import Suite, cases
+from dcp_conformance.reporting.issues import write_issues
+from dcp_conformance.reporting.issues.stimulus import stimulus
+from dcp_conformance.selftest.mutants import all_mutants
+from dcp_conformance.selftest.runner import Suite, cases
 
 from dcp_codec.codec import Codec
 

@@ -23,8 +23,8 @@ pytestmark = pytest.mark.tool("ip")
 
 LISTEN = """
 import json, signal, sys, threading
-from dcp_codec.live import LiveError, open_live
-from dcp_spec.profile import Link
+from dcp_codec.network.live import LiveError, open_live
+from dcp_spec.profile.definition import Link
 
 link = json.loads(sys.argv[2])
 try:
@@ -245,7 +245,7 @@ def test_closing(namespace: Any) -> None:
         """
 import gc, os, threading, warnings
 warnings.simplefilter("error")
-from dcp_codec.live import open_live
+from dcp_codec.network.live import open_live
 open_live("near", None).close()
 before = len(os.listdir("/proc/self/fd"))
 for when in ("before", "while", "never read"):

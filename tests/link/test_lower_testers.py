@@ -14,11 +14,11 @@ from collections.abc import Callable, Iterator
 
 import pytest
 from dcp_conformance.errors import LowerTesterError, UsageError
-from dcp_conformance.lower import Arrival, LowerTester, open_ethernet, open_udp
-from dcp_conformance.lower.sockets import Echoes
-from dcp_conformance.lower.udp import DEFAULT_GROUP, parse_udp
+from dcp_conformance.lower_tester import Arrival, LowerTester, open_ethernet, open_udp
+from dcp_conformance.lower_tester.sockets import Echoes
+from dcp_conformance.lower_tester.udp import DEFAULT_GROUP, parse_udp
 from dcp_conformance.reference.namespace import SUT_INTERFACE, TESTER_INTERFACE, Namespace, NamespaceError
-from dcp_spec.profile import Link
+from dcp_spec.profile.definition import Link
 
 from .. import waiting
 from ..ports import own_port
@@ -260,7 +260,8 @@ class TestEthernet:
             pytest.skip("only root can give its privileges up")
         user = pwd.getpwnam("nobody").pw_uid
         code = (
-            "import os\nfrom dcp_conformance.lower import open_ethernet\nfrom dcp_spec.profile import Link\n"
+            "import os\nfrom dcp_conformance.lower_tester import open_ethernet\n"
+            "from dcp_spec.profile.definition import Link\n"
             f"import scapy.arch.linux, scapy.layers.l2\nos.setuid({user})\n"
             f"try: open_ethernet('{TESTER_INTERFACE}', Link(ether_type=0x4953))\n"
             "except Exception as error: print(type(error).__name__, error)"
@@ -271,8 +272,8 @@ class TestEthernet:
 
     def test_no_scapy(self, cable):
         code = (
-            "import sys\nsys.modules['scapy'] = None\nfrom dcp_conformance.lower import open_ethernet\n"
-            "from dcp_spec.profile import Link\n"
+            "import sys\nsys.modules['scapy'] = None\nfrom dcp_conformance.lower_tester import open_ethernet\n"
+            "from dcp_spec.profile.definition import Link\n"
             f"try: open_ethernet('{TESTER_INTERFACE}', Link(ether_type=0x4953))\n"
             "except Exception as error: print(type(error).__name__, error)"
         )

@@ -8,9 +8,9 @@ import subprocess
 import sys
 from pathlib import Path
 
+from dcp_conformance.model.results import RunResult
+from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reporting import load_results
-from dcp_conformance.results import RunResult
-from dcp_conformance.verdict import Verdict
 
 from ..ports import own_port
 

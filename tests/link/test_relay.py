@@ -19,7 +19,7 @@ from dcp_codec.impairment import Impairment, parse_impairment
 from dcp_stack.relay import INTERFACE, RelayError, RelayFabric
 from dcp_stack.relay.control import RelayProcess
 from dcp_stack.relay.messages import Setup
-from dcp_stack.sim import namespaces
+from dcp_stack.sim.testbed import namespaces
 
 from ..waiting import eventually
 

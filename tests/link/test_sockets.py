@@ -14,8 +14,8 @@ from pathlib import Path
 
 import pytest
 
-from dcp_codec import interfaces, sockets
-from dcp_codec.sockets import ANCILLARY, LONGEST, OpeningError
+from dcp_codec.network import interfaces, sockets
+from dcp_codec.network.sockets import ANCILLARY, LONGEST, OpeningError
 
 from ..waiting import PATIENCE
 

@@ -20,11 +20,11 @@ import pytest
 
 from dcp_codec import Codec
 from dcp_codec.capture import open_capture
-from dcp_codec.sockets import ETHERNET_HEADER
-from dcp_stack.sim import namespaces
-from dcp_stack.sim.fabric import chance, netem_options
-from dcp_stack.sim.report import LATE, SLOW_START
-from dcp_stack.sim.scenario import LinkQuality, ScenarioError
+from dcp_codec.network.sockets import ETHERNET_HEADER
+from dcp_stack.sim.scenario.definition import LinkQuality, ScenarioError
+from dcp_stack.sim.scenario.report import LATE, SLOW_START
+from dcp_stack.sim.testbed import namespaces
+from dcp_stack.sim.testbed.fabric import chance, netem_options
 
 from ..waiting import PATIENCE, eventually
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from dcp_conformance.traceability import CODE, TESTS, cited, marked, sources
-from dcp_spec.requirements import requirements
+from dcp_spec.catalogue.requirements import requirements
 
 ROOT = Path(__file__).parents[2]
 
@@ -20,7 +20,7 @@ def test_cited_requirements_exist(path):
 
 
 def test_the_schema_cites_requirements():
-    schema = [ROOT / "spec" / "dcp_spec" / name for name in ("bp.py", "srp.py", "vardis.py")]
+    schema = [ROOT / "spec" / "dcp_spec" / "wire" / name for name in ("bp.py", "srp.py", "vardis.py")]
     assert sum(len(cited(path.read_text(encoding="utf-8"))) for path in schema) > 25
 
 

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 from dcp_conformance.provenance.anchors import PATH, read_anchors
+from dcp_spec.catalogue.origins import Origin, Section, link, newest_statements, origins, revisions
+from dcp_spec.catalogue.requirements import requirements
 from dcp_spec.constants import SpecVersion
-from dcp_spec.origins import Origin, Section, link, newest_statements, origins, revisions
-from dcp_spec.requirements import requirements
 
 ROOT = Path(__file__).parents[2]
 HINT = f"add it to {PATH} and run python -m dcp_conformance.provenance REPOSITORY (docs/provenance.md)"

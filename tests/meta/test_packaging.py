@@ -39,7 +39,7 @@ def test_the_wheel_holds_the_data_that_the_tools_need(wheel):
 
 
 def test_every_built_in_profile_has_its_file(wheel):
-    from dcp_spec.profile_loading import profile_names
+    from dcp_spec.profile.loading import profile_names
 
     files = {Path(name).stem for name in wheel if name.startswith("dcp_spec/profiles/")}
     assert files == set(profile_names())

@@ -14,7 +14,7 @@ import pytest
 from dcp_conformance.cli import main as conformance
 
 from dcp_codec.cli import main as codec
-from dcp_codec.commandline import CommandLine
+from dcp_codec.common.commandline import CommandLine
 from dcp_stack.cli import main as node
 
 RECORDING = str(Path(__file__).resolve().parents[2] / "captures" / "b_crud.mcap")
@@ -29,9 +29,16 @@ HEAVY = frozenset(
 #: What only those need that show tables and bars, or recordings.
 SHOWING = frozenset(("rich", "mcap"))
 #: Schemas, and all that is made of them.
-SCHEMAS = frozenset(("construct", "dcp_spec.profile_loading", "dcp_codec.codec"))
+SCHEMAS = frozenset(("construct", "dcp_spec.profile.loading", "dcp_codec.codec"))
 #: Node, tester.
-MACHINES = frozenset(("dcp_stack.node", "dcp_stack.control.server", "dcp_conformance.bench", "dcp_conformance.runner"))
+MACHINES = frozenset(
+    (
+        "dcp_stack.node",
+        "dcp_stack.control.server",
+        "dcp_conformance.test_system.bench",
+        "dcp_conformance.execution.runner",
+    )
+)
 #: Subcommands whose help still has modules of theirs behind it, where the time is spent on the work.
 _WITH_SCHEMAS = frozenset(f"dcp-codec {name}" for name in codec.commands)
 

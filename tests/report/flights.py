@@ -9,7 +9,7 @@ from pathlib import Path
 
 from dcp_codec import get_codec
 from dcp_codec.capture import Frame, create_capture
-from dcp_codec.envelope import Envelope
+from dcp_codec.framing.envelope import Envelope
 from dcp_codec.report.recorded import Recorded, gather
 from dcp_codec.values import (
     Beacon,

@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from dcp_codec import get_codec
+from dcp_codec.analysis.holdings import DELETED, UNKNOWN, Holdings
 from dcp_codec.capture import open_capture
-from dcp_codec.framing import Framing, locate
-from dcp_codec.holdings import DELETED, UNKNOWN, Holdings
+from dcp_codec.framing.locate import Framing, locate
 from dcp_codec.report import analysis
 from dcp_codec.report.chapter import chapter
 from dcp_codec.report.holding import Divergence, Holding, Pair, holding, shares
@@ -166,7 +166,7 @@ def test_a_node_that_asks_for_a_variable_does_not_hold_it():
 
 @pytest.mark.parametrize("path", ["b_crud.mcap", "c_latejoin.mcap", "a_bus3.mcap"])
 def test_the_same_as_the_holdings_of_the_codec(path):
-    """What is kept of columns, and what dcp_codec.holdings follows beacon by beacon, are the same changes."""
+    """What is kept of columns, and what dcp_codec.analysis.holdings follows beacon by beacon, are the same changes."""
     codec = get_codec("cpp-2.0")
     recorded = gather(str(CAPTURES / path), "cpp-2.0", None)
     followed, expected = Holdings(), []

@@ -19,7 +19,7 @@ import pytest
 from dcp_codec import get_codec
 from dcp_codec.capture import Frame, create_capture
 from dcp_codec.cli import main
-from dcp_codec.envelope import Envelope
+from dcp_codec.framing.envelope import Envelope
 from dcp_codec.report import analysis, variables
 from dcp_codec.report.chapter import chapter
 from dcp_codec.report.colours import BACKGROUNDS, FOREGROUNDS, SCHEMES, SYMBOLS, contrast

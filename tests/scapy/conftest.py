@@ -9,7 +9,8 @@ import pytest
 
 pytest.importorskip("scapy", reason="scapy is not installed (pip install 'dcp-conformance-kit[scapy]')")
 
-from dcp_codec import Codec, scapy_layers
+from dcp_codec import Codec
+from dcp_codec.scapy import layers as scapy_layers
 
 from ..odd_profiles import NAMES, ODD_PROFILES, write_profile
 

@@ -15,14 +15,15 @@ from hypothesis import strategies as st
 from scapy.layers.l2 import Ether
 from scapy.packet import Padding, Raw
 
-from dcp_codec import Codec, strategies
+from dcp_codec import Codec
 from dcp_codec.capture import open_capture
-from dcp_codec.dissect import Dissection
-from dcp_codec.dissect import Field as Found
-from dcp_codec.framing import Framing, locate
+from dcp_codec.framing.locate import Framing, locate
 from dcp_codec.jsonform import node_id_octets, node_id_text
-from dcp_codec.plan import Scalar, Text
-from dcp_codec.scapy_layers import DCPBeacon, DCPPayload, Octets, use_profile
+from dcp_codec.plan.tree import Scalar, Text
+from dcp_codec.scapy.layers import DCPBeacon, DCPPayload, Octets, use_profile
+from dcp_codec.testing import strategies
+from dcp_codec.views.dissect import Dissection
+from dcp_codec.views.dissect import Field as Found
 
 from ..chance import examples
 

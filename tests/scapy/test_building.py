@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from dcp_spec.profile_loading import BUILTIN_PROFILES, ProfileError
+from dcp_spec.profile.loading import BUILTIN_PROFILES, ProfileError
 from scapy.config import conf
 from scapy.fields import RawVal
 from scapy.layers.inet import IP, UDP
@@ -14,8 +14,9 @@ from scapy.layers.l2 import Dot1Q, Ether
 from scapy.packet import Packet, Padding, Raw, fuzz
 from scapy.volatile import RandInt
 
-from dcp_codec import Codec, DecodeError, get_codec, scapy_layers
-from dcp_codec.scapy_layers import (
+from dcp_codec import Codec, DecodeError, get_codec
+from dcp_codec.scapy import layers as scapy_layers
+from dcp_codec.scapy.layers import (
     DCPBeacon,
     DCPPayload,
     Octets,

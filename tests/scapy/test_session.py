@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from dcp_codec.scapy_layers import export_script
+from dcp_codec.scapy.layers import export_script
 
 ROOT = Path(__file__).parent.parent.parent
 RECORDING = ROOT / "captures" / "b_crud.mcap"
@@ -25,7 +25,7 @@ def test_a_session(tmp_path: Path) -> None:
     printed = run(
         """
 from scapy.all import *
-from dcp_codec.scapy_layers import *
+from dcp_codec.scapy.layers import *
 use_profile("cpp-2.0")
 packet = Ether(src="02:00:00:00:00:01")/DCPBeacon(senderId="02:00:00:00:00:01", networkId=0x1111, seqno=41)/SRPReport(
     nodeId="02:00:00:00:00:01", sData=SafetyData(x=1.5, y=2, z=3))/VarSumm(varId=7, seqno=3)/VarSumm(varId=9)
@@ -53,7 +53,7 @@ again.show()
 
 
 def test_listing_a_layer(tmp_path: Path) -> None:
-    printed = run("from scapy.all import ls\nfrom dcp_codec.scapy_layers import *\nls(DCPBeacon)", tmp_path)
+    printed = run("from scapy.all import ls\nfrom dcp_codec.scapy.layers import *\nls(DCPBeacon)", tmp_path)
     assert [line.split()[0] for line in printed.splitlines()] == [
         "version",
         "magicNo",
@@ -92,5 +92,5 @@ def test_the_script_finds_a_profile_of_ones_own(tmp_path: Path, monkeypatch: pyt
 
 
 def test_the_codec_does_without_scapy(tmp_path: Path) -> None:
-    printed = run("import sys, dcp_codec.live, dcp_codec; print('scapy' in sys.modules)", tmp_path)
+    printed = run("import sys, dcp_codec.network.live, dcp_codec; print('scapy' in sys.modules)", tmp_path)
     assert printed == "False\n"

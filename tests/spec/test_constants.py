@@ -2,8 +2,8 @@ import itertools
 
 import pytest
 from dcp_spec import constants
+from dcp_spec.catalogue.requirements import requirement
 from dcp_spec.constants import Features, ICType, ProtocolId, QueueingMode, SpecVersion, features, seqno_modulus
-from dcp_spec.requirements import requirement
 from dcp_spec.status import CPP_ONLY_STATUSES, BPStatus, SRPStatus, VardisStatus
 
 VERSIONS = list(SpecVersion)

@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from dcp_spec.deviations import deviations
-from dcp_spec.profile_loading import BUILTIN_PROFILES, ProfileError, load_profile
-from dcp_spec.usability import refusal, unusable_keys
+from dcp_spec.profile.deviations import deviations
+from dcp_spec.profile.loading import BUILTIN_PROFILES, ProfileError, load_profile
+from dcp_spec.profile.usability import refusal, unusable_keys
 
 from ..odd_profiles import write_profile
 

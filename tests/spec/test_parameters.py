@@ -2,9 +2,9 @@ import math
 import re
 
 import pytest
+from dcp_spec.catalogue.requirements import requirement
 from dcp_spec.constants import SpecVersion
 from dcp_spec.parameters import Sizes, UnknownParameterError, parameter, parameters, validate
-from dcp_spec.requirements import requirement
 from hypothesis import given
 from hypothesis import strategies as st
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from dcp_spec.profile_loading import load_profile
-from dcp_spec.profile_reference import EXAMPLES, reference
+from dcp_spec.profile.loading import load_profile
+from dcp_spec.profile.reference import EXAMPLES, reference
 
 from dcp_codec import Codec
 from dcp_codec.export.example import example_beacon
@@ -15,7 +15,7 @@ PAGE = Path(__file__).resolve().parents[2] / "docs" / "profile-reference.md"
 
 
 def test_the_page_is_up_to_date() -> None:
-    advice = "python -m dcp_spec.profile_reference docs/profile-reference.md writes it"
+    advice = "python -m dcp_spec.profile.reference docs/profile-reference.md writes it"
     assert PAGE.read_text(encoding="utf-8") == reference(), advice
 
 

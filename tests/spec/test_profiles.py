@@ -10,10 +10,10 @@ from typing import Any
 
 import msgspec
 import pytest
-from dcp_spec.profile import IntType, NodeIdType, Profile
-from dcp_spec.profile_loading import BUILTIN_PROFILES, ProfileError, load_profile, profile_names
-from dcp_spec.profile_rules import header_size, srp_record_size
-from dcp_spec.schema import build_schema
+from dcp_spec.profile.definition import IntType, NodeIdType, Profile
+from dcp_spec.profile.loading import BUILTIN_PROFILES, ProfileError, load_profile, profile_names
+from dcp_spec.profile.rules import header_size, srp_record_size
+from dcp_spec.wire.schema import build_schema
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 

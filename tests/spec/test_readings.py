@@ -4,8 +4,8 @@ from collections import Counter
 from importlib import resources
 
 import pytest
-from dcp_spec.readings import UnknownReadingError, differs_from_reference, reading, readings, told
-from dcp_spec.requirements import depending_on
+from dcp_spec.catalogue.readings import UnknownReadingError, differs_from_reference, reading, readings, told
+from dcp_spec.catalogue.requirements import depending_on
 
 ENTRIES = list(readings().values())
 RAW = tomllib.loads(resources.files("dcp_spec").joinpath("data/readings.toml").read_text())["reading"]

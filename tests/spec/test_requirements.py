@@ -7,9 +7,9 @@ from collections import Counter
 from importlib import resources
 
 import pytest
+from dcp_spec.catalogue.readings import readings
+from dcp_spec.catalogue.requirements import UnknownRequirementError, depending_on, requirement, requirements
 from dcp_spec.constants import SpecVersion
-from dcp_spec.readings import readings
-from dcp_spec.requirements import UnknownRequirementError, depending_on, requirement, requirements
 from dcp_spec.status import BPStatus, SRPStatus, VardisStatus
 
 ENTRIES = list(requirements().values())
@@ -229,9 +229,9 @@ def test_nothing_is_read_at_import():
     program = (
         "import sys\n"
         "sys.addaudithook(lambda event, args: event == 'open' and str(args[0]).endswith('.toml') and print(args[0]))\n"
-        "import dcp_spec.requirements, dcp_spec.readings, dcp_spec.parameters\n"
+        "import dcp_spec.catalogue.requirements, dcp_spec.catalogue.readings, dcp_spec.parameters\n"
         "print('imported')\n"
-        "dcp_spec.readings.reading('X01')\n"
+        "dcp_spec.catalogue.readings.reading('X01')\n"
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     before, after = done.stdout.split("imported\n")

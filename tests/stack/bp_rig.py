@@ -6,13 +6,13 @@ import random
 from typing import Any
 
 from dcp_spec.constants import QueueingMode
-from dcp_spec.profile_rules import header_size
+from dcp_spec.profile.rules import header_size
 from dcp_spec.status import BPStatus
 
 from dcp_codec import get_codec
 from dcp_codec.codec import Codec
 from dcp_codec.values import Beacon, BPHeader, Payload
-from dcp_stack.bp import BeaconingProtocol
+from dcp_stack.bp.entity import BeaconingProtocol
 from dcp_stack.config import BPConfig, NodeConfig
 from dcp_stack.effects import Dropped, Effect, PayloadReceived, PayloadTransmitted, SendBeacon
 
@@ -117,7 +117,7 @@ class Rig:
 
     # -- reception
 
-    def forge(self, *blocks, seqno=0, sender=OTHER, network=None):
+    def builder(self, *blocks, seqno=0, sender=OTHER, network=None):
         """The bearer payload with blocks of (protocol id, octets), in the layout of the profile."""
         own = self.bp.parameters().get("BPPAR_NETWORK_ID")
         header = BPHeader(sender, seqno, own if network is None else network) if self.header else None

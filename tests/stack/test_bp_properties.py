@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import pytest
+from dcp_spec.catalogue.requirements import requirements
 from dcp_spec.reasons import REASONS
-from dcp_spec.requirements import requirements
 from dcp_spec.status import BPStatus
 from hypothesis import example, given
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
-from dcp_codec import strategies
 from dcp_codec.codec import get_codec
+from dcp_codec.testing import strategies
 from dcp_stack.drops import DROPS
 from dcp_stack.effects import Dropped, PayloadReceived
 
@@ -219,7 +219,7 @@ def survives(rig, octets):
         assert effect.reason in REASONS or effect.reason in DROPS
         assert effect.requirement in requirements()
         assert -1 <= effect.offset <= len(octets)
-    assert rig.receive(rig.forge((1, b"good"))) == ([(1, b"good")], [])
+    assert rig.receive(rig.builder((1, b"good"))) == ([(1, b"good")], [])
 
 
 READINGS = st.sampled_from(("length-field", "frame-size"))
@@ -242,7 +242,7 @@ def test_damaged_beacons(profile, data, reading):
     codec = get_codec(profile)
     rig = listening(profile, readings={"X02": reading})
     good = st.lists(st.tuples(st.sampled_from((1, 2, 99)), st.binary(max_size=30)), min_size=1, max_size=4).map(
-        lambda blocks: rig.forge(*blocks)
+        lambda blocks: rig.builder(*blocks)
     )
     survives(rig, data.draw(strategies.mutations(good, codec.dissect)))
 
@@ -270,11 +270,11 @@ def test_every_envelope_of_another_node_is_delivered(profile, data):
 def test_any_padding_is_ignored(profile, padding, blocks):
     rig = listening(profile)
     blocks = [(1, block) for block in (b"first", *blocks)]
-    assert rig.receive(rig.forge(*blocks) + padding) == (blocks, [])
+    assert rig.receive(rig.builder(*blocks) + padding) == (blocks, [])
 
 
 def test_nothing_that_is_received_is_answered():
     rig = listening("dcp-2.0")
-    rig.receive(rig.forge((1, b"A"), sender=OTHER))
+    rig.receive(rig.builder((1, b"A"), sender=OTHER))
     assert rig.tick() is None
     assert all(isinstance(effect, PayloadReceived | Dropped) for effect in rig.effects)

@@ -7,7 +7,7 @@ import pytest
 from dcp_spec.status import BPStatus
 
 from dcp_codec.codec import Codec, get_codec
-from dcp_stack.bp import Registration, UnknownServiceError
+from dcp_stack.bp.entity import Registration, UnknownServiceError
 
 from .bp_rig import (
     DROPHEAD,
@@ -214,11 +214,11 @@ def test_reading_x06_registers_other_modes_and_tells_when_clearing(version, mode
 def test_only_registered_clients_transmit_and_receive(version):
     rig = Rig(version)
     assert rig.submit(b"A") is BPStatus.UNKNOWN_PROTOCOL
-    assert rig.reasons(rig.forge((7, b"A"))) == ["unregistered-protocol"]
+    assert rig.reasons(rig.builder((7, b"A"))) == ["unregistered-protocol"]
     rig.register()
     assert rig.number() == 0
     assert rig.tick() is None
-    assert rig.receive(rig.forge((7, b"A"))) == ([(7, b"A")], [])
+    assert rig.receive(rig.builder((7, b"A"))) == ([(7, b"A")], [])
 
 
 # -- BP-DeregisterProtocol and BP-ListRegisteredProtocols ---------------------------------------------------------
@@ -246,7 +246,7 @@ def test_nothing_is_sent_or_delivered_after_deregistering(version, mode):
     rig.submit(b"A")
     rig.bp.deregister(7)
     assert [rig.tick() for _ in range(3)] == [None] * 3
-    assert rig.reasons(rig.forge((7, b"A"))) == ["unregistered-protocol"]
+    assert rig.reasons(rig.builder((7, b"A"))) == ["unregistered-protocol"]
 
 
 @pytest.mark.req("BP-DRG-05")
@@ -489,7 +489,7 @@ def test_inactive_means_silence(version):
     assert rig.bp.activate(rig.now).status is OK
     assert rig.bp.poll_timeout() > rig.now
     assert rig.beacon().bp.seqno == 1
-    assert rig.receive(rig.forge((7, b"B"))) == ([(7, b"B")], [])
+    assert rig.receive(rig.builder((7, b"B"))) == ([(7, b"B")], [])
 
 
 @pytest.mark.req("BP-MGT-03")
@@ -499,7 +499,7 @@ def test_what_is_received_while_inactive_is_lost(version):
     rig = Rig(version)
     rig.register(7)
     rig.bp.deactivate()
-    assert rig.reasons(rig.forge((7, b"A"))) == ["inactive"]
+    assert rig.reasons(rig.builder((7, b"A"))) == ["inactive"]
     assert rig.reasons(b"garbage") == ["inactive"]
     before = len(rig.effects)
     rig.bp.activate(rig.now)
@@ -553,7 +553,7 @@ def test_bp_starts_active(version):
     rig.register(7)
     rig.submit(b"A")
     assert rig.tick() == [(7, b"A")]
-    assert rig.receive(rig.forge((7, b"B")))[0] == [(7, b"B")]
+    assert rig.receive(rig.builder((7, b"B")))[0] == [(7, b"B")]
 
 
 # -- misuse by our own caller -------------------------------------------------------------------------------------

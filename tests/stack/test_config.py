@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import msgspec
 import pytest
-from dcp_spec.profile_loading import profile_names
+from dcp_spec.profile.loading import profile_names
 
 from dcp_codec import Codec
 from dcp_codec.values import Container, VarDelete
 from dcp_stack.config import BPConfig, NodeConfig, VardisConfig
-from dcp_stack.vardis_parameters import VardisParameters
+from dcp_stack.vardis.parameters import VardisParameters
 
 
 def config(profile: str, **rest: object) -> NodeConfig:

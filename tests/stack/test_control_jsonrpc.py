@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dcp_stack.bp_services import StatusConfirm
+from dcp_stack.bp.services import StatusConfirm
 from dcp_stack.control import METHODS
 from dcp_stack.control import server as server_module
 from dcp_stack.control.jsonrpc import MAX_LINE, LineBuffer, RpcError

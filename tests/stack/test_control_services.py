@@ -5,7 +5,7 @@ from __future__ import annotations
 import random
 
 import pytest
-from dcp_spec.profile_loading import profile_names
+from dcp_spec.profile.loading import profile_names
 
 from dcp_codec import Codec
 from dcp_codec.values import Beacon, BPHeader, Payload

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from dcp_spec.profile import Link as Framing
+from dcp_spec.profile.definition import Link as Framing
 
 from dcp_codec.codec import Codec
 from dcp_stack.config import NodeConfig

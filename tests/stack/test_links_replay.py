@@ -6,11 +6,11 @@ import math
 from pathlib import Path
 
 import pytest
-from dcp_spec.profile import Link
+from dcp_spec.profile.definition import Link
 
 from dcp_codec.capture import Frame, create_capture, open_capture
 from dcp_codec.codec import Codec
-from dcp_codec.envelope import Envelope
+from dcp_codec.framing.envelope import Envelope
 from dcp_stack.links.base import LinkError, TimedLink
 from dcp_stack.links.replay import PORTION, ReplayLink, open_replay
 

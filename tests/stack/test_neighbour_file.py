@@ -19,7 +19,7 @@ import pytest
 from dcp_codec.codec import get_codec
 from dcp_codec.values import ExtendedSafetyData
 from dcp_stack.neighbour_file import NeighbourFileError, NeighbourFileReader, NeighbourFileWriter
-from dcp_stack.neighbours import NeighbourTable
+from dcp_stack.srp.neighbour_table import NeighbourTable
 
 from ..waiting import PATIENCE
 
@@ -165,7 +165,7 @@ def test_a_killed_writer_leaves_a_table_and_can_be_followed(path):
         "import os, sys, signal\n"
         "from dcp_codec.codec import get_codec\n"
         "from dcp_stack.neighbour_file import NeighbourFileWriter\n"
-        "from dcp_stack.neighbours import NeighbourTable\n"
+        "from dcp_stack.srp.neighbour_table import NeighbourTable\n"
         "codec = get_codec('dcp-2.0')\n"
         "writer = NeighbourFileWriter(sys.argv[1], codec.profile, b'abcdef', now=1, wall=2)\n"
         "writer.publish(NeighbourTable(codec.profile, capacity=1), now=3, wall=4)\n"

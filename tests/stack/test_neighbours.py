@@ -5,15 +5,15 @@ from __future__ import annotations
 import math
 
 import pytest
-from dcp_spec.profile import TimestampType
+from dcp_spec.profile.definition import TimestampType
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from dcp_codec.codec import get_codec
 from dcp_codec.values import ExtendedSafetyData
-from dcp_stack.neighbours import RESTART_GAP, NeighbourTable
 from dcp_stack.positions import Motion, closest_approach
 from dcp_stack.positions.geometry import distance, velocity_between
+from dcp_stack.srp.neighbour_table import RESTART_GAP, NeighbourTable
 from dcp_stack.timestamps import StampClock
 
 S = 10**9

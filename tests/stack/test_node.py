@@ -5,7 +5,7 @@ from __future__ import annotations
 import random
 
 import pytest
-from dcp_spec.profile_loading import load_profile, profile_names
+from dcp_spec.profile.loading import load_profile, profile_names
 from dcp_spec.status import BPStatus
 from hypothesis import given, settings
 from hypothesis import strategies as st

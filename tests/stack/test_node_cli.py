@@ -14,7 +14,7 @@ from typing import NamedTuple
 import pytest
 from rich.console import Console
 
-from dcp_codec import interfaces
+from dcp_codec.network import interfaces
 from dcp_stack.cli import main
 from dcp_stack.cli.common import fitted, octets_given
 from dcp_stack.cli.monitor import Rates, view

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from dcp_stack.sim.expectations import judge_all
-from dcp_stack.sim.loading import load_scenario, parse_topology
-from dcp_stack.sim.player import Simulation, simulate
-from dcp_stack.sim.report import NodeTraffic, Report, lines
-from dcp_stack.sim.scenario import BeaconRate, Converged, Scenario, ScenarioError, Topology
+from dcp_stack.sim.scenario.definition import BeaconRate, Converged, Scenario, ScenarioError, Topology
+from dcp_stack.sim.scenario.expectations import judge_all
+from dcp_stack.sim.scenario.loading import load_scenario, parse_topology
+from dcp_stack.sim.scenario.report import NodeTraffic, Report, lines
+from dcp_stack.sim.virtual.player import Simulation, simulate
 
 LINE = 'nodes = 5\nduration_s = 20\ntopology = "line"\n'
 

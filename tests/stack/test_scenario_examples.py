@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from dcp_stack.sim.loading import load_scenario
-from dcp_stack.sim.player import simulate
-from dcp_stack.sim.report import lines
+from dcp_stack.sim.scenario.loading import load_scenario
+from dcp_stack.sim.scenario.report import lines
+from dcp_stack.sim.virtual.player import simulate
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 STATION = EXAMPLES / "base-station"

@@ -7,10 +7,7 @@ from hypothesis import strategies as st
 
 from dcp_stack.config import SRPConfig
 from dcp_stack.effects import NeighbourSeen
-from dcp_stack.sim.hearing import MOST_WAITING, HearingNode
-from dcp_stack.sim.loading import parse_topology
-from dcp_stack.sim.player import Simulation
-from dcp_stack.sim.scenario import (
+from dcp_stack.sim.scenario.definition import (
     Activate,
     Create,
     Deactivate,
@@ -25,6 +22,9 @@ from dcp_stack.sim.scenario import (
     Up,
     Update,
 )
+from dcp_stack.sim.scenario.loading import parse_topology
+from dcp_stack.sim.virtual.hearing import MOST_WAITING, HearingNode
+from dcp_stack.sim.virtual.player import Simulation
 
 from ..chance import examples
 

@@ -12,11 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dcp_stack.effects import VariableChanged
-from dcp_stack.sim.loading import load_scenario, parse_topology
 from dcp_stack.sim.measuring import Consistency
-from dcp_stack.sim.player import Simulation, simulate
-from dcp_stack.sim.report import lines
-from dcp_stack.sim.scenario import (
+from dcp_stack.sim.scenario.definition import (
     Create,
     Down,
     Heal,
@@ -29,6 +26,9 @@ from dcp_stack.sim.scenario import (
     Topology,
     Update,
 )
+from dcp_stack.sim.scenario.loading import load_scenario, parse_topology
+from dcp_stack.sim.scenario.report import lines
+from dcp_stack.sim.virtual.player import Simulation, simulate
 
 from ..chance import examples
 

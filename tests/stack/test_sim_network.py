@@ -12,12 +12,12 @@ from dcp_stack.config import SRPConfig, VardisConfig
 from dcp_stack.control.client import ServiceError
 from dcp_stack.links.topology import Line
 from dcp_stack.node import Node
-from dcp_stack.sim.agreement import Agreement, ConvergenceClock, Known
-from dcp_stack.sim.defaults import default_scenario
-from dcp_stack.sim.loading import parse_topology
-from dcp_stack.sim.network import Network, node_id
-from dcp_stack.sim.player import Simulation, simulate
-from dcp_stack.sim.scenario import LinkQuality, Scenario, Topology, Tracks
+from dcp_stack.sim.scenario.agreement import Agreement, ConvergenceClock, Known
+from dcp_stack.sim.scenario.defaults import default_scenario
+from dcp_stack.sim.scenario.definition import LinkQuality, Scenario, Topology, Tracks
+from dcp_stack.sim.scenario.loading import parse_topology
+from dcp_stack.sim.virtual.network import Network, node_id
+from dcp_stack.sim.virtual.player import Simulation, simulate
 
 from ..chance import examples
 

@@ -12,14 +12,14 @@ from dcp_spec.status import BPStatus, SRPStatus
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dcp_codec import strategies
 from dcp_codec.codec import get_codec
 from dcp_codec.errors import EncodeError
+from dcp_codec.testing import strategies
 from dcp_codec.values import ExtendedSafetyData
 from dcp_stack.config import MS, NodeConfig, SRPConfig
 from dcp_stack.effects import Dropped, NeighbourExpired, NeighbourSeen
 from dcp_stack.positions.fields import FieldError
-from dcp_stack.srp import TIMEOUT, NotInitializedError, StateReporting
+from dcp_stack.srp.entity import TIMEOUT, NotInitializedError, StateReporting
 
 OWN = bytes.fromhex("0200000000aa")
 OTHER = bytes.fromhex("0200000000bb")
@@ -459,12 +459,22 @@ def test_reports_keep_a_neighbour_alive():
     assert len(bench.srp.neighbours) == 1
 
 
-def test_early_calls_do_nothing():
+def test_a_call_for_another_reason_traverses_from_half_the_interval_on():
     bench = Bench()
     bench.receive(bench.report(), now=0)
-    due = bench.srp.poll_timeout()
-    bench.srp.handle_timeout(due - 1, WALL)
-    assert bench.srp.poll_timeout() == due
+    assert bench.srp.poll_timeout() == 500 * MS
+    bench.srp.handle_timeout(250 * MS - 1, WALL)
+    assert bench.srp.poll_timeout() == 500 * MS
+    bench.srp.handle_timeout(250 * MS, WALL)
+    assert bench.srp.poll_timeout() == 750 * MS
+
+
+def test_called_for_each_beacon_it_never_has_to_wake():
+    bench = Bench()
+    bench.receive(bench.report(), now=0)
+    for beacon in range(1, 30):
+        assert bench.srp.poll_timeout() > beacon * 100 * MS
+        bench.srp.handle_timeout(beacon * 100 * MS, WALL)
 
 
 def test_a_shorter_timeout_holds_at_once():

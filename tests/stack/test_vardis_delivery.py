@@ -13,7 +13,7 @@ from dcp_stack.cli import status, var
 from dcp_stack.config import NodeConfig
 from dcp_stack.control import ControlServer
 from dcp_stack.node import Node
-from dcp_stack.vardis_delivery import ASKED_OFTEN, MOST_ENTRIES
+from dcp_stack.vardis.delivery import ASKED_OFTEN, MOST_ENTRIES
 
 from .vardis_rig import ME, MS, OTHER, THIRD, WALL, Rig, VarReqCreate, VarReqUpdate, VarSumm
 
@@ -50,6 +50,17 @@ def test_requests_of_several_neighbours_are_counted_apart() -> None:
             rig.vardis.hears(peer)
             rig.receive(VarReqUpdate(7, 0))
     assert found(rig) == []
+
+
+def test_a_neighbour_has_asked_until_it_shows_what_it_asked_for() -> None:
+    rig = Rig()
+    rig.create()
+    delivery = rig.vardis._core.delivery
+    rig.vardis.hears(OTHER)
+    rig.receive(VarReqCreate(7))
+    assert (delivery.asked_by(OTHER), delivery.asked_by(THIRD)) == (True, False)
+    rig.receive(VarSumm(7, 0))
+    assert not delivery.asked_by(OTHER)
 
 
 def test_what_is_counted_is_bounded() -> None:

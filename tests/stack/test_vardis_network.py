@@ -28,7 +28,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, pr
 
 from dcp_stack.config import NodeConfig, VardisConfig
 from dcp_stack.effects import Dropped, VariableChanged
-from dcp_stack.vardis import Vardis
+from dcp_stack.vardis.entity import Vardis
 
 from ..chance import examples
 from .vardis_rig import MS, WALL, OneSlot, Rig

@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dcp_codec import get_codec, strategies
+from dcp_codec import get_codec
+from dcp_codec.testing import strategies
 from dcp_stack.effects import Dropped, VariableChanged
 
 from .vardis_rig import (

@@ -7,7 +7,7 @@ from dcp_spec.constants import QueueingMode
 from dcp_spec.status import BPStatus, VardisStatus
 
 from dcp_stack.config import NodeConfig
-from dcp_stack.vardis import Vardis
+from dcp_stack.vardis.entity import Vardis
 
 from .vardis_rig import ME, MS, OTHER, VERSIONS, WALL, OneSlot, Rig, VarCreate, VarDelete, VarSumm, VarUpdate
 

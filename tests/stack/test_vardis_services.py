@@ -12,7 +12,7 @@ from dcp_spec.status import VardisStatus
 
 from dcp_codec import Codec, get_codec
 from dcp_stack.effects import VariableChanged
-from dcp_stack.vardis_confirms import NoResponseError
+from dcp_stack.vardis.confirms import NoResponseError
 
 from .vardis_rig import ME, MS, OTHER, VERSIONS, WALL, Rig, VarCreate, VarDelete, VarSumm, VarUpdate
 

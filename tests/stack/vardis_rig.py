@@ -22,7 +22,7 @@ from dcp_codec.values import (
 )
 from dcp_stack.config import BPConfig, NodeConfig, VardisConfig
 from dcp_stack.effects import Dropped, Effect, VariableChanged
-from dcp_stack.vardis import Vardis
+from dcp_stack.vardis.entity import Vardis
 
 MS = 1_000_000
 WALL = 1_700_000_000_000_000_000

@@ -12,12 +12,12 @@ from typing import Any
 import pyarrow as pa
 import pytest
 from dcp_spec.constants import BP_PROTID_SRP
-from dcp_spec.profile import Link
+from dcp_spec.profile.definition import Link
 
 from dcp_codec import Codec, Field, Payload, get_codec
 from dcp_codec.capture import Frame, open_capture
-from dcp_codec.frames import FrameDissector
-from dcp_codec.framing import OtherTraffic, locate, mac
+from dcp_codec.framing.frames import FrameDissector
+from dcp_codec.framing.locate import OtherTraffic, locate, mac
 from dcp_codec.jsonform import beacon_json
 
 from ..odd_profiles import NAMES, codec_of

@@ -20,12 +20,12 @@ from pyarrow import parquet
 from dcp_codec import get_codec
 from dcp_codec.capture import Frame, convert
 from dcp_codec.table import ColumnDecoder, Recording
-from dcp_codec.table.compiled import cache_folder
-from dcp_codec.table.jit import machine, options_of
-from dcp_codec.table.pools import Pool
-from dcp_codec.table.sources import packed
-from dcp_codec.table.stage import MOVED, OF_A_FRAME
-from dcp_codec.table.writing import ParquetTable
+from dcp_codec.table.input.sources import packed
+from dcp_codec.table.kernel.compiled import cache_folder
+from dcp_codec.table.kernel.jit import machine, options_of
+from dcp_codec.table.kernel.pools import Pool
+from dcp_codec.table.kernel.row_buffer import MOVED, OF_A_FRAME
+from dcp_codec.table.parquet_output import ParquetTable
 
 
 def tables(batches: Any) -> dict[str, pa.Table]:
@@ -224,7 +224,8 @@ def test_what_was_compiled_is_kept(tmp_path):
 _SEVERAL = """
 from numba.core.caching import NullCache
 from numba.core.dispatcher import Dispatcher
-from dcp_codec.table import jit, messages, walkers
+from dcp_codec.table.input import mcap_messages as messages, walkers
+from dcp_codec.table.kernel import jit
 for function in (messages.walk_messages, walkers.walk_pcap, walkers.walk_pcapng):
     compiled = jit.machine(function)
     assert isinstance(compiled, Dispatcher) and not isinstance(compiled._cache, NullCache)

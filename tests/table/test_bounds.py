@@ -11,17 +11,17 @@ from typing import Any
 
 import numpy as np
 import pytest
-from dcp_conformance.forge import Forge
+from dcp_conformance.frames.builder import FrameBuilder
 from dcp_spec.constants import ICType
 
 from dcp_codec import Codec
-from dcp_codec.layout import walk
-from dcp_codec.plan import Group, Many, Scalar, Text
+from dcp_codec.plan.layout import walk
+from dcp_codec.plan.tree import Group, Many, Scalar, Text
 from dcp_codec.table import ColumnDecoder
-from dcp_codec.table.compiled import PLAIN, function_of
-from dcp_codec.table.kernel import kernel_source
-from dcp_codec.table.sources import packed
-from dcp_codec.table.stage import MOVED, OF_A_FRAME
+from dcp_codec.table.input.sources import packed
+from dcp_codec.table.kernel.compiled import PLAIN, function_of
+from dcp_codec.table.kernel.generator import kernel_source
+from dcp_codec.table.kernel.row_buffer import MOVED, OF_A_FRAME
 from dcp_codec.values import VarReqCreate
 
 from .test_decoding import framed
@@ -63,14 +63,16 @@ class Watch:
 
 def beacon_of_requests(codec: Codec, octets: int, behind: bytes = b"") -> bytes:
     """A beacon of at most so many octets, with as many VarReqCreates as there is room for; ``behind`` follows them."""
-    forge = Forge(codec)
+    builder = FrameBuilder(codec)
     record = VarReqCreate(1)
     sender = b"\2" * (codec.profile.types.node_id.width or 1)
 
     def beacon(number: int) -> bytes:
         full, rest = divmod(number, 255)
-        containers = [forge.container(*[record] * 255)] * full + ([forge.container(*[record] * rest)] if rest else [])
-        return forge.beacon(sender, 1, [forge.vardis(*containers, behind)])
+        containers = [builder.container(*[record] * 255)] * full + (
+            [builder.container(*[record] * rest)] if rest else []
+        )
+        return builder.beacon(sender, 1, [builder.vardis(*containers, behind)])
 
     # Lists of 255 have a header of at least two octets.
     fewest, most = 1, octets * 255 // 257
@@ -129,8 +131,8 @@ def test_records_that_are_cut_off_stay_in_the_stage(watched):
     """Of a record that is not there the keys are written before that is seen."""
     decoder, watch = watched
     high = decoder._stage.rows
-    forge = Forge(decoder.codec)
-    missing = forge.empty_container(forge.ic_type(ICType.UPDATES), 1)
+    builder = FrameBuilder(decoder.codec)
+    missing = builder.empty_container(builder.ic_type(ICType.UPDATES), 1)
     beacons = [beacon_of_requests(decoder.codec, size, missing) for size in (high - MOVED, high)]
     found = decoded_rows(decoder, beacons)
     # The machine code takes all of it back; what is sound has its rows from another decoder.

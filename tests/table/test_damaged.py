@@ -7,9 +7,9 @@ import pytest
 
 from dcp_codec import Beacon, BPHeader, Container, Payload, VarSumm, get_codec
 from dcp_codec.capture import Frame
-from dcp_codec.envelope import Envelope
+from dcp_codec.framing.envelope import Envelope
 from dcp_codec.table.decoding import ColumnDecoder
-from dcp_codec.table.sources import packed
+from dcp_codec.table.input.sources import packed
 
 SENDER = bytes.fromhex("020000000001")
 CODEC = get_codec("cpp-1.3")

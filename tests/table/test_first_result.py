@@ -14,7 +14,7 @@ from pyarrow import parquet
 from dcp_codec.capture import convert, create_capture, open_capture
 from dcp_codec.table.archive import Order, make
 from dcp_codec.table.decoding import LITTLE, worth_compiling
-from dcp_codec.table.jit import COMPILING
+from dcp_codec.table.kernel.jit import COMPILING
 
 CAPTURES = Path(__file__).resolve().parents[2] / "captures"
 A_BUS = CAPTURES / "a_bus3.mcap"
@@ -97,3 +97,26 @@ def test_duckdb_is_asked_for_before_anything_is_decoded(tmp_path, long_recording
     assert done.returncode == 2
     assert "duckdb is not installed: pip install 'dcp-conformance-kit[duckdb]'" in done.stderr
     assert list(tmp_path.iterdir()) == []
+
+
+_IMPORTED = """
+import sys
+from dcp_codec.cli import main
+try:
+    main()
+finally:
+    print(*sorted({"pandas", "numba"} & sys.modules.keys()))
+"""
+
+
+@pytest.mark.parametrize(("command", "out"), [("table", "tables"), ("report", "page.html")])
+def test_nothing_heavy_is_imported_for_a_small_recording(tmp_path, command, out):
+    """Arrow imports pandas, where that is installed, to find out what a list is: 0.2 s. So it gets no lists."""
+    done = subprocess.run(
+        [sys.executable, "-c", _IMPORTED, command, A_BUS, "--out", tmp_path / out],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout == "\n"
+    assert (tmp_path / out).exists()

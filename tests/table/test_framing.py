@@ -1,4 +1,4 @@
-"""Machine code finds the bearer payload where ``dcp_codec.framing`` finds it, in every frame there is."""
+"""Machine code finds the bearer payload where ``dcp_codec.framing.locate`` finds it, in every frame there is."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from dcp_spec.profile import Link
+from dcp_spec.profile.definition import Link
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dcp_codec.framing import OtherTraffic, locate
-from dcp_codec.table import native
-from dcp_codec.table.jit import machine
+from dcp_codec.framing.locate import OtherTraffic, locate
+from dcp_codec.table.kernel import native
+from dcp_codec.table.kernel.jit import machine
 
 from ..chance import examples
 

@@ -23,7 +23,8 @@ from dcp_codec import get_codec, open_table
 from dcp_codec.capture import convert
 from dcp_codec.cli import main
 from dcp_codec.table import TABLES
-from dcp_codec.table.archive import Order, TableError, make
+from dcp_codec.table.archive import Order, make
+from dcp_codec.table.job import TableError
 
 ROOT = Path(__file__).resolve().parents[2]
 CAPTURES = ROOT / "captures"

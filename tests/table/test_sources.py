@@ -13,8 +13,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.writer import Writer
 
-from dcp_codec.capture import FORMATS, CaptureError, Frame, open_capture, rawframe
-from dcp_codec.capture.mcapfile import RECORD_HEAD
+from dcp_codec.capture import FORMATS, CaptureError, Frame, open_capture
+from dcp_codec.capture.mcap import raw_frame as rawframe
+from dcp_codec.capture.mcap.reader import RECORD_HEAD
 from dcp_codec.table import Recording
 
 from ..capture import test_pcapng as pcapng

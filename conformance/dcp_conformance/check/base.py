@@ -6,19 +6,19 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, ClassVar, NamedTuple
 
 from dcp_spec.constants import Features, features
-from dcp_spec.profile import Profile
+from dcp_spec.profile.definition import Profile
 
 from dcp_codec.codec import Codec
-from dcp_codec.dissect import Dissection
 from dcp_codec.values import VarSumm
-from dcp_conformance.heard import Heard, Instruction
-from dcp_conformance.pics import Pics
-from dcp_conformance.results import Mark
-from dcp_conformance.verdict import Verdict
+from dcp_codec.views.dissect import Dissection
+from dcp_conformance.frames.received import Instruction, ReceivedBeacon
+from dcp_conformance.model.pics import Pics
+from dcp_conformance.model.results import Mark
+from dcp_conformance.model.verdict import Verdict
 
-from .lives import Lives
-from .said import CREATE, DELETE, SUMMARY, UPDATE, Part, Said, parts_of, said_of, speaker
+from .lifetimes import Lifetimes
 from .senders import Senders
+from .statements import CREATE, DELETE, SUMMARY, UPDATE, Part, Statement, parts_of, said_of, speaker
 from .stations import Origin, Stations
 
 #: Findings of one invariant that are shown with their frames; all are counted.
@@ -40,8 +40,8 @@ class Trace(NamedTuple):
 class News(NamedTuple):
     """A record that is not just the summary of what the node has said before."""
 
-    said: Said
-    before: Said | None
+    said: Statement
+    before: Statement | None
     """The last create, update or summary of the variable by this node, if no beacon of it is missing since, and it has
     not deleted the variable."""
 
@@ -71,7 +71,9 @@ class Seen:
         "time",
     )
 
-    def __init__(self, codec: Codec, heard: Heard, frame: bytes, start: int, destination: bytes | None) -> None:
+    def __init__(
+        self, codec: Codec, heard: ReceivedBeacon, frame: bytes, start: int, destination: bytes | None
+    ) -> None:
         self.heard = heard
         self.number = heard.number
         """As in the recording."""
@@ -88,7 +90,7 @@ class Seen:
         self._codec = codec
         self._dissection: Dissection | None = None
         self._parts: list[Part] | None = None
-        self._said: tuple[Said, ...] | None = None
+        self._said: tuple[Statement, ...] | None = None
         self._trace: Trace | None = None
         self.news: Sequence[News] = ()
         """What it says of variables, in order, without ``again``. Set by :meth:`Context.feed`."""
@@ -116,7 +118,7 @@ class Seen:
         return self._parts
 
     @property
-    def said(self) -> tuple[Said, ...]:
+    def said(self) -> tuple[Statement, ...]:
         """All that it says of variables, in order. Costs more than ``parts`` and ``news``, which say the same."""
         if self._said is None:
             found = [said_of(part.kind, each, self.heard, self.sender) for part in self.parts for each in part.records]
@@ -147,7 +149,7 @@ class Finding(NamedTuple):
     """What follows for the network, in a sentence; empty: what generally follows."""
 
 
-Evidence = Seen | Trace | Said | Instruction | Mark
+Evidence = Seen | Trace | Statement | Instruction | Mark
 """What can be cited."""
 
 
@@ -165,7 +167,7 @@ class _Spoken:
         """:attr:`Sender.unbroken` when what it had said was last forgotten."""
         self.numbers: dict[int, int] = {}
         """By variable: the number that it stated last."""
-        self.last: dict[int, Said] = {}
+        self.last: dict[int, Statement] = {}
         """By variable: the record with which it did that first, or the last one that is no summary."""
         self.again: dict[int, Stamp] = {}
         """By variable: the last summary after that one, which tells the same number."""
@@ -193,7 +195,7 @@ class Context:
         self.stations = Stations(MOST_SENDERS)
         self.shared: dict[type, object] = {}
         """What several invariants make together, by its class."""
-        self.lives = Lives(self.senders, MOST_VARIABLES, creation_time=self.features.creation_time)
+        self.lives = Lifetimes(self.senders, MOST_VARIABLES, creation_time=self.features.creation_time)
         self.now: int | None = None
         """The time of the frame that is being judged, in ns since 1970; None before and after the recording."""
         self.withheld: dict[str, str] = {}
@@ -252,16 +254,16 @@ class Context:
                     spoken.again[var_id] = stamp
                     count += 1
                 else:
-                    news.append(self._news(Said(kind, record, *stamp, node, var_id, number), spoken))
+                    news.append(self._news(Statement(kind, record, *stamp, node, var_id, number), spoken))
         seen.news, seen.again = news, count
 
-    def _news(self, each: Said, spoken: _Spoken) -> News:
+    def _news(self, each: Statement, spoken: _Spoken) -> News:
         """A record, with what the node said before; remembers it."""
         kind, var_id = each.kind, each.var_id
         before = spoken.last.get(var_id)
         if before is not None and (stamp := spoken.again.get(var_id)) is not None:
             number = before.number
-            before = Said(SUMMARY, VarSumm(var_id, number), *stamp, each.sender, var_id, number)
+            before = Statement(SUMMARY, VarSumm(var_id, number), *stamp, each.sender, var_id, number)
         if kind is SUMMARY or kind is UPDATE or kind is CREATE:
             if before is None:
                 if self._pairs >= MOST_VARIABLES:
@@ -417,7 +419,7 @@ class Invariant:
             return what
         if isinstance(what, Seen | Trace):
             return Mark(what.number)
-        if isinstance(what, Said):
+        if isinstance(what, Statement):
             return Mark(what.frame, path=f"{what.kind.label} {what.var_id}")
         return Mark(what.heard.number, path=f"{what.kind.label} {what.var_id}")
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from .said import Said
+from .statements import Statement
 
 #: Of so many occasions this part must be missed for a verdict; of fewer, down to the last number, every one.
 _OCCASIONS, _MISSED, _FEWEST = 5, 0.8, 4
@@ -13,9 +13,9 @@ class Counter:
 
     def __init__(self) -> None:
         self.occasions = self.missed = 0
-        self.examples: list[Said] = []
+        self.examples: list[Statement] = []
 
-    def note(self, cause: Said, *, missed: bool) -> None:
+    def note(self, cause: Statement, *, missed: bool) -> None:
         """One more occasion."""
         self.occasions += 1
         if missed:

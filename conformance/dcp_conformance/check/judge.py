@@ -10,18 +10,18 @@ from typing import Final
 
 import msgspec
 
+from dcp_codec.analysis.holdings import History
 from dcp_codec.capture.frame import Frame
 from dcp_codec.codec import Codec
-from dcp_codec.framing import OtherTraffic, locate
-from dcp_codec.holdings import History
+from dcp_codec.framing.locate import OtherTraffic, locate
 from dcp_codec.values import Beacon
-from dcp_conformance.case import Case, Kind
-from dcp_conformance.declared import declarations
-from dcp_conformance.heard import Heard
-from dcp_conformance.moment import timestamp
-from dcp_conformance.outcome import assemble
-from dcp_conformance.pics import Pics
-from dcp_conformance.results import (
+from dcp_conformance.frames.received import ReceivedBeacon
+from dcp_conformance.model.case import Case, Kind
+from dcp_conformance.model.declared import declarations
+from dcp_conformance.model.moment import timestamp
+from dcp_conformance.model.outcome import assemble
+from dcp_conformance.model.pics import Pics
+from dcp_conformance.model.results import (
     CaseResult,
     Check,
     EventRecord,
@@ -30,23 +30,21 @@ from dcp_conformance.results import (
     RunResult,
     Sut,
 )
-from dcp_conformance.verdict import Verdict, worst
+from dcp_conformance.model.verdict import Verdict, worst
 
-from . import (
-    rules_bp,
-    rules_data,
-    rules_dialogue,
-    rules_network,
-    rules_repetition,
-    rules_srp,
-    rules_vardis,
-    rules_variables,
-)
 from .base import Context, Finding, Invariant, Seen, name
 from .places import placed
 from .reception import reception_of
 from .reception.links import summary
-from .said import ASK_CREATE, ASK_UPDATE
+from .rules import bp as rules_bp
+from .rules import data as rules_data
+from .rules import dialogue as rules_dialogue
+from .rules import network as rules_network
+from .rules import repetition as rules_repetition
+from .rules import srp as rules_srp
+from .rules import vardis as rules_vardis
+from .rules import variables as rules_variables
+from .statements import ASK_CREATE, ASK_UPDATE
 from .wording import CONSEQUENCES
 
 RULES: tuple[type[Invariant], ...] = (
@@ -149,7 +147,7 @@ class Judge:
         if self._first is None:
             self._first = frame.time_ns
         octets = frame.data[framing.start : framing.end]
-        heard = Heard(self._codec, frame.number, frame.time_ns, frame.time_ns, octets, framing.src or b"")
+        heard = ReceivedBeacon(self._codec, frame.number, frame.time_ns, frame.time_ns, octets, framing.src or b"")
         seen = Seen(self._codec, heard, frame.data, framing.start, framing.dst)
         if seen.sender in self._senders or len(self._senders) < 4096:
             self._senders[seen.sender] = self._senders.get(seen.sender, 0) + 1

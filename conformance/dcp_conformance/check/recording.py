@@ -7,22 +7,22 @@ import statistics
 from pathlib import Path
 
 import msgspec
-from dcp_spec.profile import Profile
-from dcp_spec.profile_loading import ProfileError
-from dcp_spec.usability import RECORD_KEYS, unusable_keys
+from dcp_spec.profile.definition import Profile
+from dcp_spec.profile.loading import ProfileError
+from dcp_spec.profile.usability import RECORD_KEYS, unusable_keys
 
+from dcp_codec.analysis.guess import Guess, guess, sample
 from dcp_codec.capture import CaptureError, open_capture
 from dcp_codec.cli.common import progress
 from dcp_codec.codec import Codec
-from dcp_codec.commandline import say
-from dcp_codec.ethertype import parse_ether_type
-from dcp_codec.frames import with_ether_type
-from dcp_codec.framing import OtherTraffic, locate
-from dcp_codec.guess import Guess, guess, sample
+from dcp_codec.common.commandline import say
+from dcp_codec.framing.ethertype import parse_ether_type
+from dcp_codec.framing.frames import with_ether_type
+from dcp_codec.framing.locate import OtherTraffic, locate
 from dcp_conformance.errors import UsageError
-from dcp_conformance.heard import Heard
-from dcp_conformance.pics import Pics
-from dcp_conformance.results import RunResult
+from dcp_conformance.frames.received import ReceivedBeacon
+from dcp_conformance.model.pics import Pics
+from dcp_conformance.model.results import RunResult
 
 from .judge import Judge
 from .versions import Versions, undecided, weakness
@@ -126,7 +126,7 @@ class _Choice:
 
 def _period(path: Path, codec: Codec) -> float | None:
     """The longest beacon period of any sender in ms, as the beginning shows it; None if it does not."""
-    last: dict[bytes, Heard] = {}
+    last: dict[bytes, ReceivedBeacon] = {}
     intervals: dict[bytes, list[float]] = {}
     try:
         with open_capture(path) as reader:
@@ -135,7 +135,7 @@ def _period(path: Path, codec: Codec) -> float | None:
                 if isinstance(framing, OtherTraffic):
                     continue
                 octets = frame.data[framing.start : framing.end]
-                heard = Heard(codec, frame.number, frame.time_ns, frame.time_ns, octets, framing.src or b"")
+                heard = ReceivedBeacon(codec, frame.number, frame.time_ns, frame.time_ns, octets, framing.src or b"")
                 who = heard.sender or heard.source
                 before = last.get(who)
                 last[who] = heard

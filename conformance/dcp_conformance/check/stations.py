@@ -12,9 +12,9 @@ from enum import Enum, auto
 
 from dcp_spec.constants import BP_SEQNO_MODULUS
 
-from dcp_conformance.heard import Heard
+from dcp_conformance.frames.received import ReceivedBeacon
 
-from .said import speaker
+from .statements import speaker
 
 #: A beacon continues a sequence of numbers that was so far behind at most.
 _CONTINUES = 20
@@ -55,7 +55,7 @@ class Stations:
         self._last: dict[bytes, int | None] = {}
         """Node identifier -> number of its last beacon, from whatever station."""
 
-    def attribute(self, heard: Heard) -> tuple[bytes, Origin, int | None]:
+    def attribute(self, heard: ReceivedBeacon) -> tuple[bytes, Origin, int | None]:
         """Who speaks in a frame, what the address says about it, and an earlier frame that shows the difference.
 
         The speaker of a forged beacon has a name of its own, which is text: ``"<address> as <identifier>"``.

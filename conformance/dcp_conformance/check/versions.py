@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import msgspec
 
+from dcp_codec.analysis.guess import Guess
 from dcp_codec.capture.frame import Frame
 from dcp_codec.codec import Codec
-from dcp_codec.framing import OtherTraffic, locate
-from dcp_codec.guess import Guess
-from dcp_conformance.results import CaseResult, Check, RunResult, summarise
-from dcp_conformance.verdict import Verdict
+from dcp_codec.framing.locate import OtherTraffic, locate
+from dcp_conformance.model.results import CaseResult, Check, RunResult, summarise
+from dcp_conformance.model.verdict import Verdict
 
 
 def weakness(guess: Guess, path: object) -> str:

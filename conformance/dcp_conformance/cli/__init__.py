@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dcp_codec.commandline import CommandLine
+from dcp_codec.common.commandline import CommandLine
 from dcp_conformance.errors import ConformanceError, LowerTesterError, UpperTesterError
 
 #: What went wrong for want of a link or an upper tester is the tester's trouble, everything else wrong usage.
@@ -27,6 +27,6 @@ main = CommandLine(
     exit_status="0 everything as expected; 1 an unexpected fail or pass; 2 wrong usage, or nothing to run; 3 nothing "
     "unexpected, but something inconclusive; 4 the tester's own trouble; 130 interrupted.",
     failures=_FAILURES,
-    extras={**dict.fromkeys(("jinja2", "scapy"), "conformance"), "pytest": "pytest"},
+    extras={"jinja2": "conformance"},
     fault_status=4,
 )

@@ -15,13 +15,13 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from dcp_codec.commandline import say
+from dcp_codec.common.commandline import say
 from dcp_conformance.errors import UsageError
 
 if TYPE_CHECKING:
     from dcp_codec.codec import Codec
     from dcp_conformance.fuzz import Artefact, Campaign, Limits
-    from dcp_conformance.fuzz.coverage import Coverage
+    from dcp_conformance.fuzz.generate.coverage import Coverage
     from dcp_conformance.fuzz.worker import Make
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -99,11 +99,11 @@ def material(options: dict[str, Any], seed: str | None = None) -> tuple[Codec, r
 
     ``seed``: a worker's own; what it mutates is what all workers of a campaign do.
     """
-    from dcp_spec.profile_loading import ProfileError
-    from dcp_spec.usability import refusal
+    from dcp_spec.profile.loading import ProfileError
+    from dcp_spec.profile.usability import refusal
 
     from dcp_codec.codec import Codec
-    from dcp_codec.mutation import Mutator, drawn_pool
+    from dcp_codec.testing.mutation import Mutator, drawn_pool
 
     try:
         codec = Codec(options["profile"])
@@ -134,13 +134,13 @@ def _chance(options: dict[str, Any]) -> random.Random:
 def swept(options: dict[str, Any]) -> int:
     """How many tests of the sweep the campaign that goes on has done."""
     from dcp_conformance.fuzz.campaign import read_state
-    from dcp_conformance.fuzz.sweep import NAME
+    from dcp_conformance.fuzz.generate.sweep import NAME
 
     return read_state(options["artefacts"]).kinds.get(NAME, 0) if options["resume"] else 0
 
 
 def _recorded(codec: Codec, options: dict[str, Any]) -> list[bytes]:
-    from dcp_conformance.replay import beacons_of
+    from dcp_conformance.execution.replay import beacons_of
 
     recorded: list[bytes] = []
     for path in options["recording"]:
@@ -177,8 +177,8 @@ def run_campaign(
     ``run``: what runs it, unless it does so itself; ``make``: makes another one in a worker, if there may be some.
     """
     from dcp_conformance.errors import LowerTesterError, WorkerError
-    from dcp_conformance.fuzz.evidence import headline
-    from dcp_conformance.fuzz.live import UnhealthyError
+    from dcp_conformance.fuzz.execute.live import UnhealthyError
+    from dcp_conformance.fuzz.findings.description import headline
 
     jobs = options["jobs"] if make is not None else 1
     if options["dry_run"]:
@@ -201,7 +201,7 @@ def run_campaign(
 
         run = partial(run_in_workers, campaign, make, jobs, guided=options["guided"])
     elif options.get("guided"):
-        from dcp_conformance.fuzz.guidance import guide
+        from dcp_conformance.fuzz.generate.guidance import guide
 
         guide(campaign)
     quiet = options["quiet"]
@@ -254,8 +254,8 @@ def run_campaign(
 
 def _tell_end(campaign: Campaign, *, quiet: bool, coverage: bool) -> None:
     """How much was done, and in the end what was found: nothing scrolls that away."""
-    from dcp_conformance.fuzz.coverage import shown
-    from dcp_conformance.fuzz.evidence import summary_lines
+    from dcp_conformance.fuzz.findings.description import summary_lines
+    from dcp_conformance.fuzz.generate.coverage import shown
 
     state = campaign.state
     if coverage:
@@ -299,7 +299,7 @@ def _stopped_by_sigterm() -> Iterator[None]:
 def write_tests(campaign: Campaign, options: dict[str, Any]) -> int:
     """Write the frames of a campaign, and send nothing."""
     from dcp_codec.capture import CaptureError
-    from dcp_conformance.fuzz.artefact import write_frames
+    from dcp_conformance.fuzz.findings.artefact import write_frames
 
     if options["out"] is None:
         raise UsageError("--dry-run writes what would be sent: say where to with --out FILE")

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING
 import click
 import msgspec
 
-from dcp_codec.commandline import say
+from dcp_codec.common.commandline import say
 
 from .options import EXIT_STATUS, Factor, as_typed
 
 if TYPE_CHECKING:
-    from dcp_conformance.case import Case
+    from dcp_conformance.model.case import Case
 
 
 @click.command("check", epilog=EXIT_STATUS)
@@ -51,11 +51,11 @@ def command(
     an occasion for.
     """
     from dcp_conformance.check.recording import judge_versions
-    from dcp_conformance.expected import ExpectedResults
-    from dcp_conformance.outcome import exit_status
-    from dcp_conformance.pics import Pics, load_pics
+    from dcp_conformance.execution.expected import ExpectedResults
+    from dcp_conformance.execution.target import exact
+    from dcp_conformance.model.outcome import exit_status
+    from dcp_conformance.model.pics import Pics, load_pics
     from dcp_conformance.reporting import write_report
-    from dcp_conformance.target import exact
 
     from .display import console, print_summary
 
@@ -91,7 +91,7 @@ def command(
             shown = msgspec.structs.replace(run, notes=()) if quiet else run
             print_summary(shown, report=report)
             if show_requirements:
-                from dcp_spec.requirements import requirements
+                from dcp_spec.catalogue.requirements import requirements
 
                 out = console()
                 out.print(f"  {'requirement':<12} {'verdict':<13} {'occasions':>9}")
@@ -114,8 +114,8 @@ def command(
 
 def _known_cases() -> dict[str, Case]:
     """The cases of a run, whose entries a file of expected results may have, and the invariants of recordings."""
-    from dcp_conformance.case import all_cases
     from dcp_conformance.check.judge import cases
+    from dcp_conformance.model.case import all_cases
 
     return all_cases() | {case.id: case for case in cases()}
 

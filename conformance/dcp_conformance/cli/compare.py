@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 
 import click
 
-from dcp_codec.commandline import say
+from dcp_codec.common.commandline import say
 from dcp_conformance.errors import UsageError
 
 if TYPE_CHECKING:
-    from dcp_conformance.verdict import Verdict
+    from dcp_conformance.model.verdict import Verdict
 
 
 @click.command(

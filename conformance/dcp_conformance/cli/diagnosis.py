@@ -7,7 +7,7 @@ from typing import Any
 
 import msgspec
 
-from dcp_codec.commandline import say
+from dcp_codec.common.commandline import say
 from dcp_conformance.errors import UsageError
 
 #: A diagnosis is good enough if it names this share of the faults, and no more than this share of false ones.
@@ -21,9 +21,9 @@ def make_dictionary(patterns: tuple[str, ...], options: dict[str, Any]) -> int:
     """
     from dcp_conformance.diagnosis import Dictionary
     from dcp_conformance.diagnosis.dictionary import decode, encode
-    from dcp_conformance.diagnosis.making import Outcome, make
-    from dcp_conformance.mutants import all_mutants
-    from dcp_conformance.selftest import chosen
+    from dcp_conformance.selftest.diagnosis.dictionary_making import Outcome, make
+    from dcp_conformance.selftest.mutants import all_mutants
+    from dcp_conformance.selftest.runner import chosen
 
     from .display import progress_bar
 
@@ -62,7 +62,7 @@ def make_dictionary(patterns: tuple[str, ...], options: dict[str, Any]) -> int:
 
 def measure_diagnosis(options: dict[str, Any]) -> int:
     """Diagnose nodes with several faults, and print how many of them are named. Returns the exit status."""
-    from dcp_conformance.diagnosis.measuring import Outcome, draw, measure
+    from dcp_conformance.selftest.diagnosis.measuring import Outcome, draw, measure
 
     from .display import progress_bar
 

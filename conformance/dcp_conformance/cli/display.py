@@ -14,10 +14,12 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextC
 from rich.table import Table
 from rich.text import Text
 
-from dcp_codec.plain import plain
-from dcp_conformance.case import Case
+from dcp_codec.common.printable import plain
 from dcp_conformance.check.wording import moment
-from dcp_conformance.outcome import nothing_decided
+from dcp_conformance.model.case import Case
+from dcp_conformance.model.outcome import nothing_decided
+from dcp_conformance.model.results import CaseResult, Check, RunResult
+from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reporting.overview import (
     Death,
     bad_checks,
@@ -27,8 +29,6 @@ from dcp_conformance.reporting.overview import (
     observed_readings,
     undecided_deaths,
 )
-from dcp_conformance.results import CaseResult, Check, RunResult
-from dcp_conformance.verdict import Verdict
 
 STYLES = {
     Verdict.PASS: "green",
@@ -318,7 +318,7 @@ def _print_finding(out: Console, case: CaseResult) -> None:
     for check in bad[:_CHECKS]:
         if check.expected != previous:
             out.print(f"  expected  {data(check.expected)}", soft_wrap=True)
-        out.print(f"  instead   {data(check.observed)}{_frames(check)}", soft_wrap=True)
+        out.print(f"  observed  {data(check.observed)}{_frames(check)}", soft_wrap=True)
         previous = check.expected
     if len(bad) > _CHECKS:
         out.print(f"            ... and {len(bad) - _CHECKS} more, which the report shows")

@@ -13,16 +13,16 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from dcp_codec.commandline import say
+from dcp_codec.common.commandline import say
 from dcp_conformance.errors import UsageError
 
 from .campaigns import campaign_options, jobs_option, material, no_jobs, profile_text, run_campaign, swept, write_tests
 from .options import target_of, target_options
 
 if TYPE_CHECKING:
+    from dcp_conformance.execution.target import TargetOptions
     from dcp_conformance.fuzz import Artefact, Campaign
     from dcp_conformance.fuzz.steps import Target
-    from dcp_conformance.target import TargetOptions
 
 EXIT_STATUS = (
     "Exit status: 0 nothing found; 1 findings; 2 wrong usage; 3 the implementation was not healthy to begin with, or "
@@ -66,7 +66,7 @@ def codec_command(parts: tuple[str, ...], **options: Any) -> int:
     PARTS: beacon (decode, dissect, encode), capture (pcap, pcapng and MCAP readers), control (the control interface),
     profile and pics (loaders); all of them by default.
     """
-    from dcp_conformance.fuzz.functions import PARTS, FunctionInputs
+    from dcp_conformance.fuzz.execute.functions import PARTS, FunctionInputs
 
     if options["coverage"] in PARTS:
         raise UsageError(f"--coverage {options['coverage']}: this would be a file; put --coverage last")
@@ -78,7 +78,7 @@ def codec_command(parts: tuple[str, ...], **options: Any) -> int:
             return run_campaign(campaign, options, make=make)
     if options["jobs"] > 1:
         raise UsageError("--engine atheris is one process: leave out --jobs")
-    from dcp_conformance.fuzz.engine import run_engine
+    from dcp_conformance.fuzz.execute.atheris_engine import run_engine
 
     part = _only(parts)
     with codec_campaign((part,), options) as campaign:
@@ -92,9 +92,9 @@ def codec_command(parts: tuple[str, ...], **options: Any) -> int:
 @contextlib.contextmanager
 def codec_campaign(parts: tuple[str, ...], options: dict[str, Any], seed: str | None = None) -> Iterator[Campaign]:
     """The campaign of ``fuzz codec``; ``seed`` is a worker's."""
-    from dcp_conformance.fuzz.artefact import SavedTarget
     from dcp_conformance.fuzz.campaign import Campaign
-    from dcp_conformance.fuzz.functions import FunctionInputs, FunctionTarget
+    from dcp_conformance.fuzz.execute.functions import FunctionInputs, FunctionTarget
+    from dcp_conformance.fuzz.findings.artefact import SavedTarget
 
     codec, rng, mutator, _ = material(options, seed)
     inputs = FunctionInputs(codec, rng, mutator, parts)
@@ -132,13 +132,13 @@ def stack_command(**options: Any) -> int:
 @contextlib.contextmanager
 def stack_campaign(options: dict[str, Any], seed: str | None = None) -> Iterator[Campaign]:
     """The campaign of ``fuzz stack``; ``seed`` is a worker's."""
-    from dcp_conformance.fuzz.artefact import SavedTarget
-    from dcp_conformance.fuzz.batches import Lives
     from dcp_conformance.fuzz.campaign import Campaign
-    from dcp_conformance.fuzz.directed import Directed
-    from dcp_conformance.fuzz.replaying import stack_target
-    from dcp_conformance.fuzz.sequences import Sequences
-    from dcp_conformance.fuzz.sweep import Swept
+    from dcp_conformance.fuzz.findings.artefact import SavedTarget
+    from dcp_conformance.fuzz.findings.replaying import stack_target
+    from dcp_conformance.fuzz.generate.directed import Directed
+    from dcp_conformance.fuzz.generate.sequence_batches import Lifetimes
+    from dcp_conformance.fuzz.generate.sequences import Sequences
+    from dcp_conformance.fuzz.generate.sweep import Swept
 
     codec, rng, mutator, recorded = material(options, seed)
     target = stack_target(codec, options["mutant"] or "")
@@ -150,7 +150,7 @@ def stack_campaign(options: dict[str, Any], seed: str | None = None) -> Iterator
     yield Campaign(
         codec,
         target,
-        Lives(sequences),
+        Lifetimes(sequences),
         saved,
         options["seed"],
         mutator=mutator,
@@ -163,15 +163,15 @@ def stack_campaign(options: dict[str, Any], seed: str | None = None) -> Iterator
 
 def _live(options: dict[str, Any], *, differential: bool) -> int:
     """A campaign against an implementation that was opened as 'run' opens it."""
-    from dcp_conformance.fuzz.artefact import SavedTarget
-    from dcp_conformance.fuzz.batches import Batches
+    from dcp_conformance.execution.target import describe, open_target
     from dcp_conformance.fuzz.campaign import Campaign
-    from dcp_conformance.fuzz.directed import Directed
-    from dcp_conformance.fuzz.live import RATE, LiveTarget, UnhealthyError
-    from dcp_conformance.fuzz.replaying import stack_target
-    from dcp_conformance.fuzz.sequences import Sequences
-    from dcp_conformance.fuzz.sweep import Swept
-    from dcp_conformance.target import describe, open_target
+    from dcp_conformance.fuzz.execute.live import RATE, LiveTarget, UnhealthyError
+    from dcp_conformance.fuzz.findings.artefact import SavedTarget
+    from dcp_conformance.fuzz.findings.replaying import stack_target
+    from dcp_conformance.fuzz.generate.directed import Directed
+    from dcp_conformance.fuzz.generate.sequence_batches import Batches
+    from dcp_conformance.fuzz.generate.sequences import Sequences
+    from dcp_conformance.fuzz.generate.sweep import Swept
 
     where = target_of(options)
     if not (where.foreign or where.in_process or options["own_node"]):
@@ -279,8 +279,8 @@ def replay_command(artefacts: tuple[Path, ...], attempts: int, **options: Any) -
 
     ARTEFACTS are files or folders. Those of live implementations need to be told where that is.
     """
-    from dcp_conformance.fuzz.artefact import found_in
-    from dcp_conformance.fuzz.replaying import replay, target_in_process
+    from dcp_conformance.fuzz.findings.artefact import found_in
+    from dcp_conformance.fuzz.findings.replaying import replay, target_in_process
 
     statuses = []
     with contextlib.ExitStack() as stack:
@@ -299,9 +299,9 @@ def _live_target(options: dict[str, Any], stack: Any) -> Callable[[Artefact], Ta
     target = target_of(options)
     if not (target.foreign or target.in_process or options["own_node"]):
         return None
-    from dcp_conformance.fuzz.live import LiveTarget
-    from dcp_conformance.fuzz.replaying import target_in_process
-    from dcp_conformance.target import open_target
+    from dcp_conformance.execution.target import open_target
+    from dcp_conformance.fuzz.execute.live import LiveTarget
+    from dcp_conformance.fuzz.findings.replaying import target_in_process
 
     opened = stack.enter_context(open_target(target))
     opened.runner.prepare()

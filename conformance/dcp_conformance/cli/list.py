@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from dcp_codec.commandline import say
+from dcp_codec.common.commandline import say
 
 from .options import selection_of, selection_options
 
@@ -21,10 +21,10 @@ def command(**options: Any) -> int:
 
     CASES are identifiers of cases or of requirements, or globs of them.
     """
-    from dcp_spec.requirements import requirements
+    from dcp_spec.catalogue.requirements import requirements
 
-    from dcp_conformance.case import all_cases
-    from dcp_conformance.selection import select
+    from dcp_conformance.execution.selection import select
+    from dcp_conformance.model.case import all_cases
 
     selection = selection_of(options)
     # Nothing is run: what takes long is shown, too.

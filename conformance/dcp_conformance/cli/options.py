@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from dcp_conformance.selection import PLANS, Selection
+from dcp_conformance.execution.selection import PLANS, Selection
 
 if TYPE_CHECKING:
-    from dcp_conformance.target import TargetOptions
+    from dcp_conformance.execution.target import TargetOptions
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -106,7 +106,7 @@ def selection_options(function: F) -> F:
                 "--plan",
                 type=click.Choice(PLANS),
                 default="full",
-                help="smoke: the short plan; long: also the cases that take long.",
+                help="smoke: the cases that notice most known faults in 10 s; long: also the cases that take long.",
             ),
         ],
     )
@@ -115,7 +115,7 @@ def selection_options(function: F) -> F:
 def _ether_type(_context: click.Context, _parameter: click.Parameter, value: str | None) -> int | None:
     if value is None:
         return None
-    from dcp_codec.ethertype import parse_ether_type
+    from dcp_codec.framing.ethertype import parse_ether_type
 
     try:
         return parse_ether_type(value)
@@ -126,7 +126,7 @@ def _ether_type(_context: click.Context, _parameter: click.Parameter, value: str
 def target_of(options: dict[str, Any]) -> TargetOptions:
     """The target that options of :func:`target_options` mean."""
     # What opens targets is not needed to say which options there are.
-    from dcp_conformance.target import TargetOptions
+    from dcp_conformance.execution.target import TargetOptions
 
     return TargetOptions(
         profile=options["profile"],

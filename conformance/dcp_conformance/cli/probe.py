@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from dcp_codec.commandline import say
+from dcp_codec.common.commandline import say
 from dcp_conformance.errors import UsageError
 
 from .options import target_of, target_options
@@ -31,14 +31,14 @@ def command(*, seconds: float, passive: bool, output: Path | None, **options: An
 
     What was seen or told is filled in, with the reason; everything else is a comment with a question for you.
     """
-    from dcp_spec.profile_loading import BUILTIN_PROFILES
+    from dcp_spec.profile.loading import BUILTIN_PROFILES
 
     from dcp_codec.codec import Codec
-    from dcp_conformance.pics import UNKNOWN_PROFILE
-    from dcp_conformance.pics_file import write_pics
-    from dcp_conformance.probe import draft
-    from dcp_conformance.target import describe, open_lower
-    from dcp_conformance.upper.opening import open_upper
+    from dcp_conformance.execution.target import describe, open_lower
+    from dcp_conformance.interconnection.probe import draft
+    from dcp_conformance.model.pics import UNKNOWN_PROFILE
+    from dcp_conformance.model.pics_file import write_pics
+    from dcp_conformance.upper_tester.opening import open_upper
 
     target = target_of(options)
     if not target.foreign:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 
 import click
 
-from dcp_codec.commandline import say
+from dcp_codec.common.commandline import say
 from dcp_conformance.errors import UsageError
 
 if TYPE_CHECKING:
@@ -64,9 +64,9 @@ def command(
 
 
 def _show(names: Iterable[str]) -> int:
-    from dcp_spec.origins import link, origins_of
-    from dcp_spec.requirements import UnknownRequirementError
-    from dcp_spec.requirements import requirement as look_up
+    from dcp_spec.catalogue.origins import link, origins_of
+    from dcp_spec.catalogue.requirements import UnknownRequirementError
+    from dcp_spec.catalogue.requirements import requirement as look_up
 
     for name in names:
         try:

@@ -10,9 +10,9 @@ from typing import Any
 import click
 import msgspec
 
-from dcp_codec.commandline import say
+from dcp_codec.common.commandline import say
 from dcp_conformance.errors import UsageError
-from dcp_conformance.node_id import node_id_octets
+from dcp_conformance.model.node_id import node_id_octets
 
 from .options import EXIT_STATUS, as_typed, target_of, target_options
 
@@ -34,11 +34,11 @@ def command(capture: Path, **options: Any) -> int:
     tester also what the applications of that node did. Its answers are judged by an independent model of what the
     specification asks, and the outcome is compared with that of the recorded node.
     """
-    from dcp_conformance.moment import timestamp
-    from dcp_conformance.outcome import assemble, exit_status
-    from dcp_conformance.replay import Replay, ReplayOptions, cast_of, choose_node, decided
+    from dcp_conformance.execution.replay import Replay, ReplayOptions, cast_of, choose_node, decided
+    from dcp_conformance.execution.target import describe, open_target
+    from dcp_conformance.model.moment import timestamp
+    from dcp_conformance.model.outcome import assemble, exit_status
     from dcp_conformance.reporting import make_folder, write_report
-    from dcp_conformance.target import describe, open_target
 
     from .display import print_summary
 

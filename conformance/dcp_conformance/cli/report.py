@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 
 import click
 
-from dcp_codec.commandline import say
+from dcp_codec.common.commandline import say
 from dcp_conformance.errors import UsageError
 
 if TYPE_CHECKING:
-    from dcp_conformance.results import RunResult
+    from dcp_conformance.model.results import RunResult
 
 
 @click.command("report", epilog="Exit status: 0 done; 2 results that cannot be read, or a page that cannot be written.")
@@ -102,7 +102,7 @@ def _export(run: RunResult, issues: Path | None, exports: dict[str, Path | None]
         if path is not None:
             _write(path, make(run))
     if issues is not None:
-        from dcp_conformance.issue_reports import write_issues
+        from dcp_conformance.reporting.issues import write_issues
 
         for path in write_issues(run, issues, codec_of(run)):
             say(str(path))

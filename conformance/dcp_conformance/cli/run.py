@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import shlex
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from dcp_codec.commandline import say
+from dcp_codec.common.commandline import say
 
 from .options import EXIT_STATUS, as_typed, selection_of, selection_options, target_of, target_options
 
 if TYPE_CHECKING:
-    from dcp_conformance.run import ConformanceRun
+    from dcp_conformance.execution.run import ConformanceRun
+    from dcp_conformance.execution.selection import Selection
 
 
 @click.command("run", epilog=EXIT_STATUS, context_settings={"ignore_unknown_options": False})
@@ -24,6 +26,13 @@ if TYPE_CHECKING:
 @click.option(
     "--artefacts", type=click.Path(path_type=Path), metavar="DIR", help="Findings of the fuzzer as cases, too."
 )
+@click.option(
+    "--failed",
+    type=click.Path(path_type=Path),
+    metavar="REPORT",
+    help="First the cases that failed or were undecided in an earlier report (its folder, or results.json).",
+)
+@click.option("--failed-only", is_flag=True, help="With --failed, only these cases.")
 @click.option("--repeat", type=click.IntRange(1), default=1, metavar="N", help="Run everything N times.")
 @click.option("--until-fail", is_flag=True, help="End with the first fail.")
 @click.option(
@@ -37,7 +46,14 @@ if TYPE_CHECKING:
     "--side-by-side",
     type=click.IntRange(1, 64),
     metavar="N",
-    help="The most cases at a time against one implementation; 1: one after the other.  [default: 12, in real time]",
+    help="The most cases at a time against one implementation; 1: one after the other.  [default: 16, in real time]",
+)
+@click.option(
+    "--impair",
+    multiple=True,
+    metavar="KEY=VALUE,...",
+    help="Make the link bad while cases run: loss=0.1,burst=3,delay=5ms,jitter=2ms,duplicate=0.01,reorder=0.02,"
+    "corrupt=0.001; with to: or from: before it in one direction (docs/impairment.md).",
 )
 @click.option("--dry-run", is_flag=True, help="Only show what would be run.")
 @click.option("--verbose", "-v", is_flag=True, help="A line for every case.")
@@ -52,18 +68,18 @@ def command(**options: Any) -> int:
     --interface, --link or --in-process, our own node is started and tested: over a virtual Ethernet in a network
     namespace of its own, or over UDP where that is not possible.
     """
-    from dcp_conformance.lanes import lanes_of, run_in_lanes
-    from dcp_conformance.run import ConformanceRun
-    from dcp_conformance.signals import deferred, ending_like_interrupts
+    from dcp_conformance.execution.parallel import run_in_workers, workers_for
+    from dcp_conformance.execution.run import ConformanceRun
+    from dcp_conformance.execution.signals import deferred, ending_like_interrupts
 
     from .display import Display
 
-    target = target_of(options)
+    target = replace(target_of(options), impair=options["impair"])
     display = Display(verbose=options["verbose"], quiet=options["quiet"])
     extra = shlex.split(options["pytest_options"] or "")
     run = ConformanceRun(
         target,
-        selection_of(options),
+        _failed_first(selection_of(options), options["failed"], only=options["failed_only"]),
         expected=options["expected"],
         artefacts=options["artefacts"],
         repeat=options["repeat"],
@@ -85,13 +101,13 @@ def command(**options: Any) -> int:
         make_folder(report)
     with ending_like_interrupts():
         if extra:
-            from dcp_conformance.plugin import run_with_pytest
+            from dcp_conformance.pytest_plugin import run_with_pytest
 
             run_with_pytest(run, extra)
         else:
-            lanes = lanes_of(run, options["jobs"])
+            workers = workers_for(run, options["jobs"])
             with display:
-                run_in_lanes(run, lanes) if lanes > 1 else run.execute()
+                run_in_workers(run, workers) if workers > 1 else run.execute()
         with deferred():
             _report(run, report)
     return run.exit_status()
@@ -99,11 +115,28 @@ def command(**options: Any) -> int:
 
 def _at_a_time(options: dict[str, Any]) -> int:
     """How many cases are executed at a time against one implementation, unless the user says so."""
-    from dcp_conformance.concurrent import WIDTH
+    from dcp_conformance.execution.concurrent import WIDTH
 
+    if options["impair"]:
+        # Which frame explains what is known for one case at a time.
+        return 1
     if options["side_by_side"] is not None:
         return int(options["side_by_side"])
     return WIDTH if options["interface"] is not None or options["link"] is not None else 1
+
+
+def _failed_first(selection: Selection, report: Path | None, *, only: bool) -> Selection:
+    """The selection with the cases first that did not pass in an earlier report."""
+    if report is None:
+        if only:
+            raise click.UsageError("--failed-only needs --failed REPORT, the report of an earlier run")
+        return selection
+    from dcp_conformance.model.verdict import Verdict
+    from dcp_conformance.reporting import load_results
+
+    bad = (Verdict.FAIL, Verdict.ERROR, Verdict.INCONCLUSIVE)
+    first = frozenset(case.id for case in load_results(report).cases if case.verdict in bad)
+    return replace(selection, first=first, only_first=only)
 
 
 def _report(run: ConformanceRun, folder: Path | None) -> None:

@@ -8,16 +8,16 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from dcp_codec.commandline import say
+from dcp_codec.common.commandline import say
 from dcp_conformance.errors import UsageError
 
 if TYPE_CHECKING:
-    from dcp_conformance.citations.campaign import CitationsResult
-    from dcp_conformance.concurrent.comparison import Comparisons
-    from dcp_conformance.generated.campaign import GeneratedResult
-    from dcp_conformance.selftest import Baseline, SelftestResult, Trial
-    from dcp_conformance.selftest_recordings import CleanResult, FaultyResult
-    from dcp_conformance.variants.campaign import Judged, VariantsResult
+    from dcp_conformance.selftest.citations.campaign import CitationsResult
+    from dcp_conformance.selftest.generated.campaign import GeneratedResult
+    from dcp_conformance.selftest.recordings import CleanResult, FaultyResult
+    from dcp_conformance.selftest.runner import Baseline, SelftestResult, Trial
+    from dcp_conformance.selftest.side_by_side import Comparisons
+    from dcp_conformance.selftest.variants.campaign import Judged, VariantsResult
 
 EXIT_STATUS = (
     "Exit status: 0 our node passes and every mutant is killed by a case that names its requirement; 1 not so; "
@@ -104,6 +104,12 @@ _FEW = 40
     metavar="N",
     help="Diagnose N nodes with two and N nodes with three faults at once, drawn with --seed.",
 )
+@click.option(
+    "--smoke-plan",
+    type=click.Path(dir_okay=False, path_type=Path),
+    metavar="FILE",
+    help="Measure how long each case takes, and choose the cases of the smoke plan by the fault dictionary.",
+)
 @click.option("--list", "listing", is_flag=True, help="Only show the mutants or variants.")
 @click.option("--verbose", "-v", is_flag=True, help="A line for every mutant.")
 @click.option("--quiet", "-q", is_flag=True, help="Only what is wrong, and the numbers.")
@@ -116,6 +122,10 @@ def command(mutants: tuple[str, ...], **options: Any) -> int:
         from .diagnosis import make_dictionary, measure_diagnosis
 
         return measure_diagnosis(options) if options["dictionary"] is None else make_dictionary(mutants, options)
+    if options["smoke_plan"] is not None:
+        from .smoke_plan import make_smoke_plan
+
+        return make_smoke_plan(options)
     if options["side_by_side"]:
         return _side_by_side(mutants, options)
     if options["recordings"]:
@@ -126,7 +136,7 @@ def command(mutants: tuple[str, ...], **options: Any) -> int:
         return _variants(mutants, options)
     if options["generated"] is not None:
         return _generated(mutants, options)
-    from dcp_conformance.selftest import Trial, chosen, selftest
+    from dcp_conformance.selftest.runner import Trial, chosen, selftest
 
     from .display import progress_bar
     from .selftest_display import print_selftest
@@ -162,8 +172,8 @@ def command(mutants: tuple[str, ...], **options: Any) -> int:
 
 def _side_by_side(patterns: tuple[str, ...], options: dict[str, Any]) -> int:
     """Compare verdicts of two ways to execute cases; the exit status."""
-    from dcp_conformance.concurrent.comparison import Comparison, compare_all
-    from dcp_conformance.selftest import chosen
+    from dcp_conformance.selftest.runner import chosen
+    from dcp_conformance.selftest.side_by_side import Comparison, compare_all
 
     from .display import progress_bar
 
@@ -201,10 +211,10 @@ def _refuse(options: dict[str, Any], names: tuple[str, ...], mode: str) -> None:
 
 def _recordings(patterns: tuple[str, ...], options: dict[str, Any]) -> int:
     """Simulated recordings with and without a faulty node; the exit status."""
-    from dcp_codec.wholefile import write_whole
-    from dcp_conformance.selftest import chosen
-    from dcp_conformance.selftest_recordings import clean, faulty
-    from dcp_conformance.selftest_recordings.table import document
+    from dcp_codec.common.atomic_write import write_whole
+    from dcp_conformance.selftest.recordings import clean, faulty
+    from dcp_conformance.selftest.recordings.table import document
+    from dcp_conformance.selftest.runner import chosen
 
     from .display import progress_bar
     from .selftest_display import print_recordings
@@ -238,8 +248,8 @@ def _recordings(patterns: tuple[str, ...], options: dict[str, Any]) -> int:
 
 def _generated(patterns: tuple[str, ...], options: dict[str, Any]) -> int:
     """Random changes; the exit status."""
-    from dcp_conformance.generated.campaign import Trial as Generated
-    from dcp_conformance.generated.campaign import draw, reach, run
+    from dcp_conformance.selftest.generated.campaign import Trial as Generated
+    from dcp_conformance.selftest.generated.campaign import draw, reach, run
 
     from .display import progress_bar
     from .selftest_display import print_generated
@@ -277,7 +287,7 @@ def _generated(patterns: tuple[str, ...], options: dict[str, Any]) -> int:
             _write_json(result, options["report_dir"], name)
         print_generated(result, verbose=options["verbose"])
     if options["document"] is not None:
-        from dcp_conformance.generated.table import section
+        from dcp_conformance.selftest.generated.table import section
 
         _write_section(options["document"], "generated", section(results))
     return 1 if any(result.survivors or result.misplaced for result in results) else 0
@@ -285,8 +295,8 @@ def _generated(patterns: tuple[str, ...], options: dict[str, Any]) -> int:
 
 def _citations(patterns: tuple[str, ...], options: dict[str, Any]) -> int:
     """Citations and what they stand on; the exit status."""
-    from dcp_conformance.citations.campaign import Verdict, chosen, run
-    from dcp_conformance.citations.unit_tests import checkout
+    from dcp_conformance.selftest.citations.campaign import Verdict, chosen, run
+    from dcp_conformance.selftest.citations.unit_tests import checkout
 
     from .display import progress_bar
     from .selftest_display import print_citations
@@ -312,8 +322,8 @@ def _citations(patterns: tuple[str, ...], options: dict[str, Any]) -> int:
 
 def _variants(patterns: tuple[str, ...], options: dict[str, Any]) -> int:
     """Permitted variants; the exit status."""
-    from dcp_conformance.variants import chosen
-    from dcp_conformance.variants.campaign import run
+    from dcp_conformance.selftest.variants import chosen
+    from dcp_conformance.selftest.variants.campaign import run
 
     from .display import progress_bar
     from .selftest_display import print_variants
@@ -342,7 +352,7 @@ def _variants(patterns: tuple[str, ...], options: dict[str, Any]) -> int:
     if options["report_dir"] is not None:
         _write_json(result, options["report_dir"], "variants.json")
     if options["document"] is not None:
-        from dcp_conformance.variants.table import section
+        from dcp_conformance.selftest.variants.table import section
 
         _write_section(options["document"], "variants", section(result))
     print_variants(result, verbose=options["verbose"], quiet=options["quiet"])
@@ -353,14 +363,14 @@ def _write(result: SelftestResult, directory: Path | None, document: Path | None
     if directory is not None:
         _write_json(result, directory, "selftest.json")
     if document is not None:
-        from dcp_conformance.kill_matrix import markdown
+        from dcp_conformance.selftest.kill_matrix import markdown
 
         _write_section(document, "mutants", markdown(result))
 
 
 def _write_section(document: Path, name: str, text: str) -> None:
     """Put a section into the document, and leave those of the other commands as they are."""
-    from dcp_conformance.selftest_document import DocumentError, write_section
+    from dcp_conformance.selftest.document import DocumentError, write_section
 
     try:
         write_section(document, name, text)

@@ -6,14 +6,14 @@ from collections.abc import Sequence
 
 from rich.table import Table
 
-from dcp_conformance.citations.campaign import CitationsResult
-from dcp_conformance.generated.campaign import GeneratedResult
-from dcp_conformance.selftest import Baseline, Finding, SelftestResult, Trial
-from dcp_conformance.selftest_recordings import CleanResult, FaultyResult
-from dcp_conformance.selftest_recordings.faulty import SHAPES
-from dcp_conformance.selftest_recordings.table import REASONS, TITLES
-from dcp_conformance.variants import all_variants
-from dcp_conformance.variants.campaign import Judged, VariantsResult
+from dcp_conformance.selftest.citations.campaign import CitationsResult
+from dcp_conformance.selftest.generated.campaign import GeneratedResult
+from dcp_conformance.selftest.recordings import CleanResult, FaultyResult
+from dcp_conformance.selftest.recordings.faulty import SHAPES
+from dcp_conformance.selftest.recordings.table import REASONS, TITLES
+from dcp_conformance.selftest.runner import Baseline, Finding, SelftestResult, Trial
+from dcp_conformance.selftest.variants import all_variants
+from dcp_conformance.selftest.variants.campaign import Judged, VariantsResult
 
 from .display import console, data
 

@@ -1,8 +1,8 @@
 """Explain a set of failed cases by the fewest faults.
 
-The suite is run against a node with one known fault after the other. Which cases fail then is the signature of the
-fault; all signatures together are a fault dictionary (:mod:`.dictionary`, made by :mod:`.making`). :mod:`.explain`
-looks for the few faults whose signatures together account for the failures of a run.
+The suite runs against nodes with one known fault each. The cases that fail are the signature of the fault. All
+signatures together are a fault dictionary (:mod:`.dictionary`; ``selftest/diagnosis/`` makes it). :mod:`.explain` finds
+the few faults whose signatures together account for the failures of a run.
 """
 
 from .dictionary import Dictionary, Fault, load

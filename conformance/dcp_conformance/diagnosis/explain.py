@@ -11,8 +11,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 
-from dcp_conformance.results import CaseResult, Check, Diagnosis, Probable
-from dcp_conformance.verdict import Verdict
+from dcp_conformance.model.results import CaseResult, Check, Diagnosis, Probable
+from dcp_conformance.model.verdict import Verdict
 
 from .dictionary import Dictionary, Fault
 

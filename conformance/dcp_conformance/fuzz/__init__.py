@@ -1,12 +1,14 @@
 """Fuzzing: inputs that make an implementation crash, hang, go mute or hold a wrong state, made as small as they can be.
 
-Generating (``dcp_codec.mutation``, :mod:`.sequences`), executing (:mod:`.functions`, :mod:`.stack`, :mod:`.live`) and
-minimising (:mod:`.minimise`) know nothing of each other; :mod:`.campaign` joins them.
+Generating (``dcp_codec.testing.mutation``, :mod:`dcp_conformance.fuzz.generate.sequences`), executing
+(:mod:`dcp_conformance.fuzz.execute.functions`, :mod:`dcp_conformance.fuzz.execute.stack`,
+:mod:`dcp_conformance.fuzz.execute.live`) and
+minimising (:mod:`dcp_conformance.fuzz.reduce.minimise`) know nothing of each other; :mod:`.campaign` joins them.
 """
 
-from .artefact import Artefact, load, save
 from .campaign import Campaign, Limits
-from .minimise import Minimised, Minimiser
+from .findings.artefact import Artefact, load, save
+from .reduce.minimise import Minimised, Minimiser
 from .steps import Call, Effect, Frame, Step, Target, Wait
 
 __all__ = [

@@ -11,16 +11,16 @@ from pathlib import Path
 import msgspec
 
 from dcp_codec.codec import Codec
-from dcp_codec.mutation import Mutator, Touch
+from dcp_codec.testing.mutation import Mutator, Touch
 from dcp_conformance.errors import UsageError
 
-from .anomalies import anomalies
-from .artefact import Artefact, SavedTarget, make_artefact, save
-from .causes import Cause, cause_of
-from .coverage import Coverage, counter_of, tables
-from .directed import possible_states
-from .minimise import Run
-from .reduction import Finding, Reduction
+from .findings.artefact import Artefact, SavedTarget, make_artefact, save
+from .generate.coverage import Coverage, counter_of, tables
+from .generate.directed import possible_states
+from .reduce.anomalies import anomalies
+from .reduce.causes import Cause, cause_of
+from .reduce.minimise import Run
+from .reduce.reduction import Finding, Reduction
 from .steps import Effect, Frame, Generator, Step, Target
 
 STATE_FILE = "campaign.json"

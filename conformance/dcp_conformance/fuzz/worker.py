@@ -22,14 +22,14 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, Final, NamedTuple
 
-from dcp_codec.mutation import Touch
+from dcp_codec.testing.mutation import Touch
 from dcp_conformance.errors import ConformanceError
-from dcp_conformance.process import ending_with_parent
+from dcp_conformance.sut.process import ending_with_parent
 
 from .campaign import Campaign, Limits, State
-from .coverage import counter_of
-from .guidance import Guide, guide
-from .reduction import Finding
+from .generate.coverage import counter_of
+from .generate.guidance import Guide, guide
+from .reduce.reduction import Finding
 from .steps import Effect, Step, Target
 
 #: Octets for the test that a worker is at; one that is longer is not known if it ends the worker.

@@ -14,7 +14,8 @@ Together they come as far as one process with as many tests: of 300 pairs of fie
 there is no difference. Told of the others every 16 sequences, two workers have reached 278, 271 and 284.
 
 **Processes are spawned** by this one: they have none of its sockets and files, and the kernel ends them with it. The
-server that the lanes of a run are forked from (:mod:`dcp_conformance.lanes`) would stand between: a signal to the whole
+server that the lanes of a run are forked from (:mod:`dcp_conformance.execution.parallel`) would stand between: a
+signal to the whole
 group would end it, and with it the workers, before they have told what they have found. What it would save is less than
 half a second for each.
 """
@@ -37,7 +38,7 @@ from typing import Any, Final
 from dcp_conformance.errors import WorkerError
 
 from .campaign import Campaign, Limits, Progress, State
-from .reduction import Finding, as_it_was
+from .reduce.reduction import Finding, as_it_was
 from .steps import Effect, Step
 from .worker import SLOT_SIZE, Failure, Make, Order, Report, Settings, Shown, Slot, Stop, Totals, work
 

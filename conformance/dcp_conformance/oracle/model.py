@@ -17,7 +17,7 @@ from typing import Any, Final
 from dcp_spec.constants import Features, ICType
 
 from dcp_codec.values import VarCreate, VarDelete, VardisRecord, VarReqCreate, VarReqUpdate, VarSpec, VarSumm, VarUpdate
-from dcp_conformance.circular import Circle
+from dcp_conformance.model.circular import Circle
 
 from .knowledge import ANY_CREATION, NEVER, NO_CREATION, Limits, Owed, Variable, Version
 from .repetitions import Key

@@ -34,7 +34,7 @@ from typing import Final
 from dcp_spec.constants import ICType
 
 from dcp_conformance.check.base import Context, Invariant, Seen, name
-from dcp_conformance.check.rules_bp import (
+from dcp_conformance.check.rules.bp import (
     MS,
     BeaconFormat,
     BeaconPeriod,
@@ -42,11 +42,11 @@ from dcp_conformance.check.rules_bp import (
     NetworkIdentifier,
     PacketSize,
 )
-from dcp_conformance.check.rules_counters import SequenceNumbers
-from dcp_conformance.check.rules_data import ByteOrder
-from dcp_conformance.check.rules_srp import OwnReports, ReportNumbers
-from dcp_conformance.check.rules_vardis import ContainerOrder, PayloadConsistency
-from dcp_conformance.verdict import Verdict
+from dcp_conformance.check.rules.counters import SequenceNumbers
+from dcp_conformance.check.rules.data import ByteOrder
+from dcp_conformance.check.rules.srp import OwnReports, ReportNumbers
+from dcp_conformance.check.rules.vardis import ContainerOrder, PayloadConsistency
+from dcp_conformance.model.verdict import Verdict
 
 #: Intervals after a start that are compared, and how close (ms) they must be to be the same.
 _INTERVALS, _ALIKE = 6, 0.3
@@ -146,7 +146,7 @@ class UndisturbedPeriod(BeaconPeriod):
 
 
 class RepeatedJitter(Invariant):
-    """Chance that begins again with the same numbers."""
+    """Draws that begins again with the same numbers."""
 
     id = "CK_BP_JITTER"
     section = "dcp-bp.md: Transmit Path"

@@ -11,19 +11,19 @@ import msgspec
 from dcp_spec.constants import ProtocolId
 
 from dcp_codec.codec import Codec
-from dcp_codec.framing import ETHERNET_HEADER
-from dcp_conformance.case import SANITY, Case, Kind
+from dcp_codec.framing.locate import ETHERNET_HEADER
 from dcp_conformance.check.base import Context, Invariant, Seen
 from dcp_conformance.check.places import placed
-from dcp_conformance.heard import Heard
-from dcp_conformance.pics import Pics
-from dcp_conformance.results import CaseResult, Check, EventRecord, Mark
-from dcp_conformance.verdict import Verdict, worst
+from dcp_conformance.frames.received import ReceivedBeacon
+from dcp_conformance.model.case import SANITY, Case, Kind
+from dcp_conformance.model.pics import Pics
+from dcp_conformance.model.results import CaseResult, Check, EventRecord, Mark
+from dcp_conformance.model.verdict import Verdict, worst
 
 from .rules import OF_INSTRUCTIONS, OF_REPORTS, RULES, MostSummaries, RepeatedJitter
 
 if TYPE_CHECKING:
-    from dcp_conformance.bench import Bench
+    from dcp_conformance.test_system.bench import Bench
 
 SECTION: Final = "Passive testing: every beacon of the run"
 SIDE_BY_SIDE: Final = "the cases side by side"
@@ -44,9 +44,10 @@ _BLOCKS = frozenset(
     }
 )  # fmt: skip
 """Rules about octets of SRP and VarDis, which the tester itself hands down when it plays these client protocols."""
+_OF_PERIOD: Final = frozenset({"CK_BP_PERIOD", "CK_BP_JITTER"})
 _DISTURBED: Final[Mapping[str, frozenset[str]]] = {
     "BP-SetParameter": frozenset({"CK_BP_PERIOD", "CK_BP_JITTER", "CK_BP_SIZE", "CK_BP_NETWORK"}),
-    "BP-MGMT-Deactivate": frozenset({"CK_BP_PERIOD", "CK_BP_JITTER"}),
+    "BP-MGMT-Deactivate": _OF_PERIOD,
     "VD-SetParameter": frozenset({"CK_VD_SUMMARIES"}),
 }
 """Service -> rules that do not hold from its call to the end of the case."""
@@ -77,6 +78,8 @@ class PassiveTester:
         self._suspended: dict[str, frozenset[str]] = {}
         """By case: the rules that do not hold until it ends."""
         self._side_by_side = False
+        self._another_period = False
+        """Whether the tester has set another beacon period than the configured one."""
         self._deal()
         self._since = -1
         """What came until then, in ns of the lower tester's clock, belongs to what was before."""
@@ -120,6 +123,11 @@ class PassiveTester:
         self._side_by_side = True
         self.interrupted(now)
 
+    def without_intervals(self) -> None:
+        """From now on do not judge the times between beacons: the link changes them."""
+        self._active = [rule for rule in self._active if rule.id not in _OF_PERIOD]
+        self._deal()
+
     def enter(self, case: str) -> None:
         """Another case begins beside those that are being executed."""
         self._executions[case] += 1
@@ -151,6 +159,14 @@ class PassiveTester:
         elif method in _DISTURBED:
             self._suspend(case, _DISTURBED[method])
 
+    def another_period(self, is_set: bool) -> None:
+        """The tester has set another beacon period than the configured one, or has restored that."""
+        self._another_period = is_set
+        self._deal()
+        for rule in self._active:
+            if rule.id in _OF_PERIOD:
+                rule.interrupted()
+
     def _suspend(self, case: str, rules: frozenset[str]) -> None:
         self._suspended[case] = self._suspended.get(case, frozenset()) | rules
         self._deal()
@@ -161,12 +177,14 @@ class PassiveTester:
     def _deal(self) -> None:
         """Sort the rules that are not suspended by what they look at."""
         suspended = frozenset().union(*self._suspended.values())
+        if self._another_period:
+            suspended |= _OF_PERIOD
         fed = [rule for rule in self._active if rule.id not in suspended]
         self._fed_reports = [rule for rule in fed if rule.id in OF_REPORTS]
         self._fed_instructions = [rule for rule in fed if rule.id in OF_INSTRUCTIONS]
         self._fed = [rule for rule in fed if rule.id not in OF_REPORTS | OF_INSTRUCTIONS]
 
-    def heard(self, heard: Heard, frame: bytes, start: int, case: str, traffic: object) -> None:
+    def heard(self, heard: ReceivedBeacon, frame: bytes, start: int, case: str, traffic: object) -> None:
         """A frame of the implementation; ``heard.number`` is its number in the recording of ``case``."""
         if heard.time <= self._since or not (self._side_by_side or traffic is self._traffic):
             return
@@ -281,7 +299,7 @@ class _Place(NamedTuple):
     case: str
     execution: int
     """Of the case: the first is 1."""
-    heard: Heard
+    heard: ReceivedBeacon
     frame: bytes
     start: int
 

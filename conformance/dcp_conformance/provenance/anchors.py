@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Final
 
 import msgspec
+from dcp_spec.catalogue.requirements import requirements
 from dcp_spec.constants import SpecVersion
-from dcp_spec.requirements import requirements
 
 from dcp_conformance.errors import UsageError
 

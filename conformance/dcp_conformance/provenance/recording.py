@@ -9,9 +9,9 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Final
 
+from dcp_spec.catalogue.origins import ORIGINS, STATEMENTS, Section
+from dcp_spec.catalogue.requirements import requirements
 from dcp_spec.constants import SpecVersion
-from dcp_spec.origins import ORIGINS, STATEMENTS, Section
-from dcp_spec.requirements import requirements
 
 from dcp_conformance.errors import UsageError
 

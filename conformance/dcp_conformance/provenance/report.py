@@ -8,12 +8,12 @@ from functools import cache
 from typing import Final, NamedTuple
 
 import msgspec
-from dcp_spec.origins import newest_statements, origins, revisions
-from dcp_spec.requirements import requirements
+from dcp_spec.catalogue.origins import newest_statements, origins, revisions
+from dcp_spec.catalogue.requirements import requirements
 from dcp_spec.version import __version__
 
-from dcp_conformance.case import all_cases
-from dcp_conformance.citations.places import citations_by_requirement
+from dcp_conformance.model.case import all_cases
+from dcp_conformance.selftest.citations.places import citations_by_requirement
 
 from .checkout import Checkout
 from .comparison import Change, Pair, align

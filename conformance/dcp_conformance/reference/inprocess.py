@@ -11,9 +11,9 @@ import msgspec
 
 from dcp_codec.codec import Codec
 from dcp_conformance.errors import UpperTesterError
-from dcp_conformance.lower import Arrival, LinkHealth
-from dcp_conformance.upper import Answer, Notification
-from dcp_conformance.upper.jsonrpc import answer_of, notification_of, request_line
+from dcp_conformance.lower_tester import Arrival, LinkHealth
+from dcp_conformance.upper_tester import Answer, Notification
+from dcp_conformance.upper_tester.jsonrpc import answer_of, notification_of, request_line
 from dcp_stack.config import BPConfig, NodeConfig, SRPConfig
 from dcp_stack.control import ControlServer
 from dcp_stack.effects import SendBeacon
@@ -201,11 +201,14 @@ class VirtualLowerTester:
         """Virtual ns since 1970."""
         return self._sut.wall()
 
+    def framed(self, octets: bytes, source: bytes) -> bytes:
+        """The broadcast frame of a bearer payload."""
+        return b"\xff" * 6 + source + _ether_type(self._sut.config).to_bytes(2, "big") + octets
+
     def send(self, octets: bytes, source: bytes) -> bytes:
         """The node receives it at once."""
-        frame = b"\xff" * 6 + source + _ether_type(self._sut.config).to_bytes(2, "big") + octets
         self._sut.deliver(octets)
-        return frame
+        return self.framed(octets, source)
 
     def send_frame(self, frame: bytes) -> None:
         """The node receives what is in it, if it is of its type and for it."""

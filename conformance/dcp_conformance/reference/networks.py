@@ -21,7 +21,7 @@ from dcp_stack.config import BPConfig, NodeConfig, SRPConfig, VardisConfig
 from dcp_stack.links.memory import Quality
 from dcp_stack.links.topology import Full, Grid, Line, Neighbours, Topology
 from dcp_stack.node import Node
-from dcp_stack.sim.network import Network, node_id
+from dcp_stack.sim.virtual.network import Network, node_id
 
 from .inprocess import EPOCH, MakeNode, plain_node
 
@@ -34,7 +34,7 @@ _VARIABLES = 12
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Situation:
+class VariableState:
     """A network and what happens in it. The same for the same values."""
 
     profile: str = "dcp-2.0"
@@ -143,7 +143,7 @@ def _clocked(base: type, node: Any, offset: Callable[[], int]) -> Any:
 
 
 def record(
-    situation: Situation, others: Mapping[int, Other] | None = None, *, codec: Codec | None = None
+    situation: VariableState, others: Mapping[int, Other] | None = None, *, codec: Codec | None = None
 ) -> list[Frame]:
     """The recording of a network. ``codec``: instead of that of the profile, for layouts that vary.
 
@@ -182,7 +182,7 @@ def _codec(profile: str) -> Codec:
     return Codec(profile)
 
 
-def _topology(situation: Situation) -> tuple[Topology, list[tuple[int, Callable[[], None]]]]:
+def _topology(situation: VariableState) -> tuple[Topology, list[tuple[int, Callable[[], None]]]]:
     """Who hears whom, and when that changes."""
     match situation.shape:
         case "bus":
@@ -195,7 +195,7 @@ def _topology(situation: Situation) -> tuple[Topology, list[tuple[int, Callable[
             return _moving(situation)
 
 
-def _moving(situation: Situation) -> tuple[Topology, list[tuple[int, Callable[[], None]]]]:
+def _moving(situation: VariableState) -> tuple[Topology, list[tuple[int, Callable[[], None]]]]:
     """Links come and go at random: about half of them are there at any time."""
     rng = random.Random(f"links/{situation.seed}")  # noqa: S311
     nodes = range(situation.nodes)
@@ -217,7 +217,7 @@ def _moving(situation: Situation) -> tuple[Topology, list[tuple[int, Callable[[]
     return topology, moves
 
 
-def _applications(network: MixedNetwork, index: int, rng: random.Random, situation: Situation, end: int) -> None:
+def _applications(network: MixedNetwork, index: int, rng: random.Random, situation: VariableState, end: int) -> None:
     time = 0
     while (time := time + round(rng.expovariate(situation.busy) * SECOND)) < end - 3 * SECOND:
         network.at(time, lambda: _something(network, index, rng, situation.deletes))
@@ -251,7 +251,7 @@ def _move(network: MixedNetwork, index: int, rng: random.Random, end: int) -> No
         network.at(network.now + 100 * MS, lambda: _move(network, index, rng, end))
 
 
-def _disturb(network: MixedNetwork, situation: Situation, rng: random.Random, end: int) -> None:
+def _disturb(network: MixedNetwork, situation: VariableState, rng: random.Random, end: int) -> None:
     """Restarts, and clocks that are set."""
     for number in range(3 if situation.restarts else 0):
         time, index = round((4 + 5 * number) * SECOND), rng.randrange(situation.nodes)
@@ -266,7 +266,7 @@ def _disturb(network: MixedNetwork, situation: Situation, rng: random.Random, en
         network.at(rng.randrange(end), set_clock)
 
 
-def _as_recorded(frames: Iterable[Frame], situation: Situation) -> list[Frame]:
+def _as_recorded(frames: Iterable[Frame], situation: VariableState) -> list[Frame]:
     """What the recorder has of them."""
     rng = random.Random(f"recorder/{situation.seed}")  # noqa: S311
     kept = [frame for frame in frames if rng.random() >= situation.recorder_loss]

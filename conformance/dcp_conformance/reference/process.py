@@ -17,13 +17,13 @@ from types import FrameType
 from typing import Literal
 
 from dcp_codec.codec import Codec
-from dcp_conformance.control import SutControl
 from dcp_conformance.errors import ConformanceError, LowerTesterError
-from dcp_conformance.link import Switch
-from dcp_conformance.lower import LowerTester, open_ethernet, open_udp
-from dcp_conformance.lower.udp import DEFAULT_GROUP
-from dcp_conformance.process import ProcessControl
-from dcp_conformance.upper import Reconnecting, UpperTester, open_upper
+from dcp_conformance.lower_tester import LowerTester, open_ethernet, open_udp
+from dcp_conformance.lower_tester.udp import DEFAULT_GROUP
+from dcp_conformance.sut.control import SutControl
+from dcp_conformance.sut.link import Switch
+from dcp_conformance.sut.process import ProcessControl
+from dcp_conformance.upper_tester import Reconnecting, UpperTester, open_upper
 from dcp_stack.config import BPConfig, VardisConfig
 
 from .namespace import SUT_INTERFACE, TESTER_INTERFACE, Namespace, NamespaceError

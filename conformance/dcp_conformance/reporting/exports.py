@@ -10,11 +10,11 @@ from collections.abc import Iterator
 from typing import Final, NamedTuple
 from xml.sax.saxutils import escape
 
-from dcp_spec.requirements import requirements
+from dcp_spec.catalogue.requirements import requirements
 
-from dcp_codec.plain import plain
-from dcp_conformance.results import CaseResult, RunResult
-from dcp_conformance.verdict import Verdict
+from dcp_codec.common.printable import plain
+from dcp_conformance.model.results import CaseResult, RunResult
+from dcp_conformance.model.verdict import Verdict
 
 from .overview import certainty, diagnosed, headline
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import msgspec
-from dcp_spec.profile_loading import ProfileError, profile_names
+from dcp_spec.profile.loading import ProfileError, profile_names
 
 from dcp_codec.codec import Codec
-from dcp_codec.wholefile import write_whole
+from dcp_codec.common.atomic_write import write_whole
 from dcp_conformance.errors import UsageError
-from dcp_conformance.results import SCHEMA, RunResult
+from dcp_conformance.model.results import SCHEMA, RunResult
 
 RESULTS = "results.json"
 

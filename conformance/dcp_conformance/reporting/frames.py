@@ -9,12 +9,12 @@ from dcp_spec.reasons import REASONS
 
 from dcp_codec.capture.frame import Frame
 from dcp_codec.codec import Codec
-from dcp_codec.dissect import Field
-from dcp_codec.frames import DissectedFrame
-from dcp_codec.framing import Framing
-from dcp_codec.plan import Group
+from dcp_codec.framing.frames import DissectedFrame
+from dcp_codec.framing.locate import Framing
+from dcp_codec.plan.tree import Group
 from dcp_codec.texts import payload_line, value_text
-from dcp_conformance.results import EventRecord, Mark
+from dcp_codec.views.dissect import Field
+from dcp_conformance.model.results import EventRecord, Mark
 
 ARROWS = {
     "sent": "\u2192 SUT",

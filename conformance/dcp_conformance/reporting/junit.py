@@ -5,9 +5,9 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable
 
-from dcp_codec.plain import plain
-from dcp_conformance.results import CaseResult, RunResult
-from dcp_conformance.verdict import Verdict
+from dcp_codec.common.printable import plain
+from dcp_conformance.model.results import CaseResult, RunResult
+from dcp_conformance.model.verdict import Verdict
 
 _OUTCOMES = {
     Verdict.FAIL: "failure",
@@ -53,7 +53,7 @@ def _add(suite: ET.Element, case: CaseResult) -> None:
     if outcome != "skipped":
         detail.set("type", case.table)
         lines = [
-            f"expected: {check.expected}\ninstead: {check.observed}" for check in case.checks if _bad(check.verdict)
+            f"expected: {check.expected}\nobserved: {check.observed}" for check in case.checks if _bad(check.verdict)
         ]
         detail.text = "\n".join([*lines, f"again: {case.rerun}", case.error_detail]).strip()
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from dcp_spec.requirements import requirements
+from dcp_spec.catalogue.requirements import requirements
 
-from dcp_conformance.results import CaseResult, RunResult
-from dcp_conformance.selection import retired
-from dcp_conformance.verdict import Verdict, worst
+from dcp_conformance.execution.selection import retired
+from dcp_conformance.model.results import CaseResult, RunResult
+from dcp_conformance.model.verdict import Verdict, worst
 
 #: From the best to the worst for comparisons: what was not decided is neither better nor worse than another doubt.
 _GOOD = (Verdict.PASS, Verdict.INFO)

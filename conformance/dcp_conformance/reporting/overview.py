@@ -6,10 +6,10 @@ from collections import Counter
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from dcp_spec.readings import differs_from_reference, readings, told
+from dcp_spec.catalogue.readings import differs_from_reference, readings, told
 
-from dcp_conformance.results import CaseResult, Check, Probable, RunResult
-from dcp_conformance.verdict import Verdict
+from dcp_conformance.model.results import CaseResult, Check, Probable, RunResult
+from dcp_conformance.model.verdict import Verdict
 
 #: How the expectation begins that an implementation lives through a case.
 SURVIVAL = "the implementation survives"

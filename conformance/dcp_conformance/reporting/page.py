@@ -10,20 +10,24 @@ from importlib import resources
 from typing import Any
 
 import msgspec
-from dcp_spec.requirements import requirements
+from dcp_spec.catalogue.readings import readings
+from dcp_spec.catalogue.requirements import requirements
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from dcp_codec.codec import Codec
-from dcp_codec.plain import plain
+from dcp_codec.common.printable import plain
 from dcp_conformance.check.wording import moment
-from dcp_conformance.results import CaseResult, Check, EventRecord, Mark, RunResult, summarise
-from dcp_conformance.verdict import Verdict
+from dcp_conformance.model.pics_file import QUESTIONS
+from dcp_conformance.model.results import CaseResult, Check, EventRecord, Mark, RunResult, summarise
+from dcp_conformance.model.verdict import Verdict
 
 from .frames import Frames
 from .overview import certainty, deaths, diagnosed, headline, observed_readings
 from .recordings import FOLDER
+from .references import requirement_links, section_link
 from .timeline import MOST_FRAMES, begin_of, timeline_of, told_together
+from .to_declare import keys_of, to_declare
 
 #: Findings that are open when the page is.
 _OPEN = 10
@@ -100,6 +104,10 @@ def render(run: RunResult, codec: Codec | None) -> str:
             cases=cases,
             matrix=list(_matrix(run, cases)),
             failing=_failing(cases),
+            to_declare=to_declare(run.cases),
+            places=requirement_links(str(run.spec_version)),
+            section_link=section_link,
+            readings_known=readings(),
             requirement_counts=_counts(run),
             readings=list(observed_readings(run)),
             known=known,
@@ -186,7 +194,8 @@ def _case(case: CaseResult, number: int, apart: Frames) -> dict[str, Any]:
         "explained": any(check.verdict is case.verdict and check.observed for check in case.checks),
         "duration": case.duration,
         "executions": case.executions,
-        "checks": [_check(check, events, apart, case) for check in case.checks],
+        "checks": _checks(case, events, apart),
+        "to_declare": [(key, QUESTIONS[key]) for key in keys_of(case)],
         "timeline": told_together(list(timeline_of(case, apart)), case),
         "left_out": case.left_out,
         "recording": case.recording,
@@ -201,18 +210,41 @@ def _case(case: CaseResult, number: int, apart: Frames) -> dict[str, Any]:
     }
 
 
-def _check(check: Check, events: dict[int, EventRecord], apart: Frames, case: CaseResult) -> dict[str, Any]:
-    notable = check.verdict.rank > Verdict.PASS.rank or (check.verdict is Verdict.INFO and bool(check.frames))
+def _checks(case: CaseResult, events: dict[int, EventRecord], apart: Frames) -> list[dict[str, Any]]:
+    """The checks of a case. A frame is taken apart at the first check that cites it, with the octets of all marked."""
     marks: dict[int, list[Mark]] = {}
-    for mark in check.frames:
-        marks.setdefault(mark.frame, []).append(mark)
-    shown = [events[number] for number in marks if number in events][:MOST_FRAMES] if notable else []
+    for check in filter(_notable, case.checks):
+        for mark in check.frames:
+            marks.setdefault(mark.frame, []).append(mark)
+    shown: set[int] = set()
+    return [_check(check, marks, events, apart, case, shown) for check in case.checks]
+
+
+def _notable(check: Check) -> bool:
+    return check.verdict.rank > Verdict.PASS.rank or (check.verdict is Verdict.INFO and bool(check.frames))
+
+
+def _check(
+    check: Check,
+    marks: dict[int, list[Mark]],
+    events: dict[int, EventRecord],
+    apart: Frames,
+    case: CaseResult,
+    shown: set[int],
+) -> dict[str, Any]:
+    """``shown``: the frames that earlier checks of the case show, to which those of this one are added."""
+    notable = _notable(check)
+    cited = [number for number in dict.fromkeys(mark.frame for mark in check.frames) if number in events]
+    here = cited[:MOST_FRAMES] if notable else []
+    new = [number for number in here if number not in shown]
+    shown.update(new)
     return {
         "verdict": str(check.verdict),
         "requirements": check.requirements,
         "expected": check.expected,
         "observed": check.observed,
         "moment": "" if check.seconds is None else moment(check.seconds),
-        "frames": [apart.frame(event, marks[event.frame], begin_of(case)) for event in shown],
-        "more": len(marks) - len(shown) if notable else 0,
+        "frames": [apart.frame(events[number], marks[number], begin_of(case)) for number in new],
+        "again": [number for number in here if number not in new],
+        "more": len(dict.fromkeys(mark.frame for mark in check.frames)) - len(here) if notable else 0,
     }

@@ -9,7 +9,7 @@ import msgspec
 
 from dcp_codec.capture import CaptureError, Frame, create_capture
 from dcp_conformance.errors import UsageError
-from dcp_conformance.results import CaseResult, RunResult
+from dcp_conformance.model.results import CaseResult, RunResult
 
 FOLDER = "cases"
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import msgspec
 
-from dcp_conformance.results import SCHEMA, RunResult
+from dcp_conformance.model.results import SCHEMA, RunResult
 
 PATH = Path(__file__).resolve().parent.parent / "data" / "results.schema.json"
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dcp_stack.links.memory import Delivery, Medium
-from dcp_stack.vardis_confirms import VariableEntry
+from dcp_stack.vardis.database import DBEntry
 
 from .consistency import Consistency
 from .reach import Reach, distances
@@ -41,9 +41,7 @@ class Measurements:
         """Links or partitions are others from now on."""
         self._reaches.clear()
 
-    def stored(
-        self, now: int, node: int, var_id: int, entry: VariableEntry, delivery: Delivery | None, event: str
-    ) -> None:
+    def stored(self, now: int, node: int, var_id: int, entry: DBEntry, delivery: Delivery | None, event: str) -> None:
         """A node has a value: its own (``delivery`` None) or that of a frame. ``event``: ``created``, ``updated``."""
         producer = self._numbers.get(entry.spec.prod_id)
         if producer is None:

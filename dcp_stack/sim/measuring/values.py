@@ -19,7 +19,7 @@ from typing import Literal, NamedTuple
 
 import msgspec
 
-from dcp_stack.sim.scenario import NS_PER_MS
+from dcp_stack.sim.scenario.definition import NS_PER_MS
 
 from .reach import UNREACHABLE, Reach
 

@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 from dcp_conformance.check.judge import Judge
-from dcp_conformance.pics import Pics
-from dcp_conformance.verdict import Verdict
+from dcp_conformance.model.pics import Pics
+from dcp_conformance.model.verdict import Verdict
 
 from dcp_codec import get_codec
 from dcp_codec.capture import Frame

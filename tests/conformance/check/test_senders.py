@@ -6,7 +6,7 @@ import math
 
 import msgspec
 import pytest
-from dcp_conformance.verdict import Verdict
+from dcp_conformance.model.verdict import Verdict
 
 from dcp_codec.values import VarSumm, VarUpdate
 
@@ -162,7 +162,7 @@ class TestCreations:
         assert not failed(judged(air.frames, profile), "CK_VD_SPEC")
 
     def test_creations_that_were_forgotten_accuse_nobody(self, monkeypatch: pytest.MonkeyPatch):
-        monkeypatch.setattr("dcp_conformance.check.rules_variables.MOST_VARIABLES", 40)
+        monkeypatch.setattr("dcp_conformance.check.rules.variables.MOST_VARIABLES", 40)
         air = Script()
         early = [air.create(var_id, A, age=-var_id) for var_id in range(60)]
         air.say(A, air.create(1, A, age=10), VarSumm(1, 0))

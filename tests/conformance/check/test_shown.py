@@ -16,13 +16,13 @@ from dcp_conformance.check.base import Invariant
 from dcp_conformance.check.judge import LEAST_BEACONS, RULES, Judge
 from dcp_conformance.check.wording import CONSEQUENCES, differences, moment, spec_text
 from dcp_conformance.cli.check import command
-from dcp_conformance.pics import Pics
+from dcp_conformance.model.pics import Pics
+from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reporting.page import render
-from dcp_conformance.verdict import Verdict
 
 from dcp_codec import Beacon, BPHeader, Container, Payload, VarSpec, VarSumm, get_codec
 from dcp_codec.capture import Frame, create_capture, open_capture
-from dcp_codec.envelope import Envelope
+from dcp_codec.framing.envelope import Envelope
 
 from ..air import case_of, judged
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import NamedTuple
 
-from dcp_conformance.check.said import Said
+from dcp_conformance.check.statements import Statement
 
 
 class Kind(Enum):
@@ -31,7 +31,7 @@ class Interval:
 
     begin: int
     time: int
-    cause: Said
+    cause: Statement
     speakers: int
     """Who said it, as bits."""
     late_half: bool
@@ -90,7 +90,7 @@ class Event(NamedTuple):
     """Who has to, as bits."""
     kind: Kind
     var_id: int
-    cause: Said
+    cause: Statement
     speaker: int
     late_half: bool
     """Whether it stands in the second half of its payload."""
@@ -108,7 +108,7 @@ class Trial(NamedTuple):
     var_id: int
     speakers: int
     hit: bool
-    cause: Said
+    cause: Statement
     late_half: bool
     length: int
     once: bool = False

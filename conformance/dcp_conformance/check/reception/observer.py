@@ -16,9 +16,9 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 from dcp_conformance.check.base import MOST_VARIABLES, Context, Seen
-from dcp_conformance.check.said import ASK_CREATE, ASK_UPDATE, CREATE, DELETE, SUMMARY, UPDATE, Said, said_of
+from dcp_conformance.check.statements import ASK_CREATE, ASK_UPDATE, CREATE, DELETE, SUMMARY, UPDATE, Statement, said_of
 from dcp_conformance.check.stations import Origin
-from dcp_conformance.circular import Circle
+from dcp_conformance.model.circular import Circle
 
 from .following import Event, Interval, Kind, Occasions, Station, Trial, Variable
 from .records import RecordSizes
@@ -219,7 +219,7 @@ class Observer:
                 station.said.update(dict.fromkeys(ids, station.beacons))
         return stated
 
-    def _states(self, station: Station, variable: Variable, each: Said, opened: Occasions | None) -> None:
+    def _states(self, station: Station, variable: Variable, each: Statement, opened: Occasions | None) -> None:
         """A node states a number."""
         kind, number, var_id = each.kind, each.number, each.var_id
         if kind is CREATE:
@@ -258,7 +258,7 @@ class Observer:
             del station.had[var_id]
             variable.deleted &= ~station.bit
 
-    def _created(self, station: Station, variable: Variable, each: Said) -> None:
+    def _created(self, station: Station, variable: Variable, each: Statement) -> None:
         spec, upd = each.record.spec, each.record.upd
         if not variable.producers and not variable.known and spec.prod_id == station.node and upd.seqno == 0:
             variable.born = True
@@ -374,7 +374,7 @@ class Observer:
                 variable = variables.get(var_id)
                 if variable is None:
                     continue
-                said: Said | None = None
+                said: Statement | None = None
                 for due, whom in self._due(variable, kind, records[index], others):
                     if begins is None:
                         begins, total = self._sizes.starts(seen.parts)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from dcp_conformance.check.base import Context, Seen
-from dcp_conformance.check.said import Said
+from dcp_conformance.check.statements import Statement
 
 from .following import Kind, Station, Trial
 from .links import Link, bits, chance, infer, lower_bound, reacts
@@ -57,7 +57,7 @@ class _Gap:
     speakers: int = 0
     late_half: bool = True
     shortest: int = 1 << 31
-    cause: Said | None = None
+    cause: Statement | None = None
 
     def add(self, expected: float, *, steady: bool) -> None:
         """A trial with this probability of a reaction; ``steady``: the link has hardly ever failed."""
@@ -85,7 +85,7 @@ class Tally:
     """Trials, whatever is known of them."""
     all_hits: int = 0
     all_expected: float = 0.0
-    examples: list[Said] = field(default_factory=list)
+    examples: list[Statement] = field(default_factory=list)
     speakers: int = 0
     late_half: bool = True
     """Whether all that was missed stood in the second half of its payload."""

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from typing import Any
 
 from dcp_spec.constants import ICType
-from dcp_spec.profile import Profile
+from dcp_spec.profile.definition import Profile
 
-from dcp_conformance.check.said import CREATE, UPDATE, Part
+from dcp_conformance.check.statements import CREATE, UPDATE, Part
 
 #: icType and icNumRecords.
 _CONTAINER = 2

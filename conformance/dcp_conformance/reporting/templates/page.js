@@ -29,7 +29,10 @@
   }
   const open = () => {
     const target = location.hash && document.getElementById(location.hash.slice(1));
-    if (target && target.tagName === "DETAILS") { target.hidden = false; target.open = true; target.scrollIntoView(); }
+    if (!target) return;
+    // What a link leads to may be inside of something that is closed.
+    for (let each = target.closest("details"); each; each = each.parentElement.closest("details")) { each.hidden = false; each.open = true; }
+    target.scrollIntoView();
   };
   addEventListener("hashchange", open); open();
   // Who holds what, at any moment.

@@ -1,0 +1,1 @@
+"""The rules of ``dcp-conformance check``, one module for each subject."""

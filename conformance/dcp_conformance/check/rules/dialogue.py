@@ -1,0 +1,267 @@
+"""dcp-vardis.md: what nodes do about what they hear from each other, and who hears whom.
+
+:mod:`.reception` infers both from all reactions together; the rules here put the result into words.
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from dcp_spec.constants import ICType
+
+from dcp_conformance.check.base import Context, Invariant, Seen, name
+from dcp_conformance.check.counter import Counter
+from dcp_conformance.check.reception import Kind, Shortage, reception_of
+from dcp_conformance.check.reception.links import summary
+from dcp_conformance.model.verdict import Verdict
+
+__all__ = ["RULES", "Counter"]
+
+#: A link is shown by so many reactions to a speaker alone, and a share that is at least this.
+_ALONE, _SHARE = 2, 0.1
+#: That there is none is shown by so many trials with a share that is next to nothing.
+_SOME, _TRIALS = 0.02, 20
+
+
+class HearsWhom(Invariant):
+    """Who hears whom. Feeds what the other rules ask."""
+
+    id = "CK_NET_HEARS"
+    section = "dcp-architecture.md: UWB"
+    purpose = "Beacons reach the nodes around: who hears whom, as reactions show"
+    requirements = ("UWB-01",)
+    expect = "reactions of others to what a beacon says"
+    enough = 1
+
+    def __init__(self, context: Context) -> None:
+        super().__init__(context)
+        self._reception = reception_of(context)
+
+    def feed(self, seen: Seen) -> None:
+        """Take the beacon, for all rules of this module."""
+        self._reception.feed(seen)
+
+    def finish(self) -> None:
+        """Say what was inferred for each node, and of whom nothing can be said."""
+        self._reception.finish()
+        nodes = [each for each in self._reception.observer.stations.values() if each.listens]
+        found = summary(self._reception.links)
+        for listener in nodes:
+            shown, unknown = [], []
+            for speaker in nodes:
+                link = found.get((listener.node, speaker.node))
+                if listener is speaker:
+                    continue
+                heard = link is not None and link.alone >= _ALONE and link.at_least >= _SHARE
+                if link is None or (not heard and (link.share > _SOME or link.trials < _TRIALS)):
+                    unknown.append(name(speaker.node))
+                elif heard:
+                    self.exercised()
+                    until = "" if link.lasts else f", not after {(link.end - self._reception.begin) / 1e9:.0f} s"
+                    shown.append(f"{name(speaker.node)} ({link.share:.0%}, {link.reactions:.0f} reactions{until})")
+            text = f"{name(listener.node)} hears {', '.join(shown) or 'nobody that can be told'}"
+            if unknown:
+                text += f"; too little to say of {', '.join(unknown)}"
+            self.violated(text, [], expected="who hears whom, as reactions show", verdict=Verdict.INFO)
+
+
+class _Reaction(Invariant):
+    """Base: one kind of reaction."""
+
+    enough = 5
+    kinds: ClassVar[tuple[Kind, ...]]
+    by_cause: ClassVar[dict[ICType, str]] = {}
+    """The requirement that a record calls upon, where it is not one for all."""
+
+    def feed(self, seen: Seen) -> None:
+        """:class:`HearsWhom` has it."""
+
+    def finish(self) -> None:
+        """Judge what did not come; count what came."""
+        reception = reception_of(self.context)
+        reception.finish()
+        for shown in reception.shown.values():
+            for kind in self.kinds:
+                self._of_all += shown.hits.get(kind, 0)
+        for each in reception.shortages():
+            if each.kind in self.kinds:
+                self._tell(each)
+
+    def _tell(self, each: Shortage) -> None:
+        tally = each.tally
+        what = "any variable" if each.var_id is None else f"variable {each.var_id}"
+        text = (
+            f"{name(each.station.node)}, {what}: {tally.all_hits} reactions to {tally.all_trials} occasions"
+            f"{self._speakers(each)}"
+        )
+        rules = self.requirements
+        if self.by_cause:
+            rules = tuple(dict.fromkeys(self.by_cause.get(said.kind, rules[0]) for said in tally.examples)) or rules
+        limit = self._limit(each)
+        if not each.certain:
+            text += ", which links that come and go could explain"
+            self.violated(text, tally.examples, *rules, verdict=Verdict.INCONCLUSIVE)
+        elif limit:
+            text += f"; {limit}, which a node may ignore"
+            self.violated(text, tally.examples, *rules, verdict=Verdict.INFO, expected=f"{self.expect}, within limits")
+        else:
+            if reason := self._reason(each):
+                text += f"; the likely reason: {reason}"
+            self.exercised(*rules, times=tally.all_trials)
+            self.violated(text, tally.examples, *rules)
+
+    def _speakers(self, each: Shortage) -> str:
+        if not each.speakers:
+            return ""
+        who = ", ".join(name(node) for node in each.speakers)
+        return f", while it reacts to other records of {who}"
+
+    def _limit(self, each: Shortage) -> str:
+        """What it was not to take: above all that it has shown to take, it may be above its limits."""
+        del each
+        return ""
+
+    def _reason(self, each: Shortage) -> str:
+        """What all that was missed has in common, and nothing that it reacts to."""
+        shown = reception_of(self.context).shown[each.station.node]
+        if each.tally.late_half and not shown.late_half:
+            return "it reads no more than the first half of a payload"
+        if each.tally.shortest > shown.longest > 0:
+            return (
+                f"it takes no payload as long as these (from {each.tally.shortest} octets on; "
+                f"the longest that it reacts to has {shown.longest})"
+            )
+        return ""
+
+
+class _Taking(_Reaction):
+    """Base: taking something that may be above a node's limits."""
+
+    def _limit(self, each: Shortage) -> str:
+        station, causes = each.station, each.tally.examples
+        for cause in causes:
+            above = ""
+            if cause.kind is ICType.CREATE_VARIABLES:
+                spec = cause.record.spec
+                if spec.rep_cnt > max(station.repetitions, 1):
+                    above = f"repCnt {spec.rep_cnt} is above all that it has taken ({station.repetitions})"
+                elif len(spec.descr) > max(station.description, 1):
+                    above = f"a description of {len(spec.descr)} octets is longer than all that it has taken"
+                elif not spec.descr:
+                    above = "the description is empty"
+                value = cause.record.upd.value
+            else:
+                value = cause.record.value
+            if not above and len(value) > max(station.value, 1):
+                above = f"a value of {len(value)} octets is longer than all that it has taken ({station.value})"
+            if not above:
+                return ""
+        return above if causes else ""
+
+
+class TakesCreations(_Taking):
+    """Creations are taken."""
+
+    id = "CK_VD_TAKES_CREATE"
+    section = "dcp-vardis.md: Processing CREATE-VARIABLES"
+    purpose = "A node that hears the create of a variable that it does not know has it from then on"
+    requirements = ("VD-PC-07", "VD-PC-09", "VD-RX-04")
+    expect = "the variable in creates, summaries or updates of a node that hears its create"
+    kinds = (Kind.TAKE_CREATE,)
+
+
+class TakesUpdates(_Taking):
+    """Updates are taken."""
+
+    id = "CK_VD_TAKES_UPDATE"
+    section = "dcp-vardis.md: Processing UPDATES"
+    purpose = "A node that hears a newer value of a variable has it from then on"
+    requirements = ("VD-PU-07", "VD-RX-04")
+    expect = "the newer number in the summaries and updates of a node that hears the update"
+    kinds = (Kind.TAKE_UPDATE,)
+
+
+class TakesDeletions(_Reaction):
+    """Deletions are taken."""
+
+    id = "CK_VD_TAKES_DELETE"
+    section = "dcp-vardis.md: Processing DELETE-VARIABLES"
+    purpose = "A node that hears the delete of a variable of somebody else deletes it and passes that on"
+    requirements = ("VD-PD-04",)
+    expect = "a delete, and no summary, of a node that hears a delete"
+    kinds = (Kind.TAKE_DELETE,)
+
+
+class AnswersUpdateRequests(_Reaction):
+    """Requests for updates are answered."""
+
+    id = "CK_VD_ANSWER_UPDATE"
+    section = "dcp-vardis.md: Processing REQUEST-VARUPDATES"
+    purpose = "A node that has a newer value and hears a request for it sends it"
+    requirements = ("VD-RU-04",)
+    expect = "an update after a request that tells an older number"
+    kinds = (Kind.ANSWER_UPDATE,)
+
+
+class AnswersCreateRequests(_Reaction):
+    """Requests for creations are answered."""
+
+    id = "CK_VD_ANSWER_CREATE"
+    section = "dcp-vardis.md: Processing REQUEST-VARCREATES"
+    purpose = "A node that has a variable and hears a request for it sends its create"
+    requirements = ("VD-RC-03",)
+    expect = "a create after a request"
+    kinds = (Kind.ANSWER_CREATE,)
+
+
+class AsksForUpdates(_Reaction):
+    """Newer numbers in summaries lead to requests."""
+
+    id = "CK_VD_ASK_UPDATE"
+    section = "dcp-vardis.md: Processing SUMMARIES"
+    purpose = "A node that hears a summary with a newer number asks for the value"
+    requirements = ("VD-PS-04",)
+    expect = "a request with the own number after a summary with a newer one"
+    kinds = (Kind.ASK_UPDATE,)
+
+
+class AsksForCreations(_Reaction):
+    """Unknown variables lead to requests."""
+
+    id = "CK_VD_ASK_CREATE"
+    section = "dcp-vardis.md: Processing SUMMARIES"
+    purpose = "A node that hears of a variable that it does not know asks for its create"
+    requirements = ("VD-PS-01", "VD-PU-01", "VD-RC-01", "VD-RU-01")
+    expect = "a request after the first summary, update or request of an unknown variable"
+    kinds = (Kind.ASK_CREATE,)
+    by_cause: ClassVar[dict[ICType, str]] = {
+        ICType.UPDATES: "VD-PU-01",
+        ICType.SUMMARIES: "VD-PS-01",
+        ICType.REQUEST_VARCREATES: "VD-RC-01",
+        ICType.REQUEST_VARUPDATES: "VD-RU-01",
+    }
+
+
+class Teaches(_Reaction):
+    """Older numbers of others lead to updates."""
+
+    id = "CK_VD_TEACH"
+    section = "dcp-vardis.md: Processing SUMMARIES"
+    purpose = "A node that hears an older number of a variable of somebody else sends its newer value"
+    requirements = ("VD-PS-03", "VD-PU-06")
+    expect = "an update after a summary or update with an older number"
+    kinds = (Kind.TEACH,)
+    by_cause: ClassVar[dict[ICType, str]] = {ICType.UPDATES: "VD-PU-06", ICType.SUMMARIES: "VD-PS-03"}
+
+
+RULES: tuple[type[Invariant], ...] = (
+    HearsWhom,
+    TakesCreations,
+    TakesUpdates,
+    TakesDeletions,
+    AsksForUpdates,
+    AsksForCreations,
+    AnswersUpdateRequests,
+    AnswersCreateRequests,
+    Teaches,
+)

@@ -1,0 +1,303 @@
+"""dcp-vardis.md: how often instructions are sent, and requests that nobody needs to make."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import islice
+from typing import Any
+
+from dcp_spec.constants import ICType
+
+from dcp_codec.codec import Codec
+from dcp_conformance.check.base import MOST_VARIABLES, Context, Invariant, Seen, name
+from dcp_conformance.check.statements import (
+    ASK_CREATE,
+    ASK_UPDATE,
+    CREATE,
+    DELETE,
+    SUMMARY,
+    UPDATE,
+    Statement,
+    statements_in,
+)
+from dcp_conformance.frames.received import ReceivedBeacon
+from dcp_conformance.model.circular import Circle
+from dcp_conformance.model.results import Mark
+
+from .dialogue import Counter
+
+MS = 1_000_000
+#: For how many beacon periods before it is seen on the air a payload may have been composed.
+_COMPOSED = 1.6
+#: A gap in the recording shows within so many ns, or never.
+_GAP_SHOWS = 2_000 * MS
+#: Beacons that are kept as possible reasons: some ten seconds of thirty nodes.
+_FRAMES = 4_000
+_TOLD, _UNTOLD = ("VD-RU-03",), ("VD-SCP-02", "VD-SCP-03")
+_Key = tuple[bytes, int, ICType]
+
+
+class _Frame:
+    """A beacon, for as long as what it says may be a reason for others to send again.
+
+    Few are ever asked: they are kept as octets, which the recording's evidence shares, and decoded again.
+    """
+
+    __slots__ = ("_number", "_octets", "_of", "node", "time")
+
+    def __init__(self, seen: Seen) -> None:
+        self.time, self.node = seen.time, seen.sender
+        self._number, self._octets = seen.number, seen.heard.octets
+        self._of: dict[int, list[Statement]] | None = None
+
+    def of(self, var_id: int, codec: Codec) -> Sequence[Statement]:
+        """All about one variable."""
+        if self._of is None:
+            self._of = {}
+            heard = ReceivedBeacon(codec, self._number, self.time, self.time, self._octets, self.node)
+            for each in statements_in(heard, self.node):
+                self._of.setdefault(each.var_id, []).append(each)
+        return self._of.get(var_id, ())
+
+
+@dataclass(slots=True)
+class _Run:
+    """The beacons of a node that carry one instruction."""
+
+    what: tuple[Any, ...]
+    """Lifetime of the node, creation, number."""
+    number: int
+    """The sequence number of updates, else 0."""
+    rep_cnt: int
+    begin: int
+    last: Statement
+    weighed: int
+    """The number of frames, in all, up to which reasons have been weighed; before that, the one that began the run."""
+    asked: int
+    """Requests for updates that had told the number before, by whomever."""
+    beacons: int = 1
+    allowed: int = 0
+    told: int = 0
+    """Requests that told the same number."""
+    fresh: bool = True
+    """Whether no reasons have been weighed."""
+
+
+class Repetitions(Invariant):
+    """Saids are repeated as often as the VarSpec says.
+
+    Somebody whom the recorder does not hear may have given a reason to send again. So a node is judged by most of what
+    it repeats, and by nothing during which a beacon was missed.
+    """
+
+    id = "CK_VD_REPEAT"
+    section = "dcp-vardis.md: Global versus Local Dissemination"
+    purpose = "A node sends an instruction in at most repCnt beacons, unless somebody gives it a reason to begin again"
+    requirements = ("VD-SCP-02", "VD-SCP-03", "VD-RU-03")
+    expect = "at most repCnt beacons with the same instruction for each reason to send it"
+
+    def __init__(self, context: Context) -> None:
+        super().__init__(context)
+        self._circle = Circle(context.profile.types.var_seqno.width)
+        self._creation: dict[tuple[bytes, int], tuple[Any, ...]] = {}
+        """(node, variable) -> the creation that it spoke of last, and its repCnt."""
+        self._runs: dict[_Key, _Run] = {}
+        self._frames: deque[_Frame] = deque()
+        """What was said lately. It is looked at for runs that are longer than without a reason: nearly none is."""
+        self._dropped = 0
+        """Frames that are gone from there."""
+        self._asked: dict[tuple[int, int], int] = {}
+        """(variable, number) -> requests for updates that told it."""
+        self._deleting = 0
+        """Runs of deletes."""
+        self._closed: deque[tuple[int, _Key, _Run]] = deque()
+        self._counters: dict[tuple[bytes, ICType, bool], Counter] = {}
+        self._examples: dict[tuple[bytes, ICType, bool], str] = {}
+        self._composed = round(_COMPOSED * context.pics.pixit.beacon_period_ms * MS)
+
+    def feed(self, seen: Seen) -> None:
+        """Count beacons; requests and older numbers of others allow more."""
+        node, now = seen.sender, seen.time
+        if self._closed:
+            self._count(now)
+        if seen.parts:
+            self._frames.append(_Frame(seen))
+            if len(self._frames) > _FRAMES:
+                # A reason shows in what is sent soon after it, or not at all.
+                self._frames.popleft()
+                self._dropped += 1
+        for each, _ in seen.news:
+            kind, var_id = each.kind, each.var_id
+            if kind is CREATE and ((node, var_id) in self._creation or len(self._creation) < MOST_VARIABLES):
+                spec = each.record.spec
+                self._creation[node, var_id] = (spec.prod_id, spec.creation_time, spec.rep_cnt)
+            if kind is DELETE:
+                self._close(now, (node, var_id, CREATE), (node, var_id, UPDATE))
+            elif self._deleting and (kind is CREATE or kind is UPDATE or kind is SUMMARY):
+                # A node that says anything else of a variable has it: it may be deleted another time.
+                self._close(now, (node, var_id, DELETE))
+            if kind is CREATE or kind is UPDATE or kind is DELETE:
+                self._sent(each, now)
+            elif kind is ASK_UPDATE and ((var_id, each.number) in self._asked or len(self._asked) < MOST_VARIABLES):
+                self._asked[var_id, each.number] = self._asked.get((var_id, each.number), 0) + 1
+
+    def _rep_cnt(self, node: bytes, var_id: int) -> int | None:
+        """As the node said itself, or as it was said of the only life of the variable; else nobody knows."""
+        own = self._creation.get((node, var_id))
+        if own is not None:
+            return int(own[2])
+        first = self.context.lives.first(var_id)
+        if first is None or self.context.lives.born(var_id) is None:
+            return None
+        return int(first[1].record.spec.rep_cnt)
+
+    def _sent(self, each: Statement, now: int) -> None:
+        key = (each.sender, each.var_id, each.kind)
+        number = each.number if each.kind is UPDATE else 0
+        what = (self.context.senders.life(each.sender), *self._creation.get(key[:2], ())[:2], number)
+        run = self._runs.get(key)
+        if run is not None and run.what == what:
+            run.beacons += 1
+            run.last = each
+            if run.beacons > run.allowed:
+                self._weigh(key, run)
+            return
+        self._close(now, key)
+        allowed = self._rep_cnt(each.sender, each.var_id)
+        if allowed is None or len(self._runs) >= MOST_VARIABLES:
+            return
+        asked = self._asked.get((each.var_id, number), 0) if each.kind is UPDATE else 0
+        place = self._dropped + len(self._frames)
+        self._runs[key] = _Run(what, number, allowed, now, each, place, asked, allowed=allowed)
+        self._deleting += each.kind is DELETE
+
+    def _weigh(self, key: _Key, run: _Run, *, complete: bool = False) -> None:
+        """Allow more for each reason that was not weighed yet, until there are enough; all of them if ``complete``."""
+        begin = max(run.weighed - self._dropped, 0)
+        if run.fresh:
+            # A payload may have been composed a while before: what was said meanwhile counts for the next one.
+            run.fresh = False
+            while begin and self._frames[begin - 1].time >= run.begin - self._composed:
+                begin -= 1
+        codec, node, var_id = self.context.codec, key[0], key[1]
+        for frame in islice(self._frames, begin, None):
+            begin += 1
+            if frame.node != node:
+                for each in frame.of(var_id, codec):
+                    self._allow(key, run, each.kind, each.number)
+                if run.allowed >= run.beacons and not complete:
+                    break
+        run.weighed = self._dropped + begin
+
+    def _allow(self, key: _Key, run: _Run, kind: ICType, told: int) -> None:
+        """Allow more, if this record of somebody else is a reason for it."""
+        if key[2] is CREATE:
+            run.allowed += run.rep_cnt if kind is ASK_CREATE else 0
+        elif key[2] is DELETE:
+            # Created again, and deleted again before that was passed on.
+            run.allowed += run.rep_cnt if kind is CREATE else 0
+        elif kind is ASK_UPDATE or kind is SUMMARY or kind is UPDATE:
+            if told == run.number:
+                run.told += kind is ASK_UPDATE
+            elif not self._circle.newer(told, run.number):
+                # Older, or half the circle away, which can be taken either way (X28).
+                run.allowed += run.rep_cnt
+
+    def _close(self, time: int, *keys: _Key) -> None:
+        """A run has ended; it is counted when it is certain that no beacon was missed."""
+        for key in keys:
+            run = self._runs.pop(key, None)
+            if run is not None:
+                self._deleting -= key[2] is DELETE
+                told = key[2] is UPDATE and self._asked.get((key[1], run.number), 0) != run.asked
+                if told or run.beacons > run.allowed:
+                    self._weigh(key, run, complete=told)
+                self._closed.append((time, key, run))
+
+    def _count(self, now: int) -> None:
+        while self._closed and self._closed[0][0] + _GAP_SHOWS < now:
+            _, (node, var_id, kind), run = self._closed.popleft()
+            if not self.context.senders.complete(run.begin - self._composed, run.last.time):
+                continue
+            missed, told = run.beacons > run.allowed, bool(run.told) and kind is UPDATE
+            self.exercised(*(_TOLD if told else _UNTOLD))
+            key = (node, kind, told)
+            if key not in self._counters and len(self._counters) >= MOST_VARIABLES:
+                continue
+            self._counters.setdefault(key, Counter()).note(run.last, missed=missed)
+            if missed and key not in self._examples:
+                what = f"{kind.label} of variable {var_id}" + (f", {run.what[-1]}," if kind is UPDATE else "")
+                self._examples[key] = f"{what} in {run.beacons} beacons, {run.allowed} allowed"
+
+    def finish(self) -> None:
+        """Judge the counts."""
+        self._close(0, *list(self._runs))
+        self._count(1 << 63)
+        for key, counter in self._counters.items():
+            if not counter.convincing:
+                continue
+            node, _, told = key
+            text = f"{name(node)}: {counter.missed} of {counter.occasions} times too often, first {self._examples[key]}"
+            if told:
+                text += "; requests had told the same number, which must not be answered"
+            self.violated(text, counter.examples, *(_TOLD if told else _UNTOLD))
+
+
+class Requests(Invariant):
+    """Nobody asks for what it has."""
+
+    id = "CK_VD_REQUEST"
+    section = "dcp-vardis.md: Global versus Local Dissemination"
+    purpose = (
+        "A node asks for the creation of variables that it does not have, and does not pass on the requests of others"
+    )
+    requirements = ("VD-SCP-01",)
+    expect = "no request for a variable that the node has in the same payload, or has summarised right before"
+
+    def __init__(self, context: Context) -> None:
+        super().__init__(context)
+        self._asked: dict[tuple[bytes, int], list[int]] = {}
+        self._producers: dict[int, bytes] = {}
+        self._sent: dict[int, int] = {}
+        """How often the create of a variable was sent after the first request for it."""
+
+    def feed(self, seen: Seen) -> None:
+        """Compare requests with what the node last said."""
+        for each, before in seen.news:
+            if each.kind is ASK_CREATE:
+                self.exercised()
+                self._count(each, seen)
+                if before is not None:
+                    text = f"{name(seen.sender)} asks for variable {each.var_id}, which it has"
+                    self.violated(text, [before, each], once=(seen.sender, each.var_id))
+            elif each.kind is CREATE:
+                self._producers[each.var_id] = each.record.spec.prod_id
+                if each.var_id in self._sent:
+                    self._sent[each.var_id] += 1
+
+    def _count(self, each: Statement, seen: Seen) -> None:
+        key = (seen.sender, each.var_id)
+        if key in self._asked or len(self._asked) < MOST_VARIABLES:
+            self._asked.setdefault(key, [0, each.frame])[0] += 1
+            self._sent.setdefault(each.var_id, 0)
+
+    def finish(self) -> None:
+        """Hazards of the design: requests that never end, and producers that ask for their own variables."""
+        by_variable: dict[int, list[tuple[bytes, int, int]]] = {}
+        for (node, var_id), (count, first) in self._asked.items():
+            by_variable.setdefault(var_id, []).append((node, count, first))
+            if self._producers.get(var_id) == node:
+                text = f"{name(node)} asks {count} times for variable {var_id}, whose producer it is"
+                self.note("a producer that has forgotten its own variable (H2)", text, [Mark(first)])
+        for var_id, askers in by_variable.items():
+            often = [each for each in askers if each[1] >= 10]
+            # Where it is sent again and again, somebody has it: CK_VD_ENDLESS tells why it may not be taken.
+            if len(often) >= 2 and self._sent[var_id] < len(often):
+                who = ", ".join(f"{name(node)} {count} times" for node, count, _ in often)
+                marks = [Mark(first) for _, _, first in often]
+                self.note("nodes that ask each other for what neither has (H1)", f"variable {var_id}: {who}", marks)
+
+
+RULES: tuple[type[Invariant], ...] = (Repetitions, Requests)

@@ -1,0 +1,150 @@
+"""dcp-vardis.md: what each payload shows for itself."""
+
+from __future__ import annotations
+
+import itertools
+from collections import Counter
+from collections.abc import Sequence
+
+from dcp_spec.constants import ICType
+
+from dcp_codec.values import VarCreate
+from dcp_conformance.check.base import Context, Invariant, Seen, name
+from dcp_conformance.check.statements import CREATE, DELETE, SUMMARY, UPDATE, Part, Statement, said_of
+from dcp_conformance.frames.received import Instruction
+from dcp_conformance.model.verdict import Verdict
+
+#: Sequences of containers that are remembered as sound.
+_SEQUENCES = 1024
+#: What says which number of a variable its sender has.
+SENT = (ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.SUMMARIES)
+
+
+def seqno_of(instruction: Instruction | Statement) -> int:
+    """The number that a VC, VU, VS or RU carries."""
+    if isinstance(instruction, Statement):
+        return instruction.number
+    record = instruction.record
+    number: int = record.upd.seqno if isinstance(record, VarCreate) else record.seqno
+    return number
+
+
+class ContainerOrder(Invariant):
+    """The order of containers."""
+
+    id = "CK_VD_ORDER"
+    section = "dcp-vardis.md: Payload Construction"
+    purpose = "Containers stand in the order in which payloads are composed"
+    requirements = ("VD-PAY-01",)
+    expect = "containers in the specification's order of composing"
+
+    def __init__(self, context: Context) -> None:
+        super().__init__(context)
+        self._rank = {kind: rank for rank, kind in enumerate(context.features.container_order)}
+        self._sound: set[tuple[type, ...]] = set()
+        """Sequences of records that break nothing."""
+
+    def feed(self, seen: Seen) -> None:
+        """Compare neighbours."""
+        containers = seen.heard.containers
+        if len(containers) < 2:
+            return
+        kinds_seen = tuple([type(each.records[0]) for each in containers if each.records])
+        if kinds_seen in self._sound:
+            self.exercised(times=len(kinds_seen) - 1)
+            return
+        before = self.left_out + len(self.findings)
+        self._judge(seen)
+        if self.left_out + len(self.findings) == before and len(self._sound) < _SEQUENCES:
+            self._sound.add(kinds_seen)
+
+    def _judge(self, seen: Seen) -> None:
+        first = [each for each in seen.heard.instructions() if each.position == 0]
+        if len(first) < 2:
+            return
+        for before, after in itertools.pairwise(first):
+            self.exercised()
+            if self._rank[after.kind] < self._rank[before.kind]:
+                text = f"{name(seen.sender)}: {after.kind.label} behind {before.kind.label}"
+                self.violated(text, [before, after], once=(seen.sender, before.kind, after.kind))
+        kinds = [each.kind for each in first]
+        if len(set(kinds)) < len(kinds):
+            doubled = next(kind for kind in kinds if kinds.count(kind) > 1)
+            text = f"{name(seen.sender)}: {kinds.count(doubled)} containers {doubled.label}"
+            several = self.context.features.several_containers_per_type
+            verdict = Verdict.INFO if several else Verdict.FAIL
+            expected = (
+                "several containers of one type in a payload" if several else "one container of each type at most"
+            )
+            self.violated(text, [seen], "VD-IC-04", expected=expected, verdict=verdict, once=(seen.sender, doubled))
+
+
+class PayloadConsistency(Invariant):
+    """A payload is composed from one state of the database."""
+
+    id = "CK_VD_PAYLOAD"
+    section = "dcp-vardis.md: Payload Construction"
+    purpose = "All that one payload says of a variable is of the same state of it"
+    requirements = ("VD-CMP-04", "VD-UPD-10", "VD-CMP-05")
+    expect = "one sequence number for each variable in a payload, and no summary of a deleted one"
+
+    def feed(self, seen: Seen) -> None:
+        """Compare the records about each variable."""
+        if _plain(seen.parts):
+            return
+        said = seen.said if any(kind is DELETE for kind, _, _ in seen.parts) else _repeated(seen)
+        records: dict[int, Statement] = {}
+        deleted = {each.var_id: each for each in said if each.kind is DELETE}
+        for each in said:
+            kind = each.kind
+            if kind is not SUMMARY and kind is not UPDATE and kind is not CREATE:
+                continue
+            before = records.setdefault(each.var_id, each)
+            if before is not each:
+                self.exercised("VD-CMP-04", "VD-UPD-10")
+                if before.number != each.number:
+                    text = (
+                        f"{name(seen.sender)}, variable {each.var_id}: {before.number} in {before.kind.label}, "
+                        f"{each.number} in {each.kind.label}"
+                    )
+                    self.violated(text, [before, each], "VD-CMP-04", "VD-UPD-10", once=(seen.sender, each.var_id))
+            if kind is SUMMARY and deleted:
+                self.exercised("VD-CMP-05")
+                if each.var_id in deleted:
+                    text = f"{name(seen.sender)} deletes and summarises variable {each.var_id}"
+                    self.violated(text, [deleted[each.var_id], each], "VD-CMP-05", once=(seen.sender, each.var_id))
+
+
+def _repeated(seen: Seen) -> list[Statement]:
+    """The creates, updates and summaries of a beacon about variables that have several of them."""
+    counts = Counter(
+        itertools.chain.from_iterable(
+            ids for kind, _, ids in seen.parts if kind is SUMMARY or kind is UPDATE or kind is CREATE
+        )
+    )
+    several = {var_id for var_id, count in counts.items() if count > 1}
+    return [
+        said_of(kind, record, seen.heard, seen.sender)
+        for kind, records, ids in seen.parts
+        if not several.isdisjoint(ids)
+        for record, var_id in zip(records, ids, strict=True)
+        if var_id in several
+    ]
+
+
+def _plain(parts: Sequence[Part]) -> bool:
+    """Whether no variable is in two of these records, and none is deleted: then there is nothing to compare."""
+    total, found = 0, set[int]()
+    for kind, _, ids in parts:
+        if kind is DELETE:
+            return False
+        if kind is SUMMARY or kind is UPDATE or kind is CREATE:
+            found.update(ids)
+            total += len(ids)
+    return len(found) == total
+
+
+RULES: tuple[type[Invariant], ...] = (
+    ContainerOrder,
+    PayloadConsistency,
+)

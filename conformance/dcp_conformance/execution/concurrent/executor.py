@@ -1,0 +1,344 @@
+"""Execute cases side by side: which of them at the same time, and what becomes of their results."""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Final, NamedTuple
+
+from dcp_conformance.execution.attribution import Trial
+from dcp_conformance.execution.body import delete_variables, recorded, run_body
+from dcp_conformance.execution.case_results import result_of
+from dcp_conformance.execution.runner import SLOW_DEATH, Runner
+from dcp_conformance.frames.received import ReceivedBeacon
+from dcp_conformance.lower_tester import Arrival
+from dcp_conformance.model.applicability import why_not
+from dcp_conformance.model.case import Case
+from dcp_conformance.model.case_times import load
+from dcp_conformance.model.results import CaseResult
+from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.passive import SIDE_BY_SIDE
+from dcp_conformance.test_system.bench import Bench
+
+from .scheduler import Scheduler, Task
+from .shared import SharedLink, SharedSession, SharedUpper
+from .sharing import at_short_period, family, group, why_alone
+from .short_period import ShortPeriod
+
+#: Cases at a time, unless the user says otherwise.
+WIDTH: Final = 16
+#: Cases at a time, for those that did not pass beside more.
+_FEW: Final = 4
+#: ns after which the executor looks at the implementation's process, whatever the cases wait for.
+_LOOK: Final = 200_000_000
+#: Waves in which a case may find all identifiers used up by others, before it is left to be executed alone.
+_ATTEMPTS: Final = 4
+#: Cases in a row that are no pass, after which the implementation is asked whether it still answers.
+_DOUBTFUL: Final = 6
+
+
+def execute(
+    runner: Runner,
+    sanity: Case,
+    cases: Iterable[Case],
+    width: int,
+    on_result: Callable[[Case, CaseResult], None],
+) -> dict[str, str]:
+    """Execute those of the cases side by side that can be. ``on_result`` gets the result of each that passes.
+
+    Where the upper tester can shorten the beacon period, it is short for all cases whose verdict does not depend on it,
+    also for those that need the implementation for themselves.
+
+    ``sanity``: the case in whose name the implementation is asked whether it answers; it has been executed. ``width``:
+    the most cases at a time. Returns the cases that must be repeated alone, each with the reason.
+    """
+    executor = SideBySide(runner, sanity, width)
+    applicable = [case for case in cases if case.id != sanity.id and not runner.why_not(case)]
+    rest = [case for case in applicable if not case.destructive]
+    short = ShortPeriod(runner.session, sanity)
+    if short.begin(lambda: runner.initial_state(sanity, used=False)):
+        quick = [case for case in rest if at_short_period(case)]
+        try:
+            _together(executor, quick, on_result)
+            for case in quick:
+                repeated = case.id in executor.reasons or (why_alone(case) and not family(case))
+                if repeated and runner.session.short_period is short:
+                    result = runner.attempt(case)
+                    if result is not None:
+                        on_result(case, result)
+        finally:
+            short.end()
+        rest = [case for case in rest if case not in quick]
+    _together(executor, rest, on_result)
+    if runner.session.can_restart:
+        executor.run([case for case in applicable if case.destructive and not why_alone(case)], on_result)
+        executor.run_again(on_result)
+    return executor.reasons
+
+
+def _together(executor: SideBySide, cases: Sequence[Case], on_result: Callable[[Case, CaseResult], None]) -> None:
+    """Execute the cases side by side that can be, each family for itself."""
+    families: dict[str, list[Case]] = {}
+    for case in cases:
+        if family(case) or not why_alone(case):
+            families.setdefault(family(case), []).append(case)
+    for each in families.values():
+        executor.run(each, on_result)
+    executor.run_again(on_result)
+
+
+class _Pass(NamedTuple):
+    """A pass that is not handed on yet."""
+
+    trial: Trial
+    result: CaseResult
+    ended: int
+    """Time of the lower tester's clock, ns."""
+
+
+class SideBySide:
+    """Executes cases side by side, against the implementation of a runner.
+
+    Only plain passes become results. All other cases are left to be executed alone (:attr:`left`).
+    """
+
+    def __init__(self, runner: Runner, sanity: Case, width: int = WIDTH) -> None:
+        """``sanity``: the case in whose name the implementation is asked whether it answers. ``width``: the most cases
+        at a time.
+        """
+        self._runner = runner
+        self._sanity = sanity
+        self._session = runner.session
+        self.width = width
+        self._waiting: deque[Case] = deque()
+        """Cases that need VarDis, and so identifiers of variables."""
+        self._light: deque[Case] = deque()
+        """Cases that need hardly any identifiers: they are begun while a wave ends."""
+        self._live: dict[str, Bench] = {}
+        """The benches of the cases that are being executed."""
+        self.left: list[Case] = []
+        """The cases that are no plain pass, in the order in which they ended."""
+        self._crowded: list[Case] = []
+        """Of these, the ones that may pass beside fewer others."""
+        self.reasons: dict[str, str] = {}
+        """By case: why it is repeated alone."""
+        self._used_up_in: Counter[str] = Counter()
+        """By case: how often it has found all identifiers used up."""
+        self._draining = False
+        """Whether no further case begins in this wave."""
+        self._doubtful = False
+        """Whether the implementation may have stopped taking part in this wave."""
+        self._suspects: list[str] = []
+        """The cases that were executed when that became doubtful."""
+        self._resets = 0
+        """How often the implementation could not be brought into its initial state."""
+        self._used_up = False
+        """Whether a case of this wave has found all identifiers used up."""
+        self._doubts = 0
+        """Cases in a row that were no pass."""
+        self._passed: list[_Pass] = []
+        """The passes of the last seconds, of which the implementation may be dying still."""
+        self._last = 0
+        """When (ns) the last frame of the implementation came."""
+        self._observer = Bench(self._session, sanity)
+        self._frames = 0
+
+    def run(self, cases: Sequence[Case], on_result: Callable[[Case, CaseResult], None]) -> None:
+        """Execute the cases. ``on_result`` gets the result of each that passes, as soon as it has ended.
+
+        Raises ``KeyboardInterrupt`` and the like, after all cases have undone what they have changed.
+        """
+        # A long case that begins late would be the only one for a while.
+        times = load()
+        for case in sorted(cases, key=lambda case: -times.of(case.id)):
+            (self._waiting if "vardis" in case.needs.entities else self._light).append(case)
+        try:
+            while self._waiting or self._light:
+                self._wave(on_result)
+        finally:
+            for each in self._passed:
+                on_result(each.trial.case, each.result)
+                self._runner.remember(each.trial, each.result, each.ended)
+            self._passed.clear()
+
+    def run_again(self, on_result: Callable[[Case, CaseResult], None]) -> None:
+        """Execute those of the last cases once more that found too little room beside so many others, beside few."""
+        again = [case for case in self._crowded if case.id in self.reasons]
+        self._crowded.clear()
+        if not again or self._runner.dead:
+            return
+        self.left = [case for case in self.left if case not in again]
+        usual, self.width = self.width, min(self.width, _FEW)
+        try:
+            self.run(again, on_result)
+        finally:
+            self.width = usual
+            self._crowded.clear()
+
+    def _wave(self, on_result: Callable[[Case, CaseResult], None]) -> None:
+        """Execute cases from one initial state of the implementation, until identifiers are used up or it is gone."""
+        session = self._session
+        if why := self._runner.initial_state(self._sanity, used=self._used_up):
+            self._resets += 1
+            # It may have died after the last case: then it is started again.
+            gone = self._runner.check_life(self._sanity, [case.id for case in self.left[-self.width :]])
+            if gone or self._resets > _ATTEMPTS:
+                self._give_up(gone or why)
+            return
+        scheduler = Scheduler(session.lower, session.upper, self._account)
+        session.identifiers.in_use = self._in_use
+        session.passive.begin_side_by_side(session.lower.now())
+        self._draining = self._used_up = self._doubtful = False
+        self._doubts = 0
+        self._suspects = []
+        ended: list[tuple[Case, Trial]] = []
+        looked = session.lower.now()
+        try:
+            while True:
+                while len(scheduler.tasks) < self.width and (case := self._next()) is not None:
+                    self._start(scheduler, case, ended)
+                if not scheduler.tasks:
+                    break
+                scheduler.step(session.lower.now() + _LOOK)
+                for case, trial in ended:
+                    self._end(case, trial)
+                ended.clear()
+                self._confirm(on_result)
+                if session.lower.now() - looked >= _LOOK:
+                    looked = session.lower.now()
+                    if self._runner.life.ended():
+                        self._draining = self._doubtful = True
+                        self._suspects = self._suspects or list(self._live)
+        finally:
+            scheduler.close()
+            session.identifiers.in_use = frozenset
+            session.passive.interrupted(session.lower.now())
+            self._live.clear()
+        for case, trial in ended:
+            self._end(case, trial)
+        if self._silent() and not self._doubtful:
+            self._doubtful = True
+            self._suspects = [each.trial.case.id for each in self._passed]
+        deaths = self._runner.deaths_side_by_side
+        if self._doubtful and (why := self._runner.check_life(self._sanity, self._suspects)):
+            self._give_up(why)
+        if self._runner.deaths_side_by_side > deaths:
+            self._withhold()
+
+    def _silent(self) -> bool:
+        """Whether the implementation has not been heard since one of the last passes."""
+        return any(each.trial.bench.silent and each.ended >= self._last for each in self._passed)
+
+    def _confirm(self, on_result: Callable[[Case, CaseResult], None]) -> None:
+        """Hand on the passes that the implementation has survived: it was heard after them, and had time to die."""
+        settled = self._session.lower.now() - round(SLOW_DEATH * 1e9)
+        for each in self._passed:
+            if each.ended <= settled and each.ended < self._last:
+                on_result(each.trial.case, each.result)
+        self._passed = [each for each in self._passed if each.ended > settled or each.ended >= self._last]
+
+    def _withhold(self) -> None:
+        """The implementation was lost: leave the cases that passed shortly before to be executed alone."""
+        for each in self._passed:
+            self.left.append(each.trial.case)
+            self.reasons[each.trial.case.id] = "the implementation was lost shortly after it"
+        self._passed.clear()
+
+    def _next(self) -> Case | None:
+        """The next case of this wave; None if no further one is to begin now."""
+        if self._doubtful:
+            return None
+        if not self._draining and (case := self._take_from(self._waiting)) is not None:
+            return case
+        # While others end, those that need no identifiers; not for longer than that, if cases wait for the next wave.
+        heavy = any("vardis" in bench.case.needs.entities for bench in self._live.values())
+        return self._take_from(self._light) if heavy or not self._waiting else None
+
+    def _take_from(self, queue: deque[Case]) -> Case | None:
+        """The first case of a queue beside which no other of its group is executed."""
+        busy = {group(bench.case) for bench in self._live.values()} - {""}
+        for place, case in enumerate(queue):
+            if group(case) not in busy:
+                del queue[place]
+                return case
+        return None
+
+    def _start(self, scheduler: Scheduler, case: Case, ended: list[tuple[Case, Trial]]) -> None:
+        def body(task: Task) -> None:
+            ended.append((case, self._execute(scheduler, task, case)))
+
+        scheduler.start(body)
+
+    def _execute(self, scheduler: Scheduler, task: Task, case: Case) -> Trial:
+        base = self._session
+        upper = SharedUpper(scheduler, task, base.upper) if base.upper is not None else None
+        session = SharedSession(base, SharedLink(scheduler, task), upper)
+        bench = Bench(session, case)
+        why_not(bench, case)
+        trial = Trial(case, bench, base.lower.now(), bench.checks)
+        self._live[case.id] = bench
+        base.passive.enter(case.id)
+        try:
+            with recorded(trial):
+                run_body(trial)
+            if not trial.hung_up:
+                delete_variables(trial, lambda: True)
+        finally:
+            base.passive.leave(case.id)
+            del self._live[case.id]
+        return trial
+
+    def _end(self, case: Case, trial: Trial) -> None:
+        """Take the outcome of a case into account."""
+        session = self._session
+        if trial.used_up and self._used_up_in[case.id] < _ATTEMPTS:
+            # The next wave begins with all identifiers.
+            self._used_up_in[case.id] += 1
+            self._waiting.appendleft(case)
+            self._draining = self._used_up = True
+            return
+        if trial.verdict is Verdict.PASS and not trial.hung_up and not trial.bench.spoilt:
+            self._doubts = 0
+            self.reasons.pop(case.id, None)
+            result = result_of(trial, trial.checks, session.lower.now(), self._runner.rerun, side_by_side=True)
+            self._passed.append(_Pass(trial, result, session.lower.now()))
+            return
+        self.left.append(case)
+        self.reasons[case.id] = _reason(trial)
+        if trial.verdict in (Verdict.FAIL, Verdict.INCONCLUSIVE) and not trial.hung_up:
+            self._crowded.append(case)
+        self._doubts += 1
+        if trial.hung_up or self._doubts >= _DOUBTFUL:
+            # It may be dead. Whether it is can only be found out when no other case is executed.
+            self._draining = self._doubtful = True
+            self._suspects = self._suspects or [case.id, *self._live]
+
+    def _account(self, arrival: Arrival) -> None:
+        """Take a frame into account for the session, once for all cases."""
+        session, observer = self._session, self._observer
+        heard = ReceivedBeacon(session.codec, 0, arrival.time, arrival.wall, arrival.octets, arrival.source)
+        if observer.is_sut(heard):
+            self._frames += 1
+            self._last = arrival.time
+            heard.number = self._frames
+            session.take(heard, arrival, SIDE_BY_SIDE, None, observer.departure())
+
+    def _in_use(self) -> Iterator[int]:
+        for bench in self._live.values():
+            yield from bench.created
+            yield from bench.called_unknown
+
+    def _give_up(self, why: str) -> None:
+        """Leave all remaining cases to be executed alone."""
+        for queue in (self._waiting, self._light):
+            for case in queue:
+                self.reasons.setdefault(case.id, why)
+            self.left.extend(queue)
+            queue.clear()
+
+
+def _reason(trial: Trial) -> str:
+    decisive = next((check for check in trial.checks if check.verdict is trial.verdict), None)
+    if decisive is None:
+        return f"{trial.verdict} side by side"
+    return f"{trial.verdict} side by side: {decisive.expected}: {decisive.observed}"

@@ -1,0 +1,237 @@
+"""Cooperative scheduling of cases over one link and one upper tester."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+from collections import deque
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Any
+
+from greenlet import greenlet
+
+from dcp_conformance.errors import LowerTesterError, UpperTesterError
+from dcp_conformance.lower_tester import Arrival, LowerTester, OnThisMachine
+from dcp_conformance.upper_tester import Answer, Notification, UpperTester
+
+
+class Task:
+    """A case that is being executed, with what has arrived for it."""
+
+    def __init__(self, body: Callable[[Task], None]) -> None:
+        self.inbox: deque[Arrival] = deque()
+        """Frames that the case has not received yet."""
+        self.notifications: list[Notification] = []
+        self.dropped = 0
+        """Frames that the kernel has dropped since the case was last told."""
+        self.until: int | None = None
+        """What it waits for: a frame or notification before this time (ns). None: not for time."""
+        self.done = False
+        self._body = body
+        self.greenlet = greenlet(self._run)
+
+    def _run(self) -> None:
+        try:
+            self._body(self)
+        finally:
+            self.done = True
+
+
+class _Call:
+    """A call of the upper tester that waits for its turn, or for its answer."""
+
+    __slots__ = ("future", "method", "params", "task")
+
+    def __init__(self, task: Task, method: str, params: dict[str, Any]) -> None:
+        self.task, self.method, self.params = task, method, params
+        self.future: Future[Answer] | None = None
+
+
+class Scheduler:
+    """Hands frames and notifications to all tasks, and lets each run until it waits.
+
+    In real time, calls of the upper tester are made by a thread, one at a time, so that the other tasks go on
+    meanwhile. In virtual time no time passes in a call.
+    """
+
+    def __init__(self, lower: LowerTester, upper: UpperTester | None, on_arrival: Callable[[Arrival], None]) -> None:
+        """``on_arrival`` gets each frame once, before the tasks do."""
+        self._on_arrival = on_arrival
+        self.lower = lower
+        self.upper = upper
+        self.tasks: list[Task] = []
+        self.current: Task | None = None
+        """The task that runs; None while the scheduler does."""
+        self._main = greenlet.getcurrent()
+        self._calls: deque[_Call] = deque()
+        self._threads = ThreadPoolExecutor(1) if upper is not None and isinstance(lower, OnThisMachine) else None
+        self._awake, self._wake = socket.socketpair()
+        self._awake.setblocking(False)
+        self._closing = False
+        self.lost_link: LowerTesterError | None = None
+        """Why the link cannot be used any more."""
+        self.lost_upper: UpperTesterError | None = None
+        """Why the upper tester cannot be used any more."""
+
+    # -- for the executor ----------------------------------------------------------------------------------------------
+
+    def start(self, body: Callable[[Task], None]) -> None:
+        """Begin to execute ``body`` as a task; returns when it waits for the first time, or has ended."""
+        task = Task(body)
+        self.tasks.append(task)
+        self._resume(task)
+
+    def step(self, until: int) -> None:
+        """Wait until something happens, at most to ``until`` (ns), and let the tasks that it concerns run."""
+        self._finish_call()
+        self._begin_call()
+        lost = self.lost_link is not None or self.lost_upper is not None
+        waiting = [task for task in self.tasks if task.until is not None]
+        if ready := [task for task in waiting if lost or task.inbox or task.notifications]:
+            for task in ready:
+                self._resume(task)
+            return
+        first = min((task.until for task in waiting if task.until is not None), default=until)
+        if not self.drain(min(first, until), wait=True) and self.lower.now() >= first:
+            for task in waiting:
+                if not task.done and task.until is not None and task.until <= self.lower.now():
+                    self._resume(task)
+
+    def close(self) -> None:
+        """End all tasks, which undo what they have changed, and release what the scheduler holds."""
+        self._closing = True
+        for task in list(self.tasks):
+            if not task.done:
+                # BaseException: the case must not take it for a finding.
+                with contextlib.suppress(Exception):
+                    self.current = task
+                    task.greenlet.throw()
+        self.current = None
+        self.tasks.clear()
+        if self._threads is not None:
+            self._threads.shutdown(wait=True)
+            self._threads = None
+        self._awake.close()
+        self._wake.close()
+
+    # -- for the facades of tasks --------------------------------------------------------------------------------------
+
+    def receive(self, task: Task, until: int) -> Arrival | None:
+        """The next frame for the task before ``until``; None then, or when there are notifications.
+
+        Raises ``LowerTesterError`` if the link cannot be used.
+        """
+        if self.lost_link is not None:
+            raise self.lost_link
+        if self._closing:
+            self.drain(until, wait=True)
+        elif not task.inbox and self.lower.now() < until and not task.notifications:
+            task.until = until
+            self._main.switch()
+            task.until = None
+            if self.lost_link is not None:
+                raise self.lost_link
+        elif not task.inbox:
+            # Everything that arrived before ``until`` is to be received before None is returned.
+            while self.drain(until, wait=False) and not task.inbox:
+                pass
+        if task.inbox and task.inbox[0].time < until:
+            return task.inbox.popleft()
+        return None
+
+    def call(self, task: Task, method: str, params: dict[str, Any]) -> Answer:
+        """Call the upper tester for a task. Raises what the upper tester raises."""
+        assert self.upper is not None
+        if self.lost_upper is not None and not self._closing:
+            raise self.lost_upper
+        if self._threads is None:
+            answer = self.upper.call(method, params)
+            self.take_notifications()
+            return answer
+        if self._closing:
+            self._settle()
+            return self.upper.call(method, params)
+        mine = _Call(task, method, params)
+        self._calls.append(mine)
+        self._begin_call()
+        while mine.future is None or not mine.future.done():
+            self._main.switch()
+        return mine.future.result()
+
+    def drain(self, until: int, *, wait: bool) -> bool:
+        """Take the next frame in, for all tasks. Returns whether there was one before ``until``."""
+        also: Sequence[int] = ()
+        if wait and self._threads is not None:
+            idle = not self._calls and self.upper is not None
+            also = (self._awake.fileno(), *(self.upper.filenos() if idle and self.upper is not None else ()))
+        try:
+            arrival = self.lower.receive(until, also)
+        except LowerTesterError as error:
+            # For the cases to meet: this is no fault of the scheduler.
+            self.lost_link = error
+            return False
+        dropped = self.lower.health().dropped
+        for task in self.tasks if dropped else ():
+            task.dropped += dropped
+        self.take_notifications()
+        if arrival is None:
+            return False
+        self._on_arrival(arrival)
+        for task in self.tasks:
+            if not task.done:
+                task.inbox.append(arrival)
+        return True
+
+    def take_notifications(self) -> None:
+        """Hand what the implementation has told without being asked to all tasks."""
+        if self.upper is None or self._calls or self.lost_upper is not None:
+            return
+        try:
+            found = self.upper.poll()
+        except UpperTesterError as error:
+            self.lost_upper = error
+            return
+        for task in self.tasks if found else ():
+            if not task.done:
+                task.notifications += found
+
+    # -- beneath it ----------------------------------------------------------------------------------------------------
+
+    def _resume(self, task: Task) -> None:
+        before, self.current = self.current, task
+        try:
+            task.greenlet.switch()
+        finally:
+            self.current = before
+        if task.done:
+            self.tasks.remove(task)
+
+    def _begin_call(self) -> None:
+        """Make the next call, unless one is being made."""
+        if not self._calls or self._calls[0].future is not None or self._threads is None:
+            return
+        assert self.upper is not None
+        call = self._calls[0]
+        call.future = self._threads.submit(self.upper.call, call.method, call.params)
+        call.future.add_done_callback(lambda _: self._wake.send(b"\0"))
+
+    def _finish_call(self) -> None:
+        """If the call that was made has ended, let its task go on: it may call again before others do."""
+        with contextlib.suppress(BlockingIOError):
+            self._awake.recv(4096)
+        while self._calls and (future := self._calls[0].future) is not None and future.done():
+            call = self._calls.popleft()
+            waiting, self._calls = self._calls, deque()
+            self.take_notifications()
+            self._resume(call.task)
+            self._calls.extend(waiting)
+            self._begin_call()
+
+    def _settle(self) -> None:
+        """Wait for the call that is being made."""
+        while self._calls:
+            call = self._calls.popleft()
+            if call.future is not None:
+                with contextlib.suppress(Exception):
+                    call.future.result()

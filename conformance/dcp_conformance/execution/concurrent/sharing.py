@@ -1,0 +1,106 @@
+"""Which cases need the implementation for themselves."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import Any, Final
+
+from dcp_spec.constants import ProtocolId
+
+from dcp_conformance.model.case import Case
+
+ALONE: Final = frozenset(
+    {
+        "UT-Reset",
+        "UT-Subscribe",
+        "BP-MGMT-Activate",
+        "BP-MGMT-Deactivate",
+        "VD-MGMT-Activate",
+        "VD-MGMT-Deactivate",
+        "BP-SetParameter",
+        "SRP-SetParameter",
+        "VD-SetParameter",
+    }
+)
+"""Services that change the implementation as a whole."""
+
+_CONFIGURED: Final = re.compile(r"TC_BP_(TX_TI|PAR|INI)_.*")
+"""Cases that are about the configured beacon period."""
+
+_FILLS: Final = "it fills payloads, and counts on the room in them"
+_LISTENS: Final = "it judges what is in beacons as a whole, or in none"
+_REPLACES: Final = "it deregisters SRP or VarDis"
+_MEASURES: Final = (
+    (r"TC_DCP_SANITY_.*", "it shows that the implementation is there"),
+    (r"TC_VD_ROOM_.*", _FILLS),
+    (r"TC_NET_CROWD_.*", _FILLS),
+    (r"TC_VD_PAY_BV_0[67].*", _FILLS),
+    (r"TC_VD_CMP_BV_(01|02|04-creates|06|09|12|13|14|15).*", _FILLS),
+    (r"TC_VD_SUM_BV_0[235].*", _FILLS),
+    (r"TC_VD_SPLIT_BV_0[34]", _FILLS),
+    (r"TC_VD_SCR_TI_15", _FILLS),
+    (r"TC_VD_ID_BV_01-.*", _FILLS),
+    (r"TC_VD_SCR_TI_(04|05|14).*", "it measures when a variable is deleted"),
+    (r"TC_BP_RXP_BV_05-.*", _REPLACES),
+    (r"TC_(SRP|VD)_SRV_BO_01", _REPLACES),
+    (r"TC_SRP_NT_TI_0[34]", "it shortens the timeout of neighbours"),
+    (r"TC_SRP_NT_BV_04", "it fills the neighbour table"),
+    (r"TC_SRP_NT_BV_06", "it needs an empty neighbour table"),
+    (r"TC_BP_HDR_BV_(02|09|12)", _LISTENS),
+    (r"TC_BP_FMT_BV_02", _LISTENS),
+    (r"TC_BP_TX_(BV_03|TI_03)", _LISTENS),
+    (r"TC_BP_QM_BV_06", _LISTENS),
+    (r"TC_BP_RXP_BV_02", _LISTENS),
+    (r"TC_VD_RUN_TI_01", _LISTENS),
+)
+_FAMILIES: Final = (
+    (re.compile(r"TC_VD_SCR_TI_(04|05|14).*"), "timeouts of variables"),
+    (re.compile(r"TC_VD_ID_BV_01-.*"), "boundary values of identifiers"),
+)
+"""Cases that are executed beside each other, but not beside those outside of the family."""
+_PATTERNS: Final = tuple((re.compile(pattern), reason) for pattern, reason in _MEASURES)
+
+
+def why_alone(case: Case) -> str:
+    """Why the case cannot be executed beside others, in words; empty if it can.
+
+    Destructive cases can be executed beside each other where the implementation can be started again.
+    """
+    if case.needs.restart or case.needs.link:
+        return "it restarts the implementation, or takes its link down"
+    if methods := ALONE.intersection(case.needs.ut):
+        return f"it calls {', '.join(sorted(methods))}"
+    if case.long:
+        return "it takes long"
+    return next((reason for pattern, reason in _PATTERNS if pattern.fullmatch(case.id)), "")
+
+
+def family(case: Case) -> str:
+    """The family beside which alone the case is executed; empty for those without."""
+    return next((name for pattern, name in _FAMILIES if pattern.fullmatch(case.id)), "")
+
+
+def at_short_period(case: Case) -> bool:
+    """Whether the verdict of the case does not depend on the beacon period, so that a shorter one only saves time."""
+    needs = case.needs
+    if needs.restart or needs.link or case.long or case.destructive or "BP-SetParameter" in needs.ut:
+        return False
+    if _CONFIGURED.fullmatch(case.id):
+        return False
+    # A reset restores the configured period. With VD-SetParameter it is only needed to restore the parameter.
+    return "UT-Reset" not in needs.ut or "VD-SetParameter" in needs.ut
+
+
+def forbidden(method: str, params: Mapping[str, Any]) -> str:
+    """Why no case may call a service with these parameters while others are executed; empty if it may."""
+    if method in ALONE:
+        return f"{method} changes the implementation as a whole"
+    if method == "BP-DeregisterProtocol" and params.get("protId") in (ProtocolId.SRP, ProtocolId.VARDIS):
+        return "SRP and VarDis stay registered"
+    return ""
+
+
+def group(case: Case) -> str:
+    """Of the cases with the same group only one is executed at a time; empty for those without."""
+    return "safety data" if "SRP-UpdateSafetyData" in case.needs.ut else ""

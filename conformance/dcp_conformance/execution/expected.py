@@ -1,0 +1,103 @@
+"""Expected results: what is known to fail, why, and until when.
+
+A file of these lets a run say whether anything has changed, instead of whether everything is perfect. It cannot rot: an
+entry without a reason is not read, one that nothing matched any more or whose day has come fails the run.
+
+::
+
+    [[expected]]
+    case = "TC_VD_STATE_BV_01-*"        # identifier or glob
+    verdict = "fail"                    # what to expect; "fail" unless said otherwise
+    reason = "answers an equal sequence number, reported as #12"
+    match = "equal"                     # regular expression that the verdict's reason must contain
+    expires = 2027-03-31
+"""
+
+from __future__ import annotations
+
+import datetime
+import re
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import msgspec
+
+from dcp_conformance.errors import UsageError
+from dcp_conformance.model.case import Case
+from dcp_conformance.model.results import CaseResult
+from dcp_conformance.model.verdict import Verdict
+
+from .selection import matches
+
+
+class Expectation(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """One entry."""
+
+    case: str
+    reason: str
+    verdict: Verdict = Verdict.FAIL
+    match: str = ""
+    expires: datetime.date | None = None
+
+    def __post_init__(self) -> None:
+        if not self.reason.strip():
+            raise ValueError("`reason` says nothing")
+        re.compile(self.match)
+
+
+class _File(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    expected: tuple[Expectation, ...] = ()
+
+
+class ExpectedResults:
+    """The entries of a file, and which of them came true."""
+
+    def __init__(self, entries: Sequence[Expectation] = (), name: str = "") -> None:
+        self.entries = tuple(entries)
+        self.name = name
+        self._used: set[int] = set()
+
+    @classmethod
+    def load(cls, path: Path, cases: Iterable[Case]) -> ExpectedResults:
+        """Read a file. Raises :class:`UsageError`: unreadable, malformed, or an entry about no case there is."""
+        try:
+            entries = msgspec.toml.decode(path.read_bytes(), type=_File).expected
+        except OSError as error:
+            raise UsageError(f"{path}: cannot be read: {error.strerror or error}") from None
+        except (msgspec.DecodeError, UnicodeDecodeError, re.error) as error:
+            raise UsageError(f"{path}: {error}") from None
+        known = list(cases)
+        for number, entry in enumerate(entries, 1):
+            if not any(matches(case, entry.case) for case in known):
+                raise UsageError(f"{path}: expected[{number}]: no case is called {entry.case!r}")
+        return cls(entries, str(path))
+
+    def judge(self, case: Case, result: CaseResult) -> str:
+        """Why a result is not as expected; empty if it is. Notes which entries came true."""
+        about = [(number, entry) for number, entry in enumerate(self.entries) if matches(case, entry.case)]
+        if not about:
+            return f"unexpected {result.verdict}" if result.verdict is Verdict.FAIL else ""
+        for number, entry in about:
+            if result.verdict is entry.verdict and re.search(entry.match, result.reason):
+                self._used.add(number)
+                return ""
+        wanted = " or ".join(dict.fromkeys(str(entry.verdict) for _, entry in about))
+        if result.verdict in (Verdict.NOT_APPLICABLE, Verdict.TOO_LITTLE, Verdict.INCONCLUSIVE, Verdict.ERROR):
+            # Whether the entry still holds cannot be said; that it is not unused can.
+            self._used.update(number for number, _ in about)
+            return ""
+        if any(result.verdict is entry.verdict for _, entry in about):
+            return f"{result.verdict} as expected, but for another reason"
+        return f"unexpected {result.verdict}: {wanted} was expected ({about[0][1].reason})"
+
+    def complaints(self, selected: Sequence[Case], today: datetime.date) -> list[str]:
+        """What is wrong with the entries after a run of ``selected``: unused or expired ones."""
+        found = []
+        for number, entry in enumerate(self.entries):
+            if not any(matches(case, entry.case) for case in selected):
+                continue
+            if entry.expires is not None and entry.expires < today:
+                found.append(f"{self.name}: {entry.case}: expired on {entry.expires} ({entry.reason})")
+            elif number not in self._used:
+                found.append(f"{self.name}: {entry.case}: nothing came out like this; take it out ({entry.reason})")
+        return found

@@ -1,0 +1,410 @@
+"""One run of the suite: the selected cases in their order, and their results.
+
+Knows nothing of terminals and files; ``dcp-conformance run`` and the pytest plugin both drive it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import datetime
+import importlib
+import time
+import traceback
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import msgspec
+
+from dcp_conformance.errors import ConformanceError, LowerTesterError, UpperTesterError, UsageError
+from dcp_conformance.model.case import ARTEFACT_CASES, SANITY, Case, all_cases
+from dcp_conformance.model.moment import timestamp
+from dcp_conformance.model.outcome import INTERRUPTED, TESTER_ERROR, USAGE, assemble, exit_status
+from dcp_conformance.model.results import CaseResult, Check, Diagnosis, RunResult, Sut
+from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.passive import cases as invariants
+from dcp_conformance.passive import joined
+
+from .expected import ExpectedResults
+from .runner import Runner
+from .selection import Selection, left_out, matches, select
+from .signals import deferred
+from .target import TargetOptions, describe, open_target
+
+if TYPE_CHECKING:
+    from .parallel import WorkerEnd
+
+
+class _Key(NamedTuple):
+    """Identifies a result within a run."""
+
+    id: str
+    attempt: int
+
+
+class ConformanceRun:
+    """One run: the selection, the cases in their order, and their results."""
+
+    def __init__(
+        self,
+        target: TargetOptions,
+        selection: Selection,
+        *,
+        expected: Path | None = None,
+        repeat: int = 1,
+        until_fail: bool = False,
+        command: str = "",
+        artefacts: Path | None = None,
+        side_by_side: int = 0,
+        on_start: Callable[[int], None] | None = None,
+        on_result: Callable[[Case, CaseResult, str], None] | None = None,
+    ) -> None:
+        """``on_start`` gets the number of executions to come, ``on_result`` each result and what is unexpected in it.
+
+        ``artefacts``: a folder of findings of the fuzzer, which become cases. ``side_by_side``: the most cases that are
+        executed at the same time; with 0 one after the other. Raises :class:`UsageError`.
+        """
+        self.options = target
+        self.cases = all_cases()
+        self.artefacts = artefacts
+        self.found_by_fuzzer: dict[str, Case] = {}
+        if artefacts is not None:
+            # By name, as cases of the suite are: the fuzzer is built on this package.
+            artefact_cases: Callable[[Path], Iterable[Case]] = importlib.import_module(ARTEFACT_CASES).artefact_cases
+            self.found_by_fuzzer = {case.id: case for case in artefact_cases(artefacts)}
+            self.cases |= self.found_by_fuzzer
+        self.codec, self.pics = describe(target)
+        self._invariants = {case.id: case for case in invariants()}
+        self._unheard, exclude = self._excluded(selection.exclude)
+        selection_of_cases = dataclasses.replace(selection, exclude=exclude)
+        self.selected = select(self.cases, selection_of_cases)
+        self._long = len(left_out(self.cases, selection_of_cases))
+        self.first = selection.first
+        """Identifiers of the cases that are run before the others."""
+        self.with_sanity = not any(matches(self.cases[SANITY], pattern) for pattern in selection.exclude)
+        self.expected = (
+            ExpectedResults()
+            if expected is None
+            else ExpectedResults.load(expected, [*self.cases.values(), *self._invariants.values()])
+        )
+        self.repeat = repeat
+        self.until_fail = until_fail
+        self.side_by_side = side_by_side
+        self.command = command
+        self.repeated_alone: dict[str, str] = {}
+        """By case: why a case that was executed side by side was repeated alone."""
+        self.results: list[CaseResult] = []
+        """Results of the cases, in the order of their executions."""
+        self.passive: list[CaseResult] = []
+        """Results of the invariants that were checked on all beacons of the run."""
+        self.trouble = ""
+        """Why the run could not begin or not be completed: a problem of the tester, not of the implementation."""
+        self._stopped = False
+        """Whether ``until_fail`` has ended the run."""
+        self.usage = False
+        """Whether the user has caused the trouble (exit status 2)."""
+        self.interrupted = False
+        """Whether a signal ended the run."""
+        self.on_start = on_start
+        self.on_wait: Callable[[str], None] = lambda _: None
+        """Called with a message while the run waits for the implementation to start."""
+        self._on_result = on_result
+        self.on_revised: Callable[[CaseResult], None] | None = None
+        self._runner: Runner | None = None
+        self._stack = contextlib.ExitStack()
+        self._sut: Sut | None = None
+        self._notes: list[str] = []
+        if self._long:
+            one = self._long == 1
+            cases, them = ("case that takes long was", "it") if one else ("cases that take long were", "them")
+            self._notes.append(f"{self._long} {cases} left out: --plan long runs {them}, too")
+        self._attempts: dict[str, int] = {}
+        self._surprises: dict[_Key, str] = {}
+        self._began = time.monotonic()
+        self._started = timestamp()
+
+    def _excluded(self, patterns: Sequence[str]) -> tuple[set[str], tuple[str, ...]]:
+        """The invariants that are excluded, and the patterns that mean cases."""
+        meant = {
+            pattern: {name for name, case in self._invariants.items() if matches(case, pattern)} for pattern in patterns
+        }
+        return {name for names in meant.values() for name in names}, tuple(
+            pattern for pattern in patterns if not meant[pattern]
+        )
+
+    # -- what is run ---------------------------------------------------------------------------------------------------
+
+    def plan(self, available: Callable[[Case], bool] = lambda _: True) -> list[Case]:
+        """The executions in their order: the sanity case first and last, unless it is excluded.
+
+        ``available``: which of the selected cases can be run.
+        """
+        sanity, planned = self.cases[SANITY], []
+        for _ in range(self.repeat):
+            cases = [case for case in self.selected if case.id != SANITY and available(case)]
+            if not self.with_sanity:
+                planned += cases
+            elif cases:
+                planned += [sanity, *cases, sanity]
+            elif sanity in self.selected and available(sanity):
+                planned.append(sanity)
+        return planned
+
+    # -- running -------------------------------------------------------------------------------------------------------
+
+    def execute(self, on_revised: Callable[[CaseResult], None] | None = None) -> None:
+        """Run everything in this process. Every case that was planned has a result afterwards, unless a signal or
+        ``until_fail`` ended the run; :attr:`trouble` says what kept it from being run.
+
+        ``on_revised`` gets each result that replaces an earlier one.
+        """
+        self.on_revised = on_revised
+        planned = self.plan()
+        if self.on_start is not None:
+            self.on_start(len(planned))
+        try:
+            if not self.open():
+                return
+            rest = planned
+            if self.side_by_side > 1 and self.repeat == 1 and not self.until_fail:
+                rest = self._run_side_by_side(planned)
+            for case in rest:
+                result, _ = self.run_case(case)
+                if self.stops(result):
+                    return
+            self.finish()
+        except KeyboardInterrupt:
+            self.interrupt(len(self.results), len(planned))
+        except ConformanceError as error:
+            self.trouble = str(error)
+        except Exception as error:
+            self._faulty(error)
+        finally:
+            with deferred():
+                self.close()
+        self.account(planned)
+
+    def _run_side_by_side(self, planned: Sequence[Case]) -> list[Case]:
+        """Execute what can be executed side by side. Returns what is left to be executed alone, in its order."""
+        from .concurrent import execute
+
+        assert self._runner is not None
+        rest = list(planned)
+        if rest and rest[0].id == SANITY:
+            self.run_case(rest.pop(0))
+        # What did not pass last time is decided at once; side by side it would have to be repeated alone again.
+        while rest and rest[0].id in self.first:
+            self.run_case(rest.pop(0))
+        passed: dict[str, CaseResult] = {}
+
+        def on_result(case: Case, result: CaseResult) -> None:
+            self._attempts[case.id] = 1
+            passed[case.id] = result
+            self.take(case, result)
+
+        self.repeated_alone = execute(self._runner, self.cases[SANITY], rest, self.side_by_side, on_result)
+        if passed:
+            repeated = len(self.repeated_alone.keys() - passed)
+            beside = sum(result.side_by_side for result in passed.values())
+            self._notes.append(
+                f"{beside} cases passed while others were executed beside them, at most {self.side_by_side} at a "
+                f"time; {repeated} that did not were repeated alone, and decided by that"
+            )
+            if short := [result.short_period for result in passed.values() if result.short_period]:
+                self._notes.append(
+                    f"{len(short)} cases passed while the tester had set a beacon period of {short[0]:g} ms, which "
+                    "saves time; their verdicts do not depend on it. --side-by-side 1 leaves it as configured"
+                )
+        return [case for case in rest if case.id not in passed]
+
+    def _faulty(self, error: Exception) -> None:
+        """Record a fault of the tester. The results up to now are still reported."""
+        self.trouble = self.trouble or f"a fault of the tester: {type(error).__name__}: {error}"
+        self._notes.append("".join(traceback.format_exception(error)))
+
+    def open(self) -> bool:
+        """Open the way to the implementation; False if there is none, see :attr:`trouble`."""
+        try:
+            runner = self._stack.enter_context(open_target(self.options)).runner
+            self._runner = runner
+            if not self.with_sanity:
+                runner.rerun += f" -x {SANITY}"
+            runner.prepare()
+            if self.options.foreign and self.options.start:
+                runner.life.await_start(self.cases[SANITY], self.on_wait)
+        except ConformanceError as error:
+            self.trouble = str(error)
+            self.usage = isinstance(error, UsageError)
+            return False
+        except Exception as error:
+            self._faulty(error)
+            return False
+        return True
+
+    def close(self) -> None:
+        """Close everything, and end the implementation if it was started here."""
+        runner, self._runner = self._runner, None
+        if runner is not None:
+            try:
+                self._sut = runner.about()
+                self._notes += runner.notes
+                options = {case.id: case.options for case in self.found_by_fuzzer.values()}
+                self.take_passive(runner.session.passive.results(runner.rerun, options))
+            except Exception as error:
+                self._faulty(error)
+        with contextlib.suppress(LowerTesterError, UpperTesterError):
+            self._stack.close()
+
+    def run_case(self, case: Case) -> tuple[CaseResult, str]:
+        """Run one case. Returns its result, and in words what is unexpected in it."""
+        assert self._runner is not None
+        attempt = self._attempts[case.id] = self._attempts.get(case.id, 0) + 1
+        result = self._runner.run(case, attempt)
+        for revised in self._runner.take_revised():
+            self.revise(revised)
+        return result, self.take(case, result)
+
+    def finish(self) -> None:
+        """Check, after the last case, that the implementation has survived."""
+        assert self._runner is not None
+        try:
+            self._runner.finish()
+        except Exception as error:
+            self._faulty(error)
+        for revised in self._runner.take_revised():
+            self.revise(revised)
+
+    def take(self, case: Case, result: CaseResult) -> str:
+        """Add a result, from this process or from a worker. Returns what is unexpected in it."""
+        if case.id == SANITY and any(each.id == SANITY for each in self.results):
+            # The repetition only checks that the implementation is still there. A failure is a finding, though.
+            counted = result.verdict in (Verdict.FAIL, Verdict.ERROR)
+            result = msgspec.structs.replace(result, counted=counted)
+        surprise = self._surprises[_Key(result.id, result.attempt)] = self.expected.judge(case, result)
+        self.results.append(result)
+        if self._on_result is not None:
+            self._on_result(case, result, surprise)
+        return surprise
+
+    def take_passive(self, results: Iterable[CaseResult]) -> None:
+        """Add the results of the invariants, from this process or from all workers."""
+        self.passive = [each for each in joined([*self.passive, *results]) if each.id not in self._unheard]
+        for each in self.passive:
+            self._surprises[_Key(each.id, 1)] = self.expected.judge(self._invariants[each.id], each)
+
+    def revise(self, result: CaseResult) -> None:
+        """Replace an earlier result with the same identifier and attempt."""
+        key = _Key(result.id, result.attempt)
+        for place, each in enumerate(self.results):
+            if _Key(each.id, each.attempt) == key:
+                result = msgspec.structs.replace(result, counted=each.counted)
+                self.results[place] = result
+                break
+        else:
+            return
+        case = self.cases[result.id]
+        surprise = self._surprises[key] = self.expected.judge(case, result)
+        if self._on_result is not None:
+            self._on_result(case, result, surprise)
+        if self.on_revised is not None:
+            self.on_revised(result)
+
+    def stops(self, result: CaseResult) -> bool:
+        """Whether the user wants the run to end after this result."""
+        self._stopped = self._stopped or (self.until_fail and result.verdict in (Verdict.FAIL, Verdict.ERROR))
+        return self._stopped
+
+    def interrupt(self, done: int, planned: int) -> None:
+        """Note that a signal has ended the run, after ``done`` of ``planned`` executions."""
+        self.interrupted = True
+        self._notes.append(f"interrupted after {done} of {planned} cases")
+
+    def account(self, planned: Sequence[Case]) -> None:
+        """Compare planned executions with results: each one without a result becomes an ``error`` of the tester."""
+        if self.interrupted or self._stopped:
+            return
+        there = Counter(result.id for result in self.results)
+        wanted = Counter(case.id for case in planned)
+        for case in dict.fromkeys(planned):
+            for attempt in range(there[case.id] + 1, wanted[case.id] + 1):
+                self._add_lost(case, attempt)
+
+    def _add_lost(self, case: Case, attempt: int) -> None:
+        expected, observed = "the case has a result", self.trouble or "the tester has lost it"
+        lost = CaseResult(
+            id=case.id,
+            purpose=case.purpose,
+            section=case.section,
+            kind=str(case.kind),
+            requirements=case.requirements,
+            verdict=Verdict.ERROR,
+            reason=f"{expected}: {observed}",
+            table="robustness" if case.robustness else "conformance",
+            checks=(Check(Verdict.ERROR, case.requirements, expected, observed),),
+            attempt=attempt,
+        )
+        self.take(case, lost)
+
+    # -- several workers -----------------------------------------------------------------------------------------------
+
+    def close_workers(self, ends: Sequence[WorkerEnd], workers: int, planned: Sequence[Case]) -> None:
+        """Merge what the workers report when all have ended, account for each case, and sort the results."""
+        self._sut = next((end.sut for end in ends if end.sut is not None), None)
+        self._notes += [note for end in ends for note in end.notes]
+        if workers > 1:
+            self._notes.append(f"{workers} nodes were tested side by side, each with a share of the cases")
+        for end in ends:
+            if end.trouble and not self.trouble:
+                self.trouble, self.usage = end.trouble, end.usage
+        self.account(planned)
+        self.take_passive(result for end in ends for result in end.passive)
+        order = {case.id: number for number, case in enumerate(self.cases.values())}
+        self.results.sort(key=lambda result: (result.id != SANITY, order[result.id], result.attempt))
+
+    # -- results -------------------------------------------------------------------------------------------------------
+
+    def complaints(self) -> list[str]:
+        """Unexpected results, and faults in the file of expected results."""
+        today = datetime.datetime.now(datetime.UTC).date()
+        ran = {result.id for result in self.results}
+        selected = [case for case in self.selected if case.id in ran]
+        selected += [self._invariants[result.id] for result in self.passive]
+        unexpected = [f"{key.id}: {surprise}" for key, surprise in self._surprises.items() if surprise]
+        return [*dict.fromkeys(unexpected), *self.expected.complaints(selected, today)]
+
+    def exit_status(self) -> int:
+        """The documented exit status; signals first, then trouble, then unexpected results, then inconclusive ones."""
+        if self.interrupted:
+            return INTERRUPTED
+        if self.trouble:
+            return USAGE if self.usage else TESTER_ERROR
+        return exit_status([*self.results, *self.passive], unexpected=bool(self.complaints()))
+
+    def result(self) -> RunResult:
+        """All results and notes of the run, also if it could not begin."""
+        notes = [*self._notes, *([self.trouble] if self.trouble else [])]
+        if self.expected.entries:
+            notes += self.complaints()
+        found = [each for each in self.passive if each.verdict not in (Verdict.PASS, Verdict.NOT_APPLICABLE)]
+        run = assemble(
+            self.codec.profile,
+            self.pics,
+            [*self.results, *found],
+            sut=self._sut,
+            started=self._started,
+            duration=time.monotonic() - self._began,
+            command=self.command,
+            notes=notes,
+        )
+        invariants = tuple(each for each in self.passive if each not in found)
+        return msgspec.structs.replace(run, invariants=invariants, diagnosis=self._diagnosis())
+
+    def _diagnosis(self) -> Diagnosis | None:
+        """Which faults explain the failed cases; None if none failed."""
+        if not any(each.verdict is Verdict.FAIL for each in self.results):
+            return None
+        from dcp_conformance.diagnosis import explain, load
+
+        return explain(self.results, load())

@@ -1,0 +1,544 @@
+"""Runs cases: preamble, body, postamble, verdict. Knows nothing of pytest, files or terminals."""
+
+from __future__ import annotations
+
+import traceback
+from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
+from typing import NamedTuple
+
+import msgspec
+from dcp_spec.parameters import parameters
+
+from dcp_conformance.errors import UpperTesterError
+from dcp_conformance.impairment import MOST_EXECUTIONS as MOST_IMPAIRED
+from dcp_conformance.interconnection.reaction import prepare
+from dcp_conformance.lower_tester import Impairs
+from dcp_conformance.model.applicability import why_not
+from dcp_conformance.model.case import SANITY, Case
+from dcp_conformance.model.node_id import node_id_octets
+from dcp_conformance.model.results import CaseResult, Check, Sut
+from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.sut.control import SutControl
+from dcp_conformance.sut.link import link_switch
+from dcp_conformance.test_system.bench import Bench, Session
+from dcp_conformance.test_system.session import FLOOR
+
+from .attribution import Trial, attribute, blamed, came_back, with_failures_of
+from .body import delete_variables, recorded, run_body
+from .case_results import result_of
+from .life import Life
+from .remarks import deaths_alike, executed_again, left_changed
+
+#: Seconds that an implementation may take to die of a case that is over, and cases that are suspected then.
+SLOW_DEATH = 3.0
+_SUSPECTS = 8
+DEACTIVATE = "BP-MGMT-Deactivate"
+#: The expectation that fails where no case can be executed any more.
+_ALIVE = "a living implementation"
+#: Executions of a case that only the tester's own lateness, or frames that it lost, leave undecided.
+MOST_EXECUTIONS = 3
+#: The code of JSON-RPC for a fault of the implementation.
+_INTERNAL_ERROR = -32603
+
+
+class _Done(NamedTuple):
+    """A case that was run, with the time of its end in ns."""
+
+    trial: Trial
+    result: CaseResult
+    ended: int
+
+
+class Runner:
+    """Runs one case after the other against one implementation.
+
+    A case after which the implementation is dead is run again alone before it is blamed
+    (:mod:`dcp_conformance.execution.body.attribution`); with a command to restart the implementation the run goes on.
+    """
+
+    def __init__(
+        self,
+        session: Session,
+        control: SutControl | None = None,
+        *,
+        rerun: str = "dcp-conformance run",
+        start_timeout: float | None = None,
+    ) -> None:
+        """``rerun``: the command of the run, without cases. ``start_timeout``: seconds, see ``Life``."""
+        self.session = session
+        self.control = control
+        self.rerun = rerun
+        self.life = Life(session, control, start_timeout)
+        self.remarks: list[str] = []
+        """Notes for the reader of the results, without those about deaths."""
+        self.dead = ""
+        """Why no further case can be executed; empty while the implementation lives."""
+        self.deaths_side_by_side = 0
+        """How often the implementation stopped taking part while cases were executed side by side."""
+        self._deaths: dict[str, list[str]] = {}
+        """Cases in which the implementation ended, by :attr:`dcp_conformance.execution.life.Loss.group`."""
+        self._recent: deque[_Done] = deque(maxlen=_SUSPECTS)
+        """The last cases in this life of the implementation."""
+        self._revised: list[CaseResult] = []
+        self._measured = 0
+        """How often the reaction time was measured."""
+        self._unsettled = False
+        """The last case has left the implementation in a state that can spoil later ones, or its upper tester has
+        reported an internal error."""
+        self._spoilt: dict[str, str] = {}
+        """Cases whose changes could not be undone, with the reason."""
+        self._renewals = 0
+        """Restarts because identifiers were used up."""
+        self._disturbed: dict[str, str] = {}
+        """Cases that were executed again because the tester was late, with what it did wrong."""
+        session.can_restart = control is not None and control.can_restart
+        session.restart = control.restart if control is not None and control.can_restart else None
+        session.switch_link = link_switch(control, session.pics.pixit)
+
+    @property
+    def notes(self) -> list[str]:
+        """Notes for the reader of the results about the run as a whole."""
+        found = list(self.remarks)
+        if self._spoilt and not self._restartable:
+            found.append(left_changed(self._spoilt))
+        if self._renewals:
+            found.append(f"restarted {self._renewals} times, when all identifiers of variables had been used")
+        if isinstance(self.session.lower, Impairs):
+            found.append(self.session.lower.summary())
+        elif self._disturbed:
+            found.append(executed_again(self._disturbed))
+        return found + [deaths_alike(how, cases) for how, cases in self._deaths.items()]
+
+    def prepare(self) -> None:
+        """Find out about the implementation. Raises ``UpperTesterError`` if it does not keep to the contract."""
+        session = self.session
+        if session.pics.pixit.node_id is not None:
+            session.sut_id = node_id_octets(session.pics.pixit.node_id)
+        upper = session.upper
+        if upper is None:
+            return
+        node_id = upper.about.get("nodeId")
+        if session.sut_id is None and isinstance(node_id, str):
+            try:
+                session.sut_id = node_id_octets(node_id)
+            except ValueError as error:
+                raise UpperTesterError(f"{upper.name}: the nodeId of UT-Hello: {error}") from None
+        self._reset()
+        known = parameters()
+        for method in ("BP-GetParameters", "SRP-GetParameters", "VD-GetParameters"):
+            if method in upper.methods:
+                answer = upper.call(method, {})
+                told = answer.result.get("parameters")
+                if answer.ok and isinstance(told, dict):
+                    session.parameters.update({name: value for name, value in told.items() if name in known})
+
+    def about(self) -> Sut:
+        """Describe the implementation for the results."""
+        session, upper = self.session, self.session.upper
+        about = upper.about if upper is not None else {}
+        target = session.pics.sut
+        return Sut(
+            name=target.name or str(about.get("name", "")),
+            version=target.version or str(about.get("version", "")),
+            spec_version=str(about.get("specVersion", "")),
+            node_id=session.sut_id.hex(":") if session.sut_id else "",
+            link=session.lower.name,
+            upper_tester=upper.name if upper is not None else "",
+            methods=tuple(sorted(upper.methods)) if upper is not None else (),
+        )
+
+    # -- one case ------------------------------------------------------------------------------------------------------
+
+    def run(self, case: Case, attempt: int = 1) -> CaseResult:
+        """Run one case and return its result. No exception but ``KeyboardInterrupt`` and the like gets through.
+
+        The result of the case before may have changed: see :meth:`take_revised`.
+        """
+        bench = Bench(self.session, case)
+        reason = why_not(bench, case)
+        if reason:
+            return self._without_trial(case, bench, attempt, Verdict.NOT_APPLICABLE, reason)
+        if self.dead:
+            return self._without_trial(case, bench, attempt, Verdict.INCONCLUSIVE, _ALIVE, self.dead)
+        try:
+            result = self._run(case, attempt)
+        except Exception as error:
+            # A fault of this module: the case still has a result.
+            what = f"{type(error).__name__}: {error}"
+            result = self._without_trial(case, bench, attempt, Verdict.ERROR, "the case runs to its end", what)
+            detail = "".join(traceback.format_exception(error))
+            result = msgspec.structs.replace(result, error_detail=detail)
+        return result
+
+    def why_not(self, case: Case) -> str:
+        """Why the case does not concern the implementation; empty if it does."""
+        return why_not(Bench(self.session, case), case)
+
+    def take_revised(self) -> list[CaseResult]:
+        """Results of earlier cases that were found to be wrong since; each replaces the one with its id and attempt."""
+        revised, self._revised = self._revised, []
+        return revised
+
+    def _run(self, case: Case, attempt: int) -> CaseResult:
+        if self._unsettled and self._restartable:
+            # The state that the last case has left may spoil this one.
+            self._recent.clear()
+            if why := self._start_afresh(case):
+                # A failed restart is not the fault of this case.
+                self.dead = f"the implementation was restarted after the case before {case.id}; {why}"
+                self.remarks.append(self.dead)
+                bench = Bench(self.session, case)
+                return self._without_trial(case, bench, attempt, Verdict.INCONCLUSIVE, _ALIVE, self.dead)
+        self._unsettled = False
+        self.session.renewable = (
+            self._restartable and self._reset_mode() == "none" and self.session.pics.pixit.reset != "none"
+        )
+        trial = self._trial(case)
+        if trial.used_up and self.session.renewable:
+            trial = self._trial_after_restart(trial)
+        trial, executions = self._undisturbed(trial)
+        if trial.loss is not None and not self._restartable:
+            self._wait_for(trial)
+        if trial.loss is None:
+            result = self._result(trial, attempt, trial.checks, executions=executions)
+            if self._reset_mode() != "restart":
+                self._recent.append(_Done(trial, result, self.session.lower.now()))
+            self._refuse(case, trial)
+            return result
+        result = msgspec.structs.replace(self._judge_loss(trial, attempt), executions=executions)
+        self._revive(case, trial)
+        return result
+
+    def _wait_for(self, trial: Trial) -> None:
+        """Without a way to restart a silent implementation, wait for it: its loss would be the end of the run."""
+        loss = trial.loss
+        if loss is None or loss.died or loss.upper_only:
+            return
+        begun = self.session.lower.now()
+        if not self.life.await_answer(trial.case):
+            trial.checks = list(came_back(trial, (self.session.lower.now() - begun) / 1e9))
+            trial.loss = None
+
+    def _undisturbed(self, trial: Trial) -> tuple[Trial, int]:
+        """Run a case again, from the same start, as long as only the tester's own trouble leaves it undecided.
+
+        Returns the execution that counts, and how many there were. The last one counts, but a failure is never lost to
+        a later execution without one.
+        """
+        executions = 1
+        most = MOST_IMPAIRED if isinstance(self.session.lower, Impairs) else MOST_EXECUTIONS
+        while executions < most and trial.disturbed:
+            self._disturbed.setdefault(trial.case.id, trial.bench.disturbed)
+            again = self._trial(trial.case)
+            executions += 1
+            if again.used_up:
+                break
+            if trial.verdict is Verdict.FAIL and again.verdict is not Verdict.FAIL and again.loss is None:
+                break
+            trial = again
+        return trial, executions
+
+    def _trial_after_restart(self, trial: Trial) -> Trial:
+        """Run a case again that found all identifiers used up, in the initial state of the implementation."""
+        self._recent.clear()
+        if why := self._start_afresh(trial.case):
+            what = "the implementation is there after its restart"
+            trial.checks.append(Check(Verdict.INCONCLUSIVE, trial.case.requirements, what, why))
+            return trial
+        self._renewals += 1
+        self.session.renewable = False
+        return self._trial(trial.case, fresh=True)
+
+    def finish(self) -> None:
+        """Look after the implementation for the last time: it may be dying of one of the last cases.
+
+        Their results may have changed: see :meth:`take_revised`.
+        """
+        if self.dead or not self._recent:
+            return
+        last = self._recent.pop()
+        trial = last.trial
+        bench = Bench(self.session, trial.case)
+        self.life.await_end(bench)
+        trial.loss = self.life.loss(bench, ask=True)
+        if trial.loss is not None and not self._restartable:
+            self._wait_for(trial)
+        if trial.loss is None:
+            return
+        result = self._judge_loss(trial, last.result.attempt)
+        self._revised.append(msgspec.structs.replace(result, executions=last.result.executions))
+
+    def _judge_loss(self, trial: Trial, attempt: int) -> CaseResult:
+        """The result of a case after which the implementation was found dead."""
+        assert trial.loss is not None
+        suspects = [each for each in self._recent if trial.begun - each.ended <= SLOW_DEATH * 1e9]
+        self._recent.clear()
+        again = self._again if self._restartable else None
+        found = attribute(trial, [each.trial.case for each in suspects], again)
+        result = self._result(found.trial, attempt, found.checks, killed=found.killed)
+        if found.killed:
+            self._count_death(trial)
+            result = msgspec.structs.replace(result, death=trial.loss.group)
+        if found.earlier is not None:
+            self._blame_earlier(found.earlier, suspects)
+        if found.note:
+            self.remarks.append(found.note)
+        return result
+
+    def _trial(self, case: Case, *, fresh: bool = False) -> Trial:
+        """Run a case once, and look after the implementation. ``fresh``: it is in its initial state already."""
+        bench = Bench(self.session, case)
+        # What it takes for the case to apply may itself be an assumption, which the bench then knows.
+        why_not(bench, case)
+        trial = Trial(case, bench, self.session.lower.now(), bench.checks)
+        with recorded(trial):
+            # Before the reset, which removes the variables that the measurement creates.
+            self._measure()
+            if not fresh:
+                self._reset()
+            if not fresh and self._reset_mode() == "restart" and (why := self.life.await_answer(case)):
+                # A failed restart is not the fault of this case; the next case restarts again.
+                bench.checks.append(
+                    Check(Verdict.INCONCLUSIVE, case.requirements, "the implementation is there after its restart", why)
+                )
+                return trial
+            self.session.passive.begin(self.session.lower.now(), bench.traffic, case.id)
+            run_body(trial)
+        self._note_hang_up(trial)
+        trial.paused = any(event.text == DEACTIVATE for event in bench.traffic.events)
+        # Silence since the last stimulus is a doubt, whatever the verdict.
+        doubt = case.destructive or trial.verdict.rank > Verdict.PASS.rank or bench.silent
+        if not self.life.ended() and not self.life.hung_up:
+            doubt = not self._clean(trial) or doubt
+        # The sanity case itself has asked for an answer.
+        doubt = doubt and not trial.used_up
+        self._unsettled = self._reset_mode() != "restart" and _reports_internal_error(bench)
+        ask = doubt and (case.id != SANITY or trial.verdict is Verdict.PASS)
+        trial.loss = self.life.loss(bench, ask=ask)
+        if trial.loss is None and bench.spoilt and self._reset_mode() == "none":
+            self._unsettled = True
+            self._spoilt.setdefault(case.id, bench.spoilt)
+        return trial
+
+    def _measure(self) -> None:
+        """Measure the reaction time of the implementation; again if it did not answer the first time, but later."""
+        if self._measured == 0 or (self._measured == 1 and self.life.has_answered):
+            self._measured += 1
+            found = prepare(self.session)
+            told = self.session.pics.pixit.reaction_periods is not None
+            if found is not None and not told and (found.periods > FLOOR or found.per_payload):
+                self.remarks.append(f"reactions are waited for {found}; pixit.reaction_periods overrides this")
+            self.remarks.extend(each for each in self._deviations() if each not in self.remarks)
+
+    def _deviations(self) -> Iterator[str]:
+        """What was found at the start and has consequences in many cases."""
+        if lost := self.session.lost_container:
+            yield (
+                f"it loses the {lost} of two containers in a payload (VD-RX-04): what is missing in cases about other "
+                "requirements that send such payloads is inconclusive"
+            )
+        for text in self.session.misread.values():
+            yield f"{text}: what follows from that in other cases is inconclusive"
+
+    def _refuse(self, case: Case, trial: Trial) -> None:
+        """End the run if the sanity case has found that there is nothing to test."""
+        if case.id != SANITY:
+            return
+        passed = trial.verdict is Verdict.PASS
+        self.life.learn(trial.bench, answered=passed and trial.bench.pics.vardis is not False)
+        contact = self.session.contact
+        # With wrong settings of the tester nothing that is heard can be judged.
+        heard = trial.bench.heard and not (contact is not None and contact.mistaken)
+        if passed or heard or self.life.serves():
+            return
+        reason = next((check.observed for check in trial.checks if check.verdict is trial.verdict), "")
+        self.dead = f"the implementation does not take part: {reason}"
+
+    # -- for cases that are executed side by side ----------------------------------------------------------------------
+
+    def initial_state(self, case: Case, *, used: bool) -> str:
+        """Bring the implementation into its initial state, as far as the tester can. Returns why that has failed.
+
+        ``case``: in whose name the implementation is asked whether it answers. ``used``: identifiers have been used up
+        since the last time, so that a restart is worth its time where there is no other way.
+        """
+        self._recent.clear()
+        mode = self._reset_mode()
+        if mode == "ut":
+            return self._reset_by_service()
+        restarts = self._restartable and self.session.pics.pixit.reset != "none"
+        return self._start_afresh(case) if mode == "restart" or (used and restarts) else ""
+
+    def _reset_by_service(self) -> str:
+        try:
+            self._reset()
+        except UpperTesterError as error:
+            self.life.hung_up = str(error)
+            return f"UT-Reset failed: {error}"
+        return ""
+
+    def attempt(self, case: Case) -> CaseResult | None:
+        """Execute a case alone. Returns its result if it is a plain pass; otherwise it is to be run once more.
+
+        An implementation that has died is started again where that is possible.
+        """
+        if self.dead or self._unsettled:
+            return None
+        trial = self._trial(case)
+        if trial.loss is not None:
+            self._recent.clear()
+            if self._restartable:
+                self._start_afresh(case)
+            else:
+                self._wait_for(trial)
+            return None
+        if trial.verdict is not Verdict.PASS or trial.bench.spoilt or trial.disturbed or trial.hung_up:
+            return None
+        result = self._result(trial, 1, trial.checks)
+        self.remember(trial, result, self.session.lower.now())
+        return result
+
+    def remember(self, trial: Trial, result: CaseResult, ended: int) -> None:
+        """Note a case that was executed side by side and passed, ``ended`` ns: a death shortly after may be its."""
+        self._recent.append(_Done(trial, result, ended))
+
+    def check_life(self, case: Case, during: Sequence[str]) -> str:
+        """Ask the implementation whether it still takes part; if it does not, start it again.
+
+        ``during``: the cases that were executed when a doubt arose. Returns why no further case can be executed side
+        by side, empty if they can.
+        """
+        bench = Bench(self.session, case)
+        loss = self.life.loss(bench, ask=True)
+        if loss is None:
+            return ""
+        self.deaths_side_by_side += 1
+        cases = ", ".join(during)
+        text = f"the implementation {loss.how} while these cases were executed side by side: {cases}; {loss.observed}"
+        self.remarks.append(f"{text}. Each of them is executed alone")
+        if not self._restartable:
+            self.dead = f"{text}. There is no command to restart it (--restart)"
+            return self.dead
+        if why := self._start_afresh(case):
+            self.dead = f"{text}; {why}"
+            self.remarks.append(self.dead)
+            return self.dead
+        return ""
+
+    # -- deaths --------------------------------------------------------------------------------------------------------
+
+    @property
+    def _restartable(self) -> bool:
+        return self.control is not None and self.control.can_restart
+
+    def _again(self, cases: Sequence[Case]) -> Trial | str:
+        """Run cases from a fresh start, and wait for a slow death after the last."""
+        if why := self._start_afresh(cases[0]):
+            return why
+        for number, case in enumerate(cases):
+            trial = self._trial(case, fresh=number == 0)
+            if trial.loss is not None:
+                return trial
+        self.life.await_end(trial.bench)
+        trial.loss = self.life.loss(trial.bench, ask=True)
+        return trial
+
+    def _start_afresh(self, case: Case) -> str:
+        """Restart the implementation and wait until it answers. Returns why it does not, empty if it does."""
+        assert self.control is not None
+        try:
+            self.control.restart()
+        except Exception as error:
+            return f"it could not be restarted: {error}"
+        self._forget()
+        if self.session.short_period is not None:
+            self.session.short_period.forget()
+        self._unsettled = False
+        if why := self.life.await_answer(case):
+            return f"after a restart it {why}"
+        return ""
+
+    def _revive(self, case: Case, trial: Trial) -> None:
+        """Restart the implementation for the next case, or note why no further case can be executed."""
+        assert trial.loss is not None
+        if not self._restartable:
+            lost = f"the implementation {trial.loss.how} in {case.id}"
+            self.dead = f"{lost}, and there is no command to restart it (--restart)"
+        elif why := self._start_afresh(case):
+            self.dead = f"the implementation {trial.loss.how} in {case.id}; {why}"
+        if self.dead:
+            self.remarks.append(self.dead)
+
+    def _count_death(self, trial: Trial) -> None:
+        assert trial.loss is not None
+        if trial.paused:
+            # From now on only cases about deactivation deactivate BP.
+            self.session.pausing_fails = True
+        if self._restartable and not trial.loss.upper_only:
+            self._deaths.setdefault(trial.loss.group, []).append(trial.case.id)
+
+    def _blame_earlier(self, trial: Trial, suspects: Sequence[_Done]) -> None:
+        """Revise the result of an earlier case, which ended the implementation when it was run alone."""
+        assert trial.loss is not None
+        self._count_death(trial)
+        old = next(each.result for each in suspects if each.trial.case is trial.case)
+        checks = with_failures_of(blamed(trial), old.checks)
+        revised = self._result(trial, old.attempt, checks, killed=True, executions=old.executions)
+        self._revised.append(msgspec.structs.replace(revised, death=trial.loss.group))
+
+    # -- before and after a case ---------------------------------------------------------------------------------------
+
+    def _clean(self, trial: Trial) -> bool:
+        """Without a way to reset, delete the variables that the case has made. Returns whether nothing went wrong."""
+        if self._reset_mode() != "none":
+            return True
+        deleted = delete_variables(trial, self.life.serves)
+        self._note_hang_up(trial)
+        return deleted
+
+    def _note_hang_up(self, trial: Trial) -> None:
+        if trial.hung_up:
+            self.life.hung_up = trial.hung_up
+
+    def _reset_mode(self) -> str:
+        mode = self.session.pics.pixit.reset
+        upper = self.session.upper
+        if mode == "auto":
+            return "ut" if upper is not None and "UT-Reset" in upper.methods else "none"
+        return mode
+
+    def _reset(self) -> None:
+        mode = self._reset_mode()
+        if mode == "ut" and self.session.upper is not None:
+            self.session.upper.call("UT-Reset", {})
+            self._forget()
+            if self.session.short_period is not None:
+                self.session.short_period.renew()
+        elif mode == "restart" and self.control is not None:
+            self.control.restart()
+            self._forget()
+
+    def _forget(self) -> None:
+        """Forget what the implementation knew: it is in its initial state again."""
+        self.session.forget()
+
+    # -- the result ----------------------------------------------------------------------------------------------------
+
+    def _without_trial(
+        self, case: Case, bench: Bench, attempt: int, verdict: Verdict, expected: str, observed: str = ""
+    ) -> CaseResult:
+        trial = Trial(case, bench, self.session.lower.now())
+        return self._result(trial, attempt, [Check(verdict, case.requirements, expected, observed)])
+
+    def _result(
+        self, trial: Trial, attempt: int, checks: Iterable[Check], *, killed: bool = False, executions: int = 1
+    ) -> CaseResult:
+        ended = self.session.lower.now()
+        return result_of(trial, checks, ended, self.rerun, attempt=attempt, killed=killed, executions=executions)
+
+
+def _reports_internal_error(bench: Bench) -> bool:
+    """Whether a service of the implementation failed for a reason of its own, which may last."""
+    answers = (event.data for event in bench.traffic.events if event.direction == "answer")
+    return any(isinstance(data, dict) and data.get("code") == _INTERNAL_ERROR for data in answers)

@@ -1,0 +1,309 @@
+"""Open what the user's options name: link, upper tester and control of the implementation under test."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import msgspec
+from dcp_spec.profile.definition import Profile
+from dcp_spec.profile.loading import ProfileError
+from dcp_spec.profile.usability import refusal
+
+from dcp_codec.codec import Codec
+from dcp_codec.framing.frames import with_ether_type
+from dcp_conformance.errors import ConformanceError, UpperTesterError, UsageError
+from dcp_conformance.impairment import impaired, parse_directions
+from dcp_conformance.lower_tester import LowerTester
+from dcp_conformance.model.case import cases_of
+from dcp_conformance.model.node_id import node_id_octets
+from dcp_conformance.model.pics import DEFAULT_PROFILE, UNKNOWN_PROFILE, Pics, load_pics
+from dcp_conformance.sut.control import SutControl
+from dcp_conformance.test_system.bench import Bench, Session
+from dcp_conformance.upper_tester import UpperTester
+
+from .runner import Runner
+
+#: Beacon period in ms of our own node as a process: short, since nobody else is on its link, and everything is timed in
+#: periods.
+OWN_PERIOD = 20.0
+#: Share of a beacon period by which delays of an impaired link may differ: cases about intervals tolerate as much.
+_USUAL_DELAY = 0.02
+#: Seconds that an upper tester may take to answer.
+UPPER_PATIENCE = 5.0
+
+
+@dataclass(frozen=True, slots=True)
+class TargetOptions:
+    """The implementation under test, and how to reach it. Default: our own node."""
+
+    profile: str | None = None
+    interface: str | None = None
+    ether_type: int | None = None
+    link: str | None = None
+    """``udp[:GROUP:PORT]``."""
+    in_process: bool = False
+    ut: str | None = None
+    """``unix:PATH``, ``tcp:HOST:PORT``, ``exec:COMMAND``, ``commands:FILE``."""
+    pics: Path | None = None
+    start: str | None = None
+    stop: str | None = None
+    restart: str | None = None
+    pid: int | None = None
+    start_timeout: float | None = None
+    """Seconds from a start to the first answer; None: 30, and less if it is ready sooner and does not answer."""
+    beacon_period_ms: float | None = None
+    timing_scale: float = 1.0
+    seed: int = 1
+    impair: tuple[str, ...] = ()
+    """Impairment of the link, see ``impairment.parse_directions``."""
+    node_id: bytes | None = None
+    """Node identifier of our own node."""
+    node_options: tuple[str, ...] = field(default=())
+    """For our own node as a process: further arguments of ``dcp-node run``."""
+
+    @property
+    def foreign(self) -> bool:
+        """Whether this is not our own node."""
+        return self.interface is not None or self.link is not None
+
+    def command_line(self) -> str:
+        """The options as a command line, for running a case again."""
+        import shlex
+
+        words = ["dcp-conformance", "run"]
+        if self.in_process:
+            words.append("--in-process")
+        for name in ("profile", "interface", "link", "ut", "pics", "start", "stop", "restart", "pid"):
+            value = getattr(self, name)
+            if value is not None:
+                words += [f"--{name}", str(value)]
+        if self.start_timeout is not None:
+            words += ["--start-timeout", exact(self.start_timeout)]
+        if self.ether_type is not None:
+            words += ["--ether-type", f"{self.ether_type:#06x}"]
+        if self.beacon_period_ms is not None:
+            words += ["--beacon-period", exact(self.beacon_period_ms)]
+        if self.timing_scale != 1.0:
+            words += ["--timing-scale", exact(self.timing_scale)]
+        if self.seed != 1:
+            words += ["--seed", str(self.seed)]
+        for each in self.impair:
+            words += ["--impair", each]
+        return shlex.join(words)
+
+
+def exact(number: float) -> str:
+    """A number as text, as short as possible without changing its value."""
+    short = f"{number:g}"
+    return short if float(short) == number else repr(number)
+
+
+@dataclass(slots=True)
+class Target:
+    """An implementation that can be tested."""
+
+    codec: Codec
+    pics: Pics
+    runner: Runner
+    notes: list[str]
+
+
+def describe(options: TargetOptions) -> tuple[Codec, Pics]:
+    """Profile and PICS, without opening anything. Raises :class:`UsageError`."""
+    pics = load_pics(options.pics) if options.pics is not None else Pics()
+    name = options.profile or pics.pixit.profile or DEFAULT_PROFILE
+    if name == UNKNOWN_PROFILE:
+        raise UsageError(
+            f"{options.pics}: pixit.profile: probe could not find out which wire profile the implementation speaks; "
+            "write it there, or give --profile"
+        )
+    try:
+        codec = Codec(name)
+    except ProfileError as error:
+        raise UsageError(str(error)) from None
+    refuse_unusable(codec.profile)
+    _check_node_id(options, pics, codec)
+    if options.ether_type is not None:
+        link = with_ether_type(codec.profile.link, options.ether_type)
+        codec = Codec(msgspec.structs.replace(codec.profile, link=link))
+    if options.beacon_period_ms is not None:
+        pixit = msgspec.structs.replace(pics.pixit, beacon_period_ms=options.beacon_period_ms)
+        pics = msgspec.structs.replace(pics, pixit=pixit)
+    return codec, pics
+
+
+def refuse_unusable(profile: Profile) -> None:
+    """Raise :class:`UsageError` for a profile with fields or containers that the suite cannot fill with sense."""
+    if (reason := refusal(profile)) is not None:
+        raise UsageError(reason)
+
+
+def _check_node_id(options: TargetOptions, pics: Pics, codec: Codec) -> None:
+    """Reject node identifiers that do not fit the profile."""
+    profile = codec.profile
+    text, width = pics.pixit.node_id, profile.types.node_id.width
+    # A width of 0: identifiers of variable length.
+    if text is not None and width and (octets := len(node_id_octets(text))) != width:
+        wrong = f"it has {octets} octets, in the profile {profile.name} it has {width}"
+        raise UsageError(f"{options.pics}: pixit.node_id: {text!r}: {wrong}")
+
+
+@contextlib.contextmanager
+def open_target(options: TargetOptions) -> Iterator[Target]:
+    """Open everything, and close it again whatever happens.
+
+    Raises :class:`UsageError` for what makes no sense, ``LowerTesterError`` and ``UpperTesterError`` for what does not
+    work.
+    """
+    if not (options.foreign or options.in_process or options.beacon_period_ms):
+        options = replace(options, beacon_period_ms=OWN_PERIOD)
+    codec, pics = describe(options)
+    # Refused before anything is opened.
+    parse_directions(options.impair)
+    if options.in_process and options.foreign:
+        raise UsageError("--in-process tests our own node; it needs no --interface or --link")
+    for name in () if options.foreign else ("ut", "start", "stop", "restart", "pid"):
+        if getattr(options, name) is not None:
+            raise UsageError(f"--{name} is for an implementation of yours: name its --interface or --link")
+    with contextlib.ExitStack() as stack:
+        if options.in_process:
+            session, control, notes = _in_process(options, codec, pics)
+        elif options.foreign:
+            session, control, notes = _foreign(options, codec, pics, stack)
+        else:
+            session, control, notes = _own_node(options, codec, pics, stack)
+        stack.callback(session.lower.close)
+        if session.upper is not None:
+            stack.callback(session.upper.close)
+        if options.foreign and options.profile is None and pics.pixit.profile is None:
+            notes.append(f"neither --profile nor pixit.profile says which wire profile: {DEFAULT_PROFILE} is assumed")
+        runner = Runner(session, control, rerun=options.command_line(), start_timeout=options.start_timeout)
+        runner.remarks += notes
+        yield Target(codec, pics, runner, notes)
+
+
+def _session(
+    options: TargetOptions, codec: Codec, pics: Pics, lower: LowerTester, upper: UpperTester | None
+) -> Session:
+    tolerance = round(pics.pixit.beacon_period_ms * 1e6 * _USUAL_DELAY)
+    lower = impaired(lower, parse_directions(options.impair), seed=options.seed, tolerance=tolerance)
+    return Session(codec, lower, upper, pics, timing_scale=options.timing_scale, seed=options.seed)
+
+
+_Opened = tuple[Session, SutControl | None, list[str]]
+
+
+def _in_process(options: TargetOptions, codec: Codec, pics: Pics) -> _Opened:
+    from dcp_conformance.reference.inprocess import NODE_ID, InProcess, reference_config
+
+    period = round(pics.pixit.beacon_period_ms)
+    sut = InProcess(
+        reference_config(codec, beacon_period_ms=period, node_id=options.node_id or NODE_ID), seed=options.seed
+    )
+    session = _session(options, codec, pics, sut.lower_tester(), sut.upper_tester())
+    return session, sut, ["our own node in this process, in virtual time"]
+
+
+def _own_node(options: TargetOptions, codec: Codec, pics: Pics, stack: contextlib.ExitStack) -> _Opened:
+    from dcp_conformance.reference.process import NODE_ID, reference_process
+
+    period = pics.pixit.beacon_period_ms
+    node = stack.enter_context(
+        reference_process(
+            codec,
+            beacon_period_ms=period,
+            profile=options.profile,
+            node_id=options.node_id or NODE_ID,
+            options=options.node_options,
+            patience=_patience(pics),
+        )
+    )
+    session = _session(options, codec, pics, node.lower, node.upper)
+    return session, node.control, [node.about]
+
+
+def _patience(pics: Pics) -> float:
+    """Seconds that the upper tester may take to answer: what is usual, unless the implementation needs more."""
+    return max(UPPER_PATIENCE, pics.pixit.least_patience_ms / 1000)
+
+
+def _foreign(options: TargetOptions, codec: Codec, pics: Pics, stack: contextlib.ExitStack) -> _Opened:
+    from dcp_conformance.sut.process import ProcessControl
+
+    control: SutControl | None = None
+    process: ProcessControl | None = None
+    if any((options.start, options.stop, options.restart, options.pid)):
+        process = ProcessControl(
+            start=options.start,
+            stop=options.stop,
+            restart=options.restart,
+            pid=options.pid,
+            udp_port=None if options.interface is not None else _udp_port(options, codec),
+        )
+        control = process
+        stack.callback(process.close)
+    lower = open_lower(options, codec)
+    stack.callback(lower.close)
+    if process is not None:
+        other = _somebody_there(_session(options, codec, pics, lower, None)) if options.start else ""
+        process.start()
+        if other and process.alive():
+            raise UsageError(
+                f"--start: {other} has answered on {lower.name} before it was started: end what runs there, leave out "
+                "--start, or say who is tested (pixit.node_id) if others have to be there"
+            )
+    upper = None
+    if options.ut is not None:
+        from dcp_conformance.upper_tester.opening import open_upper
+
+        try:
+            upper = open_upper(options.ut, _patience(pics), starting=process is not None)
+        except UpperTesterError as error:
+            if process is not None and process.alive() is False:
+                # The process is dead: that is why the upper tester cannot be reached.
+                raise ConformanceError(f"--start: {process.why_dead()}") from error
+            raise
+        if process is not None:
+            process.after_restart.append(upper.reconnect)
+    return _session(options, codec, pics, lower, upper), control, []
+
+
+def _somebody_there(session: Session) -> str:
+    """The node that answers before the implementation is started; empty if none does.
+
+    Two of one implementation speak under one name and are blamed for each other, whatever is tested then.
+    """
+
+    from dcp_conformance.suite import sanity
+
+    if session.pics.pixit.node_id is not None:
+        session.sut_id = node_id_octets(session.pics.pixit.node_id)
+    bench = Bench(session, next(cases_of(sanity)))
+    there = bench.beacons(1, 5) if bench.pics.vardis is False else bench.probe()
+    return session.sut_id.hex(":") if there and session.sut_id is not None else ""
+
+
+def _udp_port(options: TargetOptions, codec: Codec) -> int:
+    """The port of the link. Raises :class:`UsageError`."""
+    from dcp_conformance.lower_tester.udp import DEFAULT_PORT, parse_udp
+
+    _, port, _, link = parse_udp(options.link or "udp", codec.profile.link)
+    return port if port is not None else link.udp_port or DEFAULT_PORT
+
+
+def open_lower(options: TargetOptions, codec: Codec) -> LowerTester:
+    """The lower tester for a foreign implementation."""
+    if options.interface is not None and options.link is not None:
+        raise UsageError("--interface and --link are two ways to say one thing; give one of them")
+    if options.interface is not None:
+        if codec.profile.link.transport == "udp":
+            raise UsageError(f"the profile {codec.profile.name} goes over UDP: --link udp")
+        from dcp_conformance.lower_tester.ethernet import open_ethernet
+
+        return open_ethernet(options.interface, codec.profile.link)
+    from dcp_conformance.lower_tester.udp import open_udp, parse_udp
+
+    return open_udp(*parse_udp(options.link or "udp", codec.profile.link))

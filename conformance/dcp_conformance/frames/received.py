@@ -1,0 +1,204 @@
+"""What was heard: beacons taken apart, with the questions that cases ask of them."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from typing import Any, Final, NamedTuple
+
+from dcp_spec.constants import ICType
+
+from dcp_codec.codec import Codec
+from dcp_codec.errors import Problem
+from dcp_codec.values import (
+    Beacon,
+    Container,
+    ExtendedSafetyData,
+    VarCreate,
+    VarDelete,
+    VarReqCreate,
+    VarReqUpdate,
+    VarSumm,
+    VarUpdate,
+)
+from dcp_codec.views.salvage import Salvaged
+
+KIND_OF: Final[Mapping[type, ICType]] = {
+    VarSumm: ICType.SUMMARIES,
+    VarUpdate: ICType.UPDATES,
+    VarReqUpdate: ICType.REQUEST_VARUPDATES,
+    VarReqCreate: ICType.REQUEST_VARCREATES,
+    VarCreate: ICType.CREATE_VARIABLES,
+    VarDelete: ICType.DELETE_VARIABLES,
+}
+"""The container that a record stands in, whatever numbers a profile has for containers."""
+
+
+#: The path of a problem inside of a client payload.
+_CLIENT: Final = re.compile(r"payloads\[\d+\]\.(srp|vardis)\b")
+
+
+class Instruction(NamedTuple):
+    """A record of a VarDis payload and where it stood."""
+
+    heard: ReceivedBeacon
+    container: int
+    """Counts the containers of the beacon from 0."""
+    position: int
+    """Counts the records of the container from 0."""
+    kind: ICType
+    record: Any
+
+    @property
+    def var_id(self) -> int:
+        """The variable that it is about."""
+        return var_id_of(self.record)
+
+
+class ReceivedBeacon:
+    """One frame of the implementation, read once.
+
+    ``beacon`` is what can be read of it (see :mod:`dcp_codec.views.salvage`), None if nothing can. ``problems`` is
+    what is wrong with it: a frame with problems is no sound beacon, though parts of it may be.
+    """
+
+    __slots__ = (
+        "_codec", "_made", "beacon", "containers", "number", "octets", "problems", "report", "salvaged", "sender",
+        "seqno", "source", "time", "wall",
+    )  # fmt: skip
+
+    def __init__(self, codec: Codec, number: int, time: int, wall: int, octets: bytes, source: bytes) -> None:
+        self.number = number
+        self.time = time
+        self.wall = wall
+        self.octets = octets
+        self.source = source
+        self._codec = codec
+        self.salvaged: Salvaged = codec.salvage(octets)
+        """What could be read, how, and what is damaged."""
+        self.beacon: Beacon | None = self.salvaged.beacon
+        self.problems: tuple[Problem, ...] = self.salvaged.problems
+        self.sender: bytes | None = self._sender(codec)
+        """The node identifier in the beacon, where there is one."""
+        self.containers = self._containers()
+        """The VarDis containers of all blocks, in order."""
+        self.report = self._report()
+        """The first state report."""
+        self.seqno: int | None = self._seqno()
+        """The beacon's sequence number; None if the header cannot be relied on."""
+        self._made: tuple[Instruction, ...] | None = None
+
+    @property
+    def _instructions(self) -> tuple[Instruction, ...]:
+        """All records; made when first asked for."""
+        if self._made is None:
+            self._made = tuple(self._taken_apart())
+        return self._made
+
+    def _taken_apart(self) -> Iterator[Instruction]:
+        for number, container in enumerate(self.containers):
+            for position, record in enumerate(container.records):
+                yield Instruction(self, number, position, KIND_OF[type(record)], record)
+
+    def _sender(self, codec: Codec) -> bytes | None:
+        if self.beacon is not None:
+            return None if self.beacon.bp is None else self.beacon.bp.sender_id
+        # What is wrong may stand after the identifier.
+        field = codec.dissect(self.octets).root.find("bp.senderId")
+        return None if field is None else field.value
+
+    # -- what is wrong -------------------------------------------------------------------------------------------------
+
+    @property
+    def problem(self) -> Problem | None:
+        """The first thing that is wrong; None for a sound beacon."""
+        return self.problems[0] if self.problems else None
+
+    @property
+    def header_problems(self) -> list[Problem]:
+        """What is wrong with the headers and the list of blocks: BP's part."""
+        return [each for each in self.problems if _CLIENT.match(each.path) is None]
+
+    @property
+    def vardis_problems(self) -> list[Problem]:
+        """What is wrong inside of VarDis payloads."""
+        return self._problems_of("vardis")
+
+    @property
+    def report_problems(self) -> list[Problem]:
+        """What is wrong inside of SRP payloads."""
+        return self._problems_of("srp")
+
+    def _problems_of(self, client: str) -> list[Problem]:
+        return [each for each in self.problems if (found := _CLIENT.match(each.path)) and found[1] == client]
+
+    # -- what it says --------------------------------------------------------------------------------------------------
+
+    @property
+    def blocks(self) -> list[tuple[int, bytes]]:
+        """Protocol identifier and octets of each block that is there to its end."""
+        envelope = self._codec.salvage_envelope(self.octets).beacon
+        if envelope is None:
+            return []
+        cut_off = {each.payload for each in self.salvaged.damaged if _CLIENT.match(each.problem.path) is None}
+        return [
+            (each.protocol_id, each.data or b"")
+            for number, each in enumerate(envelope.payloads)
+            if number not in cut_off
+        ]
+
+    def _seqno(self) -> int | None:
+        """A header without payloads is none that anybody means: there, other fields stand in other places."""
+        if self.beacon is None or self.beacon.bp is None or not self.salvaged.clear:
+            return None
+        if self.problems and any(each.reason == "zero-count" for each in self.header_problems):
+            return None
+        return self.beacon.bp.seqno
+
+    @property
+    def known(self) -> set[int]:
+        """The variables that its sender must have in its database, deleted ones included."""
+        requests = (ICType.REQUEST_VARCREATES,)
+        return {each.var_id for each in self._instructions if each.kind not in requests}
+
+    def _containers(self) -> tuple[Container, ...]:
+        """Those of all VarDis blocks, in order."""
+        if self.beacon is None:
+            return ()
+        contents = [each.content for each in self.beacon.payloads if isinstance(each.content, tuple)]
+        return contents[0] if len(contents) == 1 else tuple([container for each in contents for container in each])
+
+    @property
+    def has_vardis(self) -> bool:
+        """Whether there is a VarDis block."""
+        return self.beacon is not None and any(payload.vardis is not None for payload in self.beacon.payloads)
+
+    def _report(self) -> ExtendedSafetyData | None:
+        if self.beacon is not None:
+            for each in self.beacon.payloads:
+                if isinstance(each.content, ExtendedSafetyData):
+                    return each.content
+        return None
+
+    def data(self, protocol_id: int) -> list[bytes]:
+        """The payloads of a protocol, as octets."""
+        return [octets for number, octets in self.blocks if number == protocol_id]
+
+    def instructions(self, kind: ICType | None = None, var_id: int | None = None) -> list[Instruction]:
+        """The VarDis records of a kind and of a variable, None for any."""
+        return [
+            each
+            for each in self._instructions
+            if (kind is None or each.kind is kind) and (var_id is None or each.var_id == var_id)
+        ]
+
+    def about(self, kind: ICType, var_id: int) -> Any | None:
+        """The first record of that kind about a variable, or None."""
+        return next((each.record for each in self.instructions(kind, var_id)), None)
+
+
+def var_id_of(record: Any) -> int:
+    """The variable that a record is about; for a VarCreate that of its VarSpec (X14)."""
+    spec = getattr(record, "spec", None)
+    number: int = record.var_id if spec is None else spec.var_id
+    return number

@@ -1,0 +1,119 @@
+"""atheris (libFuzzer) as another engine for functions in process: octets are changed, and lines reached decide.
+
+It runs in a process of its own (:mod:`dcp_conformance.fuzz.execute.atheris_child`) until the time is over; what it has
+found is then carried out here, minimised and kept like the findings of any campaign.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import msgspec
+
+from dcp_codec.common.extras import advice
+from dcp_conformance.errors import UsageError
+from dcp_conformance.fuzz.campaign import Campaign, Limits
+from dcp_conformance.fuzz.reduce.reduction import as_it_was
+from dcp_conformance.fuzz.steps import Effect, Frame, Step
+
+from .atheris_child import ChildSettings
+
+#: Octets of an input, as libFuzzer may make them; a beacon is at most that long.
+_LONGEST = 1500
+#: Seconds after which libFuzzer takes an input for a hang.
+_TIMEOUT = 10
+#: How often the process is started again after it has ended itself.
+_STARTS = 20
+_RUNS = re.compile(r"stat::number_of_executed_units:\s*(\d+)")
+
+
+class _Gathered:
+    """A generator of what was gathered."""
+
+    def __init__(self, part: str, inputs: Sequence[bytes]) -> None:
+        self.kinds: tuple[str, ...] = (part,)
+        self._inputs = list(inputs)
+
+    def draw(self) -> list[Step]:
+        return [Frame(self._inputs.pop(0), b"", self.kinds[0])]
+
+    def keep(self, steps: list[Step]) -> None:
+        """Nothing is mutated here."""
+
+
+def run_engine(campaign: Campaign, part: str, profile: str, seeds: Sequence[bytes], limits: Limits) -> None:
+    """Let atheris fuzz ``part`` in a profile (name or path), and give the campaign what it has found.
+
+    It begins with ``seeds``. With a folder for artefacts the corpus is kept there (``corpus-PART``), for the next time.
+    Ctrl-C ends it with what was found. Raises :class:`UsageError` without the extra.
+    """
+    if importlib.util.find_spec("atheris") is None:
+        raise UsageError(advice("atheris"))
+    begun = time.monotonic()
+    interrupted: KeyboardInterrupt | None = None
+    with tempfile.TemporaryDirectory(prefix="dcp-fuzz-") as name:
+        folder = Path(name)
+        corpus = folder / "corpus" if campaign.directory is None else campaign.directory / f"corpus-{part}"
+        corpus.mkdir(parents=True, exist_ok=True)
+        for number, octets in enumerate(seeds):
+            (corpus / f"seed-{number}").write_bytes(octets)
+        settings = ChildSettings(profile, part, campaign.seed, str(folder / "findings"))
+        try:
+            for runs in _children(settings, folder, corpus, limits, begun):
+                campaign.state.cases += runs
+        except KeyboardInterrupt as error:
+            interrupted = error
+        inputs, hangs = gathered(folder)
+    campaign.state.seconds += time.monotonic() - begun
+    for octets in hangs:
+        # Doing it again here would end here.
+        campaign.keep(as_it_was([Frame(octets, b"", part)], Effect("hang", f"{part}: it ended atheris", 0, part)))
+    campaign.generator = _Gathered(part, inputs)
+    campaign.run(Limits(cases=len(inputs)))
+    if interrupted is not None:
+        raise interrupted
+
+
+def _children(settings: ChildSettings, folder: Path, corpus: Path, limits: Limits, begun: float) -> Iterator[int]:
+    """Processes, one after the other, until the time is over or the tests are done; the tests of each."""
+    done = 0
+    for _ in range(_STARTS):
+        left = None if limits.seconds is None else round(limits.seconds - (time.monotonic() - begun))
+        if (left is not None and left <= 0) or (limits.cases is not None and done >= limits.cases):
+            return
+        options = [f"-max_len={_LONGEST}", f"-timeout={_TIMEOUT}", f"-seed={settings.seed}", "-print_final_stats=1"]
+        options.append(f"-artifact_prefix={folder}/")
+        if left is not None:
+            options.append(f"-max_total_time={left}")
+        if limits.cases is not None:
+            options.append(f"-runs={limits.cases - done}")
+        command = [
+            sys.executable,
+            "-m",
+            "dcp_conformance.fuzz.execute.atheris_child",
+            msgspec.json.encode(settings).decode(),
+        ]
+        with (folder / "log").open("w+") as log:
+            subprocess.run([*command, *options, str(corpus)], stdout=log, stderr=log, check=False)  # noqa: S603
+            log.seek(0)
+            said = log.read()
+        found = _RUNS.search(said)
+        if found is None:
+            raise UsageError(f"--engine atheris: it does not run: {said.strip()[-400:]}")
+        done += int(found[1])
+        yield int(found[1])
+
+
+def gathered(folder: Path) -> tuple[list[bytes], list[bytes]]:
+    """The inputs that have shown something, and those that libFuzzer has ended itself for."""
+    path = folder / "findings"
+    lines = path.read_text().splitlines() if path.exists() else []
+    ended = [each for kind in ("timeout", "oom", "crash") for each in sorted(folder.glob(f"{kind}-*"))]
+    return [bytes.fromhex(line) for line in lines], [each.read_bytes() for each in ended]

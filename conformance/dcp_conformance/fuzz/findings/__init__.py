@@ -1,0 +1,1 @@
+"""Findings of the fuzzer as files: written, described, replayed, and used as test cases."""

@@ -1,0 +1,242 @@
+"""Findings as files that say everything by themselves: ``ID.json`` with the steps, ``ID.mcap`` with the frames.
+
+The JSON file alone is enough to do it again; the recording is for looking at it with the usual tools.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import shlex
+from pathlib import Path
+from typing import Any, Final, Literal
+
+import msgspec
+from dcp_spec.version import __version__
+
+from dcp_codec.capture import CaptureError, create_capture
+from dcp_codec.capture import Frame as Captured
+from dcp_codec.codec import Codec
+from dcp_codec.framing.envelope import Envelope
+from dcp_conformance.errors import UsageError
+from dcp_conformance.fuzz.reduce.causes import Cause, decided_by
+from dcp_conformance.fuzz.reduce.reduction import Finding
+from dcp_conformance.fuzz.steps import Call, EffectKind, Frame, Step, Wait
+
+SCHEMA: Final = 1
+"""Version of the form of the JSON file."""
+#: 2026-01-01, in ns since 1970: recordings of the same finding are the same octets.
+_EPOCH = 1_767_225_600 * 1_000_000_000
+
+
+class SavedStep(msgspec.Struct, frozen=True, omit_defaults=True):
+    """One step: ``frame`` (octets of a bearer payload, hex), ``call`` (a method) or ``wait`` (beacon periods)."""
+
+    frame: str | None = None
+    valid: str = ""
+    """The valid message that the frame was made from, hex."""
+    note: str = ""
+    source: str = ""
+    call: str | None = None
+    params: dict[str, Any] = {}
+    wait: float | None = None
+
+
+class SavedEffect(msgspec.Struct, frozen=True, omit_defaults=True):
+    """What was observed, after which step."""
+
+    kind: EffectKind
+    detail: str
+    step: int
+    signature: str
+    requirements: tuple[str, ...] = ()
+    """What the specification says about it; none where that is not known, and in older files."""
+
+
+class SavedTarget(msgspec.Struct, frozen=True, omit_defaults=True):
+    """On what: the mode of the command, and what it takes to reach the same again."""
+
+    mode: Literal["codec", "stack", "live", "differential"]
+    name: str = ""
+    mutant: str = ""
+    options: str = ""
+    """Of the command, as they were given."""
+
+
+class Artefact(msgspec.Struct, frozen=True, omit_defaults=True):
+    """A finding."""
+
+    id: str
+    """``<kind>-<8 hex digits>``, from the profile, the effect and the steps: the same finding has the same."""
+    tool: str
+    profile: str
+    seed: int
+    target: SavedTarget
+    effect: SavedEffect
+    steps: tuple[SavedStep, ...]
+    command: str
+    """Does it again."""
+    schema: int = SCHEMA
+    profile_text: str = ""
+    """The file of the profile, if it is none of the built-in ones."""
+    minimised: bool = True
+    confirmed: bool = True
+    """Whether it was seen again when it was done again."""
+    cause: Cause | None = None
+    """Why it shows, as far as experiments can tell; None in older files, and for functions in process."""
+
+    def as_steps(self) -> list[Step]:
+        """The steps. Raises :class:`UsageError` for one that is none."""
+        return [_step(saved, f"step {number}") for number, saved in enumerate(self.steps)]
+
+    @property
+    def frames(self) -> int:
+        """How many of the steps are frames."""
+        return sum(step.frame is not None for step in self.steps)
+
+    @property
+    def octets(self) -> int:
+        """How many octets the frames have together."""
+        return sum(len(step.frame) // 2 for step in self.steps if step.frame is not None)
+
+
+def make_artefact(
+    codec: Codec,
+    found: Finding,
+    target: SavedTarget,
+    *,
+    seed: int,
+    directory: Path,
+    profile_text: str = "",
+) -> Artefact:
+    """The artefact of a finding that will be saved in ``directory``."""
+    effect, cause = found.effect, found.cause
+    saved = tuple(_saved(step) for step in found.steps)
+    digest = hashlib.sha256(codec.profile.name.encode() + effect.signature.encode() + msgspec.json.encode(saved))
+    identifier = f"{effect.kind}-{digest.hexdigest()[:8]}"
+    again = f"dcp-conformance fuzz replay {shlex.quote(f'{directory / identifier}.json')} {target.options}"
+    decides = cause.requirements if cause is not None else decided_by(effect)
+    return Artefact(
+        id=identifier,
+        tool=f"dcp-conformance {__version__}",
+        profile=codec.profile.name,
+        seed=seed,
+        target=target,
+        effect=SavedEffect(effect.kind, effect.detail, effect.step, effect.signature, decides),
+        steps=saved,
+        command=again.rstrip(),
+        profile_text=profile_text,
+        minimised=found.minimised,
+        confirmed=found.confirmed,
+        cause=cause,
+    )
+
+
+def save(artefact: Artefact, directory: Path) -> Path:
+    """Write both files; the path of the JSON file. Raises :class:`UsageError` if they cannot be written."""
+    path = directory / f"{artefact.id}.json"
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(msgspec.json.format(msgspec.json.encode(artefact), indent=2) + b"\n")
+        if artefact.target.mode != "codec" or all(step.note in ("", "beacon") for step in artefact.steps):
+            save_frames(artefact, directory / f"{artefact.id}.mcap")
+    except (OSError, CaptureError) as error:
+        raise UsageError(f"{path}: cannot be written: {error}") from None
+    return path
+
+
+def save_frames(artefact: Artefact, path: Path) -> None:
+    """The frames alone, as a recording. Raises ``CaptureError`` or ``OSError``."""
+    about = {
+        "dcp.fuzz": {
+            "id": artefact.id,
+            "effect": artefact.effect.detail,
+            "profile": artefact.profile,
+            "seed": str(artefact.seed),
+            "tool": artefact.tool,
+            "command": artefact.command,
+        }
+    }
+    write_frames(path, codec_of(artefact), artefact.as_steps(), about)
+
+
+def write_frames(path: Path, codec: Codec, steps: list[Step], about: dict[str, dict[str, str]]) -> int:
+    """The frames of steps as a recording; how many. Raises ``CaptureError`` or ``OSError``."""
+    envelope, now, number = Envelope(codec.profile.link), 0.0, 0
+    period = 100_000_000
+    with create_capture(path, metadata=about) as writer:
+        for step in steps:
+            if isinstance(step, Wait):
+                now += step.periods * period
+            elif isinstance(step, Frame):
+                number += 1
+                frame = envelope.frame(step.octets, step.source)
+                writer.write(Captured(number, _EPOCH + round(now) + number, frame, len(frame)))
+    return number
+
+
+def load(path: Path) -> Artefact:
+    """Read an artefact. Raises :class:`UsageError` that says what is wrong with the file."""
+    try:
+        artefact = msgspec.json.decode(path.read_bytes(), type=Artefact)
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be read: {error.strerror or error}") from None
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        raise UsageError(f"{path}: is no artefact of dcp-conformance fuzz: {error}") from None
+    if artefact.schema != SCHEMA:
+        raise UsageError(f"{path}: has schema {artefact.schema}, this version reads {SCHEMA}")
+    try:
+        artefact.as_steps()
+    except ValueError as error:
+        raise UsageError(f"{path}: {error}") from None
+    return artefact
+
+
+def found_in(places: list[Path]) -> list[Path]:
+    """The artefacts in files and folders, sorted within each folder. Raises :class:`UsageError` where none are."""
+    found: list[Path] = []
+    for place in places:
+        inside = sorted(set(place.glob("*-*.json"))) if place.is_dir() else [place]
+        if not inside:
+            raise UsageError(f"{place}: there are no artefacts (KIND-XXXXXXXX.json) in it")
+        found += inside
+    return found
+
+
+def codec_of(artefact: Artefact) -> Codec:
+    """The codec of the artefact's profile. Raises :class:`UsageError`."""
+    import tempfile
+
+    from dcp_spec.profile.loading import ProfileError
+
+    try:
+        if not artefact.profile_text:
+            return Codec(artefact.profile)
+        with tempfile.NamedTemporaryFile(suffix=".toml") as file:
+            file.write(artefact.profile_text.encode())
+            file.flush()
+            return Codec(Path(file.name))
+    except ProfileError as error:
+        raise UsageError(f"artefact {artefact.id}: {error}") from None
+
+
+def _saved(step: Step) -> SavedStep:
+    if isinstance(step, Frame):
+        return SavedStep(frame=step.octets.hex(), valid=step.valid.hex(), note=step.note, source=step.source.hex(":"))
+    if isinstance(step, Call):
+        return SavedStep(call=step.method, params=step.params)
+    return SavedStep(wait=step.periods)
+
+
+def _step(saved: SavedStep, where: str) -> Step:
+    if saved.frame is not None:
+        try:
+            octets, valid = bytes.fromhex(saved.frame), bytes.fromhex(saved.valid)
+            source = bytes.fromhex(saved.source.replace(":", "")) or Frame(b"").source
+        except ValueError as error:
+            raise UsageError(f"{where}: {error}") from None
+        return Frame(octets, valid, saved.note, source)
+    if saved.call is not None:
+        return Call(saved.call, saved.params)
+    if saved.wait is not None:
+        return Wait(saved.wait)
+    raise UsageError(f"{where}: is neither a frame, nor a call, nor a wait")

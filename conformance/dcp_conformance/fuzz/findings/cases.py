@@ -1,0 +1,68 @@
+"""Artefacts as conformance cases: what once broke an implementation is tested again in every run.
+
+The identifier of a case is ``TC_DCP_FUZZ_BI_01-`` and that of its artefact, which follows from what is in it: it stays
+the same whatever else lies in the folder.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+
+from dcp_conformance.fuzz.execute.differential import Comparison
+from dcp_conformance.fuzz.execute.live import RATE, carry_out, observer_of
+from dcp_conformance.fuzz.execute.liveness import PROBES, ailing
+from dcp_conformance.fuzz.reduce.causes import decided_by
+from dcp_conformance.fuzz.steps import ROBUSTNESS, STOPPED
+from dcp_conformance.model.case import Case, Kind
+from dcp_conformance.test_system.bench import Bench
+
+from .artefact import Artefact, found_in, load
+
+BASE = "TC_DCP_FUZZ_BI_01"
+
+
+def artefact_cases(folder: Path) -> list[Case]:
+    """The cases of a folder; artefacts of functions in process are left out. Raises ``UsageError``."""
+    artefacts = [(path, load(path)) for path in found_in([folder])]
+    return [case_of(artefact, path, folder) for path, artefact in artefacts if artefact.target.mode != "codec"]
+
+
+def case_of(artefact: Artefact, path: Path, folder: Path) -> Case:
+    """The case of one artefact in a folder. Whatever it is about, the implementation has to survive it."""
+    stops = artefact.effect.kind in STOPPED
+    return Case(
+        id=f"{BASE}-{artefact.id}",
+        purpose=f"What the fuzzer once found does not show: {artefact.effect.detail}"[:160],
+        # Older artefacts of a death name no requirement.
+        requirements=artefact.effect.requirements or ROBUSTNESS,
+        kind=Kind.INVALID,
+        stimulus=f"the {len(artefact.steps)} steps of {path.name}, {artefact.frames} of them frames",
+        expect="the implementation lives, answers, and holds what the model holds",
+        window=4,
+        section="Fuzzing: findings of earlier campaigns",
+        module=__name__,
+        run=partial(run, artefact),
+        destructive=stops,
+        robustness=stops or not artefact.effect.requirements,
+        options=("--artefacts", str(folder)),
+    )
+
+
+def run(artefact: Artefact, bench: Bench) -> None:
+    """Carry out the steps of an artefact as a case."""
+    if artefact.profile != bench.profile.name:
+        bench.inconclusive(
+            f"the profile of the artefact, {artefact.profile}", f"the implementation speaks {bench.profile.name}"
+        )
+    if (why := ailing(bench, None)) is not None:
+        bench.inconclusive("a healthy implementation before anything is sent", why.detail)
+    state = artefact.effect.kind in ("state", "said", "disagrees")
+    comparison = Comparison(bench, observer_of(bench)) if state else None
+    effect = carry_out(bench, artefact.as_steps(), None, round(1e9 / RATE), PROBES, comparison)
+    if effect is None:
+        bench.check(True, "nothing is wrong after these steps", "", *artefact.effect.requirements)
+        return
+    # The cause of this effect was looked for when it was found; another effect speaks for itself.
+    known = effect.signature == artefact.effect.signature and artefact.effect.requirements
+    bench.check(False, "nothing is wrong after these steps", effect.detail, *(known or decided_by(effect)))

@@ -1,0 +1,127 @@
+"""Findings as people read them: what was sent, why it shows, and what the specification says about it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Final
+
+import msgspec
+from dcp_spec.catalogue.requirements import requirement
+
+from dcp_codec.codec import Codec
+from dcp_codec.texts import payload_line
+from dcp_conformance.errors import UsageError
+from dcp_conformance.fuzz.reduce.causes import Cause
+from dcp_conformance.fuzz.steps import Frame, Step, Wait
+from dcp_conformance.upper_tester.channels import printable
+
+from .artefact import Artefact, load
+
+if TYPE_CHECKING:
+    from dcp_conformance.fuzz.campaign import Campaign, CauseCount
+
+#: Steps that are shown; all of them are in the file.
+_STEPS: Final = 5
+#: Characters of a step that are shown.
+_WIDTH: Final = 200
+
+
+def headline(artefact: Artefact) -> str:
+    """A finding in one line."""
+    kept = ", not made smaller" if not artefact.minimised else "" if artefact.confirmed else ", not seen again"
+    return f"{artefact.id}: {printable(artefact.effect.detail)} ({_size(artefact.frames, artefact.octets)}{kept})"
+
+
+def evidence_lines(codec: Codec, artefact: Artefact) -> Iterator[str]:
+    """What was done, one line for each of the first steps, why it shows, and which requirements decide."""
+    # Inputs of functions are of any form.
+    steps = [] if artefact.target.mode == "codec" else artefact.as_steps()
+    for step in steps[:_STEPS]:
+        yield _step_line(codec, step)
+    if len(steps) > _STEPS:
+        yield f"... and {len(steps) - _STEPS} more steps"
+    if artefact.cause is not None:
+        yield from _cause_lines(artefact.cause)
+    for identifier in artefact.effect.requirements:
+        yield f"decides   {requirement(identifier).cite()}"
+
+
+def summary_lines(campaign: Campaign) -> Iterator[str]:
+    """The findings of a campaign by probable cause, the smallest artefact of each with its evidence."""
+    state = campaign.state
+    known = {each.id: each for each in campaign.artefacts}
+    if len(state.findings) > 1 and state.causes:
+        found = sum(each.findings for each in state.causes.values())
+        yield f"{found} findings, {len(state.causes)} probable {'cause' if len(state.causes) == 1 else 'causes'}:"
+    told: set[str] = set()
+    for counted in sorted(state.causes.values(), key=lambda each: -each.findings):
+        told.add(counted.smallest)
+        yield from _one_cause(campaign, counted, known.get(counted.smallest))
+    for artefact in campaign.artefacts:
+        # Functions in process have no frames, and so no causes.
+        if artefact.cause is None:
+            yield from _one_artefact(campaign, artefact)
+
+
+def _one_cause(campaign: Campaign, counted: CauseCount, artefact: Artefact | None) -> Iterator[str]:
+    times = f"{counted.findings} findings; the smallest: " if counted.findings > 1 else ""
+    yield ""
+    yield f"{printable(counted.title)}: {printable(counted.reaction)}"
+    if artefact is None and campaign.directory is not None:
+        # Found by the campaign that this one goes on with.
+        try:
+            artefact = load(campaign.directory / f"{counted.smallest}.json")
+        except UsageError:
+            artefact = None
+    if artefact is None:
+        yield f"  {times}{counted.smallest} ({_size(counted.frames, counted.octets)})"
+        return
+    yield f"  {times}{headline(artefact)}"
+    yield from _details(campaign, artefact)
+
+
+def _one_artefact(campaign: Campaign, artefact: Artefact) -> Iterator[str]:
+    yield headline(artefact)
+    yield from _details(campaign, artefact)
+
+
+def _details(campaign: Campaign, artefact: Artefact) -> Iterator[str]:
+    for line in evidence_lines(campaign.codec, artefact):
+        yield f"  {printable(line)}"
+    if campaign.directory is not None:
+        yield f"  again     {artefact.command}"
+
+
+def _size(frames: int, octets: int) -> str:
+    return f"{frames} frame{'' if frames == 1 else 's'}, {octets} octet{'' if octets == 1 else 's'}"
+
+
+def _cause_lines(cause: Cause) -> Iterator[str]:
+    sure = "" if not cause.places else " (without it nothing shows)" if cause.proven else " (probably)"
+    yield f"cause     {cause.title}{sure}"
+    if cause.also:
+        yield f"not this  {_shortened(', '.join(cause.also))} (also there at first, not needed)"
+
+
+def _step_line(codec: Codec, step: Step) -> str:
+    if isinstance(step, Wait):
+        return f"wait      {step.periods:g} beacon periods"
+    if isinstance(step, Frame):
+        return f"sent      {_frame_text(codec, step.octets)}"
+    return f"call      {_shortened(f'{step.method} {msgspec.json.encode(step.params).decode()}')}"
+
+
+def _frame_text(codec: Codec, octets: bytes) -> str:
+    """The messages of a beacon, and its first problem."""
+    dissection = codec.dissect(octets)
+    payloads = dissection.root.child("payloads")
+    text = "  ".join(payload_line(payload) for payload in payloads.children) if payloads is not None else ""
+    text = _shortened(text) or f"{len(octets)} octets"
+    if not dissection.errors:
+        return text
+    problem = dissection.errors[0]
+    return f"{text}  ERROR {problem.reason} at {problem.path or 'beacon'} [{problem.requirement}]"
+
+
+def _shortened(text: str) -> str:
+    return text if len(text) <= _WIDTH else f"{text[:_WIDTH]}..."

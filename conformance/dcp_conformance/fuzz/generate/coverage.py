@@ -1,0 +1,164 @@
+"""What a campaign has reached: fields by class of value, and states of variables by kind of message."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Collection, Iterable
+
+import msgspec
+
+from dcp_codec.testing.mutation import FIELD_CLASSES
+
+#: Row and column of a table -> how often.
+Cells = dict[tuple[str, str], int]
+_ELEMENTS = ("twice", "drop", "reorder", "splice")
+_VALUES = (*FIELD_CLASSES, "cut")
+#: Classes as the heads of columns and in lines name them.
+_WORDS = {
+    "0": "zero", "1": "one", "max-1": "below top", "max": "top", "+1": "plus one", "-1": "minus one",
+    "swapped": "bytes swapped", "bit": "bit flip", "cut": "cut off",
+    "twice": "repeated", "drop": "left out", "reorder": "moved", "splice": "from another",
+    "trail": "octets added", "bomb": "all counts raised",
+}  # fmt: skip
+#: States of a variable, as they are told apart.
+STATES = ("unknown", "alive own", "alive foreign", "deleted own", "deleted foreign")
+
+
+class Pair(msgspec.Struct, frozen=True):
+    """A row of a table: what, in which class, how often."""
+
+    what: str
+    how: str
+    count: int
+
+
+class Coverage(msgspec.Struct):
+    """Both tables. ``possible``: how many pairs of field and class the pool allows."""
+
+    fields: list[Pair] = []
+    states: list[Pair] = []
+    possible: int = 0
+    missing: list[str] = []
+    """Those that were not reached."""
+    possible_states: int = 0
+    """How many pairs of state and message there are; 0 if they were not counted."""
+    missing_states: list[str] = []
+    lines: int = 0
+    """Lines of the target that were run, if they were counted."""
+
+
+def tables(
+    fields: Counter[tuple[str, str]],
+    states: Counter[tuple[str, str]],
+    possible: Collection[tuple[str, str]],
+    lines: int = 0,
+    possible_states: Collection[tuple[str, str]] = (),
+) -> Coverage:
+    """The tables of counters."""
+    return Coverage(
+        list(_pairs(fields)),
+        list(_pairs(states)),
+        len(possible),
+        sorted(f"{what or 'message'} {how}" for what, how in possible if not fields[what, how]),
+        len(possible_states),
+        sorted(f"{what}: {how}" for what, how in possible_states if not states[what, how]),
+        lines,
+    )
+
+
+def _pairs(counter: Counter[tuple[str, str]]) -> Iterable[Pair]:
+    for (what, how), count in sorted(counter.items()):
+        if count:
+            yield Pair(what, how, count)
+
+
+def counter_of(pairs: Iterable[Pair]) -> Counter[tuple[str, str]]:
+    """The counter that a table was made from."""
+    return Counter({(pair.what, pair.how): pair.count for pair in pairs})
+
+
+def shown(coverage: Coverage) -> list[str]:
+    """The tables as lines of text, at most 80 columns wide; 0: not reached, blank: there is no such pair."""
+    lines: list[str] = []
+    if coverage.possible:
+        reached = coverage.possible - len(coverage.missing)
+        lines.append(f"field x what was done to it: {reached} of {coverage.possible} pairs; how often each")
+        cells = {(each.what, each.how): each.count for each in coverage.fields}
+        cells |= {
+            (what.removeprefix("message"), how): 0
+            for what, _, how in (each.rpartition(" ") for each in coverage.missing)
+        }
+        lines += _fields(cells)
+    if coverage.possible_states:
+        reached = coverage.possible_states - len(coverage.missing_states)
+        lines.append(f"message x state of the variable: {reached} of {coverage.possible_states} pairs")
+        cells = {(each.how, each.what): each.count for each in coverage.states if each.what in STATES}
+        cells |= {(how, what): 0 for what, _, how in (each.partition(": ") for each in coverage.missing_states)}
+        lines += _states(cells)
+    if coverage.lines:
+        lines.append(f"lines of the target: {coverage.lines}")
+    return lines
+
+
+def _fields(cells: Cells) -> list[str]:
+    """A table for fields by structure, one for the elements of lists, a line for the whole message."""
+    groups: dict[str, Cells] = {}
+    for (path, how), count in cells.items():
+        if how in _VALUES:
+            structure, dot, name = path.rpartition("[].")
+            groups.setdefault(structure + dot[:-1], {})[name, how] = count
+    first = max((2 + len(name) for group in groups.values() for name, _ in group), default=0)
+    lines = _heading(_VALUES, first)
+    for structure, own in sorted(groups.items()):
+        lines += [f"  {structure}"] if structure else []
+        lines += [f"  {line}" for line in _rows(own, _VALUES, first - 2)]
+    elements = {at: count for at, count in cells.items() if at[1] in _ELEMENTS}
+    if elements:
+        first = max(first, *(len(path) for path, _ in elements))
+        lines += [*_heading(_ELEMENTS, first), *_rows(elements, _ELEMENTS, first)]
+    whole = sorted((how, count) for (path, how), count in cells.items() if not path)
+    if whole:
+        lines.append(f"  whole message: {', '.join(f'{_worded(how)} {_short(count)}' for how, count in whole)}")
+    return lines
+
+
+def _states(cells: Cells) -> list[str]:
+    first = max(len(message) for message, _ in cells)
+    rows = _rows(cells, STATES, first)
+    opposite = any("opposite" in message for message, _ in cells)
+    return [*_heading(STATES, first), *rows, *["  (opposite: half the circle of numbers away)"] * opposite]
+
+
+def _heading(columns: tuple[str, ...], first: int) -> list[str]:
+    """The names of columns; those of two words take two lines."""
+    words = [(_worded(column).rpartition(" "), _width(column)) for column in columns]
+    upper = " " * (first + 2) + "".join(word.rjust(wide) for (word, _, _), wide in words)
+    lower = " " * (first + 2) + "".join(word.rjust(wide) for (_, _, word), wide in words)
+    return [upper, lower] if upper.strip() else [lower]
+
+
+def _rows(cells: Cells, columns: tuple[str, ...], first: int) -> list[str]:
+    lines = []
+    for row in sorted({row for row, _ in cells}):
+        counts = (
+            _short(cells[row, each]).rjust(_width(each)) if (row, each) in cells else " " * _width(each)
+            for each in columns
+        )
+        lines.append(f"  {row.ljust(first)}{''.join(counts)}".rstrip())
+    return lines
+
+
+def _width(column: str) -> int:
+    return 1 + max(4, *map(len, _worded(column).split()))
+
+
+def _worded(how: str) -> str:
+    return _WORDS.get(how, how)
+
+
+def _short(count: int) -> str:
+    """A count in at most four characters."""
+    for unit, size in (("", 1), ("k", 1_000), ("M", 1_000_000)):
+        if count < 1000 * size or (not unit and count < 10_000):
+            return f"{count // size}{unit}"
+    return "999M"

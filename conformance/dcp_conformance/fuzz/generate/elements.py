@@ -1,0 +1,157 @@
+"""What sequences consist of: beacons of stations that do not exist, and numbers that are worth a try."""
+
+from __future__ import annotations
+
+import itertools
+import random
+from typing import Final
+
+from dcp_spec.constants import BP_PROTID_SRP, BP_PROTID_VARDIS, BP_SEQNO_MODULUS, seqno_modulus
+
+from dcp_codec.codec import Codec
+from dcp_codec.testing.draws import Draws
+from dcp_codec.testing.mutation_values import ValidValues
+from dcp_codec.values import (
+    Beacon,
+    BPHeader,
+    Container,
+    ExtendedSafetyData,
+    Payload,
+    VarCreate,
+    VardisRecord,
+    VarSpec,
+    VarUpdate,
+)
+from dcp_conformance.frames.received import KIND_OF
+from dcp_conformance.fuzz.steps import Frame, Step, Wait
+
+#: Ticks of a profile's clock that creation times are drawn around; anything later than 0 and far from the end.
+CREATION: Final = 1_000_000
+
+
+class Parts:
+    """Draws records, and makes beacons of them, for a profile."""
+
+    def __init__(self, codec: Codec, rng: random.Random) -> None:
+        self.codec = codec
+        self.rng = rng
+        self._chance = Draws(rng)
+        self._values = ValidValues(codec, rng)
+        self._nodes: dict[int, bytes] = {}
+        self._seqno = 0
+        profile = codec.profile
+        numbers = profile.vardis.container_types.by_name()
+        self._ic_types = {record: numbers[kind.label] for record, kind in KIND_OF.items()}
+        self._has_header = bool(profile.bp.header)
+        self._network = (profile.bp.network_id or 0) if profile.has_header_field("networkId") else None
+        self._creation = "creationTime" in profile.vardis.var_spec
+        self._timeout = "timeout" in profile.vardis.var_spec
+        self._top_var = min(255, (1 << (8 * profile.types.var_id.width)) - 1)
+        self._modulus = seqno_modulus(profile.types.var_seqno.width)
+        half = self._modulus // 2
+        self._near = (0, 1, 1, 2, -1, half - 1, half, half + 1)
+        limits, longest = profile.limits, self._values.longest_value
+        most = min(limits.max_value_length, longest)
+        self._value_sizes = (1, 1, 4, most - 1, most, min(most + 1, longest), 0)
+        longest = self._values.longest_text
+        most = min(limits.max_description_length, longest)
+        self._texts = [b"d" * size for size in (1, 4, most, min(most + 1, longest), 0)]
+        most = limits.max_repetitions
+        self._repetitions = (1, 1, 2, most, min(most + 1, 255), 0)
+
+    def node(self, number: int) -> bytes:
+        """The identifier of a station."""
+        found = self._nodes.get(number)
+        if found is None:
+            found = self._nodes[number] = self._identifier(number)
+        return found
+
+    def _identifier(self, number: int) -> bytes:
+        layout, octets = self.codec.profile.types.node_id, self._address(number)
+        if layout.representation == "text":
+            return octets.hex(":").encode()
+        return octets[-layout.width :].rjust(layout.width, b"\2") if layout.width else b""
+
+    def frame(self, *records: VardisRecord, sender: bytes | None = None, peer: int = 1) -> Frame:
+        """A beacon of a station; records of one kind that follow each other share a container."""
+        ic_types = self._ic_types
+        containers = tuple([Container(ic_types[kind], tuple(run)) for kind, run in itertools.groupby(records, type)])
+        return self._beacon(Payload(BP_PROTID_VARDIS, containers), sender, peer)
+
+    def report_frame(self, report: ExtendedSafetyData, *, sender: bytes | None = None, peer: int = 1) -> Frame:
+        """A beacon of a station with a state report."""
+        return self._beacon(Payload(BP_PROTID_SRP, report), sender, peer)
+
+    def _beacon(self, payload: Payload, sender: bytes | None, peer: int) -> Frame:
+        self._seqno = (self._seqno + 1) % BP_SEQNO_MODULUS
+        header = None
+        if self._has_header:
+            header = BPHeader(self.node(peer) if sender is None else sender, self._seqno, self._network)
+        octets = self.codec.encode(Beacon(header, (payload,)))
+        return Frame(octets, octets, source=self._address(peer))
+
+    def _address(self, peer: int) -> bytes:
+        return b"\x02\xdc\x90" + peer.to_bytes(3, "big")
+
+    def var_id(self) -> int:
+        """One of a few variables."""
+        return self._chance.one_of((0, 1, 1, 2, 2, 3, self._top_var))
+
+    def value(self) -> bytes:
+        """A value; lengths around the limit are favoured."""
+        octets = self.rng.randbytes(self._chance.one_of(self._value_sizes))
+        return octets.replace(b"\0", b"\1") if self.codec.profile.types.value.terminated else octets
+
+    def create(
+        self, var_id: int, *, peer: int = 1, seqno: int = 0, creation: int = CREATION, producer: bytes | None = None
+    ) -> VarCreate:
+        """A VarCreate that is most often acceptable."""
+        rep_cnt, descr, value = self._attributes()
+        spec = VarSpec(
+            var_id,
+            self.node(peer) if producer is None else producer,
+            rep_cnt,
+            descr,
+            creation if self._creation else None,
+            0 if self._timeout else None,
+        )
+        return VarCreate(spec, VarUpdate(var_id, seqno, value))
+
+    def _attributes(self) -> tuple[int, bytes, bytes]:
+        """Repetitions, description and value."""
+        rep_cnt = self._chance.one_of(self._repetitions)
+        descr = self._chance.one_of(self._texts)
+        return rep_cnt, descr if self.rng.random() < 0.9 else b"\xff\xfe", self.value()
+
+    def good_create(
+        self,
+        var_id: int,
+        *,
+        timeout: int = 0,
+        peer: int = 1,
+        seqno: int = 0,
+        creation: int = CREATION,
+        producer: bytes | None = None,
+    ) -> VarCreate:
+        """A VarCreate that every node has to take; ``timeout`` in ms."""
+        # Draws as much as create() does: what a seed has shown is still what it shows.
+        self._attributes()
+        spec = VarSpec(
+            var_id,
+            self.node(peer) if producer is None else producer,
+            2,
+            b"good",
+            creation if self._creation else None,
+            timeout if self._timeout else None,
+        )
+        return VarCreate(spec, VarUpdate(var_id, seqno, b"good"))
+
+    def seqno(self, around: int = 0) -> int:
+        """A number that is interesting as seen from another: near it, half the circle away, or at the ends."""
+        anywhere = self._chance.below(self._modulus)
+        step = self._chance.one_of((*self._near, anywhere))
+        return (around + step) % self._modulus
+
+    def pause(self) -> list[Step]:
+        """Sometimes some time."""
+        return [Wait(self._chance.one_of((0.5, 1.0, 2.0)))] if self.rng.random() < 0.3 else []

@@ -1,0 +1,110 @@
+"""Ordinary messages of a profile, as small as they can be: what repairs put in, and what a sweep damages."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from dcp_spec.constants import BP_PROTID_SRP, BP_PROTID_VARDIS, ICType
+
+from dcp_codec.codec import Codec
+from dcp_codec.plan.tree import snake
+from dcp_codec.values import (
+    Beacon,
+    BPHeader,
+    Container,
+    ExtendedSafetyData,
+    Payload,
+    VarCreate,
+    VarDelete,
+    VardisRecord,
+    VarReqCreate,
+    VarReqUpdate,
+    VarSpec,
+    VarSumm,
+    VarUpdate,
+)
+
+#: A protocol that no node has.
+OTHER_PROTOCOL: Final = 0x77
+#: The station that sends them.
+_STATION: Final = b"\x02\xdc\x90\x00\x00\x01"
+#: Descriptions and values.
+TEXT: Final = b"a"
+
+
+class Samples:
+    """Records, blocks and beacons with the smallest ordinary content. Variables are 0 unless told."""
+
+    def __init__(self, codec: Codec) -> None:
+        self.codec = codec
+        self._numbers = codec.profile.vardis.container_types.by_name()
+
+    def node(self, number: int = 1) -> bytes:
+        """The identifier of a station."""
+        layout = self.codec.profile.types.node_id
+        octets = _STATION[:-2] + number.to_bytes(2, "big")
+        if layout.representation == "text":
+            return octets.hex(":").encode()
+        return octets[-layout.width :].rjust(layout.width, b"\2") if layout.width else b""
+
+    def record(self, kind: ICType, var_id: int = 0) -> VardisRecord:
+        """A record of a kind."""
+        match kind:
+            case ICType.SUMMARIES:
+                return VarSumm(var_id, 0)
+            case ICType.UPDATES:
+                return VarUpdate(var_id, 0, TEXT)
+            case ICType.REQUEST_VARUPDATES:
+                return VarReqUpdate(var_id, 0)
+            case ICType.REQUEST_VARCREATES:
+                return VarReqCreate(var_id)
+            case ICType.DELETE_VARIABLES:
+                return VarDelete(var_id)
+        fields = self.codec.profile.vardis.var_spec
+        creation = 1 if "creationTime" in fields else None
+        spec = VarSpec(var_id, self.node(), 1, TEXT, creation, 0 if "timeout" in fields else None)
+        return VarCreate(spec, VarUpdate(var_id, 0, TEXT))
+
+    def container(self, kind: ICType, count: int = 1) -> Container:
+        """A container of ``count`` records of a kind, about different variables as long as there are any."""
+        top = 1 << (8 * min(2, self.codec.profile.types.var_id.width))
+        records = tuple(self.record(kind, number % top) for number in range(count))
+        return Container(self._numbers[kind.label], records)
+
+    def vardis(self, *containers: Container) -> Payload:
+        """A VarDis block."""
+        return Payload(BP_PROTID_VARDIS, containers)
+
+    def report(self, number: int = 1, seqno: int = 0) -> Payload:
+        """An SRP block with the state report of a station. Only for profiles that have one."""
+        codec = self.codec
+        known = codec.safety_data_type.__struct_fields__
+        data = {}
+        for field in codec.profile.srp.safety_data:
+            name = snake(field.name) if snake(field.name) in known else field.name
+            data[name] = bytes(field.octets) if field.type == "opaque" else 0.0 if field.type.startswith("f") else 0
+        return Payload(BP_PROTID_SRP, ExtendedSafetyData(codec.safety_data_type(**data), self.node(number), 0, seqno))
+
+    def other(self, octets: bytes = b"\0") -> Payload:
+        """A block of a protocol that no node has."""
+        return Payload(OTHER_PROTOCOL, octets)
+
+    def beacon(self, *blocks: Payload, station: int = 1) -> bytes:
+        """A beacon of a station. Raises ``EncodeError`` for what a field of the profile cannot hold."""
+        profile = self.codec.profile
+        header = None
+        if profile.bp.header:
+            network = (profile.bp.network_id or 0) if profile.has_header_field("networkId") else None
+            header = BPHeader(self.node(station), 0, network)
+        return self.codec.encode(Beacon(header, blocks))
+
+    def each(self) -> list[bytes]:
+        """A beacon for each kind of container, one with a state report and one of another protocol."""
+        kinds = sorted(ICType, key=lambda kind: kind is not ICType.REQUEST_VARCREATES)
+        found = [self.beacon(self.vardis(self.container(kind))) for kind in kinds]
+        if self.codec.report_plan is not None:
+            found.append(self.beacon(self.report()))
+        return [*found, self.beacon(self.other())]
+
+
+__all__ = ["OTHER_PROTOCOL", "TEXT", "Samples"]

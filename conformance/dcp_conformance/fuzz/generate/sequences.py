@@ -1,0 +1,384 @@
+"""Sequences that mean something: what one damaged beacon cannot show, because it takes a history.
+
+Every sequence is drawn by a seeded generator and stands for itself: it begins at a node that knows nothing.
+"""
+
+from __future__ import annotations
+
+import itertools
+import random
+from collections.abc import Callable, Sequence
+from typing import Any, Final
+
+from dcp_spec.constants import IC_MAX_RECORDS, ICType
+
+from dcp_codec.codec import Codec
+from dcp_codec.errors import EncodeError
+from dcp_codec.testing.mutation import Mutator
+from dcp_codec.values import (
+    ExtendedSafetyData,
+    VarDelete,
+    VardisRecord,
+    VarReqCreate,
+    VarReqUpdate,
+    VarSumm,
+    VarUpdate,
+)
+from dcp_conformance.fuzz.steps import Call, Frame, Step, Wait
+
+from .elements import CREATION, Parts
+
+#: Neighbours of a flood.
+_FLOOD: Final = 3000
+#: Sequence numbers are counted all the way round where there are no more than these.
+_SHORT_WAY: Final = 256
+#: Services that change nothing for good, with parameters that need not make sense.
+_ODD_CALLS: Final[tuple[tuple[str, dict[str, Any]], ...]] = (
+    ("RTDB-Read", {"varId": -1}),
+    ("RTDB-Read", {"varId": "0"}),
+    ("RTDB-Create", {}),
+    ("RTDB-Update", {"varId": 1 << 70, "value": "00"}),
+    ("RTDB-Update", {"varId": 0, "value": "zz"}),
+    ("RTDB-Delete", {"varId": 3.5}),
+    ("RTDB-DescribeDatabase", {"x": 1}),
+    ("SRP-UpdateSafetyData", {"sData": {}}),
+    ("SRP-UpdateSafetyData", {"sData": None}),
+    ("BP-TransmitPayload", {"protocolId": 2, "payload": "00" * 2000}),
+    ("BP-RegisterProtocol", {}),
+    ("BP-QueryNumberBufferedPayloads", {"protocolId": 1 << 16}),
+    ("UT-Nothing", {}),
+)
+
+
+class Sequences(Parts):
+    """Draws sequences. ``own_id`` is the identifier of the node that they are for."""
+
+    def __init__(
+        self, codec: Codec, rng: random.Random, own_id: bytes, mutator: Mutator, recorded: Sequence[bytes] = ()
+    ) -> None:
+        super().__init__(codec, rng)
+        self.own_id = own_id
+        self.mutator = mutator
+        self.recorded = recorded
+        stamp = codec.profile.types.timestamp
+        self._latest = (1 << (8 * stamp.width - stamp.signed)) - 1
+        self._kinds: list[tuple[float, str, Callable[[], list[Step]]]] = [
+            (30, "mixed", self.mixed),
+            (40, "mutated", self.mutated),
+            (25, "creation-times", self.creation_times),
+            (25, "sequence-wrap", self.sequence_wrap),
+            (20, "delete-and-create", self.delete_and_create),
+            (20, "requests", self.requests),
+            (15, "two-producers", self.two_producers),
+            (15, "spoofed-sender", self.spoofed_sender),
+            (30, "services", self.services),
+            (20, "one-payload", self.one_payload),
+            (2, "garbage", self.garbage),
+            (0.4, "all-variables", self.all_variables),
+            (1, "largest", self.largest),
+        ]
+        if self._modulus <= _SHORT_WAY:
+            self._kinds.append((0.1, "once-around", self.once_around))
+        if self._timeout:
+            self._kinds.append((6, "soft-state", self.soft_state))
+        if codec.report_plan is not None:
+            self._kinds.append((15, "reports", self.reports))
+        if recorded:
+            self._kinds.append((10, "recording", self.recording))
+        self._weights = list(itertools.accumulate(weight for weight, _, _ in self._kinds))
+        self.kinds: tuple[str, ...] = ()
+        """The kind of the last sequence."""
+
+    def draw(self) -> list[Step]:
+        """The next sequence. A flood of neighbours, which takes seconds, comes once in several thousand."""
+        if self.codec.report_plan is not None and self.rng.random() < 0.0002:
+            self.kinds = ("neighbour-flood",)
+            return self.neighbour_flood()
+        _, name, kind = self.rng.choices(self._kinds, cum_weights=self._weights)[0]
+        self.kinds = (name,)
+        return kind()
+
+    def keep(self, steps: list[Step]) -> None:
+        """Mutate the frames of this sequence, too, from now on."""
+        for step in steps:
+            if isinstance(step, Frame):
+                self.mutator.add(step.octets)
+
+    # -- kinds of sequences ------------------------------------------------------------------------------------
+
+    def mixed(self) -> list[Step]:
+        """Valid beacons, drawn one by one."""
+        found: list[Step] = []
+        for _ in range(1 + self._chance.below(5)):
+            octets = self._chance.one_of(self.mutator.sources).octets
+            found.append(Frame(octets, octets))
+            found += self.pause()
+        return found
+
+    def mutated(self) -> list[Step]:
+        """A variable, and mutations that may damage it."""
+        found: list[Step] = [self.frame(self.good_create(self.var_id()))] if self.rng.random() < 0.5 else []
+        for _ in range(1 + self._chance.below(5)):
+            made = self.mutator.mutate()
+            found.append(Frame(made.octets, made.source, ", ".join(f"{path} {name}" for path, name in made.touched)))
+            found += self.pause()
+        return found
+
+    def creation_times(self) -> list[Step]:
+        """One variable created again and again, earlier, equally and later, by this and that producer."""
+        var_id, found = self.var_id(), list[Step]()
+        time = CREATION
+        for _ in range(2 + self._chance.below(4)):
+            # The last of them is later, with a lower half that is earlier.
+            time += self._chance.one_of((0, 1, 1, -1, -1000, 256, 1000, 65_536, (1 << 32) - 500))
+            time = max(0, min(time, self._latest))
+            producer = self.own_id if self.rng.random() < 0.1 else None
+            made = self.good_create if self.rng.random() < 0.7 else self.create
+            create = made(var_id, peer=1 + self._chance.below(2), creation=time, seqno=self.seqno(), producer=producer)
+            found.append(self.frame(create))
+            if self.rng.random() < 0.2:
+                found.append(self.frame(VarDelete(var_id)))
+            found += self.pause()
+        return found
+
+    def sequence_wrap(self) -> list[Step]:
+        """Updates, summaries and requests around the circle."""
+        var_id, number = self.var_id(), self.seqno()
+        found: list[Step] = [self.frame(self.good_create(var_id, seqno=number))]
+        for _ in range(2 + self._chance.below(5)):
+            other = self.seqno(number)
+            record = self._chance.one_of(
+                (VarUpdate(var_id, other, self.value()), VarSumm(var_id, other), VarReqUpdate(var_id, other))
+            )
+            found.append(self.frame(record, peer=1 + self._chance.below(3)))
+            if isinstance(record, VarUpdate) and self.rng.random() < 0.6:
+                number = other
+            found += self.pause()
+        return found
+
+    def delete_and_create(self) -> list[Step]:
+        """A variable that comes and goes, now and then in one beacon."""
+        var_id, time, found = self.var_id(), CREATION, list[Step]()
+        for _ in range(1 + self._chance.below(4)):
+            time += self._chance.one_of((1, 1, 1, 0))
+            create = self.good_create(var_id, creation=time, seqno=self.seqno())
+            if self.rng.random() < 0.3:
+                found.append(self.frame(create, VarDelete(var_id)))
+            else:
+                found += [self.frame(create), *self.pause(), self.frame(VarDelete(var_id))]
+            late = (
+                VarUpdate(var_id, self.seqno(), b"late"),
+                VarSumm(var_id, 3),
+                VarReqCreate(var_id),
+                VarDelete(var_id),
+            )
+            if self.rng.random() < 0.5:
+                found.append(self.frame(self._chance.one_of(late), peer=2))
+            found += self.pause()
+        return found
+
+    def requests(self) -> list[Step]:
+        """Requests for what is there and what is not."""
+        var_id = self.var_id()
+        found: list[Step] = [self.frame(self.good_create(var_id, seqno=5))] if self.rng.random() < 0.7 else []
+        for _ in range(1 + self._chance.below(5)):
+            many = self._chance.one_of((1, 2, 10, 60))
+            ids = [(var_id + number) % (self._top_var + 1) for number in range(many)]
+            kind = self._chance.below(3)
+            records: list[VardisRecord] = [
+                VarReqCreate(each)
+                if kind == 0
+                else VarReqUpdate(each, self.seqno(5))
+                if kind == 1
+                else VarSumm(each, 5)
+                for each in ids
+            ]
+            found.append(self.frame(*records, peer=1 + self._chance.below(3)))
+            found += self.pause()
+        return found
+
+    def soft_state(self) -> list[Step]:
+        """A variable that lives as long as there are updates of it, and other things to be heard."""
+        var_id, number, time = self.var_id(), self.seqno(), CREATION
+        timeout = self._chance.one_of((100, 300, 700, 1200))
+        found: list[Step] = [self.frame(self.good_create(var_id, seqno=number, timeout=timeout))]
+        for _ in range(1 + self._chance.below(4)):
+            found.append(Wait(self._chance.one_of((0.5, 2.0, 5.0, 11.0))))
+            number, time = (number + 1) % self._modulus, time + self._chance.below(2)
+            record = self._chance.one_of(
+                (
+                    VarUpdate(var_id, number, b"alive"),
+                    VarUpdate(var_id, number, b"alive"),
+                    VarSumm(var_id, (number - 1) % self._modulus),
+                    VarReqCreate(var_id),
+                    VarDelete(var_id),
+                    self.good_create(var_id, seqno=number, timeout=timeout, creation=time),
+                )
+            )
+            found.append(self.frame(record, peer=1 + self._chance.below(2)))
+        return [*found, Wait(self._chance.one_of((2.0, 25.0)))]
+
+    def two_producers(self) -> list[Step]:
+        """Two stations that both think a variable is theirs."""
+        var_id, found = self.var_id(), list[Step]()
+        for turn in range(2 + self._chance.below(4)):
+            peer = 1 + turn % 2
+            time = CREATION + self._chance.one_of((0, peer, turn))
+            record: VardisRecord = self.good_create(var_id, peer=peer, creation=time, seqno=self.seqno(turn))
+            if turn and self.rng.random() < 0.5:
+                record = VarUpdate(var_id, self.seqno(turn), bytes((peer,)))
+            found.append(self.frame(record, peer=peer))
+            found += self.pause()
+        return found
+
+    def spoofed_sender(self) -> list[Step]:
+        """Beacons in the name of the node itself, of everybody and of nobody."""
+        found: list[Step] = []
+        width = len(self.own_id)
+        for _ in range(1 + self._chance.below(4)):
+            text = self.codec.profile.types.node_id.representation == "text"
+            others = (self.own_id, self.node(1)) if text else (self.own_id, bytes(width), b"\xff" * width, self.node(1))
+            create = self.good_create(self.var_id(), producer=self._chance.one_of(others), seqno=self.seqno())
+            if self.codec.report_plan is not None and self.rng.random() < 0.4:
+                report = self._values.report()
+                report = ExtendedSafetyData(report.s_data, self._chance.one_of(others), report.t_stamp, report.seqno)
+                found.append(self.report_frame(report, sender=self._chance.one_of(others)))
+            else:
+                found.append(self.frame(create, sender=self._chance.one_of(others)))
+            found += self.pause()
+        return found
+
+    def reports(self) -> list[Step]:
+        """State reports of a few stations, of which numbers and stamps make no sense."""
+        found: list[Step] = []
+        for _ in range(1 + self._chance.below(5)):
+            found.append(self.report_frame(self._values.report(), peer=1 + self._chance.below(3)))
+            found += self.pause()
+        return found
+
+    def services(self) -> list[Step]:
+        """Variables of the node's own application, while others talk about them."""
+        var_id, found = self.var_id(), list[Step]()
+        create = {"varId": var_id, "repCnt": self._chance.one_of((1, 2, 15)), "descr": "own", "value": "6f776e"}
+        whose = self.rng.random()
+        if whose < 0.7:
+            found.append(Call("RTDB-Create", create))
+        elif whose < 0.9:
+            # Somebody else's: the application must not have its way.
+            found.append(self.frame(self.good_create(var_id)))
+        for _ in range(2 + self._chance.below(4)):
+            step: Step
+            match self._chance.below(10):
+                case 0 | 1:
+                    step = Call("RTDB-Update", {"varId": var_id, "value": self.rng.randbytes(3).hex()})
+                case 2:
+                    step = Call("RTDB-Delete", {"varId": var_id})
+                case 3:
+                    step = Call("RTDB-Create", create)
+                case 4:
+                    step = Call(*self._chance.one_of(_ODD_CALLS))
+                case 5:
+                    step = self.frame(self.good_create(var_id, creation=self._chance.one_of((1, CREATION))))
+                case 6 if self.codec.report_plan is not None:
+                    # A node with a report and variables sends beacons of two blocks.
+                    step = Call("SRP-UpdateSafetyData", {"sData": self._safety_data()})
+                case 7:
+                    other = self._chance.one_of((VarDelete(var_id), VarUpdate(var_id, self.seqno(), b"other")))
+                    step = self.frame(other)
+                case 8:
+                    step = Call("RTDB-Read", {"varId": var_id})
+                case _:
+                    step = self.frame(self._chance.one_of((VarReqCreate(var_id), VarReqUpdate(var_id, self.seqno()))))
+            found.append(step)
+            found += self.pause()
+        return found
+
+    def once_around(self) -> list[Step]:
+        """So many updates of a variable of the node's own that its numbers begin anew."""
+        var_id = self.var_id()
+        found: list[Step] = [Call("RTDB-Create", {"varId": var_id, "repCnt": 1, "descr": "own", "value": "00"})]
+        for number in range(self._modulus + 2):
+            found.append(Call("RTDB-Update", {"varId": var_id, "value": f"{number % 256:02x}"}))
+        return [*found, Wait(2.0)]
+
+    def _safety_data(self) -> dict[str, Any]:
+        fields = self.codec.profile.srp.safety_data
+        return {field.name: 1.5 if field.type.startswith("f") else 1 for field in fields if field.type != "opaque"}
+
+    def one_payload(self) -> list[Step]:
+        """Several records about one variable in one payload, which are not processed in the order of the payload."""
+        var_id, number = self.var_id(), self.seqno()
+        found: list[Step] = []
+        if self.rng.random() < 0.4:
+            found.append(self.frame(self.good_create(var_id, seqno=number)))
+        for turn in range(1 + self._chance.below(3)):
+            later = (number + 1) % self._modulus
+            records: list[VardisRecord] = [
+                self.good_create(var_id, seqno=number, creation=CREATION + turn),
+                VarUpdate(var_id, later, b"update"),
+                VarUpdate(var_id, self.seqno(number), b"other"),
+                VarDelete(var_id),
+                VarSumm(var_id, self.seqno(number)),
+                VarReqUpdate(var_id, self.seqno(number)),
+                VarReqCreate(var_id),
+            ]
+            found.append(self.frame(*self.rng.sample(records, 2 + self._chance.below(3))))
+            found += self.pause()
+        return found
+
+    def garbage(self) -> list[Step]:
+        """Dozens of mutations in a row: what counts errors, or loses something with each of them, shows it."""
+        made = [self.mutator.mutate() for _ in range(60)]
+        if self.rng.random() < 0.7:
+            # The same again and again.
+            made = [made[0]] * 60
+        return [Frame(each.octets, each.source) for each in made]
+
+    def all_variables(self) -> list[Step]:
+        """Every variable that there can be, up to 256; then each is talked about."""
+        found: list[Step] = []
+        ids = range(self._top_var + 1)
+        records = [self.good_create(each) for each in ids]
+        for first in range(0, len(records), 20):
+            found.append(self.frame(*records[first : first + 20]))
+        found.append(Wait(2.0))
+        others: list[VardisRecord] = [
+            self._chance.one_of((VarDelete(each), VarUpdate(each, 1, b"n"), VarReqCreate(each))) for each in ids
+        ]
+        others.sort(key=lambda record: type(record).__name__)
+        for first in range(0, len(others), 60):
+            found.append(self.frame(*others[first : first + 60]))
+        return [*found, Wait(2.0)]
+
+    def largest(self) -> list[Step]:
+        """Containers and values as large as they can be."""
+        found: list[Step] = []
+        for kind in self.rng.sample(tuple(ICType), 3):
+            octets = self._values.full(kind)
+            found.append(Frame(octets, octets))
+        with_most = [VarSumm(number % (self._top_var + 1), 1) for number in range(IC_MAX_RECORDS)]
+        try:
+            found.append(self.frame(*with_most))
+        except EncodeError:
+            # An area of a fixed size, or a length of one octet.
+            found.append(self.frame(*with_most[:20]))
+        return [*found, *self.pause()]
+
+    def recording(self) -> list[Step]:
+        """A piece of a recording, with a mutation in it."""
+        start = self._chance.below(len(self.recorded))
+        found: list[Step] = [
+            Frame(octets, octets) for octets in self.recorded[start : start + 2 + self._chance.below(6)]
+        ]
+        made = self.mutator.mutate()
+        found.insert(self._chance.below(len(found) + 1), Frame(made.octets, made.source))
+        return found
+
+    def neighbour_flood(self) -> list[Step]:
+        """A state report of each of thousands of stations."""
+        found: list[Step] = []
+        for number in range(1, _FLOOD + 1):
+            report = self._values.report()
+            report = ExtendedSafetyData(report.s_data, self.node(number), report.t_stamp, number)
+            found.append(self.report_frame(report, peer=number))
+        return [*found, Wait(40.0)]

@@ -1,0 +1,1 @@
+"""Reduce findings of the fuzzer: fewer steps, smaller frames, and the probable cause."""

@@ -1,0 +1,288 @@
+"""Making one frame of a finding small: the steps with the greatest gain first, since each trial may cost a restart.
+
+First every anomaly is tried alone in the smallest frame that has it. What no anomaly shows alone is reduced bit by bit:
+elements of lists are left out (delta debugging), anomalies are repaired one at a time, long octets are shortened, and
+what is left of values becomes ordinary. No attempt has an anomaly that the frame before it did not have, so that one
+cause does not turn into another on the way.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Iterator, Sequence
+from typing import Final
+
+from dcp_codec.codec import Codec
+from dcp_codec.plan.tree import Rest, Scalar, Text
+from dcp_codec.views.fields import Field
+from dcp_conformance.fuzz.generate.samples import TEXT
+
+from .anatomy import Anatomy, Edit
+from .anomalies import Anomaly, Kinds, anomalies, kinds_of
+from .repairs import Repairs
+
+Attempt = Callable[[bytes], bool]
+"""Tries a frame: whether it still shows the effect."""
+Change = tuple[str, bytes]
+"""A field, by its path, and the octets that it gets."""
+
+#: Rounds of leaving out, repairing and shortening; the second one most often finds nothing.
+_ROUNDS: Final = 3
+#: Repairs of other anomalies on the way to a frame that has one alone.
+_MOST_REPAIRS: Final = 12
+#: Fields that say who sends, and to whom: another value is another situation.
+_ADDRESSES: Final = ("senderId", "networkId", "nodeId", "prodId")
+#: Fields that are left as they are.
+_KEPT: Final = (*_ADDRESSES, "protocolId", "icType")
+
+
+class Shrinker:
+    """Shrinks frames of a profile."""
+
+    def __init__(self, codec: Codec) -> None:
+        self.codec = codec
+        self.repairs = Repairs(codec)
+
+    def shrink(self, octets: bytes, attempt: Attempt, valid: bytes = b"") -> bytes:
+        """The smallest form found of a frame for which ``attempt`` succeeds.
+
+        ``valid``: the message that the frame was made from. What ``attempt`` raises ends it; the last octets for which
+        it has succeeded are known to the caller.
+        """
+        work = _Work(self, octets, attempt)
+        if not work.isolate() and valid:
+            work.take(valid)
+        for _ in range(_ROUNDS):
+            before = work.octets
+            work.fewer_elements()
+            work.repair()
+            work.shorten()
+            work.calm()
+            if work.octets == before:
+                break
+        return work.octets
+
+    def is_damaged(self, octets: bytes) -> bool:
+        """Whether a frame has any anomaly."""
+        return bool(anomalies(self.codec, octets))
+
+    def sound_forms(self, octets: bytes) -> list[bytes]:
+        """The frame with one of its anomalies repaired, for each of them that can be."""
+        found = (self.repairs.repaired(octets, anomaly) for anomaly in anomalies(self.codec, octets))
+        return [repaired for repaired in found if repaired is not None]
+
+    def isolated(self, octets: bytes, anomaly: Anomaly) -> bytes | None:
+        """The smallest frame that has this anomaly and no other, made from a frame that has it; None if that fails."""
+        candidate = self._bare(octets, anomaly)
+        for _ in range(_MOST_REPAIRS):
+            found = anomalies(self.codec, candidate)
+            kept = [each for each in found if each.kind == anomaly.kind]
+            others = [each for each in found if each.kind != anomaly.kind]
+            if not kept:
+                return None
+            if not others:
+                break
+            for other in others:
+                repaired = self.repairs.repaired(candidate, other)
+                if repaired is not None and self._kinds(repaired)[anomaly.kind]:
+                    candidate = repaired
+                    break
+            else:
+                return None
+        kinds = self._kinds(candidate)
+        if set(kinds) != {anomaly.kind}:
+            return None
+        for plainer in self.plainer(candidate):
+            if self._kinds(plainer) == kinds:
+                return plainer
+        return candidate
+
+    def plainer(self, octets: bytes) -> Iterator[bytes]:
+        """The frame with ordinary values and short strings, and with short strings alone."""
+        anatomy = Anatomy(self.codec, octets)
+        strings, values = self.strings(anatomy), self.values(anatomy)
+        yield _changed(anatomy, [*strings, *values])
+        yield _changed(anatomy, strings)
+
+    def strings(self, anatomy: Anatomy) -> list[Change]:
+        """What shortens strings and other octets without a structure, the longest first."""
+        found: list[tuple[int, Change]] = []
+        for field in anatomy.root.walk():
+            if not isinstance(field.layout, Text | Rest) or field.name in _ADDRESSES:
+                continue
+            if isinstance(field.layout, Rest):
+                found += [(1 - field.length, (field.path, b"\0"))] * (field.length > 1)
+            elif field.value is not None:
+                short = self.repairs.part(anatomy, field)
+                if short is not None and field.layout.human and not _is_utf8(field.value):
+                    short = short.replace(TEXT, b"\xff")
+                if short is not None and len(short) < field.length:
+                    found.append((len(short) - field.length, (field.path, short)))
+            elif (data := field.child("data")) is not None and data.length > 1:
+                # It is cut off, and stays so: what announces its octets is lowered, too.
+                found.append((1 - data.length, (data.path, data.raw[:1])))
+        return [change for _, change in sorted(found)]
+
+    def values(self, anatomy: Anatomy) -> list[Change]:
+        """What gives fields the values of an ordinary beacon, but for those that decide what a frame is."""
+        special = {id(each.field) for each in anatomy.announced}
+        found: list[Change] = []
+        for field in anatomy.root.walk():
+            layout = field.layout
+            if not isinstance(layout, Scalar) or field.value is None or id(field) in special:
+                continue
+            if layout.names is not None or layout.rule is not None or layout.derived is not None:
+                continue
+            if field.name in _KEPT:
+                continue
+            plain = self.repairs.part(anatomy, field)
+            if plain is not None and len(plain) == field.length and plain != field.raw:
+                found.append((field.path, plain))
+        return found
+
+    def _bare(self, octets: bytes, anomaly: Anomaly) -> bytes:
+        """The frame without elements that the anomaly is not in; one of each list stays."""
+        anatomy = Anatomy(self.codec, octets)
+        around = {id(each) for each in anatomy.around(anatomy.nearest(anomaly.path))}
+        cut: list[Field] = []
+        gone: set[int] = set()
+        for each in anatomy.lists():
+            if anomaly.reason.startswith("many-") and each.path == anomaly.path:
+                continue
+            if not each.children or any(id(outer) in gone for outer in anatomy.around(each)):
+                continue
+            kept = next((child for child in each.children if id(child) in around), each.children[0])
+            cut += [child for child in each.children if child is not kept]
+            gone.update(id(child) for child in each.children if child is not kept)
+        bare = anatomy.without(cut)
+        padding = 0 if anomaly.reason == "trailing-octets" else len(anatomy.dissection.padding)
+        return bare[: len(bare) - padding]
+
+    def _kinds(self, octets: bytes) -> Kinds:
+        return kinds_of(anomalies(self.codec, octets))
+
+
+class _Work:
+    """One frame on its way."""
+
+    def __init__(self, shrinker: Shrinker, octets: bytes, attempt: Attempt) -> None:
+        self._shrinker = shrinker
+        self._codec = shrinker.codec
+        self._attempt = attempt
+        self.octets = octets
+        self._kinds = kinds_of(anomalies(self._codec, octets))
+
+    def _accept(self, candidate: bytes | None) -> bool:
+        """Try a frame unless it is no simpler; the next steps begin with it if it still shows the effect."""
+        if candidate is None or candidate == self.octets:
+            return False
+        kinds = kinds_of(anomalies(self._codec, candidate))
+        if not kinds <= self._kinds or (kinds == self._kinds and len(candidate) > len(self.octets)):
+            return False
+        if not self._attempt(candidate):
+            return False
+        self.octets, self._kinds = candidate, kinds
+        return True
+
+    def take(self, octets: bytes) -> None:
+        """Go on from another frame if it shows the effect, too."""
+        self._accept(octets)
+
+    def isolate(self) -> bool:
+        """Try each anomaly alone; whether one of them is enough."""
+        tried: set[str] = set()
+        for anomaly in anomalies(self._codec, self.octets):
+            if anomaly.kind in tried:
+                continue
+            tried.add(anomaly.kind)
+            isolated = self._shrinker.isolated(self.octets, anomaly)
+            if isolated == self.octets or self._accept(isolated):
+                return True
+        return False
+
+    def fewer_elements(self) -> None:
+        """Leave out elements of lists: of the outermost first, halves first."""
+        for name in ("payloads", "vardis", "records"):
+            place = 0
+            while True:
+                lists = [each for each in Anatomy(self._codec, self.octets).lists() if each.name == name]
+                if place >= len(lists):
+                    break
+                self._fewer(lists[place].path)
+                place += 1
+        anatomy = Anatomy(self._codec, self.octets)
+        if anatomy.dissection.padding:
+            self._accept(self.octets[: -len(anatomy.dissection.padding)])
+
+    def _fewer(self, path: str) -> None:
+        size = 0
+        while True:
+            anatomy = Anatomy(self._codec, self.octets)
+            field = anatomy.at(path)
+            count = len(field.children) if field is not None else 0
+            if field is None or count < 2:
+                return
+            size = min(size or count // 2, count - 1)
+            for start in range(0, count, size):
+                chunk = field.children[start : start + size]
+                if len(chunk) < count and self._accept(anatomy.without(chunk)):
+                    break
+            else:
+                if size == 1:
+                    return
+                size //= 2
+
+    def repair(self) -> None:
+        """Repair anomalies that the effect does not need, one at a time."""
+        going = True
+        while going:
+            going = False
+            tried: set[str] = set()
+            for anomaly in anomalies(self._codec, self.octets):
+                if anomaly.path not in tried:
+                    tried.add(anomaly.path)
+                    if self._accept(self._shrinker.repairs.repaired(self.octets, anomaly)):
+                        going = True
+                        break
+
+    def shorten(self) -> None:
+        """Shorten strings."""
+        self._at_once_or_apart(self._shrinker.strings(Anatomy(self._codec, self.octets)))
+
+    def calm(self) -> None:
+        """Give fields ordinary values."""
+        self._at_once_or_apart(self._shrinker.values(Anatomy(self._codec, self.octets)))
+
+    def _at_once_or_apart(self, changes: Sequence[Change]) -> None:
+        """Make changes together, or halves of them down to single ones."""
+        if not changes or self._accept(_changed(Anatomy(self._codec, self.octets), changes)) or len(changes) == 1:
+            return
+        half = len(changes) // 2
+        self._at_once_or_apart(changes[:half])
+        self._at_once_or_apart(changes[half:])
+
+
+@functools.lru_cache(maxsize=8)
+def shrinker_of(codec: Codec) -> Shrinker:
+    """The shrinker of a codec; later calls return the same one."""
+    return Shrinker(codec)
+
+
+def _is_utf8(octets: bytes) -> bool:
+    try:
+        octets.decode()
+    except UnicodeDecodeError:
+        return False
+    return True
+
+
+def _changed(anatomy: Anatomy, changes: Sequence[Change]) -> bytes:
+    edits = []
+    for path, new in changes:
+        field = anatomy.at(path)
+        if field is not None:
+            edits.append(Edit(field.offset, field.offset + field.length, new, field))
+    return anatomy.edited(edits)
+
+
+__all__ = ["Attempt", "Shrinker", "shrinker_of"]

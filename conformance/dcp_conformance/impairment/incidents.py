@@ -1,0 +1,55 @@
+"""What an impaired link did, in words."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from typing import Final
+
+from dcp_conformance.lower_tester import Incident
+
+_DONE: Final = {
+    "lost": "lost",
+    "down": "lost while the link was down",
+    "corrupted": "corrupted",
+    "duplicated": "duplicated",
+    "reordered": "held back",
+    "late": "delayed more than usual",
+}
+#: Frames that are named one by one.
+_MOST: Final = 3
+
+
+def told(incidents: Iterable[Incident], numbers: Sequence[int]) -> str:
+    """One line for all: ``lost on the impaired link: frame 12, 2 beacons of the implementation``.
+
+    ``numbers``: for each incident the number of the frame in the recording of the case; 0 for what was not recorded.
+    """
+    kinds: dict[str, list[tuple[Incident, int]]] = {}
+    for incident, number in zip(incidents, numbers, strict=True):
+        kinds.setdefault(incident.what, []).append((incident, number))
+    return "; ".join(f"{_DONE[what]} on the impaired link: {_frames(found)}" for what, found in kinds.items())
+
+
+def _frames(found: Sequence[tuple[Incident, int]]) -> str:
+    to = [number for incident, number in found if incident.to]
+    named = sorted({number for number in to if number})
+    parts = []
+    if named:
+        more = f" and {len(named) - _MOST} more" if len(named) > _MOST else ""
+        word = "frame" if len(named) == 1 else "frames"
+        parts.append(f"{word} {', '.join(map(str, named[:_MOST]))}{more} to the implementation")
+    if unnamed := len(to) - sum(1 for number in to if number):
+        parts.append(f"{_count(unnamed, 'frame')} of an earlier case")
+    if heard := len(found) - len(to):
+        parts.append(f"{_count(heard, 'beacon')} of the implementation")
+    return ", ".join(parts)
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}" if number == 1 else f"{number} {what}s"
+
+
+def kinds_of(incidents: Iterable[Incident]) -> Counter[str]:
+    """How often each kind occurred."""
+    return Counter(incident.what for incident in incidents)

@@ -1,0 +1,124 @@
+"""Measure how fast an implementation reacts at the start of a run, so that slow but legal ones are waited for.
+
+An implementation may look at its buffer every few hundred milliseconds only, compose a payload well before it is sent,
+or take one received payload each time it polls. The specification sets no bound, so the tester measures: it asks a few
+questions one by one, then several at once, and adds a margin to the worst answer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Final
+
+from dcp_spec.constants import ICType
+
+from dcp_conformance.frames.received import ReceivedBeacon
+from dcp_conformance.model.case import Case, Kind
+from dcp_conformance.test_system.bench import Bench
+from dcp_conformance.test_system.extraction import lost_container
+from dcp_conformance.test_system.misreading import misread_fields
+from dcp_conformance.test_system.session import FLOOR, Reaction, Session
+
+#: Number of questions asked one by one, and number of questions asked at once.
+_SINGLE, _BURST = 5, 10
+#: The longest wait for an answer: beacon periods or ns, whichever is longer.
+_PATIENCE = (25, 5_000_000_000)
+#: Factor for the slowest sample, and margin added to it, in beacon periods.
+_FACTOR, _MARGIN = 1.5, 1.0
+#: Answers to a burst within so many periods came together: a payload was composed while the burst was arriving.
+_TOGETHER = 1.5
+_CHECK_PERIOD = "VARDISPAR_BUFFER_CHECK_PERIOD"
+#: A bench needs a case; this one is not part of the suite.
+_CASE: Final = Case(
+    "measurement",
+    "How fast the implementation reacts",
+    ("VD-PS-01",),
+    Kind.VALID,
+    "",
+    "",
+    0,
+    "",
+    __name__,
+    lambda _: None,
+)
+
+
+def prepare(session: Session) -> Reaction | None:
+    """Measure once in a session; what was measured now. The ``reaction_periods`` of the PIXIT override its periods.
+
+    If it answers, also find out whether it loses containers or misreads fields (``Session.lost_container``,
+    ``Session.misread``).
+
+    Does nothing (None) if it is known already, or if there is no VarDis to ask. Raises ``LowerTesterError``.
+    """
+    if session.reaction is not None or session.pics.pics.vardis is False:
+        return None
+    found = measure(Bench(session, _CASE))
+    if found.samples:
+        session.reaction = found
+        session.lost_container = lost_container(Bench(session, _CASE))
+        session.misread = misread_fields(Bench(session, _CASE))
+    return found
+
+
+def measure(bench: Bench) -> Reaction:
+    """Ask an implementation a few questions (summaries of unknown variables) and time the requests that they bring.
+
+    Takes about eight beacon periods, or up to ``_PATIENCE`` if nothing is answered. Leaves no variables behind. What
+    is heard meanwhile belongs to ``bench``, which should not be that of a case. Raises ``LowerTesterError``.
+    """
+    samples: list[float] = []
+    for number in range(_SINGLE):
+        times = _ask(bench, 1)
+        if not times:
+            break
+        samples += times
+        # Hit different phases of its timers; the second question follows the first answer at once.
+        bench.wait(0.2 * number)
+    if not samples:
+        return Reaction()
+    periods = max(FLOOR, _FACTOR * max(*samples, _told(bench)) + _MARGIN)
+    burst = _ask(bench, _BURST)
+    spread = max(burst, default=0.0) - min(burst, default=0.0)
+    each = _FACTOR * spread / (len(burst) - 1) if spread > _TOGETHER else 0.0
+    return Reaction(periods, each, tuple(samples))
+
+
+def _told(bench: Bench) -> float:
+    """The buffer check period, if it is known, plus the beacon after it, in beacon periods.
+
+    With something to say in every beacon it does not look, and answers faster than it will when it is idle.
+    """
+    told = bench.session.parameters.get(_CHECK_PERIOD, bench.pixit.buffer_check_period_ms)
+    return float(told) * 1e6 / bench.period + 1 if isinstance(told, int | float) else 0.0
+
+
+def _ask(bench: Bench, count: int) -> list[float]:
+    """Send ``count`` questions at once, each in a beacon. Returns the times to the answers, in beacon periods.
+
+    Fewer questions where fewer identifiers are left.
+    """
+    while count and not bench.has_unknown_ids(count):
+        count //= 2
+    peer, waiting = bench.peer(), set(bench.unknown_ids(count))
+    begun = bench.now()
+    for each in sorted(waiting):
+        peer.send(peer.summary(each, 1))
+    found: list[float] = []
+
+    def answered(heard: ReceivedBeacon) -> bool:
+        new = waiting & set(_requested(heard))
+        found.extend([(heard.time - begun) / bench.period] * len(new))
+        waiting.difference_update(new)
+        return bool(new)
+
+    patience = max(_PATIENCE[0], _PATIENCE[1] / bench.period)
+    # The limit is for each answer.
+    while waiting:
+        if not bench.until(answered, patience):
+            break
+    return found
+
+
+def _requested(heard: ReceivedBeacon) -> Iterable[int]:
+    return (each.var_id for each in heard.instructions(ICType.REQUEST_VARCREATES))

@@ -1,7 +1,0 @@
-"""Lower testers: ways to the air around an implementation."""
-
-from .base import Arrival, HearsEveryType, LinkHealth, LowerTester, OnThisMachine
-from .ethernet import open_ethernet
-from .udp import open_udp
-
-__all__ = ["Arrival", "HearsEveryType", "LinkHealth", "LowerTester", "OnThisMachine", "open_ethernet", "open_udp"]

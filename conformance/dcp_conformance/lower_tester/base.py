@@ -1,0 +1,151 @@
+"""The contract of a lower tester: frames out, frames in, and the time that goes with them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from contextlib import AbstractContextManager
+from typing import Literal, NamedTuple, Protocol, runtime_checkable
+
+
+class Arrival(NamedTuple):
+    """A frame that came in. ``octets`` is the bearer payload, ``frame`` the whole link-layer frame for recordings."""
+
+    time: int
+    """When, in ns of the lower tester's clock; the kernel's own stamp where there is one."""
+    wall: int
+    """The same in ns since 1970."""
+    octets: bytes
+    frame: bytes
+    source: bytes
+    disturbed: bool = False
+    """Whether its time or its place among other frames is the doing of an impaired link."""
+
+
+class Incident(NamedTuple):
+    """What an impaired link did to one frame."""
+
+    to: bool
+    """The frame was on its way to the implementation, otherwise to the tester."""
+    what: Literal["lost", "down", "corrupted", "duplicated", "reordered", "late"]
+    """``down``: lost in an outage; ``reordered``: held back; ``late``: with a delay that is not the usual one."""
+    octets: bytes
+    """As they were sent: a bearer payload, or what was sent as a whole frame."""
+
+    @property
+    def misleads(self) -> bool:
+        """Whether what is received afterwards may be wrong because of it, and not only missing.
+
+        Beacons that the tester does not get are only missing. Of a stimulus that was lost it is not known what a case
+        takes for granted that has sent it.
+        """
+        return self.to or self.what in ("reordered", "late")
+
+
+class LinkHealth(NamedTuple):
+    """What the tester has to hold against itself."""
+
+    dropped: int = 0
+    """Frames that the kernel dropped since the last time this was asked."""
+    incidents: tuple[Incident, ...] = ()
+    """What an impaired link did since then, in order; those of a frame that is sent come with its transmission."""
+
+
+class LowerTester(Protocol):
+    """One link, on which any number of virtual peers speak. Clocks are read here, so that time can be virtual."""
+
+    name: str
+
+    def now(self) -> int:
+        """Monotonic ns."""
+        ...
+
+    def wall(self) -> int:
+        """ns since 1970."""
+        ...
+
+    def framed(self, octets: bytes, source: bytes) -> bytes:
+        """The whole frame in which :meth:`send` puts a bearer payload on the air."""
+        ...
+
+    def send(self, octets: bytes, source: bytes) -> bytes:
+        """Put a bearer payload on the air as from the station ``source``; the whole frame is returned.
+
+        Raises ``LowerTesterError``.
+        """
+        ...
+
+    def send_frame(self, frame: bytes) -> None:
+        """Put a whole link-layer frame on the air as it is. Raises ``LowerTesterError``."""
+        ...
+
+    def receive(self, until: int, also: Sequence[int] = ()) -> Arrival | None:
+        """The next frame that arrived before ``until``; None at that time, or earlier if a descriptor of ``also`` is
+        readable.
+
+        What counts is when a frame arrived, not when it is read: None at that time means that everything that arrived
+        before has been returned. Virtual time passes in here. Raises ``LowerTesterError``.
+        """
+        ...
+
+    def take_in(self) -> None:
+        """Read what has arrived, for :meth:`receive` to return later, so that the kernel has room for more.
+
+        Does not wait. Raises ``LowerTesterError``.
+        """
+        ...
+
+    def health(self) -> LinkHealth:
+        """What was lost since the last call."""
+        ...
+
+    def close(self) -> None:
+        """Let go of the link; may be called twice."""
+        ...
+
+
+@runtime_checkable
+class OnThisMachine(Protocol):
+    """A lower tester in real time."""
+
+    def overload(self) -> str:
+        """Why this machine may have slowed down what it runs in the last minutes, in words; empty if it has not."""
+        ...
+
+
+@runtime_checkable
+class HearsEveryType(Protocol):
+    """A lower tester whose frames have a type, and that can listen to all types for a moment."""
+
+    @property
+    def ether_type(self) -> int:
+        """The EtherType of its beacons."""
+        ...
+
+    def overhear(self, asked: Iterable[bytes], duration: int) -> list[bytes]:
+        """Send whole frames, and listen for ``duration`` ns afterwards; the frames of other types that arrived.
+
+        Frames of :attr:`ether_type` are left for :meth:`LowerTester.receive`. Empty where this is not possible.
+        """
+        ...
+
+
+@runtime_checkable
+class Impairs(Protocol):
+    """A lower tester behind a link that is made bad on purpose (:mod:`dcp_conformance.impairment`)."""
+
+    def engaged(self) -> AbstractContextManager[None]:
+        """A context in which the link is bad; outside of it, it only delays."""
+        ...
+
+    def settle(self) -> None:
+        """Wait until no frame is under way to the implementation. Raises ``LowerTesterError``."""
+        ...
+
+    @property
+    def changes_intervals(self) -> bool:
+        """Whether the times between beacons are not those at which the implementation sent them."""
+        ...
+
+    def summary(self) -> str:
+        """What the link did in this run, in words."""
+        ...

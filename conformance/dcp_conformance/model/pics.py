@@ -1,0 +1,139 @@
+"""What an implementation claims (PICS) and what testing it takes (PIXIT), as one typed TOML file.
+
+A capability has three states: claimed, denied, and not said. What is not said is not denied: a case that needs it is
+not applicable for want of a statement, and the report says so.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Final, Literal
+
+import msgspec
+
+from dcp_conformance.errors import UsageError
+
+from .node_id import node_id_octets
+
+#: Beacon periods that every reaction is granted: what a fast implementation needs, and room for a lost frame.
+REACTION_FLOOR: Final = 4.0
+
+DEFAULT_PROFILE: Final = "dcp-2.0"
+"""The wire profile where nobody names one."""
+UNKNOWN_PROFILE: Final = "unknown"
+"""What ``probe`` writes as ``pixit.profile`` if no profile explains what it heard."""
+
+_Positive = Annotated[float, msgspec.Meta(gt=0, le=1e9)]
+_Count = Annotated[int, msgspec.Meta(ge=0)]
+
+
+class Capabilities(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """The choices that the specification leaves to implementations; None: not said."""
+
+    srp: bool | None = None
+    """There is a State Reporting Protocol."""
+    vardis: bool | None = None
+    """There is a VarDis."""
+    multiple_payloads: bool | None = None
+    """Several payloads of one client may share a beacon (BP-QM-08)."""
+    several_containers: bool | None = None
+    """Sends several containers of one type in a payload (VD-IC-04)."""
+    transmit_payload_confirm: bool | None = None
+    """BP-TransmitPayload is confirmed (BP-TXP-08)."""
+    payload_transmitted_indication: bool | None = None
+    """BP tells clients when a payload was transmitted (BP-PTI-01)."""
+    triggered_beacons: bool | None = None
+    """A new payload may bring the next beacon forward (BP-TXP-07)."""
+    jitter: bool | None = None
+    """Beacon intervals vary on purpose (BP-TX-02)."""
+    loss_estimation: bool | None = None
+    """Losses are estimated from sequence numbers (BP-RX-11)."""
+    neighbour_statistics: bool | None = None
+    """The neighbour table has further fields or queries (SRP-NT-04)."""
+    srp_seqno_filter: bool | None = None
+    """State reports with an older sequence number are not taken (SRP-RX-04)."""
+    runtime_parameters: bool | None = None
+    """Parameters can be set while running (BP-PAR-01)."""
+    parameter_feedback: bool | None = None
+    """A refused parameter is reported (BP-PAR-07)."""
+    describe_extra_fields: bool | None = None
+    """DescribeDatabase has further fields (VD-DDB-03)."""
+    empty_description: bool | None = None
+    """RTDB-Create takes an empty description (VD-CRE-15, X21)."""
+
+
+class Target(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """Which implementation this is about."""
+
+    name: str = ""
+    version: str = ""
+    vendor: str = ""
+    notes: str = ""
+
+
+class Testing(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """What the tester must know or assume (PIXIT). Values left out are those of the profile, or are asked for."""
+
+    profile: str | None = None
+    """The wire profile: a built-in name or a path."""
+    node_id: str | None = None
+    """The implementation's node identifier, hex with or without colons; else learnt from the first beacon."""
+    network_id: _Count | None = None
+    beacon_period_ms: _Positive = 100.0
+    """BPPAR_BEACON_PERIOD: the unit of all time windows."""
+    reaction_periods: _Positive | None = None
+    """How long a reaction may take to appear in a beacon; None: measured at the start, and 4.0 at least."""
+    least_patience_ms: _Positive = 300.0
+    """What is waited for is waited for at least so long, however short the period: machines are busy at times."""
+    quiet_beacons: Annotated[int, msgspec.Meta(ge=1)] = 3
+    """So many beacons without an instruction mean that no more are to come."""
+    period_tolerance: _Positive = 0.05
+    """How far the mean interval may be from the period, as a fraction of it (BP-TX-01)."""
+    clock_tolerance_ms: _Positive = 1000.0
+    """How far the implementation's clock may be from the tester's."""
+    timer_tolerance_ms: _Positive = 300.0
+    """How late a timer may be, beyond what the specification allows."""
+    reset: Literal["auto", "ut", "restart", "none"] = "auto"
+    """How the implementation gets back to its initial state between cases: whatever there is, UT-Reset, a restart,
+    or not at all (each case then uses variables and peers of its own)."""
+    max_packet_size: _Count | None = None
+    max_payload_size: _Count | None = None
+    max_value_length: _Count | None = None
+    max_description_length: _Count | None = None
+    max_repetitions: _Count | None = None
+    max_summaries: _Count | None = None
+    neighbour_timeout_ms: _Positive | None = None
+    """3000 is assumed unless it is told; the same holds for the next two, with 1000 and 50."""
+    scrubbing_period_ms: _Positive | None = None
+    buffer_check_period_ms: _Positive | None = None
+    link_down: str | None = None
+    """A command that takes the implementation's link down, as when its cable is pulled; with ``link_up``."""
+    link_up: str | None = None
+    """The command that takes it up again."""
+    var_ids: tuple[int, int] | None = None
+    """First and last variable identifier that the tester may use; None for all of them."""
+
+    def __post_init__(self) -> None:
+        if self.node_id is not None:
+            try:
+                node_id_octets(self.node_id)
+            except ValueError as error:
+                raise ValueError(f"node_id: {error}") from None
+
+
+class Pics(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """The whole file: ``[sut]``, ``[pics]`` and ``[pixit]``."""
+
+    sut: Target = Target()
+    pics: Capabilities = Capabilities()
+    pixit: Testing = Testing()
+
+
+def load_pics(path: Path) -> Pics:
+    """Read a file. Raises :class:`UsageError` that names the file, the key and what would be right."""
+    try:
+        return msgspec.toml.decode(path.read_bytes(), type=Pics)
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be read: {error.strerror or error}") from None
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise UsageError(f"{path}: {error}") from None

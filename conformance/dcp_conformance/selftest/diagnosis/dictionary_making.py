@@ -1,0 +1,77 @@
+"""Make the fault dictionary: run the whole suite against each mutant."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Callable, Sequence
+from concurrent.futures import as_completed
+from typing import Final, NamedTuple, NoReturn
+
+from dcp_conformance.diagnosis.dictionary import Dictionary, Fault
+from dcp_conformance.model.case import SANITY
+from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.selftest.mutants import Mutant, all_mutants
+from dcp_conformance.selftest.runner import Suite, cases, process_pool
+
+#: Seconds of processor time that a mutant gets. One that dies in every case takes minutes; what failed until then is
+#: its signature.
+_PATIENCE: Final = 60
+
+
+class _OutOfTimeError(BaseException):
+    """Not an ``Exception``: no case may take it for a finding."""
+
+
+class Outcome(NamedTuple):
+    """The signature of a mutant, and whether the suite came to its end."""
+
+    fault: Fault
+    complete: bool
+
+
+def make(
+    mutants: Sequence[Mutant], *, jobs: int | None = None, on_result: Callable[[Outcome], None] = lambda _: None
+) -> Dictionary:
+    """Run every case against each mutant, on the newest version that has it. ``jobs``: processes."""
+    found: list[Fault] = []
+    with process_pool(jobs or os.cpu_count() or 1) as pool:
+        for future in as_completed([pool.submit(_task, each.id) for each in mutants]):
+            outcome = future.result()
+            found.append(outcome.fault)
+            on_result(outcome)
+    return Dictionary(tuple(sorted(found, key=lambda fault: fault.id)))
+
+
+def _task(name: str) -> Outcome:
+    return signature(all_mutants()[name])
+
+
+def signature(mutant: Mutant) -> Outcome:
+    """Run every case against the mutant."""
+    verdicts: dict[str, Verdict] = {}
+    before = signal.signal(signal.SIGPROF, _out_of_time)
+    signal.setitimer(signal.ITIMER_PROF, _PATIENCE)
+    complete = False
+    try:
+        for result in Suite(mutant.profile, mutant.make).run(cases()):
+            verdicts[result.id] = result.verdict
+        complete = True
+    except _OutOfTimeError:
+        pass
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0)
+        signal.signal(signal.SIGPROF, before)
+    verdicts.pop(SANITY, None)
+    fault = Fault(
+        id=mutant.id,
+        requirements=mutant.requirements,
+        what=mutant.what,
+        fails=frozenset(case for case, verdict in verdicts.items() if verdict is Verdict.FAIL),
+        undecided=frozenset(case for case, verdict in verdicts.items() if verdict is Verdict.INCONCLUSIVE),
+    )
+    return Outcome(fault, complete)
+
+
+def _out_of_time(*_: object) -> NoReturn:
+    raise _OutOfTimeError

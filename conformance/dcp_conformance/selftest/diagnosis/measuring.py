@@ -1,0 +1,112 @@
+"""Measure the diagnosis on nodes with several known faults."""
+
+from __future__ import annotations
+
+import os
+import random
+from collections.abc import Callable, Sequence
+from concurrent.futures import as_completed
+from typing import Final
+
+import msgspec
+
+from dcp_conformance.diagnosis.dictionary import Dictionary, load
+from dcp_conformance.diagnosis.explain import explain
+from dcp_conformance.model.results import Diagnosis
+from dcp_conformance.selftest.mutants import Mutant, all_mutants
+from dcp_conformance.selftest.mutants.combination import combined
+from dcp_conformance.selftest.runner import Suite, cases, process_pool
+
+PROFILE: Final = "dcp-2.0"
+
+
+class Outcome(msgspec.Struct, frozen=True):
+    """The diagnosis of one node."""
+
+    faults: tuple[str, ...]
+    """The mutants that were combined."""
+    failed: int
+    """The number of failed cases."""
+    hidden: tuple[str, ...]
+    """Faults of which nothing is left beside the others: no case of their signature fails."""
+    named: tuple[str, ...]
+    """The faults that the diagnosis names first."""
+    found: tuple[str, ...]
+    """Of ``faults`` those that are named, or whose failures in this node are those of a named one."""
+    false: tuple[str, ...]
+    """Named faults that are none of ``faults``, nor the same in this node."""
+
+
+class Measurement(msgspec.Struct, frozen=True):
+    """The numbers of many nodes."""
+
+    outcomes: tuple[Outcome, ...]
+
+    @property
+    def recall(self) -> float:
+        """The share of the faults that are not hidden that were found."""
+        there = sum(len(each.faults) - len(each.hidden) for each in self.outcomes)
+        return sum(len(set(each.found) - set(each.hidden)) for each in self.outcomes) / there if there else 1.0
+
+    @property
+    def false_share(self) -> float:
+        """The share of the named faults that are false."""
+        named = sum(len(each.named) for each in self.outcomes)
+        return sum(len(each.false) for each in self.outcomes) / named if named else 0.0
+
+
+def draw(number: int, size: int, seed: int) -> list[tuple[str, ...]]:
+    """Draw groups of ``size`` mutants that can be combined."""
+    rng = random.Random(seed)  # noqa: S311 - a draw, no secret
+    able = [name for name, each in sorted(all_mutants().items()) if each.part is not None and each.profile == PROFILE]
+    found: list[tuple[str, ...]] = []
+    while len(found) < number:
+        group = tuple(rng.sample(able, size))
+        try:
+            combined([all_mutants()[name] for name in group])
+        except TypeError:
+            # Two changes of one class that cannot be put into one.
+            continue
+        found.append(group)
+    return found
+
+
+def diagnose(mutants: Sequence[Mutant], dictionary: Dictionary) -> tuple[Diagnosis, set[str]]:
+    """Run the suite against a node with the faults of all ``mutants``. Returns the diagnosis and the failed cases."""
+    results = {result.id: result for result in Suite(PROFILE, combined(mutants)).run(cases())}
+    return explain(results.values(), dictionary), {name for name, each in results.items() if each.verdict == "fail"}
+
+
+def measure(
+    groups: Sequence[tuple[str, ...]],
+    *,
+    jobs: int | None = None,
+    on_result: Callable[[Outcome], None] = lambda _: None,
+) -> Measurement:
+    """Diagnose a node for each group of mutants."""
+    found: list[Outcome] = []
+    with process_pool(jobs or os.cpu_count() or 1) as pool:
+        for future in as_completed([pool.submit(_task, group) for group in groups]):
+            found.append(future.result())
+            on_result(found[-1])
+    return Measurement(tuple(found))
+
+
+def _task(group: tuple[str, ...]) -> Outcome:
+    return outcome(group, load())
+
+
+def outcome(group: tuple[str, ...], dictionary: Dictionary) -> Outcome:
+    """Diagnose a node with a group of faults."""
+    known = all_mutants()
+    diagnosis, failed = diagnose([known[name] for name in group], dictionary)
+    signatures = {fault.id: fault.fails for fault in dictionary.faults}
+    hidden = tuple(name for name in group if not signatures[name] & failed)
+    named = tuple(each.fault for each in diagnosis.faults)
+    same = {
+        name: {each for each in named if signatures[each] & failed == signatures[name] & failed} | {name}
+        for name in group
+    }
+    found = tuple(name for name in group if same[name] & set(named))
+    true = set().union(*same.values())
+    return Outcome(group, len(failed), hidden, named, found, tuple(each for each in named if each not in true))

@@ -1,0 +1,220 @@
+"""The suite against our node with one change in its source, in a process that has never seen the node without it."""
+
+from __future__ import annotations
+
+import gc
+import itertools
+import resource
+import sys
+import time
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Sequence
+from functools import cache
+from typing import TYPE_CHECKING, Final, Literal, NamedTuple
+
+import msgspec
+from dcp_spec.catalogue.readings import readings
+from dcp_spec.profile.definition import Profile
+from dcp_spec.profile.loading import load_profile
+
+from dcp_conformance.errors import ConformanceError
+from dcp_conformance.execution.selection import ordered
+from dcp_conformance.model.case import Case, all_cases
+from dcp_conformance.model.verdict import Verdict
+
+from .isolation import import_changed
+from .reach import Reach, Tracer, of_module
+from .sites import Site, cited, mutated
+
+if TYPE_CHECKING:
+    from dcp_conformance.selftest.runner import Suite
+
+PROFILES: Final = ("dcp-2.0", "dcp-1.0", "dcp-1.1", "dcp-1.2", "dcp-1.3", "cpp-2.0")
+"""Profiles on which a change is tried, until one notices: much of the source serves one version only."""
+OTHER_READINGS: Final = "dcp-2.0 with other readings"
+"""The node with the second alternative of every reading: some of the source serves only these."""
+NODES: Final = (*PROFILES, OTHER_READINGS)
+"""Everything that a change is tried on, by name."""
+#: How the cases about a module begin, by the first word of its name.
+_PREFIXES: Final[dict[str, tuple[str, ...]]] = defaultdict(
+    lambda: ("TC_",),
+    vardis=("TC_VD", "TC_NET"),
+    bp=("TC_BP",),
+    client=("TC_BP",),
+    srp=("TC_SRP",),
+    neighbours=("TC_SRP",),
+)
+#: Bounds: seconds of CPU time for one case (the longest takes 0.1 s), octets of address space.
+CPU_SECONDS: Final = 10
+_ADDRESS_SPACE: Final = 4 << 30
+
+Fate = Literal["killed", "broken", "noticed", "survived", "excused"]
+
+
+class Outcome(msgspec.Struct, frozen=True):
+    """What became of one change."""
+
+    key: str
+    fate: Fate
+    """``killed``: a case failed; ``broken``: the node did not start, or did not come to an end; ``noticed``: cases
+    became inconclusive or stumbled, none failed; ``survived``: every case came out as without the change; ``excused``:
+    the change is in the ledger and was not tried."""
+    by: str = ""
+    """The first case that noticed, and why."""
+    profile: str = ""
+    seconds: float = 0.0
+
+
+@cache
+def cases() -> tuple[Case, ...]:
+    """All cases in the order of a run. Their numbers are places in this tuple."""
+    return tuple(ordered(all_cases().values()))
+
+
+class Step(NamedTuple):
+    """A part of a trial."""
+
+    node: str
+    """One of :data:`NODES`."""
+    cases: tuple[int, ...] | None
+    """Numbers of the cases to run (see :func:`cases`); None: all."""
+
+
+#: Every case on every node.
+_EVERYTHING: Final = tuple(Step(node, None) for node in NODES)
+
+
+def suite_of(node: str) -> tuple[Suite, Profile]:
+    """The suite against the node with one of the names in :data:`NODES`, and the profile of that node."""
+    # The node must not be imported before its change is in place.
+    from dcp_conformance.reference.inprocess import plain_node
+    from dcp_conformance.selftest.runner import Suite
+
+    if node != OTHER_READINGS:
+        return Suite(node), load_profile(node)
+    profile = PROFILES[0]
+    others = {each.id: each.alternatives[1].name for each in readings().values() if len(each.alternatives) > 1}
+    return (
+        Suite(profile, lambda config, *rest: plain_node(msgspec.structs.replace(config, readings=others), *rest)),
+        load_profile(profile),
+    )
+
+
+def steps(site: Site, reached: Sequence[Reach] = ()) -> tuple[Step, ...]:
+    """What must be run to see whether a case notices the change; empty if no case executes the changed code.
+
+    ``reached``: what the cases execute on each node; without it every case is run on every node.
+    """
+    if not reached:
+        return _EVERYTHING
+    found = [(each.node, each.cases(site)) for each in reached]
+    return tuple(
+        Step(name, None if some is None else tuple(sorted(some))) for name, some in found if some is None or some
+    )
+
+
+def limit() -> None:
+    """Bound the memory of this process and the CPU time of its first case: a change can make a loop endless."""
+    resource.setrlimit(resource.RLIMIT_AS, (_ADDRESS_SPACE, _ADDRESS_SPACE))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    _limit_time()
+    # Most objects of a trial die by their reference counts.
+    gc.freeze()
+    gc.set_threshold(100_000)
+
+
+def _limit_time() -> None:
+    """Let the process end if it uses ``CPU_SECONDS`` from now on."""
+    _, hard = resource.getrlimit(resource.RLIMIT_CPU)
+    resource.setrlimit(resource.RLIMIT_CPU, (int(time.process_time()) + CPU_SECONDS, hard))
+
+
+def try_site(site: Site | None, plan: Sequence[Step] | None = None) -> Outcome:
+    """Run the suite until a case notices. For a new process only: it must not have imported ``dcp_stack``.
+
+    ``plan``: what to run, by default everything. Cases that name a requirement cited near the change are run first.
+    Without a ``site`` the node is left as it is, and has to survive.
+    """
+    loaded = [name for name in sys.modules if name == "dcp_stack" or name.startswith("dcp_stack.")]
+    if loaded:
+        raise RuntimeError(f"the node without the change has been imported already: {', '.join(loaded[:3])}")
+    began = time.monotonic()
+    key = "" if site is None else site.key
+    if site is not None:
+        import_changed(f"dcp_stack.{site.module}", compile(mutated(site), f"<changed {site.module}.py>", "exec"))
+
+    def outcome(fate: Fate, by: str, profile: str) -> Outcome:
+        return Outcome(key, fate, by[:300], profile, round(time.monotonic() - began, 2))
+
+    noticed: Outcome | None = None
+    profile = ""
+    try:
+        from dcp_conformance.selftest.runner import is_declared
+
+        for profile, numbers in _EVERYTHING if plan is None else plan:
+            suite, wire = suite_of(profile)
+            for result in itertools.chain(suite.run(_timed(_in_order(site, numbers))), suite.passive()):
+                if result.verdict is Verdict.FAIL and not is_declared(result, wire):
+                    return outcome("killed", f"{result.id}: {result.reason}", profile)
+                if noticed is None and result.verdict in (Verdict.ERROR, Verdict.INCONCLUSIVE):
+                    noticed = outcome("noticed", f"{result.id}: {result.verdict}: {result.reason}", profile)
+    except ConformanceError as error:
+        return outcome("broken", str(error), profile)
+    except Exception as error:
+        return outcome("broken", f"{type(error).__name__}: {error}", profile)
+    if not profile:
+        return outcome("survived", "no case executes this code", "")
+    return noticed or outcome("survived", "", profile)
+
+
+def _timed(chosen: Iterable[Case]) -> Iterator[Case]:
+    for case in chosen:
+        _limit_time()
+        yield case
+
+
+def _in_order(site: Site | None, numbers: tuple[int, ...] | None) -> list[Case]:
+    """The cases with these numbers, those first that are likely to notice."""
+    chosen = list(cases()) if numbers is None else [cases()[number] for number in numbers]
+    if site is None:
+        return chosen
+    place = {identifier: number for number, identifier in enumerate(cited(site))}
+    variants: dict[str, int] = {}
+    ranks: dict[str, tuple[bool, int, int, bool]] = {}
+    for case in chosen:
+        nth = variants[case.base] = variants.get(case.base, -1) + 1
+        near = min((place[each] for each in case.requirements if each in place), default=len(place))
+        elsewhere = not case.id.startswith(_PREFIXES[site.module.partition("_")[0]])
+        # What can leave the node dead stays last; variants of one case mostly notice the same.
+        ranks[case.id] = case.destructive, nth, near, elsewhere
+    return sorted(chosen, key=lambda case: ranks[case.id])
+
+
+def measure(node: str, numbers: Sequence[int] | None = None) -> Reach:
+    """Run the suite on ``node`` under the tracer, or the cases with these numbers, which must begin with sanity.
+
+    For a process of its own that has not imported the node, since it changes how a node is configured.
+    """
+    chosen = cases() if numbers is None else [cases()[number] for number in numbers]
+    place = {case.id: number for number, case in enumerate(cases())}
+    tracer = Tracer()
+    found: dict[str, dict[int, list[int]]] = {}
+    sys.settrace(tracer)
+    try:
+        # The node is imported under the tracer: some functions are called by modules only.
+        from dcp_stack.config import NodeConfig
+
+        # Otherwise the first case alone would execute what is found out once and kept for all others.
+        setattr(NodeConfig, "once", lambda config, find: find(config))  # noqa: B010 - of a frozen class
+        suite, _ = suite_of(node)
+        always = tracer.take()
+        for result in suite.run(chosen):
+            for module, line in tracer.take():
+                found.setdefault(module, {}).setdefault(line, []).append(place[result.id])
+    finally:
+        sys.settrace(None)
+    return Reach(
+        node,
+        {module: {line: tuple(each) for line, each in lines.items()} for module, lines in found.items()},
+        {module: of_module(module, always) for module in {module for module, _ in always}},
+    )

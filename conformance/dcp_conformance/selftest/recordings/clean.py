@@ -1,0 +1,123 @@
+"""Networks without a fault: nothing may be found in their recordings."""
+
+from __future__ import annotations
+
+import random
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import as_completed
+from typing import Final
+
+import msgspec
+
+from dcp_codec.codec import Codec
+from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.reference.networks import Other, VariableState, record
+from dcp_conformance.selftest.runner import process_pool
+from dcp_conformance.selftest.variants import all_variants
+from dcp_conformance.selftest.variants.variant import Variant
+from dcp_stack.config import NodeConfig
+
+from .judging import found, judged
+
+PROFILES: Final = ("dcp-2.0", "dcp-2.0", "cpp-2.0", "dcp-1.3", "cpp-1.3", "dcp-1.2", "dcp-1.1", "dcp-1.0")
+#: One network in so many has a permitted variant in the place of one node.
+_VARIANTS: Final = 3
+
+
+class Suspicion(msgspec.Struct, frozen=True):
+    """A finding in a network without a fault: a false one."""
+
+    situation: str
+    rule: str
+    requirements: tuple[str, ...]
+    text: str
+
+
+class CleanResult(msgspec.Struct, frozen=True, kw_only=True):
+    """What came of a number of networks."""
+
+    networks: int
+    beacons: int
+    false: tuple[Suspicion, ...]
+    doubts: int
+    """Networks with at least one inconclusive verdict."""
+    seconds: float
+    """Processor time."""
+
+
+def situation(number: int) -> VariableState:
+    """The network of a number, the same every time: all versions, shapes, losses, restarts, clocks."""
+    rng = random.Random(f"clean/{number}")  # noqa: S311 - to be repeatable is the point
+    return VariableState(
+        profile=PROFILES[number % len(PROFILES)],
+        nodes=rng.choice([3, 5, 5, 7]),
+        shape=rng.choice(["bus", "line", "grid", "moving"]),
+        loss=rng.choice([0.0, 0.0, 0.1, 0.3, 0.5]),
+        busy=rng.choice([0.5, 1.0, 3.0]),
+        restarts=rng.random() < 0.3,
+        late=rng.random() < 0.3,
+        clocks=rng.random() < 0.3,
+        recorder_loss=rng.choice([0.0, 0.0, 0.0, 0.05, 0.2]),
+        recorder_clock=rng.random() < 0.15,
+        seed=number,
+    )
+
+
+def variant_of(number: int, profile: str) -> Variant | None:
+    """The permitted variant in the network of a number; None for most."""
+    if number % _VARIANTS:
+        return None
+    fitting = [each for each in all_variants().values() if each.applies_to(profile) and _on_the_air(each, profile)]
+    return random.Random(f"variant/{number}").choice(fitting) if fitting else None  # noqa: S311
+
+
+def _on_the_air(variant: Variant, profile: str) -> bool:
+    """Whether a variant is another node, and not another application, clock or upper tester."""
+    setup = variant.build(profile)
+    return setup.application is None and setup.clock(0) == 0 and setup.config.srp is not None
+
+
+def _task(number: int) -> tuple[int, list[Suspicion], bool, float]:
+    began = time.process_time()
+    case = situation(number)
+    variant = variant_of(number, case.profile)
+    codec, others, text = Codec(case.profile), {}, str(case)
+    if variant is not None:
+        setup = variant.build(case.profile)
+        codec = setup.config.codec
+        width = len(setup.config.node_id)
+
+        def configured(config: NodeConfig) -> NodeConfig:
+            own = config.node_id if len(config.node_id) == width else setup.config.node_id
+            return msgspec.structs.replace(setup.config, node_id=own, codec=config.codec)
+
+        others = {case.nodes // 2: Other(setup.make, configured)}
+        text += f", with {variant.id}"
+    frames = record(case, others, codec=codec)
+    cases = judged(frames, codec)
+    false = [
+        Suspicion(text, rule, requirements, observed)
+        for rule, findings in found(cases, Verdict.FAIL, Verdict.ERROR).items()
+        for observed, requirements in findings.items()
+    ]
+    return len(frames), false, bool(found(cases, Verdict.INCONCLUSIVE)), time.process_time() - began
+
+
+def clean(
+    numbers: Sequence[int], *, jobs: int = 1, on_result: Callable[[int, list[Suspicion]], None] | None = None
+) -> CleanResult:
+    """Judge the networks of these numbers in ``jobs`` processes; ``on_result`` is told of each as it is done."""
+    beacons = doubts = 0
+    seconds = 0.0
+    false: dict[int, list[Suspicion]] = {}
+    with process_pool(jobs) as processes:
+        tasks = {processes.submit(_task, number): number for number in numbers}
+        for task in as_completed(tasks):
+            count, findings, doubt, spent = task.result()
+            beacons, doubts, seconds = beacons + count, doubts + doubt, seconds + spent
+            false[tasks[task]] = findings
+            if on_result is not None:
+                on_result(tasks[task], findings)
+    every = tuple(each for number in sorted(false) for each in false[number])
+    return CleanResult(networks=len(numbers), beacons=beacons, false=every, doubts=doubts, seconds=round(seconds, 1))

@@ -1,0 +1,82 @@
+"""The document about trials of the judge of recordings: ``docs/check-selftest.md``."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Final
+
+from dcp_conformance.selftest.mutants import all_mutants
+
+from .clean import CleanResult
+from .faulty import SHAPES, FaultyResult, Outcome
+
+COMMAND: Final = "dcp-conformance selftest --recordings --clean 500 --document docs/check-selftest.md"
+#: What the last column says where nothing was found.
+REASONS: Final = {
+    "same": "not on the air: the octets are those of our node",
+    "missed": "on the air, and no different from a node that is permitted, from loss, or from what was not recorded",
+    "observed": "observed, and not judged",
+    "doubted": "the pass is withheld",
+}
+_ORDER: Final = ("found", "otherwise", "doubted", "observed", "missed", "same")
+TITLES: Final = {
+    "found": "found, with the requirement",
+    "otherwise": "found, with other requirements",
+    "doubted": "pass withheld",
+    "observed": "observed",
+    "missed": "not found",
+    "same": "same octets",
+}
+
+
+def document(result: FaultyResult, clean: CleanResult | None) -> str:
+    """The document in Markdown: numbers, networks without a fault, a row for each mutant that shows on the air."""
+    table = result.by_mutant()
+    lines = [
+        "# Who judges the judge of recordings",
+        "",
+        f"Made by `{COMMAND}`; do not edit.",
+        "",
+        "Each mutant (our node with one small fault) is put into the middle of a simulated network of five nodes, on a",
+        "bus and in a line, with restarts, a node that joins late, and applications that create, update and delete.",
+        "`check` judges the recording. A mutant that sends the octets of our node in this traffic cannot be found.",
+        f"{len(table)} of {len(all_mutants())} mutants were tried for this page.",
+        "",
+        "| network | " + " | ".join(TITLES[each] for each in _ORDER) + " |",
+        "|---|" + "---:|" * len(_ORDER),
+    ]
+    for shape in SHAPES:
+        counts = Counter(each.fate for each in result.outcomes if each.shape == shape)
+        lines.append(f"| {shape} | " + " | ".join(str(counts[each]) for each in _ORDER) + " |")
+    best = Counter(min((o.fate for o in row.values()), key=_ORDER.index) for row in table.values())
+    lines.append("| either | " + " | ".join(str(best[each]) for each in _ORDER) + " |")
+    if clean is not None:
+        lines += [
+            "",
+            "## Networks without a fault",
+            "",
+            f"{clean.networks} networks with {clean.beacons} beacons (all versions; bus, line, grid, links that come",
+            "and go; losses of 0 to 50 %; restarts, late joins, set clocks; a permitted variant in every third):",
+            f"{len(clean.false)} findings, inconclusive verdicts in {clean.doubts}.",
+        ]
+        lines += [f"* {each.situation}: {each.rule}: {each.text}" for each in clean.false]
+    lines += [
+        "",
+        "## Mutants that show on the air",
+        "",
+        "| mutant | bus | line | rules, or the reason |",
+        "|---|---|---|---|",
+    ]
+    for mutant, row in sorted(table.items()):
+        if any(each.fate != "same" for each in row.values()):
+            cells = " | ".join(TITLES[row[shape].fate] if shape in row else "" for shape in SHAPES)
+            lines.append(f"| {mutant} | {cells} | {_reason(row)} |")
+    return "\n".join(lines) + "\n"
+
+
+def _reason(row: dict[str, Outcome]) -> str:
+    rules = dict.fromkeys(rule for each in row.values() for rule in each.rules)
+    if rules:
+        return ", ".join(rules)
+    fates = dict.fromkeys(each.fate for each in row.values() if each.fate != "same")
+    return "; ".join(REASONS[fate] for fate in fates)

@@ -1,0 +1,84 @@
+"""Every alternative of every reading that our node, or a small part of it, can follow."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+from dcp_spec.catalogue.readings import readings
+from dcp_spec.constants import SpecVersion
+
+from .variant import Setup, Variant, anywhere, has_srp, setup
+
+_V = SpecVersion
+
+#: Versions in which a reading has something to choose, where these are not all.
+_VERSIONS = {
+    "X02": (_V.V1_2, _V.V2_0),  # there is a length field since 1.2
+    "X03": (_V.V1_1, _V.V2_0),  # 1.0 begins with 1 anyway
+    "X05": (_V.V1_1, _V.V2_0),
+    "X20": (_V.V2_0, _V.V2_0),
+    "X26": (_V.V2_0, _V.V2_0),
+    "X27": (_V.V2_0, _V.V2_0),
+    "X30": (_V.V1_2, _V.V2_0),  # 1.0 and 1.1 demand an answer
+    "X34": (_V.V1_2, _V.V2_0),  # 1.0 and 1.1 say what is to be done
+    "X36": (_V.V2_0, _V.V2_0),
+    "X37": (_V.V1_2, _V.V2_0),
+    "X38": (_V.V2_0, _V.V2_0),
+    "X31": (_V.V2_0, _V.V2_0),  # before, the number in the text is that of the version
+    "X44": (_V.V1_1, _V.V2_0),  # 1.0 never puts several payloads of a client into a beacon
+    "X47": (_V.V1_0, _V.V1_1),  # later there is a length field
+}
+#: Inconclusive verdicts that follow from the alternative.
+_EXPLAINS: dict[str, tuple[str, ...]] = {}
+
+
+def _variants() -> Iterator[Variant]:
+    for reading in readings().values():
+        since, until = _VERSIONS.get(reading.id, (_V.V1_0, _V.V2_0))
+        for alternative in reading.alternatives[1:]:
+            yield Variant(
+                f"V-{reading.id}-{alternative.name}",
+                f"reads {reading.title[0].lower()}{reading.title[1:]} differently: {alternative.description}",
+                reading.id,
+                _choose(reading.id, alternative.name),
+                since,
+                until,
+                _EXPLAINS.get(f"{reading.id}-{alternative.name}", ()),
+                has_srp if reading.id == "X10" else anywhere,
+            )
+        if reading.alternatives and reading.id == "X28":
+            # Profiles choose this one themselves; ours is not the default of all of them.
+            yield Variant(
+                "V-X28-half-range-neither",
+                f"reads {reading.title.lower()} as: {reading.alternatives[0].description}",
+                reading.id,
+                _choose(reading.id, reading.alternatives[0].name),
+            )
+
+
+def _choose(reading: str, name: str) -> Callable[[str], Setup]:
+    def build(profile: str) -> Setup:
+        return setup(profile, readings={reading: name})
+
+    return build
+
+
+def _every_other(profile: str) -> Setup:
+    version = setup(profile).config.features.version
+    chosen = {}
+    for reading in readings().values():
+        since, until = _VERSIONS.get(reading.id, (_V.V1_0, _V.V2_0))
+        if reading.alternatives and since <= version <= until:
+            chosen[reading.id] = reading.alternatives[1].name
+    return setup(profile, readings=chosen)
+
+
+VARIANTS = (
+    *_variants(),
+    Variant(
+        "V-X-every-other",
+        "follows the second alternative of every reading that has one",
+        "all readings",
+        _every_other,
+    ),
+)

@@ -1,0 +1,1 @@
+"""Test cases of BP: contents, times and reception of beacons."""

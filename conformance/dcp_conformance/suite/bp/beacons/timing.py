@@ -1,0 +1,336 @@
+"""dcp-bp.md: Transmit Path, timing of beacons.
+
+The specification gives the long-term rate of beacons, not the time of each one. The verdict is therefore statistical:
+it needs a confidence interval, and a result that is not significant is not a failure.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import statistics
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from dcp_spec.constants import BP_SEQNO_MODULUS
+
+from dcp_conformance.frames.received import ReceivedBeacon
+from dcp_conformance.lower_tester import OnThisMachine
+from dcp_conformance.model.case import Needs, case
+from dcp_conformance.suite.bp.services.indications import no_indication
+from dcp_conformance.test_steps.bp_clients import (
+    CLIENT,
+    ONCE,
+    REGISTER,
+    REPEAT,
+    TRANSMITTED,
+    BPClient,
+    indications,
+    needed,
+    some_beacons,
+    talking,
+)
+from dcp_conformance.test_steps.jitter import SHIFT, Intervals, compare, intervals
+from dcp_conformance.test_system.bench import MS, Bench
+from dcp_conformance.test_system.services import parameters_set
+
+PERIOD = "BPPAR_BEACON_PERIOD"
+#: 99 % quantile (two-sided) of the normal distribution, in standard deviations; it approximates that of sample means.
+QUANTILE = 2.576
+CONFIDENCE = "99 %"
+#: Fewer intervals do not show their variance well enough.
+LEAST = 25
+MOST = 300
+#: A gap in the sequence numbers counts as missed beacons up to this number of beacons per typical interval elapsed.
+_MOST_MISSED = 2
+
+
+class Estimate(NamedTuple):
+    """The mean interval between beacons and the half-width of its confidence interval, in ns."""
+
+    mean: float
+    margin: float
+    intervals: Sequence[float]
+
+    def __str__(self) -> str:
+        size, mean, margin = len(self.intervals), self.mean / MS, self.margin / MS
+        return f"a mean of {mean:.2f} ms \u00b1 {margin:.2f} ms ({size} intervals, {CONFIDENCE} confidence)"
+
+
+def estimate(frames: Sequence[ReceivedBeacon]) -> Estimate:
+    """Estimate the mean interval between beacons (at least three).
+
+    Sequence numbers count the beacons between two that were heard, so that beacons missed by the tester do not increase
+    the mean. A gap larger than the elapsed time allows is a fault of the sequence numbers, which other cases check.
+    """
+    usual = statistics.median(after.time - before.time for before, after in itertools.pairwise(frames))
+    intervals, beacons = [], 0
+    for before, after in itertools.pairwise(frames):
+        count = 1
+        if before.seqno is not None and after.seqno is not None:
+            count = (after.seqno - before.seqno) % BP_SEQNO_MODULUS or 1
+        if count > 1 + _MOST_MISSED * (after.time - before.time) / max(1, usual):
+            count = 1
+        beacons += count
+        intervals.append((after.time - before.time) / count)
+    mean = (frames[-1].time - frames[0].time) / beacons
+    return Estimate(mean, QUANTILE * statistics.stdev(intervals) / math.sqrt(len(intervals)), intervals)
+
+
+def measure(bench: Bench, period: float, *, least: int = LEAST, most: int = MOST) -> Estimate | None:
+    """Listen until the mean interval is known to be within the tolerance of the period or outside of it.
+
+    Returns None if too few beacons arrive. After ``most`` intervals, returns the estimate reached so far.
+    """
+    tolerance = bench.pixit.period_tolerance * period
+    start = bench.mark()
+    bench.beacons(least + 1, 3 * least + bench.reaction)
+    while len(frames := bench.heard[start:]) >= 3:
+        found = estimate(frames)
+        off = abs(found.mean - period)
+        if off + found.margin <= tolerance or off - found.margin > tolerance or len(found.intervals) >= most:
+            return found
+        if not bench.beacons(10, 30):
+            break
+    return None
+
+
+def check_mean(bench: Bench, found: Estimate | None, period: float, *requirements: str, sure: bool = True) -> None:
+    """Check a mean interval: only one that is significantly outside of the tolerance is a failure.
+
+    ``sure``: whether the implementation had payloads to send all the time; if not, too few beacons are not a failure.
+    """
+    if found is None:
+        bench.inconclusive("enough beacons to estimate their mean interval", "too few beacons", *requirements)
+    tolerance = bench.pixit.period_tolerance * period
+    low, high = found.mean - found.margin, found.mean + found.margin
+    expected = f"a mean interval of {period / MS:g} ms \u00b1 {bench.pixit.period_tolerance:.0%}"
+    if low > period + tolerance and not sure:
+        said = f"{found}; but the implementation may have had no payload to send (an upper tester could decide this)"
+        bench.inconclusive(expected, said, *requirements)
+    if low > period + tolerance and isinstance(bench.lower, OnThisMachine) and (why := bench.lower.overload()):
+        # An implementation on this machine has to wait for the processor in every period.
+        bench.inconclusive(expected, f"{found}; but {why}", *requirements)
+    if low > period + tolerance or high < period - tolerance:
+        bench.check(False, expected, str(found), *requirements)
+    elif low < period - tolerance or high > period + tolerance:
+        bench.inconclusive(expected, f"{found}: too few beacons for their variance", *requirements)
+    else:
+        bench.check(True, f"{expected}; measured: {found}", "", *requirements)
+
+
+@case(
+    "TC_BP_TX_TI_01",
+    "The mean interval between beacons is one beacon period",
+    requirements="BP-TX-01 BP-TX-02",
+    stimulus="payloads to send all the time, for at least 25 intervals and until the result is significant",
+    expect=(
+        "a mean interval of BPPAR_BEACON_PERIOD within the tolerance (PIXIT), with 99 % confidence; the case "
+        "reports the jitter"
+    ),
+    window=300,
+    needs=Needs(entities=()),
+)
+def mean_period(bench: Bench) -> None:
+    period = bench.parameter(PERIOD) * MS
+    with talking(bench) as clients:
+        bench.until(lambda heard: heard.octets)
+        found = measure(bench, period)
+    if found is not None and found.mean > 0:
+        spread = statistics.stdev(found.intervals) / found.mean
+        least, most = min(found.intervals) / MS, max(found.intervals) / MS
+        said = f"{least:.1f} ms to {most:.1f} ms, standard deviation {spread:.1%} of the mean"
+        bench.info("How much do the intervals between beacons vary?", said, "BP-TX-02")
+        if bench.pics.jitter:
+            bench.check(spread > 0.002, "intervals that vary, as the PICS claims", said, "BP-TX-02")
+    check_mean(bench, found, period, "BP-TX-01", sure=bool(clients))
+
+
+@case(
+    "TC_BP_TX_TI_02",
+    "A new beacon period takes effect (factor {variant})",
+    requirements="BP-PAR-02 BP-PAR-12",
+    stimulus="BPPAR_BEACON_PERIOD is multiplied by {variant} while a client repeats a payload",
+    expect="a mean interval of the new period, with 99 % confidence",
+    window=60,
+    needs=Needs(entities=(), ut=(*CLIENT, "BP-SetParameter")),
+    variants={"0.5": 0.5, "2": 2.0},
+)
+def other_period(bench: Bench, factor: float) -> None:
+    with BPClient(bench, REPEAT) as client:
+        client.transmit(client.payload())
+        needed(bench, client.until_sent(), "beacons before the change")
+        wanted = round(bench.parameter(PERIOD) * factor)
+        with parameters_set(bench, "BP", **{PERIOD: wanted}):
+            value: float = wanted
+            if bench.session.upper is not None and "BP-GetParameters" in bench.session.upper.methods:
+                # The resolution of times is up to the implementation.
+                said = (bench.must("BP-GetParameters").result.get("parameters") or {}).get(PERIOD)
+                if isinstance(said, int | float) and abs(said - value) < abs(value - value / factor) / 2:
+                    value = said
+            # The beacon already scheduled is sent as scheduled; the new period begins after it.
+            bench.beacons(1)
+            found = measure(bench, round(value * MS), least=15)
+            check_mean(bench, found, round(value * MS))
+
+
+@case(
+    "TC_BP_TX_TI_03",
+    "Reports the time from the submission of a payload to its beacon",
+    requirements="BP-TXP-07 BP-TX-02",
+    stimulus="a client submits five payloads at different phases of the beacon period, without other traffic",
+    expect="a beacon with each payload; the case reports the delays",
+    window=20,
+    needs=Needs(entities=(), ut=CLIENT),
+)
+def delay_of_payloads(bench: Bench) -> None:
+    delays = []
+    with BPClient(bench, ONCE) as client:
+        for number in range(5):
+            payload = client.payload()
+            start = bench.now()
+            client.transmit(payload)
+            heard = client.until_sent(payload)
+            if heard is None:
+                bench.inconclusive("a beacon with each payload", f"{number} of 5 in time")
+            delays.append(max(0, heard.time - start) / MS)
+            bench.wait(0.3 + 0.2 * number)
+    said = f"{', '.join(f'{delay:.0f}' for delay in delays)} ms, with a period of {bench.parameter(PERIOD)} ms"
+    bench.info("How long after its submission is a payload sent?", said)
+    triggered = statistics.median(delays) < bench.parameter(PERIOD) / 10
+    bench.info("Does a new payload trigger an early beacon?", "probably" if triggered else "no", "BP-TXP-07")
+
+
+@case(
+    "TC_BP_PTI_TI_01",
+    "nextBeaconGenerationEpoch is the time at which the next beacon is prepared",
+    requirements="BP-PTI-02",
+    stimulus="a client repeats a payload; ten indications and the beacons after them",
+    expect=(
+        "a median difference between epoch and next beacon of less than half a period, on the implementation's clock"
+    ),
+    window=14,
+    needs=Needs(entities=(), ut=(*CLIENT, "BP-ListRegisteredProtocols"), when=no_indication),
+)
+def epoch_of_next_beacon(bench: Bench) -> None:
+    with BPClient(bench, REPEAT) as client:
+        offset = clock_offset(bench, client)
+        client.transmit(client.payload())
+        for _ in range(11):
+            client.until_sent()
+        bench.wait(0.3)
+        frames = client.frames()
+        told = indications(bench, TRANSMITTED, client.prot_id)
+        bench.require(told, "indications", "none in time", "BP-PTI-01")
+        epochs = [each.params.get("nextBeaconGenerationEpoch") for each in told]
+        numbers = [each - offset for each in epochs if isinstance(each, int)]
+        bench.require(len(numbers) == len(epochs), "an epoch in each indication", f"{epochs[:3]}", shown=True)
+        # The next beacon, of whichever client.
+        following = [bench.heard[place + 1 :][:1] for place in map(bench.heard.index, frames)]
+        pairs = [(number, each[0].wall) for number, each in zip(numbers, following, strict=False) if each]
+        if len(pairs) < 8 or abs(len(told) - len(frames)) > 1:
+            bench.inconclusive(
+                "an indication for each of ten beacons", f"{len(told)} indications for {len(frames)} beacons"
+            )
+        errors = [(epoch - wall) / MS for epoch, wall in pairs]
+        middle, limit = statistics.median(errors), bench.parameter(PERIOD) / 2
+        said = f"{middle:.1f} ms off (median of {len(errors)}), {min(errors):.1f} ms to {max(errors):.1f} ms"
+        bench.check(
+            abs(middle) < limit, f"a median epoch within {limit:g} ms of the next beacon", said, frames=frames[:8]
+        )
+        bench.info("How precise is nextBeaconGenerationEpoch?", said)
+
+
+def clock_offset(bench: Bench, client: BPClient) -> int:
+    """Estimate the offset of the implementation's clock from the tester's in ns (positive if ahead), from the time
+    stamps of registrations.
+    """
+    stamps = []
+    for _ in range(5):
+        bench.call("BP-DeregisterProtocol", protId=client.prot_id)
+        before = bench.lower.wall()
+        bench.must(REGISTER, **client.registration)
+        after = bench.lower.wall()
+        stamp = (client.entry() or {}).get("timeStampRegistration")
+        if isinstance(stamp, int):
+            stamps.append((after - before, stamp - (before + after) // 2))
+    if not stamps:
+        bench.inconclusive("the time of a registration", "not in BP-ListRegisteredProtocols")
+    # The shortest call gives the most precise estimate.
+    return min(stamps)[1]
+
+
+@case(
+    "TC_BP_HDR_BV_10",
+    "seqno does not wrap around at one octet",
+    requirements="BP-HDR-08",
+    stimulus=(
+        "a client repeats a payload at a quarter of the beacon period until the implementation has sent more than "
+        "256 beacons"
+    ),
+    expect="a sequence number above 255, and no restart",
+    window=150,
+    needs=Needs(entities=(), ut=(*CLIENT, "BP-SetParameter", "UT-Reset"), header=("seqno",)),
+)
+def beyond_an_octet(bench: Bench) -> None:
+    short = max(2, round(bench.period / 4 / MS))
+    with BPClient(bench, REPEAT) as client:
+        client.transmit(client.payload())
+        with parameters_set(bench, "BP", **{PERIOD: short}):
+            frames = bench.beacons(262)
+    _check_beyond_an_octet(bench, frames)
+
+
+def _check_beyond_an_octet(bench: Bench, frames: Sequence[ReceivedBeacon]) -> None:
+    numbers = [each.seqno for each in frames if each.seqno is not None]
+    if len(numbers) < 258:
+        bench.inconclusive("258 decodable beacons", f"{len(numbers)}")
+    back = [after for before, after in itertools.pairwise(frames) if (after.seqno or 0) < (before.seqno or 0)]
+    said = f"a maximum of {max(numbers)} in {len(numbers)} beacons"
+    bench.check(max(numbers) > 255 and not back, "sequence numbers that increase beyond 255", said, frames=back[:2])
+
+
+@case(
+    "TC_BP_HDR_BV_11",
+    "seqno does not wrap around at one octet, at the configured beacon period",
+    requirements="BP-HDR-08",
+    stimulus="payloads to send in every period until the implementation has sent more than 256 beacons",
+    expect="a sequence number above 255, and no restart",
+    window=600,
+    needs=Needs(entities=(), header=("seqno",)),
+    long=True,
+)
+def beyond_an_octet_by_waiting(bench: Bench) -> None:
+    with talking(bench):
+        frames = bench.beacons(262)
+    _check_beyond_an_octet(bench, frames)
+
+
+#: Minimum number of intervals that are compared after each start.
+_COMPARED = 24
+
+
+@case(
+    "TC_BP_TX_TI_04",
+    "Reports whether the jitter of the beacons is the same after each start",
+    requirements="BP-TX-02",
+    stimulus="two restarts; payloads to send in every period",
+    expect="any result; if the jitter is the same, nodes that are started together keep sending at the same times",
+    window=60,
+    needs=Needs(entities=(), restart=True),
+)
+def jitter_after_starts(bench: Bench) -> None:
+    first, second = _after_start(bench), _after_start(bench)
+    said = {
+        "strict": "the beacons are strictly periodic",
+        "same": "yes: nodes that are started together keep sending at the same times",
+        "different": "no",
+        "coarse": "unknown: too few different intervals",
+    }
+    bench.info("Is the jitter the same after each start?", said[compare(first, second, bench.period)])
+
+
+def _after_start(bench: Bench) -> Intervals:
+    bench.restart()
+    with talking(bench):
+        return intervals(some_beacons(bench, _COMPARED + SHIFT + 1))

@@ -1,0 +1,1 @@
+"""Test cases of BP: queues and buffers for payloads of client protocols."""

@@ -1,0 +1,260 @@
+"""dcp-bp.md: Transmit Path, what fits into a beacon.
+
+The specification leaves open which clients are served first and how many of them; a payload that does not fit must
+wait.
+"""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+
+from dcp_spec.constants import BP_MAX_PAYLOADS
+
+from dcp_conformance.frames.received import ReceivedBeacon
+from dcp_conformance.model.case import Needs, case
+from dcp_conformance.test_steps.beacon_gaps import between_beacons
+from dcp_conformance.test_steps.bp_clients import (
+    CLIENT,
+    DEREGISTER,
+    ONCE,
+    REPEAT,
+    BPClient,
+    areas_of_fixed_size,
+    block_header_octets,
+    header_octets,
+    listed,
+    needed,
+    queue_mode,
+    room,
+)
+from dcp_conformance.test_system.bench import Bench
+
+_SENDER = Needs(entities=(), ut=CLIENT)
+
+
+_FITTING = Needs(entities=(), ut=CLIENT, when=areas_of_fixed_size)
+
+
+def sizes_for(bench: Bench, octets: int) -> tuple[int, int]:
+    """Return the sizes of two payloads whose blocks together have `octets` octets."""
+    first = octets // 2 - block_header_octets(bench)
+    return first, octets - first - 2 * block_header_octets(bench)
+
+
+@case(
+    "TC_BP_TX_BV_01",
+    "Payloads that together do not fit into one beacon are sent in two (excess: {variant})",
+    requirements="BP-TX-04 BP-FMT-02",
+    stimulus="two clients submit payloads whose blocks together exceed the room in a beacon; excess: {variant}",
+    expect="both payloads in different beacons, neither larger than BPPAR_MAXIMUM_PACKET_SIZE",
+    needs=_FITTING,
+    variants={"one-octet": 1, "a-header": None, "almost-all-of-it": 0.9},
+)
+def do_not_fit_together(bench: Bench, more: float | None) -> None:
+    space = room(bench)
+    # If the header does not count (X04), an excess of one octet over blocks and header still fits.
+    extra = header_octets(bench) + 1 if more is None else round(more * space) if more < 1 else round(more)
+    fitting(bench, space + extra, together=False)
+
+
+@case(
+    "TC_BP_TX_BV_02",
+    "Payloads that together just fit into one beacon are sent",
+    requirements="BP-FMT-02 BP-TX-03",
+    stimulus="two clients submit payloads whose blocks together exactly fill the room in a beacon",
+    expect="both payloads; the case reports whether they share a beacon",
+    needs=_FITTING,
+)
+def fit_together(bench: Bench) -> None:
+    fitting(bench, room(bench), together=True)
+
+
+def fitting(bench: Bench, octets: int, *, together: bool) -> None:
+    """Let two clients submit payloads of `octets` octets in total and check the beacons that carry them."""
+    first, second = sizes_for(bench, octets)
+    with BPClient(bench, ONCE, size=first) as one, BPClient(bench, ONCE, size=second) as two:
+        starts: list[int] = []
+
+        def act() -> list[bytes]:
+            # Payloads sent in an earlier attempt do not count.
+            starts.append(len(bench.heard))
+            payloads = [one.payload(first), two.payload(second)]
+            one.transmit(payloads[0])
+            two.transmit(payloads[1])
+            return payloads
+
+        # Submitted across a beacon, they would be sent in different beacons in any case.
+        payloads = between_beacons(
+            bench, "submission of two payloads", act, lambda heard: one.in_frame(heard) or two.in_frame(heard)
+        )
+        start = starts[-1]
+        bench.until(lambda _: one.frames(start) and two.frames(start), 2 * bench.reaction)
+        sent = [*one.sent(start), *two.sent(start)]
+        bench.check(
+            sorted(sent) == sorted(payloads),
+            "both payloads, each sent once",
+            listed(sent, payloads),
+            "BP-TX-04",
+            shown=len(sent) > len(payloads),
+        )
+        shared = [heard for heard in one.frames(start) if two.in_frame(heard)]
+        if together:
+            bench.info("Do payloads share a beacon that just has room for them?", "yes" if shared else "no", "BP-TX-03")
+        elif shared and octets - room(bench) <= header_octets(bench):
+            bench.reading("X04", "blocks-only")
+        else:
+            bench.check(
+                not shared,
+                "the payloads in different beacons",
+                "both payloads in one beacon",
+                "BP-TX-04",
+                frames=shared,
+                shown=True,
+            )
+        check_sizes(bench, start)
+
+
+def check_sizes(bench: Bench, since: int) -> None:
+    """Check that no beacon exceeds the maximum size; X04 leaves open whether the header counts."""
+    limit = bench.bound("BPPAR_MAXIMUM_PACKET_SIZE")
+    margin = header_octets(bench) if bench.readings.get("X04") == "blocks-only" else 0
+    large = [heard for heard in bench.heard[since:] if len(heard.octets) > limit + margin]
+    found = f"a beacon of {max(len(heard.octets) for heard in large)} octets" if large else ""
+    bench.check(not large, f"no beacon of more than {limit} octets", found, "BP-FMT-02", frames=large, shown=True)
+
+
+@case(
+    "TC_BP_TX_BV_03",
+    "The payload at the head of a queue is not overtaken by a later one",
+    requirements="BP-TX-06 BP-TX-04",
+    stimulus=(
+        "a client repeats a payload that fills most of a beacon; another client queues a large payload and then a "
+        "small one"
+    ),
+    expect="the small payload is never sent before the large one",
+    needs=_FITTING,
+    window=8,
+)
+def head_of_line(bench: Bench) -> None:
+    space, header = room(bench), block_header_octets(bench)
+    filler, large, small = space * 3 // 4 - header, space // 2 - header, 8
+    with (
+        BPClient(bench, REPEAT, size=filler) as constant,
+        BPClient(bench, queue_mode(bench), size=large, entries=4) as client,
+    ):
+        constant.transmit(constant.payload(filler))
+        needed(bench, constant.until_sent(), "beacons with the first payload")
+        start = bench.mark()
+        head, tail = client.payload(large), client.payload(small)
+        client.transmit(head)
+        client.transmit(tail)
+        bench.until(lambda heard: tail in client.in_frame(heard), 8)
+        sent = client.sent(start)
+        overtaken = tail in sent and (head not in sent or sent.index(tail) < sent.index(head))
+        bench.check(
+            not overtaken,
+            "the small payload is sent after the large one",
+            "the small payload is sent first",
+            "BP-TX-06",
+            frames=client.frames(start),
+            shown=head in sent,
+        )
+        shared = [
+            heard for heard in client.frames(start) if head in client.in_frame(heard) and constant.in_frame(heard)
+        ]
+        bench.check(
+            not shared,
+            "the large payload and the repeated one in different beacons",
+            "both in one beacon",
+            "BP-TX-04",
+            frames=shared,
+            shown=True,
+        )
+        if head not in sent:
+            bench.info(
+                "Can a payload that always fits delay a larger one indefinitely?",
+                "yes, for at least 8 periods",
+                "BP-TX-03",
+            )
+
+
+@case(
+    "TC_BP_TX_BV_04",
+    "The payloads of several clients are all sent; the number of blocks in a beacon is free",
+    requirements="BP-TX-03 BP-FMT-01",
+    stimulus="four clients with different modes submit small payloads",
+    expect="each payload unchanged; the case reports order and number of blocks",
+    needs=_SENDER,
+)
+def several_clients(bench: Bench) -> None:
+    with ExitStack() as stack:
+        modes = (ONCE, REPEAT, queue_mode(bench), ONCE)
+        clients = [stack.enter_context(BPClient(bench, mode)) for mode in modes]
+        payloads = [client.payload(7 + number) for number, client in enumerate(clients)]
+        start = bench.mark()
+        for client, payload in zip(clients, payloads, strict=True):
+            client.transmit(payload)
+        bench.until(lambda _: all(client.frames(start) for client in clients), 2 * bench.reaction)
+        if not all(client.frames(start) for client in clients):
+            # The repeated payload may be served first in every beacon.
+            bench.call(DEREGISTER, protId=clients[1].prot_id)
+            bench.until(lambda _: all(client.frames(start) for client in clients), 2 * bench.reaction)
+        for client, payload in zip(clients, payloads, strict=True):
+            sent = set(client.sent(start))
+            bench.check(
+                sent == {payload},
+                "the payload as submitted, and no other",
+                f"{sorted(sent)!r}",
+                "BP-FMT-01",
+                shown=sent - {payload},
+            )
+        first = next(
+            (heard for heard in bench.heard[start:] if any(client.in_frame(heard) for client in clients)), None
+        )
+        if first is not None:
+            ids = [client.prot_id for client in clients]
+            order = [ids.index(prot_id) + 1 for prot_id, _ in first.blocks if prot_id in ids]
+            bench.info(
+                "Which of four clients does the first beacon serve, and in which order?",
+                ", ".join(map(str, order)),
+                "BP-TX-03",
+            )
+
+
+@case(
+    "TC_BP_TX_BV_05",
+    "A beacon never has more than 255 blocks",
+    requirements="BP-TX-08",
+    stimulus="260 clients submit a payload of one octet each",
+    expect="all payloads, in beacons of at most 255 blocks with a correct numPayloads",
+    needs=Needs(
+        entities=(),
+        ut=(*CLIENT, "UT-Reset"),
+        when=lambda bench: (
+            areas_of_fixed_size(bench)
+            or (None if room(bench) > 260 * (block_header_octets(bench) + 1) else "a beacon has no room for 256 blocks")
+        ),
+    ),
+)
+def most_blocks(bench: Bench) -> None:
+    clients = [BPClient(bench, ONCE, size=1) for _ in range(BP_MAX_PAYLOADS + 5)]
+    for client in clients:
+        if not client.register().ok:
+            bench.info("How many clients can register?", f"{clients.index(client)}")
+            return
+    start = bench.mark()
+    for client in clients:
+        client.transmit(b"x")
+    ids = {client.prot_id for client in clients}
+
+    def ours(heard: ReceivedBeacon) -> set[int]:
+        return ids.intersection(prot_id for prot_id, _ in heard.blocks)
+
+    # One block in each beacon is also allowed (BP-TX-03).
+    frames = bench.until_quiet(ours, 2 * len(ids), start)
+    seen = {prot_id for heard in frames for prot_id in ours(heard)}
+    large = [heard for heard in bench.heard[start:] if len(heard.blocks) > BP_MAX_PAYLOADS]
+    said = f"{len(large[0].blocks)} blocks in one beacon" if large else ""
+    bench.check(not large, f"beacons of at most {BP_MAX_PAYLOADS} blocks", said, frames=large, shown=True)
+    lost = len(ids - seen)
+    bench.check(not lost, "all 260 payloads are sent", f"{lost} are missing")

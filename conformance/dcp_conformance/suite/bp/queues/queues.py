@@ -1,0 +1,125 @@
+"""dcp-bp.md: Data Types, queueing modes: queues of many entries."""
+
+from __future__ import annotations
+
+from dcp_spec.constants import QueueingMode, SpecVersion
+
+from dcp_conformance.model.case import Needs, Variant, case
+from dcp_conformance.test_steps.beacon_gaps import between_beacons
+from dcp_conformance.test_steps.bp_clients import (
+    CLIENT,
+    DEREGISTER,
+    DROPHEAD,
+    DROPTAIL,
+    OK,
+    QUERY,
+    REGISTER,
+    BPClient,
+    queue_mode,
+)
+from dcp_conformance.test_system.bench import Bench
+
+V1_1 = SpecVersion.V1_1
+_MANY = 64
+_BEYOND = 2
+"""Number of payloads submitted in excess of the length of the queue."""
+
+
+@case(
+    "TC_BP_QM_BV_12",
+    "A queue of 64 entries keeps 64 payloads in order; its mode determines which of more payloads it keeps ({variant})",
+    requirements="BP-QM-03",
+    stimulus="between two beacons, a client with mode {variant} and maxEntries 64 submits 66 payloads",
+    expect="64 payloads, each sent once and in order: the first 64 (DROPTAIL) or the last 64 (DROPHEAD)",
+    window=80,
+    variants={
+        name: Variant(mode, requirements=f"BP-QM-03 {own}", needs=Needs(since=V1_1, entities=(), ut=CLIENT))
+        for name, mode, own in (("droptail", DROPTAIL, "BP-QM-01"), ("drophead", DROPHEAD, "BP-QM-02"))
+    },
+)
+def many_entries(bench: Bench, mode: QueueingMode) -> None:
+    dropping = "BP-QM-01" if mode is DROPTAIL else "BP-QM-02"
+    with BPClient(bench, mode, entries=_MANY) as client:
+
+        def act() -> tuple[list[bytes], int | None]:
+            payloads = [client.payload() for _ in range(_MANY + _BEYOND)]
+            for payload in payloads:
+                # Other cases check the status for a full queue (BP-TXP-04, BP-TXP-05).
+                client.transmit(payload, must=False)
+            return payloads, client.number() if QUERY in bench.ut.methods else None
+
+        start = bench.mark()
+        what = f"submission of {_MANY + _BEYOND} payloads"
+        payloads, number = between_beacons(bench, what, act, client.in_frame, flush=2 * _MANY)
+        if number is not None:
+            bench.check(
+                number == _MANY, f"{_MANY} buffered payloads", f"{number} buffered payloads", dropping, shown=True
+            )
+        bench.until_quiet(client.in_frame, 2 * _MANY, start)
+        sent = [each for each in client.sent(start) if each in payloads]
+        kept = payloads[:_MANY] if mode is DROPTAIL else payloads[_BEYOND:]
+        places = [payloads.index(each) for each in sent]
+        ordered = places == sorted(set(places))
+        said = f"payloads {places}"
+        bench.check(ordered, "each payload at most once, in the order of submission", said, "BP-QM-03", shown=True)
+        wrong = sorted(places[index] for index, each in enumerate(sent) if each not in kept)
+        bench.check(
+            not wrong, "none of the payloads that a full queue drops", f"payloads {wrong}", dropping, shown=True
+        )
+        missing = [payloads.index(each) for each in kept if each not in sent]
+        bench.check(not missing, f"all {_MANY} payloads that the queue keeps", f"payloads {missing} not sent", dropping)
+
+
+@case(
+    "TC_BP_QM_BV_15",
+    "A queue of 1.0 has no maximum length: it keeps 66 payloads in order, and BP reports their number",
+    requirements="BP-QM-03 BP-QM-10 BP-QRY-02",
+    stimulus="between two beacons, a client with mode BP_QMODE_QUEUE submits 66 payloads",
+    expect="BP-QueryNumberBufferedPayloads answers 66; each payload is sent once and in order",
+    window=80,
+    needs=Needs(until=SpecVersion.V1_0, entities=(), ut=(*CLIENT, QUERY)),
+)
+def unbounded(bench: Bench) -> None:
+    count = _MANY + _BEYOND
+    with BPClient(bench, QueueingMode.QUEUE) as client:
+
+        def act() -> tuple[list[bytes], int | None]:
+            payloads = [client.payload() for _ in range(count)]
+            for payload in payloads:
+                client.transmit(payload)
+            return payloads, client.number()
+
+        start = bench.mark()
+        what = f"submission of {count} payloads"
+        payloads, number = between_beacons(bench, what, act, client.in_frame, flush=2 * count)
+        bench.check(
+            number == count, f"{count} buffered payloads", f"{number} buffered payloads", "BP-QRY-02", shown=True
+        )
+        bench.until_quiet(client.in_frame, 2 * count, start)
+        places = [payloads.index(each) for each in client.sent(start) if each in payloads]
+        ordered = places == list(range(count))
+        bench.check(
+            ordered, "each payload once, in the order of submission", f"payloads {places}", "BP-QM-03", shown=True
+        )
+
+
+@case(
+    "TC_BP_REG_BV_05",
+    "maxEntries 1 and 64 are accepted; the case reports which larger values are",
+    requirements="BP-REG-05 BP-QM-09",
+    stimulus="BP-RegisterProtocol with maxEntries 1, 64, 255, 256, 65535 and 4294967295",
+    expect="BP-STATUS-OK for 1 and 64; the specification has no upper limit",
+    needs=Needs(since=V1_1, entities=(), ut=(REGISTER, DEREGISTER)),
+)
+def bounds_of_entries(bench: Bench) -> None:
+    for entries in (1, _MANY):
+        client = BPClient(bench, queue_mode(bench), entries=entries)
+        if bench.expect_status(OK, REGISTER, **client.registration).ok:
+            bench.must(DEREGISTER, protId=client.prot_id)
+    accepted = []
+    for entries in (255, 256, 0xFFFF, 0xFFFFFFFF):
+        client = BPClient(bench, queue_mode(bench), entries=entries)
+        if client.register().ok:
+            accepted.append(entries)
+            bench.must(DEREGISTER, protId=client.prot_id)
+    bench.info("Which larger values of maxEntries are accepted?", ", ".join(map(str, accepted)) or "none", "BP-REG-01")

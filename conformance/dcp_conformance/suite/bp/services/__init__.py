@@ -1,0 +1,1 @@
+"""Test cases of BP: services for client protocols, and its parameters."""

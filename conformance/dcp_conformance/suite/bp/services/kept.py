@@ -1,0 +1,417 @@
+"""dcp-bp.md: Service Interface; Other BP Management Services.
+
+State that must not change: the registration, payloads and list entry of a client while other clients and services act.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from dcp_spec.constants import QueueingMode, SpecVersion
+
+from dcp_conformance.frames.builder import Block
+from dcp_conformance.model.case import Needs, Variant, case
+from dcp_conformance.test_steps.beacon_gaps import between_beacons
+from dcp_conformance.test_steps.bp_clients import (
+    ACTIVATE,
+    ALREADY_REGISTERED,
+    CLEAR,
+    CLIENT,
+    DEACTIVATE,
+    DEREGISTER,
+    DROPHEAD,
+    DROPTAIL,
+    LIST,
+    ONCE,
+    QUERY,
+    REGISTER,
+    REPEAT,
+    TRANSMIT,
+    TRANSMITTED,
+    BPClient,
+    indications,
+    listed,
+    needed,
+    no_confirm,
+    registered,
+    until,
+    unused_protocol_id,
+)
+from dcp_conformance.test_system.bench import MS, Bench
+from dcp_conformance.test_system.checks import part_of
+
+from .indications import no_indication
+
+V1_1, V1_2 = SpecVersion.V1_1, SpecVersion.V1_2
+
+
+# -- what others do ----------------------------------------------------------------------------------------------------
+
+
+def _another(bench: Bench, mode: QueueingMode = REPEAT) -> BPClient:
+    """Return a second client that has registered, submitted a payload and deregistered."""
+    with BPClient(bench, mode) as other:
+        other.transmit(other.payload())
+    return other
+
+
+def _cleared_another(bench: Bench, _: BPClient) -> None:
+    with BPClient(bench, REPEAT) as other:
+        other.transmit(other.payload())
+        bench.must(CLEAR, protId=other.prot_id)
+
+
+def _paused(bench: Bench, _: BPClient) -> None:
+    with bench.deactivated("BP"):
+        bench.wait(0.2)
+
+
+def _second_registration(bench: Bench, client: BPClient) -> None:
+    changes = {"maxPayloadSize": 30, "queueingMode": str(ONCE), "name": "second", "maxEntries": 9}
+    bench.expect_status(ALREADY_REGISTERED, REGISTER, "BP-REG-02", **{**client.registration, **changes})
+
+
+def _received(bench: Bench, client: BPClient) -> None:
+    bench.peer().send(Block(client.prot_id, b"received"))
+    until(bench, lambda: b"received" in client.received())
+
+
+_EVENTS: dict[str, tuple[str, Callable[[Bench, BPClient], object], Needs]] = {
+    "registered-again": ("BP-REG-02", _second_registration, Needs(entities=(), ut=(*CLIENT, LIST, QUERY))),
+    "another-came-and-went": (
+        "BP-DRG-02",
+        lambda bench, _: _another(bench),
+        Needs(entities=(), ut=(*CLIENT, LIST, QUERY)),
+    ),
+    "another-was-cleared": ("BP-CLR-03", _cleared_another, Needs(V1_1, entities=(), ut=(*CLIENT, LIST, QUERY, CLEAR))),
+    "unknown-was-deregistered": (
+        "BP-DRG-01",
+        lambda bench, _: bench.call(DEREGISTER, protId=unused_protocol_id(bench)),
+        Needs(entities=(), ut=(*CLIENT, LIST, QUERY)),
+    ),
+    "too-large-was-refused": (
+        "BP-TXP-02",
+        lambda bench, client: bench.call(TRANSMIT, protId=client.prot_id, payload=bytes(65).hex()),
+        Needs(entities=(), ut=(*CLIENT, LIST, QUERY)),
+    ),
+    "was-listed": (
+        "BP-LST-01 BP-LST-03",
+        lambda bench, _: bench.must(LIST),
+        Needs(entities=(), ut=(*CLIENT, LIST, QUERY)),
+    ),
+    "has-received": ("BP-RXP-01", _received, Needs(entities=(), ut=(*CLIENT, LIST, QUERY))),
+    "was-paused": ("BP-MGT-05", _paused, Needs(V1_2, entities=(), ut=(*CLIENT, LIST, QUERY, ACTIVATE, DEACTIVATE))),
+}
+
+
+@case(
+    "TC_BP_KEEP_BO_01",
+    "Registration and buffered payloads of a client do not change (event: {variant})",
+    requirements="BP-REG-02",
+    stimulus="a client repeats a payload; then the event {variant}, of this or another client",
+    expect="the list entry and the number of payloads as before; beacons with the payload continue",
+    window=8,
+    variants={
+        name: Variant(act, requirements=f"BP-REG-06 BP-QM-05 {requirements}", needs=needs)
+        for name, (requirements, act, needs) in _EVENTS.items()
+    },
+)
+def kept(bench: Bench, act: Callable[[Bench, BPClient], object]) -> None:
+    own = bench.case.requirements[2:]
+    with BPClient(bench, REPEAT, name="first") as client:
+        payload = client.payload()
+        client.transmit(payload)
+        needed(bench, client.until_sent(payload), "a beacon with the payload")
+        before, number = client.fields(), client.number()
+        act(bench, client)
+        after, now = client.fields(), client.number()
+        bench.check(after == before, f"the list entry {before}, as before", f"{after}", *own, "BP-REG-06", shown=True)
+        bench.check(now == number, f"{number} buffered payloads, as before", f"{now}", *own, "BP-QM-05", shown=True)
+        start = bench.mark()
+        found = client.until_sent()
+        bench.check(found, "further beacons with the payload", "none in time", *own, "BP-QM-05")
+        strange = [each for each in client.sent(start) if each != payload]
+        bench.check(not strange, "the payload unchanged", f"{strange}", *own, "BP-QM-05", shown=True)
+
+
+@case(
+    "TC_BP_LST_BV_02",
+    "The list reports the registered values of each client, and they do not change",
+    requirements="BP-LST-01 BP-LST-03 BP-REG-06",
+    stimulus=(
+        "three registrations that differ in every parameter, half a beacon period apart; "
+        "BP-ListRegisteredProtocols at once and again after payloads were sent"
+    ),
+    expect="for each client the registered values and the time of registration, both times",
+    needs=Needs(entities=(), ut=(*CLIENT, LIST)),
+)
+def own_fields(bench: Bench) -> None:
+    both = bench.features.allow_multiple_payloads
+    queue = DROPTAIL if both else QueueingMode.QUEUE
+    # The resolution of registration times is up to the implementation.
+    pause = max(bench.period // 2, 50 * MS)
+    clients = [
+        BPClient(bench, ONCE, size=11, entries=2, name="one"),
+        BPClient(bench, queue, size=22, entries=3, several=True, name="the second"),
+        BPClient(bench, DROPHEAD if both else REPEAT, size=60, entries=200, name="3"),
+    ]
+    with clients[0]:
+        bench.wait_ns(pause)
+        with clients[1]:
+            bench.wait_ns(pause)
+            with clients[2]:
+                first = registered(bench)
+                _check_fields(bench, clients, first)
+                for client in clients:
+                    client.transmit(client.payload(9))
+                needed(bench, clients[1].until_sent(), "a beacon with a payload")
+                second = registered(bench)
+    for client in clients:
+        was, is_now = first.get(client.prot_id), second.get(client.prot_id)
+        named = {name: (was or {}).get(name) for name in ("timeStampRegistration", *_fields(bench, client))}
+        same = all((is_now or {}).get(name) == value for name, value in named.items())
+        said = f"{is_now}"
+        bench.check(same, f"{named}, as before", said, "BP-LST-01", "BP-LST-03", shown=True)
+
+
+def _fields(bench: Bench, client: BPClient) -> dict[str, Any]:
+    """Return the fields that the list must have for a client, by their names in the list."""
+    names = {"protocolName": "name", "maxPayloadSize": "maxPayloadSize", "queueMode": "queueingMode"}
+    if bench.features.allow_multiple_payloads and QueueingMode(client.registration["queueingMode"]).is_queue:
+        # Both fields are irrelevant for the other modes.
+        names |= {"allowMultiplePayloads": "allowMultiplePayloads", "maxEntries": "maxEntries"}
+    return {listed: client.registration[given] for listed, given in names.items()}
+
+
+def _check_fields(bench: Bench, clients: list[BPClient], entries: dict[int, dict[str, Any]]) -> None:
+    stamps = []
+    for client in clients:
+        entry = entries.get(client.prot_id) or {}
+        stamps.append(entry.get("timeStampRegistration"))
+        for name, right in _fields(bench, client).items():
+            said = entry.get(name)
+            bench.check(said == right, f"{name} {right!r}", f"{said!r}", "BP-LST-01", "BP-LST-03", shown=True)
+    # The clock may be set in between, so only the difference of the times is checked.
+    good = None not in stamps and len(set(stamps)) == len(clients)
+    bench.check(
+        good,
+        "a different registration time for each client",
+        f"{stamps}",
+        "BP-REG-06",
+        "BP-LST-01",
+        "BP-LST-03",
+        shown=True,
+    )
+
+
+# -- queues of one place, several payloads at once ---------------------------------------------------------------------
+
+
+@case(
+    "TC_BP_QM_BV_14",
+    "A queue of one entry keeps the payload that its mode determines ({variant})",
+    requirements="BP-QM-01",
+    stimulus="between two beacons, a client with mode {variant} and maxEntries 1 submits A and B; later C",
+    expect="A (DROPTAIL) or B (DROPHEAD), then C, each once; one buffered payload after each submission",
+    window=8,
+    variants={
+        "droptail": Variant(DROPTAIL, requirements="BP-QM-01 BP-QRY-02 BP-QM-03"),
+        "drophead": Variant(DROPHEAD, requirements="BP-QM-02 BP-QRY-02 BP-QM-03"),
+    },
+    needs=Needs(V1_1, entities=(), ut=(*CLIENT, QUERY)),
+)
+def one_place(bench: Bench, mode: QueueingMode) -> None:
+    dropping = bench.case.requirements[0]
+    with BPClient(bench, mode, entries=1) as client:
+
+        def act() -> tuple[list[bytes], list[int | None]]:
+            payloads, numbers = [client.payload() for _ in range(3)], []
+            for payload in payloads[:2]:
+                client.transmit(payload, must=False)
+                numbers.append(client.number())
+            return payloads, numbers
+
+        start = bench.mark()
+        payloads, numbers = between_beacons(bench, "submission of two payloads", act, client.in_frame)
+        bench.check(
+            numbers == [1, 1], "one buffered payload after each submission", f"{numbers}", "BP-QRY-02", shown=True
+        )
+        bench.until_quiet(client.in_frame, since=start)
+        client.transmit(payloads[2], must=False)
+        client.until_sent(payloads[2])
+        bench.wait(1)
+        sent = [each for each in client.sent(start) if each in payloads]
+        right = [payloads[0 if mode is DROPTAIL else 1], payloads[2]]
+        lost = part_of(sent, right)
+        said = listed(sent, payloads)
+        bench.check(sent == right, listed(right, payloads), said, dropping, "BP-QM-03", shown=not lost)
+
+
+@case(
+    "TC_BP_PTI_BV_03",
+    "A client with several payloads in a beacon gets indications for them",
+    requirements="BP-PTI-01",
+    stimulus="between two beacons, a client that allows several payloads in a beacon submits four",
+    expect="an indication for each payload, or for each beacon with payloads of the client (X44)",
+    window=8,
+    needs=Needs(V1_1, entities=(), ut=CLIENT, when=no_indication),
+)
+def told_of_several(bench: Bench) -> None:
+    with BPClient(bench, DROPTAIL, entries=4, several=True) as client:
+        # Indications from an attempt that a beacon interrupted do not count.
+        start = told = 0
+
+        def act() -> None:
+            nonlocal start, told
+            start, told = bench.mark(), len(indications(bench, TRANSMITTED, client.prot_id))
+            for _ in range(4):
+                client.transmit(client.payload())
+
+        between_beacons(bench, "submission of four payloads", act, client.in_frame)
+        bench.until_quiet(client.in_frame, since=start)
+        bench.wait(0.3)
+        frames, payloads = client.frames(start), len(client.sent(start))
+        needed(bench, frames, "beacons with the payloads")
+        count = len(indications(bench, TRANSMITTED, client.prot_id)) - told
+        expected = f"{payloads} indications, or {len(frames)}" if payloads != len(frames) else f"{payloads} indications"
+        right = count in (payloads, len(frames))
+        bench.check(right, expected, f"{count}", frames=frames, shown=count > payloads)
+        if right and payloads != len(frames):
+            bench.reading("X44", "per-payload" if count == payloads else "per-beacon")
+
+
+# -- confirms ----------------------------------------------------------------------------------------------------------
+
+
+@case(
+    "TC_BP_REG_BI_06",
+    "The confirm of a rejected registration also contains the node's own identifier",
+    requirements="BP-REG-13",
+    stimulus="BP-RegisterProtocol twice with the same identifier, and once with maxPayloadSize 0",
+    expect="the same ownNodeIdentifier in all three confirms",
+    needs=Needs(V1_1, entities=(), ut=(REGISTER, DEREGISTER)),
+)
+def identifier_of_refused(bench: Bench) -> None:
+    with BPClient(bench, ONCE) as client:
+        told = client.answer.result.get("ownNodeIdentifier")
+        if told is None:
+            bench.inconclusive(
+                "a confirm of BP-RegisterProtocol with ownNodeIdentifier", "the confirm has none (BP-REG-07)"
+            )
+        other = BPClient(bench, ONCE)
+        for answer in (client.register(), other.register(maxPayloadSize=0)):
+            bench.require_asked(answer, "a confirm of BP-RegisterProtocol")
+            if answer.ok:
+                bench.inconclusive("a rejected registration", f"{answer}")
+            said = answer.result.get("ownNodeIdentifier")
+            bench.check(said == told, f"ownNodeIdentifier {told}", f"{said} with {answer}", shown=True)
+
+
+_IMMEDIATE: dict[str, tuple[str, str, SpecVersion]] = {
+    "deregister": (DEREGISTER, "BP-DRG-06", V1_1),
+    "transmit": (TRANSMIT, "BP-TXP-14", V1_1),
+    "clear": (CLEAR, "BP-CLR-05", V1_1),
+    "query": (QUERY, "BP-QRY-04", V1_1),
+}
+
+
+@case(
+    "TC_BP_GEN_TI_01",
+    "Confirms are immediate and do not wait for a beacon ({variant})",
+    requirements="BP-DRG-06",
+    stimulus="seven requests of the service for a client, each timed along with a registration",
+    expect="a median time to the confirm of less than half a beacon period",
+    variants={
+        name: Variant(
+            method,
+            requirements=requirement,
+            needs=Needs(
+                since, entities=(), ut=(*CLIENT, method), when=no_confirm if method == TRANSMIT else lambda _: None
+            ),
+        )
+        for name, (method, requirement, since) in _IMMEDIATE.items()
+    },
+)
+def immediate(bench: Bench, method: str) -> None:
+    delays, others = [], []
+    for _ in range(7):
+        client = BPClient(bench, REPEAT)
+        params = {"protId": client.prot_id} | ({"payload": client.payload().hex()} if method == TRANSMIT else {})
+        start = bench.now()
+        bench.must(REGISTER, **client.registration)
+        others.append(bench.now() - start)
+        try:
+            start = bench.now()
+            # A rejected request might be confirmed without being processed.
+            bench.must(method, **params)
+            delays.append(bench.now() - start)
+        finally:
+            if method != DEREGISTER:
+                bench.call(DEREGISTER, protId=client.prot_id)
+    median = sorted(delays)[len(delays) // 2]
+    # Each request to the upper tester takes time, which the time of another request estimates.
+    limit = bench.period // 2 + round(bench.pixit.timer_tolerance_ms * MS) + sorted(others)[len(others) // 2]
+    bench.check(
+        median <= limit, f"a median time to the confirm of at most {limit / MS:.0f} ms", f"{median / MS:.0f} ms"
+    )
+
+
+# -- activation --------------------------------------------------------------------------------------------------------
+
+
+@case(
+    "TC_BP_MGT_TI_01",
+    "Beacons omitted while BP is inactive are not sent after activation",
+    requirements="BP-MGT-05 BP-TX-01",
+    stimulus="a client repeats a payload for eight periods; BP is inactive for ten periods, then active for eight",
+    expect="in the last eight periods at most four beacons more than twice the number in the first eight",
+    window=28,
+    needs=Needs(V1_2, entities=(), ut=(*CLIENT, ACTIVATE, DEACTIVATE)),
+)
+def no_arrears(bench: Bench) -> None:
+    with BPClient(bench, REPEAT) as client:
+        client.transmit(client.payload())
+        needed(bench, client.until_sent(), "a beacon with the payload")
+        before = len(bench.wait(8))
+        with bench.deactivated("BP"):
+            bench.wait(10)
+            start = bench.mark()
+        bench.wait(8)
+        count, most = len(bench.heard) - start, 2 * before + 4
+        bench.check(
+            count <= most,
+            f"at most {most} beacons in 8 periods ({before} before the inactive time)",
+            f"{count}",
+            shown=True,
+        )
+
+
+@case(
+    "TC_BP_MGT_BV_14",
+    "Deactivation and activation of BP do not change a queue",
+    requirements="BP-MGT-04 BP-MGT-05 BP-QM-03",
+    stimulus="while BP is inactive, a client submits A, B, C; BP-MGMT-Activate",
+    expect="three buffered payloads before activation; afterwards A, B, C, each once",
+    window=10,
+    needs=Needs(V1_2, entities=(), ut=(*CLIENT, QUERY, ACTIVATE, DEACTIVATE)),
+)
+def queue_across_activation(bench: Bench) -> None:
+    with BPClient(bench, DROPTAIL, entries=3) as client:
+        with bench.deactivated("BP"):
+            bench.wait(0.2)
+            start = bench.mark()
+            payloads = [client.payload() for _ in range(3)]
+            for payload in payloads:
+                client.transmit(payload)
+            number = client.number()
+            early = len(indications(bench, TRANSMITTED, client.prot_id))
+            bench.check(number == 3, "three buffered payloads", f"{number}", "BP-MGT-04", shown=True)
+            bench.check(
+                early == 0, "no indication of a transmission while BP is inactive", f"{early}", "BP-MGT-04", shown=True
+            )
+        bench.until_quiet(client.in_frame, since=start)
+        sent = [each for each in client.sent(start) if each in payloads]
+        said = listed(sent, payloads)
+        lost = part_of(sent, payloads)
+        bench.check(sent == payloads, "payloads A, B, C", said, "BP-MGT-05", "BP-QM-03", shown=not lost)

@@ -1,0 +1,320 @@
+"""dcp-bp.md: Configurable Parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from dcp_spec.constants import ICType, SpecVersion
+
+from dcp_conformance.model.case import Needs, Variant, case
+from dcp_conformance.suite.bp.beacons.timing import estimate
+from dcp_conformance.test_steps.bp_clients import (
+    CLIENT,
+    DEREGISTER,
+    ILLEGAL_SIZE,
+    ONCE,
+    REGISTER,
+    REPEAT,
+    BPClient,
+    areas_of_fixed_size,
+    block_header_octets,
+    header_octets,
+    needed,
+    some_beacons,
+    talking,
+)
+from dcp_conformance.test_system.bench import MS, Bench
+from dcp_conformance.test_system.services import parameters_set
+
+V1_0, V1_1, V2_0 = SpecVersion.V1_0, SpecVersion.V1_1, SpecVersion.V2_0
+GET, SET = "BP-GetParameters", "BP-SetParameter"
+PERIOD, SIZE, NETWORK = "BPPAR_BEACON_PERIOD", "BPPAR_MAXIMUM_PACKET_SIZE", "BPPAR_NETWORK_ID"
+UWB_SIZE = "UWB-MaxPacketSize"
+
+_PARAMETERS = Needs(since=V1_1, entities=(), ut=(GET, SET))
+
+
+def values(bench: Bench) -> dict[str, Any]:
+    """Return the parameters in the answer to BP-GetParameters, by name; fails and stops the case without them."""
+    answer = bench.call(GET)
+    bench.require_asked(answer, f"an answer to {GET}")
+    bench.require(answer.ok, f"a positive answer to {GET}", str(answer), "BP-PAR-01")
+    found = answer.result.get("parameters")
+    if not isinstance(found, dict):
+        bench.fail(f"parameters in the answer to {GET}", f"parameters: {found!r}", "BP-PAR-01", shown=True)
+    return found
+
+
+def changed(bench: Bench, name: str) -> int:
+    """Return a valid value for a parameter that differs from the current one."""
+    old = bench.parameter(name)
+    return {PERIOD: 2 * old, SIZE: old - 7, NETWORK: old ^ 0x0102}[name]
+
+
+_EACH = {
+    "period": Variant(PERIOD, requirements="BP-PAR-01 BP-PAR-03"),
+    "packet-size": Variant(SIZE, requirements="BP-PAR-01 BP-PAR-04"),
+    "network": Variant(
+        NETWORK,
+        requirements="BP-PAR-01 BP-PAR-05",
+        needs=Needs(since=V2_0, entities=(), ut=(GET, SET), header=("networkId",)),
+    ),
+}
+
+
+@case(
+    "TC_BP_PAR_BV_01",
+    "A parameter can be read and set ({variant})",
+    requirements="BP-PAR-01",
+    stimulus="BP-SetParameter with another valid value ({variant}), BP-GetParameters before and after",
+    expect="the value that was set; the other parameters as before",
+    needs=_PARAMETERS,
+    variants=_EACH,
+)
+def set_and_get(bench: Bench, name: str) -> None:
+    before = values(bench)
+    bench.require(
+        name in before, f"{name} in the answer to {GET}", f"only {', '.join(before)}", "BP-PAR-01", shown=True
+    )
+    new = changed(bench, name)
+    answer = bench.call(SET, name=name, value=new)
+    try:
+        bench.check(answer.ok, f"a positive answer when {name} is set to {new}", str(answer), shown=True)
+        after = values(bench)
+    finally:
+        bench.call(SET, name=name, value=before[name])
+    said = after.get(name)
+    # The resolution of times is up to the implementation.
+    near = name == PERIOD and isinstance(said, int | float) and abs(said - new) < abs(before[name] - new) / 2
+    bench.check(said == new or near, f"{name} is {new}", f"{said}", shown=True)
+    # The answer may also have other fields, which may depend on the changed parameter.
+    others = [
+        each for each in (PERIOD, SIZE, NETWORK, UWB_SIZE) if each != name and after.get(each) != before.get(each)
+    ]
+    bench.check(not others, "the other parameters as before", f"{others} changed", shown=True)
+
+
+_WRONG: dict[str, tuple[str, Callable[[Bench], int]]] = {
+    "period-0": (PERIOD, lambda _: 0),
+    "period-negative": (PERIOD, lambda _: -100),
+    "size-0": (SIZE, lambda _: 0),
+    "size-below-headers": (SIZE, lambda bench: header_octets(bench) + block_header_octets(bench) - 1),
+    "size-above-bearer": (SIZE, lambda bench: int(values(bench).get(UWB_SIZE, 0xFFFF)) + 1),
+    "network-too-large": (NETWORK, lambda bench: 1 << (8 * bench.profile.types.network_id.width)),
+    "network-negative": (NETWORK, lambda _: -1),
+}
+_RULES = {PERIOD: "BP-PAR-03", SIZE: "BP-PAR-04 BP-PAR-13", NETWORK: "BP-PAR-05"}
+
+
+@case(
+    "TC_BP_PAR_BI_01",
+    "An invalid value is rejected and the old one kept ({variant})",
+    requirements="BP-PAR-06",
+    stimulus="BP-SetParameter with an invalid value ({variant}) while a client repeats a payload",
+    expect=(
+        "BP-GetParameters returns the old value; beacons continue; the case reports whether the confirm shows the "
+        "rejection"
+    ),
+    needs=Needs(since=V1_1, entities=(), ut=(*CLIENT, GET, SET)),
+    variants={
+        name: Variant(
+            wrong,
+            requirements=f"BP-PAR-06 {_RULES[wrong[0]]}",
+            needs=Needs(
+                since=V2_0 if wrong[0] == NETWORK else V1_0 if name == "size-above-bearer" else V1_1,
+                entities=(),
+                ut=(*CLIENT, GET, SET),
+                header=("networkId",) if wrong[0] == NETWORK else (),
+            ),
+        )
+        for name, wrong in _WRONG.items()
+    },
+    window=6,
+)
+def invalid_values(bench: Bench, wrong: tuple[str, Callable[[Bench], int]]) -> None:
+    name, value_of = wrong
+    with BPClient(bench, REPEAT) as client:
+        client.transmit(client.payload())
+        first, value = values(bench), value_of(bench)
+        # Set to a value other than the default first: the implementation must keep the old value, not restore the
+        # default.
+        bench.must(SET, name=name, value=changed(bench, name))
+        before = values(bench)
+        try:
+            answer = bench.call(SET, name=name, value=value)
+            after = values(bench)
+        finally:
+            bench.call(SET, name=name, value=first[name])
+        bench.check(
+            after.get(name) == before.get(name),
+            f"{name} {before.get(name)}, as before",
+            f"{after.get(name)}",
+            shown=True,
+        )
+        frames = [bench.until(client.in_frame) for _ in range(3)]
+        bench.check(all(frames), "beacons continue", "no further beacons in time", "BP-PAR-06")
+        bench.info(
+            "Does the confirm report the rejection of a parameter value?",
+            "no" if answer.ok else str(answer),
+            "BP-PAR-07",
+        )
+
+
+@case(
+    "TC_BP_PAR_BV_02",
+    "BPPAR_MAXIMUM_PACKET_SIZE may have any value from the size of both headers to the bearer's maximum",
+    requirements="BP-PAR-04 BP-PAR-14",
+    stimulus="BP-SetParameter with the largest value, and with the size of both headers",
+    expect="both accepted; the smallest may be rejected because no payload fits (X05)",
+    needs=_PARAMETERS,
+)
+def size_bounds(bench: Bench) -> None:
+    known = values(bench)
+    if UWB_SIZE in known:
+        answer = bench.call(SET, name=SIZE, value=known[UWB_SIZE])
+        bench.check(
+            answer.ok, f"{SIZE} can be set to {UWB_SIZE}, {known[UWB_SIZE]}", str(answer), "BP-PAR-04", shown=True
+        )
+        if known.get(SIZE) == known[UWB_SIZE]:
+            bench.check(True, f"the bearer's maximum as initial value of {SIZE}", "", "BP-PAR-14")
+        else:
+            bench.info(
+                f"Is the initial value of {SIZE} the bearer's maximum?", f"no, it is {known.get(SIZE)}", "BP-PAR-14"
+            )
+    least = header_octets(bench) + block_header_octets(bench)
+    answer = bench.call(SET, name=SIZE, value=least)
+    if answer.ok:
+        bench.reading("X05", "literal-minimum")
+    else:
+        answer = bench.call(SET, name=SIZE, value=least + 1)
+        if bench.check(answer.ok, f"{SIZE} can be set to {least} or {least + 1}", str(answer), "BP-PAR-04", shown=True):
+            bench.reading("X05", "usable-minimum")
+    bench.call(SET, name=SIZE, value=known.get(SIZE))
+
+
+@case(
+    "TC_BP_PAR_BV_03",
+    "A new BPPAR_MAXIMUM_PACKET_SIZE applies to the next beacon and registration",
+    requirements="BP-PAR-02 BP-PAR-11",
+    stimulus="two clients repeat payloads; the size is reduced so that only one of them fits into a beacon",
+    expect="no larger beacon from then on; the new size limits registrations",
+    needs=Needs(entities=(), ut=(*CLIENT, SET), when=areas_of_fixed_size),
+    window=8,
+)
+def smaller_beacons(bench: Bench) -> None:
+    with BPClient(bench, REPEAT, size=60) as one, BPClient(bench, REPEAT, size=60) as two:
+        for client in (one, two):
+            client.transmit(client.payload(60))
+        needed(bench, bench.until(one.in_frame), "beacons before the change")
+        size = header_octets(bench) + 60 + block_header_octets(bench) + 20
+        with parameters_set(bench, "BP", **{SIZE: size}):
+            from_now = bench.now() + bench.period // 5
+            heard = [each for each in bench.beacons(4) if each.time >= from_now]
+            large = [each for each in heard if len(each.octets) > size]
+            if large and max(len(each.octets) for each in large) <= size + header_octets(bench):
+                bench.reading("X04", "blocks-only")
+                large = []
+            bench.require(heard, "beacons after the change", "none in time", "BP-PAR-02")
+            said = f"{len(large)} of {len(heard)} beacons are larger"
+            bench.check(not large, f"beacons of at most {size} octets", said, "BP-PAR-02", frames=large, shown=True)
+            # In 1.0, the limit assumes another header size.
+            counted = header_octets(bench) if bench.features.registration_counts_bp_header else 4
+            third = BPClient(bench, ONCE, size=size - counted - block_header_octets(bench) + 1)
+            answer = bench.expect_status(ILLEGAL_SIZE, REGISTER, "BP-PAR-11", **third.registration)
+            if answer.ok:
+                bench.call(DEREGISTER, protId=third.prot_id)
+
+
+@case(
+    "TC_BP_PAR_BV_04",
+    "A new BPPAR_NETWORK_ID applies to the next beacon and to reception",
+    requirements="BP-PAR-05 BP-PAR-02 BP-HDR-04 BP-HDR-05 BP-RX-05",
+    stimulus="BPPAR_NETWORK_ID is set to a value with two different octets; beacons of the old and of the new network",
+    expect="beacons with the new networkId; the beacon of the old network is dropped, that of the new one is processed",
+    needs=Needs(since=V2_0, ut=(GET, SET), header=("networkId",)),
+    window=8,
+)
+def other_network(bench: Bench) -> None:
+    old = bench.parameter(NETWORK)
+    new = 0xA55B if old != 0xA55B else 0x5AA4
+    with talking(bench):
+        bench.until(lambda heard: heard.beacon)
+        with parameters_set(bench, "BP", **{NETWORK: new}):
+            from_now, peer = bench.now() + bench.period // 5, bench.peer()
+            stranger, friend = bench.unknown_ids(2)
+            peer.send(peer.summary(stranger, 1), network_id=old)
+            peer.send(peer.summary(friend, 1), network_id=new)
+            # The tester's client may fill every other beacon: the number of blocks in a beacon is free.
+            asked = bench.until_instruction(ICType.REQUEST_VARCREATES, friend, 2 * bench.reaction)
+            bench.check(asked, "a beacon of the new network is processed", "not processed", "BP-PAR-05", "BP-RX-05")
+            heard = [each for each in (*bench.heard, *bench.beacons(3)) if each.time >= from_now]
+            numbers = {
+                each.beacon.bp.network_id
+                for each in heard
+                if each.beacon is not None and each.beacon.bp is not None and each.salvaged.clear
+            }
+            said = f"beacons of networks {', '.join(f'{number or 0:#x}' for number in numbers)}"
+            bench.check(
+                numbers == {new},
+                f"beacons of network {new:#x}",
+                said,
+                "BP-HDR-04",
+                "BP-HDR-05",
+                "BP-PAR-02",
+                shown=numbers - {new},
+            )
+            found = bench.instructions(ICType.REQUEST_VARCREATES, stranger)
+            expected = "a beacon of the old network is dropped"
+            bench.check(not found, expected, "processed", "BP-RX-05", "BP-PAR-05", frames=found, shown=True)
+
+
+@case(
+    "TC_BP_PAR_BV_05",
+    "The beacon period is about 100 ms by default",
+    requirements="BP-PAR-15",
+    stimulus="BP-GetParameters after a reset; without it, payloads to send in every period",
+    expect="80 ms to 120 ms; a configured period, given in the PIXIT, is reported",
+    window=16,
+    needs=Needs(since=V1_1, entities=()),
+)
+def default_period(bench: Bench) -> None:
+    configured = bench.pixit.beacon_period_ms
+    if bench.session.upper is not None and GET in bench.session.upper.methods:
+        period = values(bench).get(PERIOD)
+        near = isinstance(period, int | float) and 80 <= period <= 120
+        if not near and period == configured:
+            bench.info(f"Is the default {PERIOD} about 100 ms?", f"unknown: it was configured to {period} ms")
+        else:
+            bench.check(near, f"{PERIOD} of about 100 ms", f"{period} ms", shown=True)
+        return
+    with talking(bench):
+        found = estimate(some_beacons(bench, 12))
+    mean = found.mean / MS
+    if not 80 <= mean <= 120 and abs(mean - configured) <= configured / 5:
+        bench.info(
+            f"Is the default {PERIOD} about 100 ms?", f"unknown: it was configured to {configured:g} ms: {found}"
+        )
+    else:
+        bench.check(80 <= mean <= 120, "a mean interval of about 100 ms", f"{found}")
+
+
+@case(
+    "TC_BP_PAR_BI_02",
+    "Values determined at the start cannot be set",
+    requirements="BP-PAR-08 BP-PAR-09",
+    stimulus="BP-SetParameter for UWB-MaxPacketSize and ownNodeIdentifier, if BP-GetParameters returns them",
+    expect="BP-GetParameters returns the same values as before",
+    needs=_PARAMETERS,
+)
+def fixed_values(bench: Bench) -> None:
+    before = values(bench)
+    told = [name for name in (UWB_SIZE, "ownNodeIdentifier") if name in before]
+    if not told:
+        bench.info("Can values determined at the start be set?", f"unknown: {GET} returns none of them", "BP-PAR-08")
+    for name in told:
+        value = before[name]
+        other: Any = value - 1 if isinstance(value, int) else "02:00:00:00:00:77"
+        bench.call(SET, name=name, value=other)
+        after = values(bench).get(name)
+        bench.check(after == value, f"{name} {value}, as before", f"{after}", "BP-PAR-08", "BP-PAR-09", shown=True)

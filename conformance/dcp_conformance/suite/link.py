@@ -1,0 +1,42 @@
+"""dcp-architecture.md: the wireless bearer (UWB), temporary loss of the link."""
+
+from __future__ import annotations
+
+from dcp_conformance.model.case import Needs, case
+from dcp_conformance.test_steps.bp_clients import talking
+from dcp_conformance.test_system.bench import Bench
+
+#: Beacon periods during which the link is down.
+_AWAY = 8
+
+
+@case(
+    "TC_DCP_LINK_BV_01",
+    "The implementation continues after its link was down",
+    requirements="UWB-01",
+    stimulus="payloads to send in every period; the implementation's link is down for eight periods",
+    expect="beacons and answers afterwards; the case reports how the sequence numbers continue",
+    window=40,
+    needs=Needs(entities=(), link=True),
+    destructive=True,
+    robustness=True,
+)
+def down_and_up(bench: Bench) -> None:
+    with talking(bench):
+        before = bench.beacons(2)
+        if not before:
+            bench.inconclusive("beacons before the link goes down", "none in time")
+        with bench.link_down():
+            bench.wait(_AWAY)
+        mark = bench.mark()
+        answers = bench.pics.vardis is not False and any(bench.probe() for _ in range(4))
+        after = bench.heard[mark:] or bench.beacons(1, 4 * bench.reaction)
+        bench.check(after, "beacons after the link is up again", "none in time")
+        if bench.pics.vardis is not False:
+            bench.check(answers, "an answer of VarDis after the link is up again", "no answer to four probes")
+        numbers = [each.seqno for each in (before[-1], *after[:1]) if each.seqno is not None]
+        if len(numbers) == 2:
+            went_on = "continued" if numbers[1] > numbers[0] else "restarted"
+            bench.info(
+                "What happened to seqno while the link was down?", f"it {went_on}: {numbers[0]}, then {numbers[1]}"
+            )

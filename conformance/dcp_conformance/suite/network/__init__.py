@@ -1,0 +1,1 @@
+"""Test cases in which the tester plays several stations of a network."""

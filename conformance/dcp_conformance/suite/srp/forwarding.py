@@ -1,0 +1,67 @@
+"""dcp-srp.md: Purpose."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from dcp_conformance.frames.received import ReceivedBeacon
+from dcp_conformance.model.case import Needs, case
+from dcp_conformance.test_steps.bp_clients import talking
+from dcp_conformance.test_system.bench import Bench
+from dcp_conformance.test_system.services import safety_data, srp_blocks
+
+#: Rounds of the case, each with records of different neighbours.
+_ROUNDS = 6
+
+
+@case(
+    "TC_SRP_FWD_BV_01",
+    "Received state reports are never forwarded",
+    requirements="SRP-RX-06",
+    stimulus=(
+        "six rounds: a record of a neighbour, or one with the identifier of a more distant node, and two beacons; "
+        "in every other round the implementation has safety data of its own to send"
+    ),
+    expect="beacons without any of these records, and no record of another node",
+    window=24,
+    needs=Needs(entities=("srp",)),
+)
+def never_forwarded(bench: Bench) -> None:
+    upper = bench.session.upper
+    hands_down = upper is not None and "SRP-UpdateSafetyData" in upper.methods
+    mark, foreign = bench.mark(), []
+    with talking(bench, clients=0):
+        for number in range(_ROUNDS):
+            if hands_down and number % 2:
+                # A buffer of one entry would keep only the last of the two.
+                bench.must("SRP-UpdateSafetyData", sData=safety_data(bench, number))
+            peer = bench.peer()
+            # One record at a time; otherwise each would overwrite the one before.
+            report = bench.report(peer.node_id if number < _ROUNDS - 2 else bench.node_id(), number)
+            foreign.append(bench.builder.srp(report).octets)
+            peer.send(report)
+            # If the implementation has nothing to send, there are no beacons to inspect.
+            bench.beacons(2, 3)
+        if bench.pics.vardis is not False:
+            bench.require_alive("state reports of neighbours")
+        bench.beacons(2, bench.reaction)
+    _check(bench, bench.heard[mark:], foreign)
+    if not bench.heard[mark:]:
+        bench.info("Were there beacons after the records?", "no: the implementation had nothing to send")
+    bench.check(True, f"no received record in {len(bench.heard) - mark} beacons")
+
+
+def _check(bench: Bench, frames: Sequence[ReceivedBeacon], foreign: Sequence[bytes]) -> None:
+    for heard in frames:
+        if any(octets in heard.octets for octets in foreign):
+            bench.fail("no beacon with a received record", "a beacon contains one", frames=[heard], shown=True)
+        own = heard.sender or bench.sut_id
+        senders = [bench.codec.decode_report(block).node_id for block in srp_blocks(heard) if _whole(bench, block)]
+        if any(node_id != own for node_id in senders):
+            bench.fail(
+                "no record of another node", f"a record with nodeId {senders[0].hex(':')}", frames=[heard], shown=True
+            )
+
+
+def _whole(bench: Bench, block: bytes) -> bool:
+    return len(block) == len(bench.builder.srp(bench.report(bench.sut_id, 0)).octets)

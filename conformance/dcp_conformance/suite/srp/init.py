@@ -1,0 +1,206 @@
+"""dcp-srp.md: Initialization, Runtime and Shutdown."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from dcp_spec.constants import BP_PROTID_SRP
+
+from dcp_conformance.errors import NoAnswerError
+from dcp_conformance.model.case import Needs, case
+from dcp_conformance.test_system.bench import Bench
+from dcp_conformance.test_system.services import (
+    NO_RESPONSE,
+    check_registered_name,
+    neighbours,
+    registration,
+    report_octets,
+    safety_data,
+    srp_blocks,
+    until_report,
+)
+from dcp_conformance.test_system.state_reports import Reporter
+
+#: Submissions of safety data before a restart: more than an application makes from the restart to the first beacon.
+_MANY = 300
+_LIST = Needs(ut=("BP-ListRegisteredProtocols",), entities=("srp",))
+
+
+def _registration(bench: Bench) -> dict[str, Any]:
+    return registration(bench, int(BP_PROTID_SRP), "SRP", "SRP-INI-01")
+
+
+@case(
+    "TC_SRP_INI_BV_01",
+    "SRP is registered with BP under the name of the specification",
+    requirements="SRP-INI-01",
+    stimulus="BP-ListRegisteredProtocols",
+    expect="protocol 1 with the name 'SRP -- State Reporting Protocol Vx.y', x.y from 1.0 to 2.0",
+    needs=_LIST,
+)
+def name(bench: Bench) -> None:
+    check_registered_name(bench, _registration(bench).get("protocolName"), "SRP -- State Reporting Protocol")
+
+
+@case(
+    "TC_SRP_INI_BV_02",
+    "SRP is registered with a sufficient maxPayloadSize",
+    requirements="SRP-INI-02",
+    stimulus="BP-ListRegisteredProtocols",
+    expect="a maxPayloadSize of at least the size of a record",
+    needs=_LIST,
+)
+def size(bench: Bench) -> None:
+    octets, shown = report_octets(bench), _registration(bench).get("maxPayloadSize")
+    bench.check(
+        isinstance(shown, int) and shown >= octets,
+        f"a maxPayloadSize of at least {octets} octets",
+        f"{shown}",
+        shown=True,
+    )
+
+
+@case(
+    "TC_SRP_INI_BV_03",
+    "SRP is registered with the queueing mode of its version of the specification",
+    requirements="SRP-INI-03 SRP-INI-08",
+    stimulus="BP-ListRegisteredProtocols",
+    expect="BP_QMODE_ONCE; up to 1.2 BP_QMODE_REPEAT",
+    needs=_LIST,
+)
+def mode(bench: Bench) -> None:
+    expected, shown = bench.features.srp_queueing_mode, str(_registration(bench).get("queueMode"))
+    bench.check(shown.replace("-", "_") == expected, f"queueMode {expected}", f"{shown}", shown=True)
+
+
+def _fresh_start(bench: Bench, restart: bool) -> None:
+    """Create state in SRP, restart it, and check that the state is gone."""
+    reporter = Reporter(bench)
+    if not _forgets(bench, reporter, restart) and reporter.application():
+        # An application may have submitted several reports before the first beacon, but not as many as are submitted
+        # now.
+        reporter.fill(_MANY)
+        _forgets(bench, reporter, restart, most=_MANY - 1)
+
+
+def _forgets(bench: Bench, reporter: Reporter, restart: bool, most: int | None = None) -> bool:
+    """Restart SRP and return whether its first report has seqno 0.
+
+    A wrong number is judged only if no application can have caused it. ``most``: the largest number that the first
+    report may have, if not 0.
+    """
+    peer = bench.peer()
+    peer.send(bench.report(peer.node_id, 1))
+    for _ in (1, 2):
+        reporter.submit()
+    until_report(bench)
+    start = bench.mark()
+    if restart:
+        bench.restart()
+    else:
+        bench.must("UT-Reset")
+    gone = peer.node_id not in neighbours(bench)
+    bench.check(
+        gone, "no entry of an earlier neighbour in the table", f"an entry of {peer.node_id.hex(':')}", shown=True
+    )
+    # Safety data may be configured; then the first report is not the tester's.
+    bench.wait(2)
+    if not any(heard.report for heard in bench.heard[start:]):
+        reporter.sent(what="a record is sent after the restart")
+    frames = [heard for heard in bench.heard[start:] if heard.report is not None]
+    numbers = [heard.report.seqno for heard in frames if heard.report is not None]
+    right = 0 in numbers or (most is not None and min(numbers) <= most)
+    if not right and most is None and reporter.application():
+        return False
+    bench.check(
+        right,
+        f"seqno {0 if most is None else f'0 to {most}'} in the first record after the restart",
+        f"seqno {numbers[0]}",
+        "SRP-INI-05",
+        "SRP-SEQ-01",
+        frames=frames[:1],
+        shown=True,
+    )
+    return True
+
+
+@case(
+    "TC_SRP_INI_BV_04",
+    "After a reset the neighbour table is empty and the sequence number is 0",
+    requirements="SRP-INI-05 SRP-SEQ-01",
+    stimulus="a record of a neighbour and two submissions of safety data; UT-Reset; another submission",
+    expect="no entry of the neighbour; seqno 0 in the record",
+    window=8,
+    needs=Needs(ut=("UT-Reset", "SRP-NeighbourTable", "SRP-UpdateSafetyData"), entities=("srp",)),
+)
+def after_reset(bench: Bench) -> None:
+    _fresh_start(bench, restart=False)
+
+
+@case(
+    "TC_SRP_INI_BV_05",
+    "After a restart the neighbour table is empty and the sequence number is 0",
+    requirements="SRP-INI-05 SRP-SEQ-01",
+    stimulus="a record of a neighbour and two submissions of safety data; a restart; another submission",
+    expect="no entry of the neighbour; seqno 0 in the record",
+    window=20,
+    needs=Needs(ut=("SRP-NeighbourTable", "SRP-UpdateSafetyData"), entities=("srp", "vardis"), restart=True),
+    destructive=True,
+)
+def after_restart(bench: Bench) -> None:
+    _fresh_start(bench, restart=True)
+
+
+def no_way_back(bench: Bench) -> str | None:
+    """Return why a deregistered protocol could not be registered again, or None; for ``Needs.when``."""
+    upper = bench.session.upper
+    if bench.session.can_restart or (upper is not None and "UT-Reset" in upper.methods):
+        return None
+    return "there is neither UT-Reset nor a command to restart the implementation (--restart)"
+
+
+def bring_back(bench: Bench) -> None:
+    """Register the protocol that the case has deregistered again, by a reset or restart."""
+    if bench.session.upper is not None and "UT-Reset" in bench.session.upper.methods:
+        bench.call("UT-Reset")
+    else:
+        bench.restart()
+
+
+@case(
+    "TC_SRP_SRV_BO_01",
+    "SRP rejects requests while it is not registered with BP",
+    requirements="SRP-SRV-01",
+    stimulus="BP-DeregisterProtocol for protocol 1, then SRP-UpdateSafetyData",
+    expect="SRP-STATUS-INACTIVE, or no response (X10); no state report in the beacons",
+    window=6,
+    needs=Needs(
+        ut=("SRP-UpdateSafetyData", "BP-DeregisterProtocol", "BP-ListRegisteredProtocols"),
+        entities=("srp",),
+        when=no_way_back,
+    ),
+    destructive=True,
+)
+def not_registered(bench: Bench) -> None:
+    bench.must("BP-DeregisterProtocol", protId=int(BP_PROTID_SRP))
+    mark = bench.mark()
+    try:
+        try:
+            answer = bench.call("SRP-UpdateSafetyData", sData=safety_data(bench, 1))
+        except NoAnswerError as error:
+            # The upper tester cannot do more than wait for a response.
+            bench.reading("X10", "no-response")
+            bench.check(True, "no service while SRP is not registered", str(error))
+            return
+        if answer.code == NO_RESPONSE:
+            bench.reading("X10", "no-response")
+            bench.check(True, "no service while SRP is not registered", str(answer))
+        elif bench.check_status(answer, ("SRP-STATUS-INACTIVE",), "SRP-UpdateSafetyData"):
+            bench.reading("X10", "confirm-inactive")
+        bench.beacons(3, 3)
+        frames = [heard for heard in bench.heard[mark:] if srp_blocks(heard)]
+        bench.check(
+            not frames, "no beacon with a state report", f"{len(frames)} beacons with one", frames=frames, shown=True
+        )
+    finally:
+        bring_back(bench)

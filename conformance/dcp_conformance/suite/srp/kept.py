@@ -1,0 +1,197 @@
+"""dcp-srp.md: The Neighbour Table; The Sequence Number; Service SRP-UpdateSafetyData.
+
+State that must not change: entries of other neighbours, the table while BP is inactive, and sequence numbers.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from dcp_spec.constants import SRP_SEQNO_MODULUS, SpecVersion
+
+from dcp_conformance.model.case import Needs, case
+from dcp_conformance.test_system.bench import MS, Bench
+from dcp_conformance.test_system.peers import Peer
+from dcp_conformance.test_system.services import neighbours, safety_data, until_neighbour
+from dcp_conformance.test_system.state_reports import Reporter
+
+_TABLE = Needs(ut=("SRP-NeighbourTable",), entities=("srp",))
+_UPDATE = "SRP-UpdateSafetyData"
+_SWITCHES = ("BP-MGMT-Deactivate", "BP-MGMT-Activate")
+V1_2 = SpecVersion.V1_2
+#: Fields of an entry that the specification names, without the time of reception.
+_FIELDS = ("sData", "tStamp", "seqno")
+
+
+def _heard_of(bench: Bench, peers: list[Peer]) -> dict[bytes, dict[str, Any]]:
+    """Return the entries of peers after all of them exist; inconclusive if one is not created."""
+    found: dict[bytes, dict[str, Any]] = {}
+    for _ in range(20):
+        found = {node_id: entries[0] for node_id, entries in neighbours(bench).items()}
+        if all(peer.node_id in found for peer in peers):
+            break
+        bench.wait(0.2)
+    else:
+        bench.inconclusive("entries of all neighbours, which this case needs", f"{len(found)}")
+    return {peer.node_id: found[peer.node_id] for peer in peers}
+
+
+@case(
+    "TC_SRP_NT_BV_16",
+    "Each entry has the fields of its own record, and a record changes no other entry",
+    requirements="SRP-RX-03 SRP-NT-01 SRP-NT-02",
+    stimulus="records of three neighbours that differ in every field; then a second record of one of them",
+    expect=(
+        "three entries with their own sData, tStamp, seqno and nodeId; only one of them changes with the second record"
+    ),
+    needs=_TABLE,
+)
+def own_entries(bench: Bench) -> None:
+    peers = [bench.peer() for _ in range(3)]
+    kinds = {each.name: each.type for each in bench.profile.srp.safety_data}
+    values: list[dict[str, Any]] = [
+        {name: value for name, value in safety_data(bench, number).items() if kinds[name] != "opaque"}
+        for number in (1, 2, 3)
+    ]
+    reports = [
+        bench.report(peer.node_id, 1000 * number, **data)
+        for number, (peer, data) in enumerate(zip(peers, values, strict=True), 1)
+    ]
+    begun = bench.now()
+    for peer, report in zip(peers, reports, strict=True):
+        peer.send(report)
+    first = _heard_of(bench, peers)
+    for peer, report, data in zip(peers, reports, values, strict=True):
+        entry = first[peer.node_id]
+        said = ({name: entry.get("sData", {}).get(name) for name in data}, entry.get("tStamp"), entry.get("seqno"))
+        right = (data, report.t_stamp, report.seqno)
+        bench.check(said == right, f"sData, tStamp and seqno {right}", f"{said}", shown=True)
+    bench.wait(0.5)
+    peers[1].send(bench.report(peers[1].node_id, 2001, **values[0]))
+    # A single query: entries time out while a slow upper tester answers.
+    bench.wait(1)
+    second = {node_id: entries[0] for node_id, entries in neighbours(bench).items()}
+    for place in (0, 2):
+        was, is_now = first[peers[place].node_id], second.get(peers[place].node_id)
+        if is_now is None and bench.now() - begun > bench.parameter("SRPPAR_NEIGHBOUR_TABLE_TIMEOUT") * MS * 3 // 4:
+            bench.not_applicable("the calls of this case take longer than the neighbour table timeout")
+        is_now = is_now or {}
+        same = all(is_now.get(name) == was.get(name) for name in (*_FIELDS, "receptionTime"))
+        bench.check(same, f"{was}, as before", f"{is_now}", "SRP-RX-03", shown=True)
+
+
+@case(
+    "TC_SRP_NT_BO_01",
+    "Deactivation and activation of BP do not change the neighbour table",
+    requirements="SRP-RX-03 SRP-RUN-02",
+    stimulus="records of two neighbours; BP-MGMT-Deactivate, then immediately BP-MGMT-Activate",
+    expect="both entries as before",
+    needs=Needs(since=V1_2, ut=("SRP-NeighbourTable", *_SWITCHES), entities=("srp",)),
+)
+def table_across_activation(bench: Bench) -> None:
+    peers = [bench.peer() for _ in range(2)]
+    for number, peer in enumerate(peers):
+        peer.send(bench.report(peer.node_id, number + 7))
+    before, begun = _heard_of(bench, peers), bench.now()
+    with bench.deactivated("BP"):
+        during = neighbours(bench)
+    after = neighbours(bench)
+    if bench.now() - begun > bench.parameter("SRPPAR_NEIGHBOUR_TABLE_TIMEOUT") * MS * 3 // 4:
+        bench.not_applicable("the calls of this case take longer than the neighbour table timeout")
+    for node_id, entry in before.items():
+        for when, table in (("while BP is inactive", during), ("afterwards", after)):
+            is_now = table.get(node_id, [{}])[0]
+            same = all(is_now.get(name) == entry.get(name) for name in (*_FIELDS, "receptionTime"))
+            bench.check(same, f"the entry unchanged {when}", f"{is_now or 'no entry'}", shown=True)
+
+
+@case(
+    "TC_SRP_SEQ_BO_01",
+    "Sequence numbers count submissions while BP is inactive, and only the newest record is sent",
+    requirements="SRP-SEQ-01 SRP-TYP-07 SRP-SRV-03",
+    stimulus="a submission of safety data; two more while BP is inactive; BP-MGMT-Activate",
+    expect="the record of the last submission in a beacon, with a sequence number larger by two",
+    window=8,
+    needs=Needs(since=V1_2, ut=(_UPDATE, *_SWITCHES), entities=("srp",)),
+)
+def numbers_across_activation(bench: Bench) -> None:
+    reporter = Reporter(bench)
+    first = reporter.sent("SRP-SRV-03")
+    with bench.deactivated("BP"):
+        # A beacon sent before the deactivation may still be in transit to the tester.
+        bench.wait(0.2)
+        start = bench.mark()
+        reporter.submit()
+        values = reporter.submit()
+    last = reporter.awaited(values, "SRP-SRV-03")
+    reporter.check_grown(first, last, "SRP-SEQ-01")
+    old = [
+        heard
+        for heard in bench.heard[start:]
+        if heard.report is not None and reporter.is_own(heard) and heard.report.seqno == (last.report.seqno - 1)
+    ]
+    if last.values == values:
+        bench.check(
+            not old,
+            "only the newest record",
+            "a beacon with the record before it",
+            "SRP-TYP-07",
+            frames=old,
+            shown=True,
+        )
+
+
+@case(
+    "TC_SRP_SRV_TI_01",
+    "Confirms of SRP-UpdateSafetyData are immediate and do not wait for a beacon",
+    requirements="SRP-SRV-05",
+    stimulus=(
+        "seven submissions of safety data, each timed along with a query of parameters or neighbour table, if available"
+    ),
+    expect="a median time to the confirm of less than half a beacon period",
+    needs=Needs(since=SpecVersion.V1_1, ut=(_UPDATE,), entities=("srp",)),
+)
+def immediate(bench: Bench) -> None:
+    questions = [each for each in ("SRP-GetParameters", "SRP-NeighbourTable") if each in bench.ut.methods]
+    delays, others = [], [0]
+    for number in range(7):
+        start = bench.now()
+        bench.must(_UPDATE, sData=safety_data(bench, number))
+        delays.append(bench.now() - start)
+        for method in questions[:1]:
+            start = bench.now()
+            bench.call(method)
+            others.append(bench.now() - start)
+    median = sorted(delays)[len(delays) // 2]
+    # Each request to the upper tester takes time, which the time of another request estimates.
+    limit = bench.period // 2 + round(bench.pixit.timer_tolerance_ms * MS) + sorted(others)[len(others) // 2]
+    bench.check(
+        median <= limit, f"a median time to the confirm of at most {limit / MS:.0f} ms", f"{median / MS:.0f} ms"
+    )
+
+
+@case(
+    "TC_SRP_RX_BV_07",
+    "A neighbour's sequence number may have any value ({variant})",
+    requirements="SRP-RX-03 SRP-TYP-01",
+    stimulus="a record with sequence number {variant}",
+    expect="an entry with this sequence number",
+    needs=_TABLE,
+    variants={
+        "0": 0,
+        "255": 255,
+        "256": 256,
+        "65535": 0xFFFF,
+        "2147483648": 1 << 31,
+        "4294967295": SRP_SEQNO_MODULUS - 1,
+    },
+)
+def any_number(bench: Bench, seqno: int) -> None:
+    if seqno >= 1 << (8 * bench.profile.types.srp_seqno.width):
+        bench.not_applicable(f"in the profile {bench.profile.name} the sequence number has fewer octets")
+    peer = bench.peer()
+    peer.send(bench.report(peer.node_id, seqno))
+    entry = until_neighbour(bench, peer.node_id)
+    bench.require(entry is not None, "an entry of the neighbour", "no entry", "SRP-RX-03")
+    assert entry is not None
+    bench.check(entry.get("seqno") == seqno, f"seqno {seqno}", f"{entry.get('seqno')}", shown=True)

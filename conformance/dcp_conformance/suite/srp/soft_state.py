@@ -1,0 +1,247 @@
+"""dcp-srp.md: Runtime and Configurable Parameters."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from dcp_spec.constants import SpecVersion
+
+from dcp_conformance.model.case import Needs, case
+from dcp_conformance.test_system.bench import MS, Bench
+from dcp_conformance.test_system.peers import Peer
+from dcp_conformance.test_system.services import neighbour, neighbours, parameters_set, until_neighbour
+
+_TIMEOUT = "SRPPAR_NEIGHBOUR_TABLE_TIMEOUT"
+_TABLE = Needs(ut=("SRP-NeighbourTable",), entities=("srp",))
+
+
+def _lifetime(
+    bench: Bench, peers: list[Peer], begun: int, timeout: int, meanwhile: Callable[[], None] = lambda: None
+) -> None:
+    """Watch entries made at ``begun`` until they are removed; all times in ns.
+
+    ``meanwhile`` is called twenty times per timeout.
+    """
+    latest = timeout + timeout // 5 + round(bench.pixit.timer_tolerance_ms * MS)
+    step, there = max(timeout // 20, 10 * MS), {peer.node_id for peer in peers}
+    if missing := there - set(neighbours(bench)):
+        bench.inconclusive("entries of the neighbours", f"{len(missing)} missing")
+    while there:
+        meanwhile()
+        before = bench.now() - begun
+        table = set(neighbours(bench))
+        after = bench.now() - begun
+        for node_id in sorted(there - table):
+            there.discard(node_id)
+            bench.check(
+                after >= timeout,
+                f"an entry remains for {timeout / 1e6:.0f} ms after the reception of its record",
+                f"{node_id.hex(':')} was removed after {after / 1e6:.0f} ms",
+            )
+        if there and before > latest:
+            observed = f"{min(there).hex(':')} is still there after {before / 1e6:.0f} ms"
+            bench.fail(f"an entry is removed within {latest / 1e6:.0f} ms after the reception of its record", observed)
+        if there:
+            bench.wait_ns(step)
+
+
+@contextmanager
+def _brief_timeout(bench: Bench) -> Iterator[int]:
+    """Set a timeout of half a second if possible; yield the timeout in use, in ms."""
+    settable = bench.session.upper is not None and "SRP-SetParameter" in bench.session.upper.methods
+    length = round(500 * bench.session.timing_scale) if settable else bench.bound(_TIMEOUT)
+    with parameters_set(bench, "SRP", **({_TIMEOUT: length} if settable else {})):
+        yield length
+
+
+def _offsets(bench: Bench) -> dict[str, int]:
+    """Return special time stamps by name, in ticks of the profile's clock."""
+    now = bench.creation_time()
+    second = bench.profile.types.timestamp.per_second
+    return {"now": now, "old": max(0, now - 3600 * second), "future": now + 3600 * second}
+
+
+@case(
+    "TC_SRP_NT_TI_01",
+    "An entry is removed after the timeout since its reception, whatever its tStamp",
+    requirements="SRP-RUN-01 SRP-RUN-02 SRP-PAR-01",
+    stimulus="records of three neighbours, with a tStamp of now, one hour ago, and in one hour; then none",
+    expect=(
+        "all entries remain for SRPPAR_NEIGHBOUR_TABLE_TIMEOUT, and are removed within another fifth of it, plus "
+        "tolerance"
+    ),
+    window=45,
+    needs=_TABLE,
+)
+def timeout(bench: Bench) -> None:
+    peers = [bench.peer() for _ in range(3)]
+    begun = bench.now()
+    for peer, stamp in zip(peers, _offsets(bench).values(), strict=True):
+        peer.send(bench.report(peer.node_id, 1, t_stamp=stamp))
+    for peer in peers:
+        until_neighbour(bench, peer.node_id)
+    _lifetime(bench, peers, begun, bench.bound(_TIMEOUT) * MS)
+
+
+@case(
+    "TC_SRP_NT_TI_02",
+    "A new timeout applies to later entries",
+    requirements="SRP-RUN-01 SRP-RUN-02 SRP-PAR-01",
+    stimulus="SRPPAR_NEIGHBOUR_TABLE_TIMEOUT = 500 ms; one record",
+    expect="the entry remains for 500 ms and is removed within another 100 ms, plus tolerance",
+    window=12,
+    needs=Needs(ut=("SRP-NeighbourTable", "SRP-SetParameter"), entities=("srp",)),
+)
+def short_timeout(bench: Bench) -> None:
+    short = round(500 * bench.session.timing_scale)
+    with parameters_set(bench, "SRP", **{_TIMEOUT: short}):
+        peer = bench.peer()
+        begun = bench.now()
+        peer.send(bench.report(peer.node_id, 1))
+        until_neighbour(bench, peer.node_id)
+        _lifetime(bench, [peer], begun, short * MS)
+
+
+@case(
+    "TC_SRP_NT_TI_03",
+    "Each further record restarts the timeout of an entry",
+    requirements="SRP-RX-03 SRP-RUN-02",
+    stimulus="a record every half timeout, for two timeouts; then none",
+    expect="the entry remains all the time, and is removed in time afterwards",
+    window=100,
+    needs=_TABLE,
+)
+def refreshed(bench: Bench) -> None:
+    with _brief_timeout(bench) as length:
+        peer = bench.peer()
+        begun = bench.now()
+        for number in range(5):
+            begun = bench.now()
+            peer.send(bench.report(peer.node_id, number))
+            bench.wait_ns(length * MS // 2)
+            there = neighbour(bench, peer.node_id) is not None
+            if not there and bench.now() - begun < length * MS:
+                bench.fail("the entry remains while records arrive", f"removed after record {number + 1}")
+        peer.send(bench.report(peer.node_id, 5))
+        begun = bench.now()
+        _lifetime(bench, [peer], begun, length * MS)
+
+
+@case(
+    "TC_SRP_NT_TI_04",
+    "An entry is removed although another neighbour keeps reporting",
+    requirements="SRP-RUN-01 SRP-RUN-02",
+    stimulus="one record of one neighbour; many of another, twenty per timeout",
+    expect="the entry of the silent neighbour is removed in time",
+    window=45,
+    needs=_TABLE,
+)
+def silent_among_others(bench: Bench) -> None:
+    with _brief_timeout(bench) as length:
+        silent, other = bench.peer(), bench.peer()
+        numbers = itertools.count()
+
+        def report() -> None:
+            other.send(bench.report(other.node_id, next(numbers)))
+
+        report()
+        begun = bench.now()
+        silent.send(bench.report(silent.node_id, 1))
+        until_neighbour(bench, silent.node_id)
+        _lifetime(bench, [silent], begun, length * MS, report)
+
+
+@case(
+    "TC_SRP_NT_TI_05",
+    "An entry is removed even while BP and VarDis are inactive",
+    requirements="SRP-RUN-01 SRP-RUN-02",
+    stimulus="a record of a neighbour; VD-MGMT-Deactivate, BP-MGMT-Deactivate",
+    expect="the entry is removed in time",
+    window=45,
+    needs=Needs(
+        since=SpecVersion.V1_2,
+        ut=(
+            "SRP-NeighbourTable",
+            "BP-MGMT-Activate",
+            "BP-MGMT-Deactivate",
+            "VD-MGMT-Activate",
+            "VD-MGMT-Deactivate",
+        ),
+        entities=("srp", "vardis"),
+    ),
+)
+def while_others_rest(bench: Bench) -> None:
+    with _brief_timeout(bench) as length:
+        peer = bench.peer()
+        begun = bench.now()
+        peer.send(bench.report(peer.node_id, 1))
+        until_neighbour(bench, peer.node_id)
+        with bench.deactivated("VD"), bench.deactivated("BP"):
+            _lifetime(bench, [peer], begun, length * MS)
+
+
+@case(
+    "TC_SRP_NT_BV_06",
+    "The neighbour table can be queried whatever its contents",
+    requirements="SRP-NT-02",
+    stimulus="SRP-NeighbourTable before and after each of three records of a neighbour, the last record sent twice",
+    expect="SRP-STATUS-OK each time",
+    needs=_TABLE,
+)
+def answers(bench: Bench) -> None:
+    peer = bench.peer()
+    bench.expect_status("SRP-STATUS-OK", "SRP-NeighbourTable", "SRP-NT-02")
+    for number in (1, 2, 3, 3):
+        peer.send(bench.report(peer.node_id, number))
+        bench.wait(1)
+        bench.expect_status("SRP-STATUS-OK", "SRP-NeighbourTable", "SRP-NT-02")
+
+
+@case(
+    "TC_SRP_PAR_BV_01",
+    "The neighbour table timeout is 3000 ms by default",
+    requirements="SRP-PAR-01 SRP-PAR-03",
+    stimulus="SRP-GetParameters",
+    expect="SRPPAR_NEIGHBOUR_TABLE_TIMEOUT = 3000; another value may have been configured and is reported",
+    needs=Needs(ut=("SRP-GetParameters",), entities=("srp",)),
+)
+def default_timeout(bench: Bench) -> None:
+    answer = bench.call("SRP-GetParameters")
+    bench.require_asked(answer, "an answer to SRP-GetParameters")
+    bench.require(answer.ok, "a positive answer to SRP-GetParameters", str(answer))
+    value = answer.result.get("parameters", {}).get(_TIMEOUT)
+    bench.check(value is not None, f"{_TIMEOUT} in ms, in the answer", "no such parameter", "SRP-PAR-01", shown=True)
+    if value == 3000:
+        bench.check(True, f"{_TIMEOUT} is 3000 ms", "", "SRP-PAR-03")
+    elif value is not None:
+        bench.info(f"Is the default {_TIMEOUT} 3000 ms?", f"unknown: it is {value} ms", "SRP-PAR-03")
+
+
+@case(
+    "TC_SRP_PAR_BI_01",
+    "A rejected neighbour table timeout is not used",
+    requirements="SRP-PAR-01",
+    stimulus="SRP-SetParameter with SRPPAR_NEIGHBOUR_TABLE_TIMEOUT = -1, then with 0",
+    expect="after a rejection, SRP-GetParameters returns the previous timeout",
+    needs=Needs(ut=("SRP-GetParameters", "SRP-SetParameter"), entities=("srp",)),
+)
+def refused_timeout(bench: Bench) -> None:
+    before = configured = bench.must("SRP-GetParameters").result.get("parameters", {}).get(_TIMEOUT)
+    if configured is None:
+        bench.inconclusive(f"{_TIMEOUT} in the answer to SRP-GetParameters, which this case needs", "no such parameter")
+    try:
+        for value in (-1, 0):
+            answer = bench.call("SRP-SetParameter", name=_TIMEOUT, value=value)
+            if not answer.asked:
+                bench.info(f"Can {_TIMEOUT} be {value} ms?", f"unknown: the upper tester could not ask: {answer}")
+                continue
+            if answer.ok:
+                bench.info(f"Can {_TIMEOUT} be {value} ms?", "yes")
+                before = value
+                continue
+            after = bench.must("SRP-GetParameters").result.get("parameters", {}).get(_TIMEOUT)
+            bench.check(after == before, f"{_TIMEOUT} {before}, as before", f"{after}", shown=True)
+    finally:
+        bench.call("SRP-SetParameter", name=_TIMEOUT, value=configured)

@@ -1,0 +1,79 @@
+"""dcp-srp.md: Receive Path, The Neighbour Table, Service SRP-UpdateSafetyData.
+
+Clocks of neighbours that are set back, a small swarm, and services while BP is inactive.
+"""
+
+from __future__ import annotations
+
+from dcp_spec.constants import SpecVersion
+
+from dcp_conformance.model.case import Needs, case
+from dcp_conformance.test_system.bench import MS, Bench
+from dcp_conformance.test_system.services import neighbours, safety_data, until_neighbour
+
+_TABLE = Needs(ut=("SRP-NeighbourTable",), entities=("srp",))
+#: Number of neighbours in a small swarm: a smaller table would be of little use.
+_SWARM = 8
+
+
+@case(
+    "TC_SRP_RX_BV_06",
+    "A record replaces the stored one even if its tStamp is older",
+    requirements="SRP-RX-03",
+    stimulus="a record with seqno 5, then one of the same node with seqno 6 and a tStamp one hour earlier",
+    expect="the entry has the second record: a filter may only use sequence numbers",
+    needs=_TABLE,
+)
+def older_stamp(bench: Bench) -> None:
+    peer, now = bench.peer(), bench.creation_time()
+    hour = 3600 * bench.profile.types.timestamp.per_second
+    later = max(now, hour)
+    peer.send(bench.report(peer.node_id, 5, t_stamp=later))
+    if until_neighbour(bench, peer.node_id, 5) is None:
+        bench.inconclusive("an entry with the first record", "no such entry")
+    peer.send(bench.report(peer.node_id, 6, t_stamp=later - hour))
+    entry = until_neighbour(bench, peer.node_id, 6)
+    bench.check(entry is not None, "an entry with the second record", "the entry still has the first record")
+
+
+@case(
+    "TC_SRP_NT_BV_05",
+    "The table holds at least eight neighbours",
+    requirements="SRP-RX-03 SRP-NT-02",
+    stimulus="a record of each of eight neighbours",
+    expect="entries of all eight",
+    needs=_TABLE,
+)
+def small_swarm(bench: Bench) -> None:
+    peers = [bench.peer() for _ in range(_SWARM)]
+    for _ in range(2):
+        # A record may be lost. Querying after each record would let the first entry time out if the upper tester is
+        # slow.
+        for peer in peers:
+            peer.send(bench.report(peer.node_id, 1))
+        # Entries time out by the clock, however long the beacon period is.
+        for _ in range(10):
+            bench.wait_ns(200 * MS)
+            missing = {peer.node_id for peer in peers} - set(neighbours(bench))
+            if not missing:
+                break
+        if not missing:
+            break
+    bench.check(not missing, f"entries of all {_SWARM} neighbours", f"{len(missing)} missing")
+
+
+@case(
+    "TC_SRP_SRV_BO_02",
+    "SRP accepts requests while BP is inactive, because it remains registered",
+    requirements="SRP-SRV-01 SRP-SRV-03",
+    stimulus="SRP-UpdateSafetyData while BP is inactive",
+    expect="SRP-STATUS-OK",
+    needs=Needs(
+        since=SpecVersion.V1_2,
+        ut=("SRP-UpdateSafetyData", "BP-MGMT-Deactivate", "BP-MGMT-Activate"),
+        entities=("srp",),
+    ),
+)
+def bp_inactive(bench: Bench) -> None:
+    with bench.deactivated("BP"):
+        bench.expect_status("SRP-STATUS-OK", "SRP-UpdateSafetyData", sData=safety_data(bench, 1))

@@ -1,0 +1,325 @@
+"""dcp-srp.md: Receive Path and The Neighbour Table.
+
+To prove that a record was ignored, it must not enter the table, and a record of another node sent after it must.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from dcp_spec.constants import BP_PROTID_SRP
+
+from dcp_conformance.frames.builder import Block
+from dcp_conformance.model.case import Needs, case
+from dcp_conformance.test_steps.time_stamps import check_later
+from dcp_conformance.test_system.bench import MS, Bench
+from dcp_conformance.test_system.peers import Peer
+from dcp_conformance.test_system.services import neighbour, neighbours, rows, safety_data, until_neighbour
+
+_TABLE = Needs(ut=("SRP-NeighbourTable",), entities=("srp",))
+
+
+def _require_reception(bench: Bench) -> None:
+    """Stop as inconclusive unless valid records enter the table: otherwise a missing entry proves nothing."""
+    control = bench.peer()
+    control.send(bench.report(control.node_id, 1))
+    if until_neighbour(bench, control.node_id) is None:
+        bench.inconclusive("an entry for a valid record, which this case needs", "no entry in time")
+
+
+def _require_working(bench: Bench, after: str) -> None:
+    """Fail and stop the case unless the record of another neighbour still enters the table."""
+    probe = bench.peer()
+    probe.send(bench.report(probe.node_id, 1))
+    entry = until_neighbour(bench, probe.node_id)
+    bench.require(entry is not None, f"an entry of another neighbour after {after}", "no entry in time")
+
+
+def _small(bench: Bench, number: int) -> dict[str, Any]:
+    """Return safety data as keyword arguments of :meth:`Bench.report`, numeric fields only."""
+    kinds = {each.name: each.type for each in bench.profile.srp.safety_data}
+    return {name: value for name, value in safety_data(bench, number).items() if kinds[name] != "opaque"}
+
+
+@case(
+    "TC_SRP_RX_BV_01",
+    "A received record is stored unchanged, with the time of its reception",
+    requirements="SRP-RX-03 SRP-NT-01",
+    stimulus="a record with a different value in every field and seqno 77",
+    expect="one entry of its node with the same sData, tStamp and seqno, and the current time as receptionTime",
+    needs=_TABLE,
+)
+def stored(bench: Bench) -> None:
+    peer, values = bench.peer(), _small(bench, 1)
+    report = bench.report(peer.node_id, 77, **values)
+    sent = bench.lower.wall()
+    peer.send(report)
+    entry = until_neighbour(bench, peer.node_id)
+    if entry is None:
+        bench.fail("an entry of the record's node", "no entry")
+    came = bench.lower.wall()
+    observed = {name: entry.get("sData", {}).get(name) for name in values}
+    bench.check(observed == values, f"sData {values}", f"{observed}", "SRP-RX-03", shown=True)
+    bench.check(entry.get("seqno") == 77, "seqno 77", f"{entry.get('seqno')}", "SRP-RX-03", shown=True)
+    bench.check(
+        entry.get("tStamp") == report.t_stamp,
+        f"tStamp {report.t_stamp}",
+        f"{entry.get('tStamp')}",
+        "SRP-RX-03",
+        shown=True,
+    )
+    time, slack = entry.get("receptionTime"), bench.pixit.clock_tolerance_ms * MS
+    near = isinstance(time, int) and sent - slack <= time <= came + slack
+    bench.check(
+        near, f"receptionTime within {slack / 1e6:.0f} ms of the tester's clock", f"{time}", "SRP-RX-03", shown=True
+    )
+    bench.check(len(neighbours(bench)[peer.node_id]) == 1, "one entry of the node", "several", "SRP-NT-01", shown=True)
+
+
+@case(
+    "TC_SRP_RX_BV_02",
+    "A newer record of a neighbour replaces the stored one",
+    requirements="SRP-RX-03 SRP-NT-01",
+    stimulus="two records of a neighbour with different values, seqno 5 and 6",
+    expect="one entry, with the second record and a later receptionTime",
+    needs=_TABLE,
+)
+def replaced(bench: Bench) -> None:
+    peer = bench.peer()
+    peer.send(bench.report(peer.node_id, 5, **_small(bench, 1)))
+    first = until_neighbour(bench, peer.node_id)
+    if first is None:
+        bench.fail("an entry with the first record", "no such entry", "SRP-RX-03")
+    entries = [first]
+
+    def measure() -> int:
+        bench.wait(2)
+        number = 5 + len(entries)
+        values = _small(bench, number - 4)
+        peer.send(bench.report(peer.node_id, number, **values))
+        second = until_neighbour(bench, peer.node_id, number)
+        if second is None:
+            bench.fail("an entry with the newer record", "no such entry in time", "SRP-RX-03")
+        observed = {name: second.get("sData", {}).get(name) for name in values}
+        bench.check(observed == values, f"sData {values}", f"{observed}", "SRP-RX-03", shown=True)
+        entries.append(second)
+        return int(second.get("receptionTime", 0) - entries[-2].get("receptionTime", 0))
+
+    check_later(bench, "a later receptionTime", bench.period, measure, "SRP-RX-03")
+    same = neighbours(bench).get(peer.node_id, [])
+    bench.check(len(same) == 1, "one entry of the node", f"{len(same)}", "SRP-NT-01", shown=True)
+
+
+@case(
+    "TC_SRP_RX_BV_03",
+    "A record with a sequence number that is not newer should replace the stored one ({variant})",
+    requirements="SRP-RX-04",
+    stimulus="a record with seqno 100, then another one of the same node with a sequence number that is {variant}",
+    expect="the second record is stored; a filter on sequence numbers is allowed and reported",
+    needs=_TABLE,
+    variants={"lower": 5, "equal": 100},
+)
+def not_newer(bench: Bench, seqno: int) -> None:
+    _require_reception(bench)
+    peer = bench.peer()
+    peer.send(bench.report(peer.node_id, 100, **_small(bench, 1)))
+    if until_neighbour(bench, peer.node_id, 100) is None:
+        bench.inconclusive("an entry with the first record", "no such entry")
+    values = _small(bench, 2)
+    peer.send(bench.report(peer.node_id, seqno, **values))
+    _require_working(bench, "a record with an older sequence number")
+    entry = neighbour(bench, peer.node_id) or {}
+    data = entry.get("sData", {})
+    taken = entry.get("seqno") == seqno and all(data.get(name) == value for name, value in values.items())
+    bench.info(
+        "Is a record stored if its sequence number is not newer?",
+        "yes" if taken else "no: sequence numbers are a filter",
+    )
+    claimed = bench.pics.srp_seqno_filter
+    # For an equal sequence number a filter may accept the record (it is not older) or drop it as a repetition.
+    if claimed is not None and seqno < 100:
+        bench.check(
+            claimed != taken,
+            f"srp_seqno_filter = {str(claimed).lower()}, as the PICS claims",
+            "the opposite",
+            shown=taken,
+        )
+
+
+@case(
+    "TC_SRP_RX_BV_04",
+    "The key of an entry is the nodeId of the record, not the senderId of the beacon",
+    requirements="SRP-RX-05",
+    stimulus="a record of node X in a beacon of node Y",
+    expect="an entry of X and none of Y",
+    needs=Needs(ut=("SRP-NeighbourTable",), entities=("srp",), header=("senderId",)),
+)
+def key(bench: Bench) -> None:
+    peer, other = bench.peer(), bench.node_id()
+    peer.send(bench.report(other, 1))
+    bench.check(until_neighbour(bench, other) is not None, "an entry of the record's node", "none in time")
+    bench.check(neighbour(bench, peer.node_id) is None, "no entry of the beacon's sender", "an entry", shown=True)
+
+
+@case(
+    "TC_SRP_RX_BV_05",
+    "The sequence number is stored in 32 bits and may have any value",
+    requirements="SRP-TYP-01 SRP-RX-03",
+    stimulus="a record with seqno 2^32-1, then one of another node with seqno 0x01020304",
+    expect="entries with these sequence numbers",
+    needs=_TABLE,
+)
+def wide_numbers(bench: Bench) -> None:
+    for number in (0xFFFF_FFFF, 0x0102_0304):
+        peer = bench.peer()
+        peer.send(bench.report(peer.node_id, number))
+        entry = until_neighbour(bench, peer.node_id)
+        observed = "no entry" if entry is None else f"seqno {entry.get('seqno')}"
+        bench.check(
+            entry is not None and entry.get("seqno") == number,
+            f"an entry with seqno {number}",
+            observed,
+            shown=entry is not None,
+        )
+
+
+def _block(bench: Bench, peer: Peer, name: str) -> Block:
+    """Return a block with the record of the peer, made invalid as ``name`` says."""
+    octets = bench.builder.srp(bench.report(peer.node_id, 1)).octets
+    spoilt = {
+        "one-short": octets[:-1],
+        "one-long": octets + b"\0",
+        "one-octet": octets[:1],
+        "twice": octets * 2,
+        "without-seqno": octets[: -bench.profile.types.srp_seqno.width],
+    }
+    return Block(BP_PROTID_SRP, spoilt[name])
+
+
+@case(
+    "TC_SRP_RX_BI_01",
+    "An SRP payload that does not have the length of a record is ignored ({variant})",
+    requirements="SRP-RX-01",
+    stimulus="an SRP block of a wrong length ({variant}); then a record of another neighbour",
+    expect="no entry of the first node, an entry of the second",
+    needs=_TABLE,
+    variants={name: name for name in ("one-short", "one-long", "one-octet", "twice", "without-seqno")},
+)
+def wrong_length(bench: Bench, name: str) -> None:
+    _require_reception(bench)
+    before = set(neighbours(bench))
+    peer = bench.peer()
+    peer.send(_block(bench, peer, name))
+    _require_working(bench, "a payload of a wrong length")
+    table = set(neighbours(bench))
+    bench.check(peer.node_id not in table, "no entry of the payload's node", "an entry", shown=True)
+    # No other node sent anything, so any other entry was made from octets of the payload.
+    others = table - before - {each.node_id for each in bench.peers_made}
+    if not any(event.direction == "other" for event in bench.traffic.events):
+        bench.check(
+            not others,
+            "no entry of a node that does not exist",
+            f"entries of {[each.hex(':') for each in others]}",
+            shown=True,
+        )
+
+
+@case(
+    "TC_SRP_RX_BI_02",
+    "A record in a block of another protocol is ignored",
+    requirements="SRP-RX-01",
+    stimulus="a valid record as payload of protocol 3; then one of another neighbour as SRP payload",
+    expect="no entry of the first node, an entry of the second",
+    needs=_TABLE,
+)
+def wrong_protocol(bench: Bench) -> None:
+    _require_reception(bench)
+    peer = bench.peer()
+    peer.send(Block(3, bench.builder.srp(bench.report(peer.node_id, 1)).octets))
+    _require_working(bench, "a record in a block of another protocol")
+    bench.check(neighbour(bench, peer.node_id) is None, "no entry of the payload's node", "an entry", shown=True)
+
+
+@case(
+    "TC_SRP_RX_BI_03",
+    "A record with the implementation's own identifier is ignored",
+    requirements="SRP-RX-02 SRP-NT-03",
+    stimulus="a record with the nodeId of the implementation in a beacon of a peer; then one of a neighbour",
+    expect="no entry of the implementation's own node, an entry of the neighbour",
+    needs=_TABLE,
+)
+def own_identifier(bench: Bench) -> None:
+    _require_reception(bench)
+    peer = bench.peer()
+    peer.send(bench.report(bench.sut_id, 1))
+    _require_working(bench, "a record with its own identifier")
+    bench.check(
+        neighbour(bench, bench.sut_id) is None, "no entry of the implementation's own node", "an entry", shown=True
+    )
+
+
+@case(
+    "TC_SRP_NT_BV_01",
+    "The table lists all neighbours and returns single entries by nodeId",
+    requirements="SRP-NT-01 SRP-NT-02",
+    stimulus="records of three neighbours; look-ups of one of them and of an unknown node",
+    expect="all three in the list; exactly the requested entry; none for the unknown node",
+    needs=_TABLE,
+)
+def list_and_look_up(bench: Bench) -> None:
+    peers = [bench.peer() for _ in range(3)]
+    for number, peer in enumerate(peers):
+        peer.send(bench.report(peer.node_id, number))
+    for peer in peers:
+        entry = until_neighbour(bench, peer.node_id)
+        bench.check(entry is not None, f"{peer.node_id.hex(':')} in the list", "not in the list", "SRP-NT-02")
+    for node_id, expected in ((peers[1].node_id, [1]), (bench.node_id(), [])):
+        found = rows(bench.must("SRP-NeighbourTable", nodeId=node_id.hex(":")), "neighbours")
+        numbers = [row.get("seqno") for row in found]
+        bench.check(
+            numbers == expected,
+            f"{len(expected)} entries for {node_id.hex(':')}",
+            f"{len(found)}: {[row.get('nodeId') for row in found]}",
+            "SRP-NT-01",
+            shown=numbers,
+        )
+
+
+@case(
+    "TC_SRP_NT_BV_02",
+    "A submission of safety data creates no entry of the node itself",
+    requirements="SRP-NT-03",
+    stimulus="SRP-UpdateSafetyData; then a record of a neighbour",
+    expect="an entry of the neighbour, none of the implementation's own node",
+    needs=Needs(ut=("SRP-NeighbourTable", "SRP-UpdateSafetyData"), entities=("srp",)),
+)
+def own_data(bench: Bench) -> None:
+    _require_reception(bench)
+    bench.must("SRP-UpdateSafetyData", sData=safety_data(bench, 1))
+    _require_working(bench, "a submission of safety data")
+    bench.check(
+        neighbour(bench, bench.sut_id) is None, "no entry of the implementation's own node", "an entry", shown=True
+    )
+
+
+@case(
+    "TC_SRP_NT_BV_03",
+    "Reports additional fields in the entries of the table",
+    requirements="SRP-NT-04",
+    stimulus="a record of a neighbour; SRP-NeighbourTable",
+    expect="any result: it is reported; claims of the PICS must be true",
+    needs=_TABLE,
+)
+def extra_fields(bench: Bench) -> None:
+    peer = bench.peer()
+    peer.send(bench.report(peer.node_id, 1))
+    entry = until_neighbour(bench, peer.node_id)
+    if entry is None:
+        bench.inconclusive("an entry of the neighbour", "no entry")
+    extra = sorted(set(entry) - {"nodeId", "sData", "tStamp", "seqno", "receptionTime"})
+    bench.info("Which additional fields does the neighbour table have?", ", ".join(extra) or "none")
+    claimed = bench.pics.neighbour_statistics
+    if claimed is not None:
+        bench.check(
+            bool(extra) == claimed, f"[pics] neighbour_statistics = {str(claimed).lower()}", f"{extra}", shown=True
+        )

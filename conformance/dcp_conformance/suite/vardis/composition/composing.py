@@ -1,0 +1,375 @@
+"""dcp-vardis.md: Composing the Containers.
+
+In these cases the implementation is a consumer: it composes repetitions and answers.
+"""
+
+from __future__ import annotations
+
+from dcp_spec.constants import ICType, SpecVersion
+
+from dcp_conformance.frames.received import Instruction, ReceivedBeacon
+from dcp_conformance.model.case import Needs, case
+from dcp_conformance.suite.vardis.reception.payload import check_filled, check_order_of_queue, stock
+from dcp_conformance.test_steps.full_payloads import PAYLOAD_SIZE, longest
+from dcp_conformance.test_system.bench import Bench
+from dcp_conformance.test_system.services import produced
+
+_CREATE, _UPDATE, _DELETE = ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.DELETE_VARIABLES
+_SUMMARY, _ASK_UPDATE, _ASK_CREATE = ICType.SUMMARIES, ICType.REQUEST_VARUPDATES, ICType.REQUEST_VARCREATES
+
+
+def _counts(bench: Bench) -> list[int]:
+    """Return different repetition counts, as far as the implementation accepts them."""
+    return [bench.rep_cnt(1), bench.rep_cnt(2), bench.rep_cnt(4)]
+
+
+@case(
+    "TC_VD_CMP_BV_01",
+    "Each VarCreate is repeated according to the repCnt of its own variable",
+    requirements="VD-CMP-06 VD-SCP-02",
+    stimulus="one beacon creates three variables with repCnt 1, 2 and 4",
+    expect="each VarCreate in exactly repCnt beacons",
+    window=12,
+)
+def creates_counted(bench: Bench) -> None:
+    peer, mark = bench.peer(), bench.mark()
+    creates = [peer.create(bench.var_id(), rep_cnt=each) for each in _counts(bench)]
+    peer.send(*creates)
+    for each in creates:
+        bench.check_repeated(_CREATE, each.spec.var_id, each.spec.rep_cnt, mark)
+
+
+@case(
+    "TC_VD_CMP_BV_02",
+    "Each VarUpdate is repeated according to the repCnt of its own variable",
+    requirements="VD-CMP-09 VD-SCP-02",
+    stimulus="one beacon updates three variables with repCnt 1, 2 and 4",
+    expect="each VarUpdate in exactly repCnt beacons",
+    window=12,
+)
+def updates_counted(bench: Bench) -> None:
+    peer = bench.peer()
+    creates = [peer.create(bench.var_id(), rep_cnt=each) for each in _counts(bench)]
+    bench.learn(peer, *creates)
+    mark = bench.mark()
+    peer.send(*(peer.update(each.spec.var_id, 1) for each in creates))
+    for each in creates:
+        bench.check_repeated(_UPDATE, each.spec.var_id, each.spec.rep_cnt, mark)
+
+
+@case(
+    "TC_VD_CMP_BV_03",
+    "Each VarDelete is repeated according to the repCnt of its own variable",
+    requirements="VD-CMP-10 VD-SCP-02",
+    stimulus="one beacon deletes three variables with repCnt 1, 2 and 4",
+    expect="each VarDelete in exactly repCnt beacons",
+    window=12,
+)
+def deletes_counted(bench: Bench) -> None:
+    peer = bench.peer()
+    creates = [peer.create(bench.var_id(), rep_cnt=each) for each in _counts(bench)]
+    bench.learn(peer, *creates)
+    mark = bench.mark()
+    peer.send(*(peer.delete(each.spec.var_id) for each in creates))
+    for each in creates:
+        bench.check_repeated(_DELETE, each.spec.var_id, each.spec.rep_cnt, mark)
+
+
+@case(
+    "TC_VD_CMP_BV_04",
+    ("A record to be repeated returns to the tail of its queue: all are sent once before any is repeated ({variant})"),
+    requirements="VD-CMP-06 VD-CMP-09",
+    stimulus="in one beacon, requests for more variables with repCnt 2 than fit into a payload",
+    expect="the records in the order of the requests, then all of them again in the same order",
+    window=20,
+    needs=Needs(when=lambda bench: None if bench.rep_cnt(2) == 2 else "the implementation does not accept repCnt 2"),
+    variants={"creates": _CREATE, "updates": _UPDATE},
+)
+def back_to_the_tail(bench: Bench, kind: ICType) -> None:
+    peer = bench.peer()
+    creates = stock(bench, peer, kind, rep_cnt=2, seqno=9)
+    names = [each.spec.var_id for each in creates]
+    mark = bench.mark()
+    if kind is _CREATE:
+        peer.send(*(peer.request_create(each) for each in names))
+    else:
+        peer.send(*(peer.request_update(each, 8) for each in names))
+    bench.until_quiet(lambda heard: heard.instructions(kind), since=mark)
+    check_order_of_queue(bench, kind, names * 2, mark, "VD-CMP-06" if kind is _CREATE else "VD-CMP-09")
+
+
+@case(
+    "TC_VD_CMP_BV_05",
+    "A VarCreate has the specification of the creation and the current value and sequence number",
+    requirements="VD-CMP-07",
+    stimulus="a variable is created and updated twice; then a peer requests its VarCreate",
+    expect="a VarCreate with the value and sequence number of the second update, otherwise as created",
+    window=16,
+)
+def current_value(bench: Bench) -> None:
+    peer, var_id = bench.peer(), bench.var_id()
+    create = peer.create(var_id, value=b"first", seqno=3, rep_cnt=bench.rep_cnt(2))
+    bench.learn(peer, create)
+    updated: list[Instruction] = []
+    for number, value in ((4, b"second"), (7, b"the third")):
+        mark = bench.mark()
+        peer.send(peer.update(var_id, number, value))
+        updated = bench.repeated(_UPDATE, var_id, mark)
+    mark = bench.mark()
+    peer.send(peer.request_create(var_id))
+    bench.require(bench.until_instruction(_CREATE, var_id), "a VarCreate of the requested variable", "none")
+    found = bench.instructions(_CREATE, var_id, mark)
+    record = found[0].record
+    value, seqno = record.upd.value, record.upd.seqno
+    bench.check(value == bench.value(b"the third"), "the current value", f"{value!r}", frames=found[:1], shown=updated)
+    bench.check(seqno == 7, "the current sequence number, 7", f"{seqno}", frames=found[:1], shown=updated)
+    bench.check(
+        record.spec == create.spec, f"the specification {create.spec}", f"{record.spec}", frames=found[:1], shown=True
+    )
+    if record.upd.seqno == 7:
+        bench.reading("X15", "the current sequence number of the database")
+
+
+@case(
+    "TC_VD_CMP_BV_06",
+    "A value that changes between two repetitions of a VarCreate is in the later one",
+    requirements="VD-CMP-07",
+    stimulus="a variable with many repetitions is created and, while its VarCreate is being repeated, updated",
+    expect="the VarCreates after the first VarUpdate have its value and sequence number",
+    window=12,
+    needs=Needs(when=lambda bench: None if bench.rep_cnt(8) >= 4 else "the implementation does not accept repCnt 4"),
+)
+def changes_while_repeated(bench: Bench) -> None:
+    peer, var_id, mark = bench.peer(), bench.var_id(), bench.mark()
+    peer.send(peer.create(var_id, value=b"old", rep_cnt=bench.rep_cnt(8)))
+    bench.require(bench.until_instruction(_CREATE, var_id), "the VarCreate is forwarded", "not forwarded in time")
+    peer.send(peer.update(var_id, 1, b"new"))
+    frames = bench.until_quiet(lambda heard: heard.about(_CREATE, var_id) or heard.about(_UPDATE, var_id), since=mark)
+    begun = next((place for place, heard in enumerate(frames) if heard.about(_UPDATE, var_id)), None)
+    if begun is None:
+        bench.inconclusive("the VarUpdate is forwarded", "not forwarded in time")
+    behind = [each for heard in frames[begun:] for each in heard.instructions(_CREATE, var_id)]
+    if not behind:
+        bench.inconclusive("VarCreates with repetitions left when the VarUpdate is sent", "none left")
+    stale = [each for each in behind if (each.record.upd.seqno, each.record.upd.value) != (1, bench.value(b"new"))]
+    bench.check(
+        not stale,
+        "value and sequence number of the update in all VarCreates after it",
+        f"{len(stale)} VarCreates without them",
+        frames=stale[:4],
+        shown=True,
+    )
+
+
+@case(
+    "TC_VD_CMP_BV_07",
+    "A VarReqUpdate has the requester's own sequence number and is sent once",
+    requirements="VD-CMP-11",
+    stimulus="a variable is created with sequence number 5; then one summary with 9",
+    expect="exactly one VarReqUpdate, with sequence number 5",
+    window=8,
+)
+def update_requested_once(bench: Bench) -> None:
+    peer, var_id = bench.peer(), bench.var_id()
+    bench.learn(peer, peer.create(var_id, seqno=5, rep_cnt=bench.rep_cnt(3)))
+    mark = bench.mark()
+    peer.send(peer.summary(var_id, 9))
+    found = bench.check_repeated(_ASK_UPDATE, var_id, 1, mark)
+    numbers = [each.record.seqno for each in found]
+    bench.check(set(numbers) <= {5}, "its own sequence number, 5", f"{numbers}", frames=found, shown=True)
+
+
+@case(
+    "TC_VD_CMP_BV_08",
+    "A VarReqCreate has the unknown identifier and is sent once",
+    requirements="VD-CMP-12",
+    stimulus="one summary of an unknown variable",
+    expect="exactly one VarReqCreate for it",
+    window=8,
+)
+def create_requested_once(bench: Bench) -> None:
+    peer, var_id, mark = bench.peer(), bench.unknown_id(), bench.mark()
+    peer.send(peer.summary(var_id, 9))
+    found = bench.check_repeated(_ASK_CREATE, var_id, 1, mark)
+    if found:
+        bench.reading("X16", "a VarReqCreate has only the identifier")
+
+
+@case(
+    "TC_VD_CMP_BV_09",
+    "Requests for many variables are sent once each, in one payload if they fit ({variant})",
+    requirements="VD-CMP-11 VD-CMP-12 VD-PAY-02",
+    stimulus="summaries of twelve variables in one beacon ({variant})",
+    expect="one request for each of them, and no second payload while the first has room",
+    window=10,
+    variants={"outdated": _ASK_UPDATE, "unknown": _ASK_CREATE},
+)
+def many_requests(bench: Bench, kind: ICType) -> None:
+    peer, names = bench.peer(), bench.var_ids(12) if kind is _ASK_UPDATE else bench.unknown_ids(12)
+    requirement = "VD-CMP-11" if kind is _ASK_UPDATE else "VD-CMP-12"
+    if kind is _ASK_UPDATE:
+        bench.learn(peer, *(peer.create(each, seqno=number) for number, each in enumerate(names)))
+    mark = bench.mark()
+    peer.send(*(peer.summary(each, 60) for each in names))
+    bench.until_quiet(lambda heard: heard.instructions(kind), since=mark)
+    found = [each for each in bench.instructions(kind, since=mark) if each.var_id in names]
+    came = [each.var_id for each in found]
+    bench.check(
+        sorted(came) == sorted(names),
+        "one request for each variable",
+        f"{len(came)} requests for {len(set(came))} of {len(names)} variables",
+        requirement,
+        frames=found[:24],
+        shown=len(came) > len(set(came)),
+    )
+    frames = [each for each in bench.heard[mark:] if each.instructions(kind)]
+    if frames:
+        check_filled(bench, kind, frames, "VD-PAY-02")
+    if kind is _ASK_UPDATE:
+        wrong = [each for each in found if each.record.seqno != names.index(each.var_id)]
+        bench.check(
+            not wrong,
+            "its own sequence number in each request",
+            f"{len(wrong)} with another number",
+            requirement,
+            frames=wrong,
+            shown=True,
+        )
+
+
+@case(
+    "TC_VD_CMP_BV_10",
+    "After the last VarDelete the variable stays in the database (2.0) or is removed (before 2.0)",
+    requirements="VD-CMP-10",
+    stimulus="a variable is created and deleted; afterwards a peer sends a summary and a request for it",
+    expect="2.0: no reaction, because it is known and deleted; before 2.0: a request, because it is unknown again",
+    window=20,
+)
+def after_the_last_delete(bench: Bench) -> None:
+    peer, var_id, repetitions = bench.peer(), bench.var_id(), bench.rep_cnt(2)
+    bench.learn(peer, peer.create(var_id, rep_cnt=repetitions))
+    mark = bench.mark()
+    peer.send(peer.delete(var_id))
+    bench.check_repeated(_DELETE, var_id, repetitions, mark)
+    mark = bench.mark()
+    peer.send(peer.summary(var_id, 1))
+    if bench.features.removed_after_deletion:
+        found = bench.until_instruction(_ASK_CREATE, var_id)
+        bench.check(found, "a request for the variable, which is unknown again", "none")
+        return
+    peer.send(peer.request_create(var_id))
+    bench.require_alive("records about a deleted variable")
+    trace = [each for heard in bench.heard[mark:] for each in heard.instructions(None, var_id)]
+    kinds = ", ".join(sorted({each.kind.label for each in trace}))
+    bench.check(not trace, "no reaction: the variable is known and deleted", kinds, frames=trace[:4], shown=True)
+
+
+@case(
+    "TC_VD_CMP_BV_11",
+    "After the last VarDelete, RTDB-DescribeVariable finds the entry (2.0) or does not (before 2.0)",
+    requirements="VD-CMP-10",
+    stimulus="a variable is created and deleted; RTDB-DescribeVariable after the last repetition of the VarDelete",
+    expect="2.0: VARDIS-STATUS-OK and isDeleted; before 2.0: VARDIS-STATUS-VARIABLE-DOES-NOT-EXIST",
+    window=20,
+    needs=Needs(ut=("RTDB-DescribeVariable",)),
+)
+def described_after_the_last_delete(bench: Bench) -> None:
+    peer, var_id, repetitions = bench.peer(), bench.var_id(), bench.rep_cnt(2)
+    bench.learn(peer, peer.create(var_id, rep_cnt=repetitions))
+    mark = bench.mark()
+    peer.send(peer.delete(var_id))
+    if not bench.repeated(_DELETE, var_id, mark):
+        bench.inconclusive("a VarDelete of the variable, which this case needs", "none in time")
+    if bench.features.removed_after_deletion:
+        bench.expect_status("VARDIS-STATUS-VARIABLE-DOES-NOT-EXIST", "RTDB-DescribeVariable", varId=var_id)
+        return
+    answer = bench.expect_status("VARDIS-STATUS-OK", "RTDB-DescribeVariable", varId=var_id)
+    described = answer.result.get("variable", {})
+    bench.check(described.get("isDeleted") is True, "isDeleted is true", f"{described.get('isDeleted')}", shown=True)
+    left = described.get("countDelete")
+    bench.check(left == 0, "countDelete 0 after the last repetition", f"{left}", shown=True)
+
+
+@case(
+    "TC_VD_CMP_BV_13",
+    "An update that does not fit after the other containers is sent in the next payload",
+    requirements="VD-PAY-02 VD-PAY-06 VD-CMP-09",
+    stimulus="requests for as many VarCreates as fill a payload, and for a VarUpdate",
+    expect="no payload larger than its maximum, and the VarUpdate in exactly repCnt beacons",
+    window=16,
+)
+def update_waits(bench: Bench) -> None:
+    peer, repetitions = bench.peer(), bench.rep_cnt(2)
+    creates = stock(bench, peer, _CREATE)
+    waiting = peer.create(bench.var_id(), seqno=9, rep_cnt=repetitions, value=longest(bench)[0])
+    bench.learn(peer, waiting)
+    mark = bench.mark()
+    peer.send(peer.request_update(waiting.spec.var_id, 8), *(peer.request_create(each.spec.var_id) for each in creates))
+
+    def busy(heard: ReceivedBeacon) -> bool:
+        return bool(heard.instructions(_CREATE) or heard.instructions(_UPDATE))
+
+    frames = bench.until_quiet(busy, since=mark)
+    bench.check_repeated(_UPDATE, waiting.spec.var_id, repetitions, mark, "VD-CMP-09")
+    limit = bench.bound(PAYLOAD_SIZE)
+    sizes = [len(bench.codec.encode_containers(each.containers)) for each in frames]
+    largest = max(sizes, default=0)
+    bench.check(
+        largest <= limit,
+        f"payloads of at most {limit} octets",
+        f"{largest}",
+        "VD-PAY-02",
+        frames=frames[:4],
+        shown=True,
+    )
+    names = [each.spec.var_id for each in creates]
+    check_order_of_queue(bench, _CREATE, names, mark, "VD-PAY-06")
+
+
+@case(
+    "TC_VD_CMP_BV_14",
+    "A deletion cancels pending instructions of its variable ({variant})",
+    requirements="VD-PD-04 VD-CMP-05",
+    stimulus="a variable is deleted while its VarCreate or VarUpdate is being repeated many times",
+    expect="after the first VarDelete no VarCreate, VarUpdate or summary; exactly repCnt VarDeletes",
+    window=24,
+    variants={"create": _CREATE, "update": _UPDATE},
+)
+def deletion_takes_back(bench: Bench, kind: ICType) -> None:
+    peer, var_id, repetitions = bench.peer(), bench.var_id(), bench.rep_cnt(6)
+    create = peer.create(var_id, rep_cnt=repetitions)
+    if kind is _CREATE:
+        peer.send(create)
+    else:
+        bench.learn(peer, create)
+        peer.send(peer.update(var_id, 1))
+    bench.require(bench.until_instruction(kind, var_id), "a record of the variable", "none in time", "VD-PD-04")
+    mark = bench.mark()
+    peer.send(peer.delete(var_id))
+    found = bench.check_repeated(_DELETE, var_id, repetitions, mark, "VD-PD-04")
+    if not found:
+        return
+    begun = bench.heard.index(found[0].heard)
+    for each, requirement in ((_CREATE, "VD-PD-04"), (_UPDATE, "VD-PD-04"), (_SUMMARY, "VD-CMP-05")):
+        late = bench.instructions(each, var_id, begun)
+        what = f"no {each.label} record of the deleted variable"
+        bench.check(not late, what, f"{len(late)} records", requirement, frames=late[:4], shown=True)
+
+
+@case(
+    "TC_VD_CMP_BV_15",
+    "The producer repeats its own VarDelete exactly repCnt times and keeps the database entry",
+    requirements="VD-CMP-10",
+    stimulus="the application creates and deletes a variable",
+    expect="exactly repCnt VarDeletes; RTDB-DescribeVariable still finds the variable",
+    window=16,
+    needs=Needs(since=SpecVersion.V2_0, ut=("RTDB-Create", "RTDB-Delete", "RTDB-DescribeVariable")),
+)
+def own_deletion(bench: Bench) -> None:
+    repetitions = bench.rep_cnt(3)
+    var_id = produced(bench, rep_cnt=repetitions)
+    bench.require(bench.until_instruction(_CREATE, var_id), "the VarCreate of the node's own variable", "none")
+    mark = bench.mark()
+    bench.must("RTDB-Delete", varId=var_id)
+    bench.check_repeated(_DELETE, var_id, repetitions, mark)
+    bench.expect_status("VARDIS-STATUS-OK", "RTDB-DescribeVariable", varId=var_id)

@@ -1,0 +1,411 @@
+"""dcp-vardis.md: Global vs. Local Dissemination.
+
+Repetitions are counted per beacon, from the stimulus until the last one, so the time at which an implementation
+composes its payloads does not matter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from dcp_spec.constants import ICType
+
+from dcp_codec.values import VardisRecord
+from dcp_conformance.model.case import Needs, Variant, case
+from dcp_conformance.test_steps.variable_queries import INSTRUCTIONS, ask, named, stepped, traces
+from dcp_conformance.test_system.bench import Bench
+from dcp_conformance.test_system.peers import Peer
+from dcp_conformance.test_system.services import max_repetitions, taught
+
+CREATES, UPDATES, DELETES = ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.DELETE_VARIABLES
+
+Count = Callable[[Bench], int]
+_COUNTS: dict[str, Count] = {"r1": lambda _: 1, "r2": lambda _: 2, "max": max_repetitions}
+
+
+def _too_many(bench: Bench) -> str | None:
+    if bench.bound("VARDISPAR_MAX_REPETITIONS", missing=True) < 2:
+        return "VARDISPAR_MAX_REPETITIONS is 1"
+    return None
+
+
+_TWO = Needs(when=_too_many)
+_COUNT_VARIANTS = {name: Variant(count, needs=Needs() if name == "r1" else _TWO) for name, count in _COUNTS.items()}
+
+
+def _learnt(bench: Bench, peer: Peer, rep_cnt: int, seqno: int = 0) -> int:
+    """Teach a variable with a repetition count, wait for the last repetition of its VarCreate, and return its
+    identifier.
+    """
+    var_id = bench.var_id()
+    bench.learn(peer, peer.create(var_id, rep_cnt=rep_cnt, seqno=seqno))
+    return var_id
+
+
+def _taught(bench: Bench, peer: Peer, rep_cnt: int, seqno: int = 0) -> int:
+    """As :func:`_learnt`, but do not wait for the repetitions of the VarCreate."""
+    return taught(bench, peer, rep_cnt=rep_cnt, seqno=seqno)
+
+
+def _require_left(bench: Bench, kind: ICType, var_id: int, count: int, since: int) -> int:
+    """Return the number of repetitions so far; inconclusive if the last of ``count`` may already have been sent."""
+    sent = bench.now()
+    bench.mark()
+    before = sum(each.heard.time <= sent for each in bench.instructions(kind, var_id, since))
+    if before > max(1, count - 2):
+        said = f"{before} of {count} sent before the next stimulus"
+        bench.inconclusive("remaining repetitions", said)
+    return before
+
+
+def _nothing_else(bench: Bench, var_id: int, since: int, *kinds: ICType) -> None:
+    found = traces(bench, var_id, since, [each for each in INSTRUCTIONS if each not in kinds])
+    bench.check(not found, "no other record of the variable", f"{named(found)}", frames=found, shown=True)
+
+
+# -- exactly r ---------------------------------------------------------------------------------------------------------
+
+
+@case(
+    "TC_VD_FWD_BV_01",
+    "The VarCreate of a new variable is sent in exactly repCnt beacons, and summaries follow ({variant})",
+    requirements="VD-SCP-02 VD-PC-09",
+    stimulus="a VarCreate of an unknown variable with repCnt {variant}",
+    expect="one unchanged VarCreate in each of exactly repCnt beacons; summaries with its sequence number",
+    window=20,
+    variants=_COUNT_VARIANTS,
+)
+def creation(bench: Bench, count: Count) -> None:
+    peer, var_id, since = bench.peer(), bench.var_id(), bench.mark()
+    record = peer.create(var_id, rep_cnt=count(bench), seqno=9)
+    peer.send(record)
+    found = bench.check_repeated(CREATES, var_id, count(bench), since)
+    wrong = [each for each in found if each.record != record]
+    bench.check(not wrong, "the record unchanged", f"{wrong[0].record if wrong else ''}", frames=wrong, shown=True)
+    _nothing_else(bench, var_id, since, CREATES)
+    if bench.bound("VARDISPAR_MAX_SUMMARIES"):
+        bench.until_instruction(ICType.SUMMARIES, var_id)
+        summaries = bench.instructions(ICType.SUMMARIES, var_id, since)
+        bench.check(summaries, "summaries of the variable", "none in time", "VD-PC-09")
+        numbers = {each.record.seqno for each in summaries} or {9}
+        bench.check(
+            numbers == {9},
+            "sequence number 9 in the summaries",
+            f"{sorted(numbers)}",
+            "VD-PC-09",
+            frames=summaries,
+            shown=True,
+        )
+
+
+@case(
+    "TC_VD_FWD_BV_02",
+    "A newer VarUpdate is sent in exactly repCnt beacons ({variant})",
+    requirements="VD-SCP-02 VD-PU-07",
+    stimulus="a newer VarUpdate of a variable with repCnt {variant}",
+    expect="one unchanged VarUpdate in each of exactly repCnt beacons",
+    window=20,
+    variants=_COUNT_VARIANTS,
+)
+def update(bench: Bench, count: Count) -> None:
+    peer = bench.peer()
+    var_id = taught(bench, peer, rep_cnt=count(bench))
+    since, record = bench.mark(), peer.update(var_id, 1, b"other")
+    peer.send(record)
+    found = bench.check_repeated(UPDATES, var_id, count(bench), since)
+    wrong = [each for each in found if each.record != record]
+    bench.check(not wrong, "the record unchanged", f"{wrong[0].record if wrong else ''}", frames=wrong, shown=True)
+    _nothing_else(bench, var_id, since, UPDATES, CREATES)
+
+
+@case(
+    "TC_VD_FWD_BV_03",
+    "A VarDelete is sent in exactly repCnt beacons, and no other record of the variable after it ({variant})",
+    requirements="VD-SCP-02 VD-PD-04",
+    stimulus="a VarDelete of a variable with repCnt {variant}",
+    expect="one VarDelete in each of exactly repCnt beacons; no other record of the variable after the first",
+    window=20,
+    variants=_COUNT_VARIANTS,
+)
+def deletion(bench: Bench, count: Count) -> None:
+    peer = bench.peer()
+    var_id = taught(bench, peer, rep_cnt=count(bench))
+    since = bench.mark()
+    peer.send(peer.delete(var_id))
+    found = bench.check_repeated(DELETES, var_id, count(bench), since)
+    # A summary composed before the deletion may still be sent.
+    first = bench.heard.index(found[0].heard) if found else since
+    others = traces(bench, var_id, first, set(ICType) - {DELETES})
+    bench.check(
+        not others,
+        "no other record of the variable after the first VarDelete",
+        f"{named(others)}",
+        "VD-PD-04",
+        frames=others,
+        shown=found,
+    )
+
+
+_Trigger = Callable[[Bench, Peer, int], VardisRecord]
+_TRIGGERS: dict[str, tuple[str, str, ICType, _Trigger]] = {
+    "request-create": ("a VarReqCreate", "VD-RC-03", CREATES, lambda _, peer, var_id: peer.request_create(var_id)),
+    "request-update": (
+        "a VarReqUpdate with an older number",
+        "VD-RU-04",
+        UPDATES,
+        lambda bench, peer, var_id: peer.request_update(var_id, stepped(bench, 5, -1)),
+    ),
+    "older-summary": (
+        "a summary with an older number",
+        "VD-PS-03",
+        UPDATES,
+        lambda bench, peer, var_id: peer.summary(var_id, stepped(bench, 5, -1)),
+    ),
+    "older-update": (
+        "a VarUpdate with an older number",
+        "VD-PU-06",
+        UPDATES,
+        lambda bench, peer, var_id: peer.update(var_id, stepped(bench, 5, -1)),
+    ),
+}
+
+
+def _answers() -> dict[str, Variant]:
+    return {
+        f"{name}.{count}": Variant(
+            (trigger, kind, number),
+            purpose=f"{words[0].upper()}{words[1:]} is answered in exactly repCnt beacons ({count})",
+            requirements=requirement,
+            stimulus=f"{words} of a variable with repCnt {count}",
+            needs=Needs() if count == "r1" else _TWO,
+        )
+        for name, (words, requirement, kind, trigger) in _TRIGGERS.items()
+        for count, number in _COUNTS.items()
+        # These use the same counters as the cases above: the largest count is tested where it takes the least time.
+        if count != "max" or name == "request-update"
+    }
+
+
+@case(
+    "TC_VD_FWD_BV_04",
+    "{variant}",
+    requirements="VD-RC-03",
+    stimulus="{variant}",
+    expect="one record of the requested kind, with the stored contents, in each of exactly repCnt beacons",
+    window=20,
+    variants=_answers(),
+)
+def answer(bench: Bench, what: tuple[_Trigger, ICType, Count]) -> None:
+    trigger, kind, count = what
+    peer = bench.peer()
+    # Repetitions of the VarCreate itself must not be counted.
+    learn = _learnt if kind is CREATES else _taught
+    var_id = learn(bench, peer, count(bench), 5)
+    since = bench.mark()
+    bench.peer().send(trigger(bench, peer, var_id))
+    found = bench.check_repeated(kind, var_id, count(bench), since)
+    numbers = {each.record.upd.seqno if kind is CREATES else each.record.seqno for each in found} or {5}
+    bench.check(
+        numbers == {5}, "the stored sequence number 5 in the answer", f"{sorted(numbers)}", frames=found, shown=True
+    )
+    _nothing_else(bench, var_id, since, kind, CREATES)
+
+
+# -- counting again ----------------------------------------------------------------------------------------------------
+
+
+@case(
+    "TC_VD_FWD_BV_05",
+    "A newer VarUpdate restarts the repetitions, with the newer value only",
+    requirements="VD-PU-07",
+    stimulus="a newer VarUpdate, and after its first repetition another one",
+    expect="repCnt beacons with the second VarUpdate; at most one VarUpdate of the variable in each beacon",
+    window=20,
+    needs=_TWO,
+)
+def update_again(bench: Bench) -> None:
+    peer, count = bench.peer(), min(4, max_repetitions(bench))
+    var_id = _learnt(bench, peer, count)
+    since = bench.mark()
+    peer.send(peer.update(var_id, 1, b"one"))
+    bench.until_instruction(UPDATES, var_id)
+    peer.send(peer.update(var_id, 2, b"two"))
+    found = bench.repeated(UPDATES, var_id, since)
+    beacons = {id(each.heard) for each in found}
+    bench.check(
+        len(found) == len(beacons),
+        "at most one VarUpdate of the variable in each beacon",
+        f"{len(found)} in {len(beacons)} beacons",
+        shown=True,
+    )
+    second = [each for each in found if each.record.seqno == 2]
+    bench.check(
+        len(second) == count,
+        f"{count} beacons with the second VarUpdate",
+        f"{len(second)} beacons",
+        frames=second,
+        shown=len(second) > count,
+    )
+    after = [each for each in found if each.record.seqno == 1 and second and each.heard.number > second[0].heard.number]
+    bench.check(
+        not after, "no repetition of the first VarUpdate after the second", "at least one", frames=after, shown=True
+    )
+
+
+@case(
+    "TC_VD_FWD_BV_06",
+    "While a VarUpdate is being repeated, older information does not restart the repetitions ({variant})",
+    requirements="VD-PU-06",
+    stimulus="a newer VarUpdate, and after its first repetition an older {variant}",
+    expect="exactly repCnt beacons with the VarUpdate",
+    window=20,
+    needs=_TWO,
+    variants={
+        "update": Variant(lambda peer, var_id: peer.update(var_id, 5, b"old"), requirements="VD-PU-06"),
+        "summary": Variant(lambda peer, var_id: peer.summary(var_id, 5), requirements="VD-PS-03"),
+    },
+)
+def not_again(bench: Bench, stimulus: Callable[[Peer, int], VardisRecord]) -> None:
+    # With four or more, at least one repetition is still queued when the first one is heard.
+    peer, count = bench.peer(), min(5, max_repetitions(bench))
+    var_id = _learnt(bench, peer, count, seqno=5)
+    since = bench.mark()
+    peer.send(peer.update(var_id, 6))
+    bench.until_instruction(UPDATES, var_id)
+    other = bench.peer()
+    other.send(stimulus(peer, var_id))
+    if count >= 4:
+        _require_left(bench, UPDATES, var_id, count, since)
+        bench.check_repeated(UPDATES, var_id, count, since)
+        return
+    came = len(bench.repeated(UPDATES, var_id, since))
+    bench.info(
+        "How many repetitions are there if older information arrives between them?",
+        f"{came} for repCnt {count}: the older information may have arrived too late",
+    )
+
+
+@case(
+    "TC_VD_FWD_BV_07",
+    "A request received while its answer is being repeated restarts the repetitions ({variant})",
+    requirements="VD-RU-04",
+    stimulus="a request, and after the first repetition of the answer the same request again",
+    expect=(
+        "the repetitions until the second request, and repCnt more; a payload composed before it may count for either"
+    ),
+    window=20,
+    needs=_TWO,
+    variants={
+        "request-update": Variant((UPDATES, _TRIGGERS["request-update"][3]), requirements="VD-RU-04"),
+        "request-create": Variant((CREATES, _TRIGGERS["request-create"][3]), requirements="VD-RC-03"),
+    },
+)
+def requested_again(bench: Bench, what: tuple[ICType, _Trigger]) -> None:
+    kind, trigger = what
+    peer, count = bench.peer(), min(4, max_repetitions(bench))
+    var_id = _learnt(bench, peer, count, seqno=5)
+    since = bench.mark()
+    bench.peer().send(trigger(bench, peer, var_id))
+    bench.until_instruction(kind, var_id)
+    other = bench.peer()
+    other.send(trigger(bench, peer, var_id))
+    before = _require_left(bench, kind, var_id, count, since)
+    found = bench.repeated(kind, var_id, since)
+    # Payloads may be composed up to two beacons before they are sent, and a slow implementation processes the request
+    # later.
+    most = before + count + bench.ahead
+    bench.check(
+        before + count <= len(found) <= most,
+        f"{before} repetitions and {count} more",
+        f"{len(found)} in total",
+        frames=found,
+        shown=len(found) > most,
+    )
+    beacons = {id(each.heard) for each in found}
+    bench.check(
+        len(found) == len(beacons),
+        "at most one record in each beacon",
+        f"{len(found)} in {len(beacons)} beacons",
+        shown=True,
+    )
+
+
+# -- nothing new -------------------------------------------------------------------------------------------------------
+
+
+@case(
+    "TC_VD_FWD_BV_08",
+    "Information that is not new is not forwarded",
+    requirements="VD-SCP-03",
+    stimulus="a VarCreate, a VarUpdate and a VarDelete, each sent again after the repetitions of the first",
+    expect="no record after the second of each",
+    window=16,
+)
+def nothing_new(bench: Bench) -> None:
+    peer, var_id, since = bench.peer(), bench.var_id(), bench.mark()
+    create, newer = peer.create(var_id), peer.update(var_id, 1)
+    for kind, record in ((CREATES, create), (UPDATES, newer), (DELETES, peer.delete(var_id))):
+        start = bench.mark()
+        peer.send(record)
+        bench.check_repeated(kind, var_id, 1, start)
+        start = bench.mark()
+        bench.peer().send(record)
+        bench.require_alive(f"a {kind.label} record that is not new")
+        bench.beacons(1, 1.5)
+        found = traces(bench, var_id, start, (CREATES, UPDATES, DELETES))
+        bench.check(
+            not found,
+            f"no record after the same {kind.label} record again",
+            f"{named(found)}",
+            frames=found,
+            shown=True,
+        )
+    bench.check(
+        len(bench.instructions(CREATES, var_id, since)) == 1,
+        "one VarCreate in total",
+        "more than one",
+        shown=len(bench.instructions(CREATES, var_id, since)) > 1,
+    )
+
+
+@case(
+    "TC_VD_FWD_BV_09",
+    "The same VarUpdate from several neighbours is forwarded repCnt times in total",
+    requirements="VD-SCP-03",
+    stimulus="the same newer VarUpdate from five peers in succession",
+    expect="exactly repCnt beacons with it",
+    window=20,
+)
+def from_all_sides(bench: Bench) -> None:
+    peer, count = bench.peer(), min(2, max_repetitions(bench))
+    var_id = _learnt(bench, peer, count)
+    since = bench.mark()
+    for each in (peer, *(bench.peer() for _ in range(4))):
+        each.send(peer.update(var_id, 1))
+    bench.check_repeated(UPDATES, var_id, count, since)
+
+
+@case(
+    "TC_VD_FWD_BV_10",
+    "A VarCreate requested after an update has the newer value and sequence number",
+    requirements="VD-RC-03",
+    stimulus="a newer VarUpdate and a VarReqCreate; then a VarCreate with the first value",
+    expect="a VarCreate with the value and sequence number of the VarUpdate; the old VarCreate changes nothing",
+    window=10,
+)
+def newest_value(bench: Bench) -> None:
+    peer, var_id = bench.peer(), bench.var_id()
+    create = peer.create(var_id, value=b"first")
+    bench.learn(peer, create)
+    peer.send(peer.update(var_id, 1, b"newer"))
+    updated = bench.until_instruction(UPDATES, var_id)
+    for what in ("after the update", "after a VarCreate with the first value"):
+        held = ask(bench, var_id)
+        upd = held.record.upd if held.record is not None else None
+        right = upd is not None and (upd.seqno, upd.value) == (1, bench.value(b"newer"))
+        bench.check(
+            right, f"{what}: sequence number and value of the VarUpdate", str(held), shown=updated and held.record
+        )
+        specs = held.record is None or held.record.spec == create.spec
+        bench.check(specs, "the specification as sent", f"{held.record.spec if held.record else ''}", shown=True)
+        peer.send(create)

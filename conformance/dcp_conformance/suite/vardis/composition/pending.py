@@ -1,0 +1,283 @@
+"""dcp-vardis.md: Queues: instructions that are superseded before they are sent."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from dcp_spec.constants import ICType, SpecVersion
+
+from dcp_codec.values import VardisRecord
+from dcp_conformance.model.case import Needs, Variant, case
+from dcp_conformance.test_steps.variable_queries import named, stepped, traces
+from dcp_conformance.test_system.bench import Bench
+from dcp_conformance.test_system.peers import Peer
+from dcp_conformance.test_system.services import (
+    entry_of,
+    max_repetitions,
+    produced,
+    settled,
+    several_repetitions,
+    taught,
+)
+
+_DELETE = ICType.DELETE_VARIABLES
+_OTHERS = (ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.REQUEST_VARCREATES, ICType.REQUEST_VARUPDATES)
+
+
+def _check_once(bench: Bench, attempt: Callable[[], bool], expected: str, observed: str) -> None:
+    """Check that at least one of three attempts succeeds: a payload may be composed just between two frames of the
+    tester.
+    """
+    right = any(attempt() for _ in range(3))
+    if not right and bench.one_by_one:
+        bench.inconclusive(
+            expected, f"{observed}; but it processes received payloads one at a time and may answer in between"
+        )
+    bench.check(right, expected, observed, shown=True)
+
+
+@case(
+    "TC_VD_PEND_BV_01",
+    "A request for an update is cancelled when the update arrives before the request is sent",
+    requirements="VD-PU-08",
+    stimulus="a newer summary and, immediately after it in another beacon, the VarUpdate; up to three times",
+    expect="no VarReqUpdate in at least one attempt",
+    window=8,
+)
+def request_dropped(bench: Bench) -> None:
+    def attempt() -> bool:
+        peer = bench.peer()
+        var_id = taught(bench, peer)
+        since = bench.mark()
+        peer.send(peer.summary(var_id, 1))
+        peer.send(peer.update(var_id, 1))
+        bench.require_alive("a summary and an update")
+        bench.beacons(1, 1.5)
+        return not bench.instructions(ICType.REQUEST_VARUPDATES, var_id, since)
+
+    _check_once(
+        bench,
+        attempt,
+        "no VarReqUpdate for a value that has arrived, in at least one of 3 attempts",
+        "one in every attempt",
+    )
+
+
+@case(
+    "TC_VD_PEND_BV_02",
+    "A request for a variable is cancelled when the variable arrives before the request is sent",
+    requirements="VD-PC-08",
+    stimulus=(
+        "a summary of an unknown variable and, immediately after it in another beacon, its VarCreate; up to three times"
+    ),
+    expect="no VarReqCreate in at least one attempt",
+    window=8,
+)
+def create_request_dropped(bench: Bench) -> None:
+    def attempt() -> bool:
+        peer, var_id = bench.peer(), bench.unknown_id()
+        bench.created.add(var_id)
+        since = bench.mark()
+        peer.send(peer.summary(var_id, 0))
+        peer.send(peer.create(var_id))
+        bench.require_alive("a summary and a VarCreate")
+        bench.beacons(1, 1.5)
+        return not bench.instructions(ICType.REQUEST_VARCREATES, var_id, since)
+
+    _check_once(
+        bench,
+        attempt,
+        "no VarReqCreate for a variable that has arrived, in at least one of 3 attempts",
+        "one in every attempt",
+    )
+
+
+@case(
+    "TC_VD_PEND_BV_03",
+    "A deletion cancels all pending records of its variable",
+    requirements="VD-PD-04",
+    stimulus=(
+        "requests for a variable and a newer summary of it, and immediately after them in another beacon its "
+        "VarDelete; up to three times"
+    ),
+    expect="no record other than the VarDelete in at least one attempt",
+    window=8,
+)
+def pending_dropped(bench: Bench) -> None:
+    def attempt() -> bool:
+        peer = bench.peer()
+        # Up to 1.3 the variable is unknown after the last VarDelete, so no other record could be sent in any case.
+        several = bench.features.removed_after_deletion and not bench.one_by_one
+        var_id = taught(bench, peer, seqno=5, rep_cnt=min(3, max_repetitions(bench)) if several else 1)
+        if several:
+            settled(bench, var_id)
+        since = bench.mark()
+        peer.send(peer.summary(var_id, 6), peer.request_create(var_id), peer.request_update(var_id, 4))
+        peer.send(peer.delete(var_id))
+        came = bench.until_instruction(ICType.DELETE_VARIABLES, var_id)
+        bench.require(came, "the VarDelete is forwarded", "not forwarded in time")
+        bench.beacons(1, 1.5)
+        return not traces(bench, var_id, since, (ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.REQUEST_VARUPDATES))
+
+    _check_once(
+        bench,
+        attempt,
+        "no pending answer or request sent after the deletion, in at least one of 3 attempts",
+        "one in every attempt",
+    )
+
+
+def _three_repetitions(bench: Bench) -> str | None:
+    return (
+        None
+        if max_repetitions(bench) >= 4
+        else "the deletion must be repeated four times to be superseded, and the maximum is less"
+    )
+
+
+@case(
+    "TC_VD_PEND_BV_04",
+    "A new VarCreate cancels the repetitions of a preceding VarDelete",
+    requirements="VD-PC-08",
+    stimulus="a VarDelete with many repetitions, and after the first of them a VarCreate with a later creationTime",
+    expect="repCnt beacons with the VarCreate; no VarDelete in them or later",
+    window=20,
+    needs=Needs(since=SpecVersion.V2_0, when=_three_repetitions),
+)
+def deletion_overtaken(bench: Bench) -> None:
+    peer, count = bench.peer(), max_repetitions(bench)
+    var_id = taught(bench, peer, rep_cnt=count)
+    peer.send(peer.delete(var_id))
+    bench.require(
+        bench.until_instruction(ICType.DELETE_VARIABLES, var_id), "the VarDelete is forwarded", "not forwarded in time"
+    )
+    since = bench.mark()
+    peer.send(peer.create(var_id, rep_cnt=2))
+    found = bench.check_repeated(ICType.CREATE_VARIABLES, var_id, 2, since)
+    first = bench.heard.index(found[0].heard) if found else since
+    late = traces(bench, var_id, first, (ICType.DELETE_VARIABLES, ICType.UPDATES, ICType.REQUEST_VARUPDATES))
+    bench.check(not late, "no VarDelete with or after the new VarCreate", f"{named(late)}", frames=late, shown=found)
+
+
+@case(
+    "TC_VD_PEND_BV_05",
+    "A new VarCreate cancels the repetitions of a preceding VarUpdate",
+    requirements="VD-PC-08",
+    stimulus="a VarUpdate with many repetitions, and after the first of them a VarCreate with a later creationTime",
+    expect="repCnt beacons with the VarCreate; no VarUpdate in them or later",
+    window=20,
+    needs=Needs(since=SpecVersion.V2_0, when=_three_repetitions),
+)
+def update_overtaken(bench: Bench) -> None:
+    peer, count = bench.peer(), max_repetitions(bench)
+    var_id = bench.var_id()
+    bench.learn(peer, peer.create(var_id, rep_cnt=count))
+    peer.send(peer.update(var_id, 1))
+    bench.require(
+        bench.until_instruction(ICType.UPDATES, var_id), "the VarUpdate is forwarded", "not forwarded in time"
+    )
+    since = bench.mark()
+    record = peer.create(var_id, rep_cnt=2, value=b"anew")
+    peer.send(record)
+    found = bench.check_repeated(ICType.CREATE_VARIABLES, var_id, 2, since)
+    wrong = [each for each in found if each.record != record]
+    bench.check(
+        not wrong, "the new VarCreate unchanged", f"{wrong[0].record if wrong else ''}", frames=wrong, shown=True
+    )
+    first = bench.heard.index(found[0].heard) if found else since
+    late = traces(bench, var_id, first, (ICType.UPDATES, ICType.DELETE_VARIABLES))
+    bench.check(not late, "no VarUpdate with or after the new VarCreate", f"{named(late)}", frames=late, shown=found)
+
+
+@case(
+    "TC_VD_PEND_BV_06",
+    "A request for an update is cancelled when the variable is created again before the request is sent",
+    requirements="VD-PC-08",
+    stimulus=(
+        "a newer summary and, immediately after it in another beacon, a VarCreate with a later creationTime; up to "
+        "three times"
+    ),
+    expect="no VarReqUpdate in at least one attempt",
+    window=8,
+    needs=Needs(since=SpecVersion.V2_0),
+)
+def request_overtaken(bench: Bench) -> None:
+    def attempt() -> bool:
+        peer = bench.peer()
+        var_id = taught(bench, peer)
+        since = bench.mark()
+        peer.send(peer.summary(var_id, 1))
+        peer.send(peer.create(var_id))
+        bench.require_alive("a summary and a VarCreate")
+        bench.beacons(1, 1.5)
+        return not bench.instructions(ICType.REQUEST_VARUPDATES, var_id, since)
+
+    _check_once(
+        bench,
+        attempt,
+        "no VarReqUpdate for a variable created again, in at least one of 3 attempts",
+        "one in every attempt",
+    )
+
+
+_Event = Callable[[Peer, int, Callable[[int], int]], VardisRecord]
+#: Records about a deleted variable, with the requirements by which they change nothing; the function returns a sequence
+#: number with a given distance from the stored one.
+_EVENTS: dict[str, tuple[_Event, str]] = {
+    "VarDelete": (lambda peer, var_id, _: peer.delete(var_id), "VD-PD-02 VD-SCP-03"),
+    "newer-VarUpdate": (lambda peer, var_id, seqno: peer.update(var_id, seqno(1), b"w"), "VD-PU-02"),
+    "older-VarUpdate": (lambda peer, var_id, seqno: peer.update(var_id, seqno(-1), b"w"), "VD-PU-02"),
+    "newer-VarSumm": (lambda peer, var_id, seqno: peer.summary(var_id, seqno(1)), "VD-PS-02"),
+    "older-VarSumm": (lambda peer, var_id, seqno: peer.summary(var_id, seqno(-1)), "VD-PS-02"),
+    "VarReqUpdate": (lambda peer, var_id, seqno: peer.request_update(var_id, seqno(-1)), "VD-RU-02"),
+    "VarReqCreate": (lambda peer, var_id, _: peer.request_create(var_id), "VD-RC-02"),
+}
+
+
+@case(
+    "TC_VD_PEND_BV_07",
+    "A record received while a deletion is being repeated neither extends nor changes it ({variant})",
+    requirements="VD-PD-02",
+    stimulus="a variable is deleted by its producer; after the first VarDelete another record arrives ({variant})",
+    expect=(
+        "repCnt VarDeletes, no other record, and the sequence number unchanged (if RTDB-DescribeVariable is available)"
+    ),
+    window=20,
+    needs=Needs(when=several_repetitions),
+    variants={
+        **{name: Variant((event, False), requirements=ids) for name, (event, ids) in _EVENTS.items()},
+        **{
+            f"own-{name}": Variant(
+                (event, True),
+                requirements=ids.replace("VD-PD-02", "VD-PD-03"),
+                needs=Needs(ut=("RTDB-Create", "RTDB-Delete"), when=several_repetitions),
+            )
+            for name, (event, ids) in _EVENTS.items()
+        },
+    },
+)
+def deletion_goes_on(bench: Bench, variant: tuple[_Event, bool]) -> None:
+    event, own = variant
+    peer, count = bench.peer(), min(5, max_repetitions(bench))
+    var_id = produced(bench, rep_cnt=count) if own else taught(bench, peer, rep_cnt=count, seqno=5)
+    settled(bench, var_id)
+    since, stored = bench.mark(), 0 if own else 5
+    if own:
+        bench.must("RTDB-Delete", varId=var_id)
+    else:
+        peer.send(peer.delete(var_id))
+    bench.require(bench.until_instruction(_DELETE, var_id), "the VarDelete is sent", "not sent in time")
+    record = event(peer, var_id, lambda distance: stepped(bench, stored, distance))
+    peer.send(record)
+    bench.require_alive(type(record).__name__)
+    upper = bench.session.upper
+    entry = entry_of(bench, var_id) if upper is not None and "RTDB-DescribeVariable" in upper.methods else None
+    if entry is not None:
+        bench.check(entry.get("seqno") == stored, f"seqno {stored}", f"{entry.get('seqno')}", shown=True)
+    deletions = bench.check_repeated(_DELETE, var_id, count, since)
+    first, last = (bench.heard.index(each.heard) for each in (deletions[0], deletions[-1]))
+    late = traces(bench, var_id, first, _OTHERS)
+    if bench.features.removed_after_deletion:
+        # After the last VarDelete the variable is unknown and may be requested.
+        late = [each for each in late if bench.heard.index(each.heard) <= last]
+    bench.check(not late, "no other record of the variable", f"{named(late)}", frames=late, shown=True)

@@ -1,0 +1,245 @@
+"""dcp-vardis.md: Scrubbing Process.
+
+Events that restart the timeout of a variable, and events that do not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from dcp_spec.constants import ICType, SpecVersion
+
+from dcp_conformance.frames.received import Instruction
+from dcp_conformance.model.case import Needs, Variant, case
+from dcp_conformance.test_steps.timeouts import (
+    Change,
+    check_time,
+    create_own,
+    deleted,
+    hurry,
+    lasting,
+    latest,
+    learn,
+    not_by_consumers,
+    sent,
+    updated_in_time,
+)
+from dcp_conformance.test_system.bench import MS, Bench
+from dcp_conformance.test_system.peers import Peer
+from dcp_conformance.upper_tester import Answer
+
+_DELETE = ICType.DELETE_VARIABLES
+_WIRE = Needs(since=SpecVersion.V2_0)
+_OWN = Needs(since=SpecVersion.V2_0, ut=("RTDB-Create", "RTDB-Update"))
+
+
+@case(
+    "TC_VD_SCR_TI_04",
+    "Updates prevent the timeout of a variable at a consumer; after the last one it is deleted in time",
+    requirements="VD-SCR-03 VD-SCR-06 VD-SCR-01",
+    stimulus=(
+        "a variable with timeout 600 ms (longer if beacons are rare) is updated three times per timeout, for two "
+        "timeouts and a scrubbing period"
+    ),
+    expect="no VarDelete until the last update; one within the time allowed after it",
+    window=60,
+    needs=_WIRE,
+)
+def kept_by_updates(bench: Bench) -> None:
+    period_ms, scale = hurry(bench), bench.session.timing_scale
+    peer, name, timeout_ms = bench.peer(), bench.var_id(), lasting(bench, round(600 * scale), 4)
+    since = learn(bench, peer, name, timeout_ms)
+    until = bench.now() + (2 * timeout_ms + period_ms) * MS
+    number = slowest = 0
+    while bench.now() < until:
+        last, number = since, number + 1
+        since = sent(bench, peer, peer.update(name, number, bytes((number,))))
+        slowest = max(slowest, since.after - last.before)
+        bench.wait_ns(timeout_ms * MS // 3)
+    early = bench.instructions(_DELETE, name)
+    _check_in_time(bench, slowest, timeout_ms, early)
+    bench.check(
+        not early,
+        "no VarDelete of a variable that is updated in time",
+        f"{len(early)} VarDeletes",
+        "VD-SCR-03",
+        "VD-SCR-06",
+    )
+    if early:
+        return
+    found = deleted(bench, name, since, timeout_ms)
+    if found is None:
+        not_by_consumers(bench, name)
+        return
+    last_one = any(each.record.seqno == number for each in bench.instructions(ICType.UPDATES, name))
+    check_time(bench, found, since, timeout_ms, "VD-SCR-01", "VD-SCR-06", received=last_one)
+
+
+@case(
+    "TC_VD_SCR_TI_05",
+    "Updates by its application prevent the timeout of a variable at the producer",
+    requirements="VD-SCR-03",
+    stimulus="the application updates a variable with timeout 600 ms every 200 ms for two timeouts",
+    expect="no VarDelete until the last update; one within the time allowed after it",
+    window=60,
+    needs=_OWN,
+)
+def kept_by_the_application(bench: Bench) -> None:
+    period_ms = hurry(bench)
+    if "UT-Hello" in bench.ut.methods:
+        # Measures how long a call takes.
+        bench.call("UT-Hello")
+    name, timeout_ms = bench.own_var_id(), updated_in_time(bench, round(600 * bench.session.timing_scale))
+    since = create_own(bench, name, timeout_ms)
+    until = bench.now() + (2 * timeout_ms + period_ms) * MS
+    slowest = 0
+    refused: Answer | None = None
+    while bench.now() < until:
+        last, before = since, bench.now()
+        answer = bench.call("RTDB-Update", varId=name, value="01")
+        if not answer.ok:
+            refused = answer
+            # If the reason is that the variable was deleted, the next beacons show it.
+            bench.wait(bench.reaction)
+            slowest = max(slowest, before - last.before)
+            break
+        since = Change(before, bench.now())
+        slowest = max(slowest, since.after - last.before)
+        bench.wait_ns(timeout_ms * MS // 3)
+    early = bench.instructions(_DELETE, name)
+    _check_in_time(bench, slowest, timeout_ms, early)
+    bench.check(
+        not early,
+        "no VarDelete of a variable that is updated in time",
+        f"{len(early)} VarDeletes",
+        frames=early[:2],
+        shown=True,
+    )
+    if early:
+        return
+    if refused is not None:
+        bench.inconclusive("RTDB-Update succeeds, which this case needs", str(refused))
+    found = deleted(bench, name, since, timeout_ms)
+    if found is None:
+        bench.fail("a VarDelete after the last update", f"none in {latest(bench, timeout_ms) / MS:.0f} ms")
+    took = found.heard.time - since.before
+    what = f"the VarDelete at least {timeout_ms} ms after the last update"
+    bench.check(took >= (timeout_ms - 2) * MS, what, f"{took / MS:.0f} ms", frames=[found], shown=True)
+
+
+def _check_in_time(bench: Bench, slowest: int, timeout_ms: int, early: Sequence[Instruction]) -> None:
+    """Stop as inconclusive if a variable was deleted after two of its updates were too far apart (``slowest`` ns)."""
+    if early and slowest > timeout_ms * MS * 9 // 10:
+        bench.inconclusive("updates within the timeout", f"{slowest / MS:.0f} ms between two of them")
+
+
+def _equal(peer: Peer, name: int) -> None:
+    peer.send(peer.update(name, 5, b"another"))
+
+
+def _older(peer: Peer, name: int) -> None:
+    peer.send(peer.update(name, 4, b"older"))
+
+
+def _summary(peer: Peer, name: int) -> None:
+    peer.send(peer.summary(name, 5))
+
+
+def _request(peer: Peer, name: int) -> None:
+    peer.send(peer.request_create(name), peer.request_update(name, 3))
+
+
+@case(
+    "TC_VD_SCR_TI_06",
+    "A record that changes nothing does not extend the life of a variable ({variant})",
+    requirements="VD-SCR-06 VD-SCR-01",
+    stimulus="a variable with timeout 500 ms is created; then a record that changes nothing every 150 ms ({variant})",
+    expect="the VarDelete within the time allowed after the creation",
+    window=40,
+    needs=_WIRE,
+    variants={"equal-update": _equal, "older-update": _older, "summary": _summary, "request": _request},
+)
+def not_kept(bench: Bench, act: Callable[[Peer, int], None]) -> None:
+    hurry(bench)
+    peer, name, silent, timeout_ms = bench.peer(), bench.var_id(), bench.var_id(), 500
+    creates = (peer.create(name, seqno=5, timeout=timeout_ms), peer.create(silent, timeout=timeout_ms))
+    since = sent(bench, peer, *creates)
+    deadline = since.after + latest(bench, timeout_ms)
+    while bench.now() < deadline and not bench.instructions(_DELETE, name):
+        bench.wait_ns(150 * MS)
+        if not bench.instructions(_DELETE, name):
+            act(peer, name)
+    found = bench.instructions(_DELETE, name)
+    if not found and not bench.instructions(_DELETE, silent):
+        # If only producers scrub (X26), this cannot be tested.
+        not_by_consumers(bench, name)
+        return
+    bench.require(found, "a VarDelete of the variable, as of the one without further records", "none in time")
+    check_time(bench, found[0], since, timeout_ms)
+
+
+@case(
+    "TC_VD_SCR_TI_08",
+    "A renewed creation restarts the timeout, with its new value",
+    requirements="VD-SCR-03 VD-SCR-05 VD-SCR-01",
+    stimulus=(
+        "a variable with timeout 300 ms is deleted by scrubbing; then it is created again with three times that timeout"
+    ),
+    expect="a second VarDelete within the time allowed after the second creation, and not earlier",
+    window=60,
+    needs=_WIRE,
+)
+def created_anew(bench: Bench) -> None:
+    hurry(bench)
+    peer, name = bench.peer(), bench.var_id()
+    short = lasting(bench, 300, 2)
+    first = learn(bench, peer, name, short)
+    if deleted(bench, name, first, short) is None:
+        not_by_consumers(bench, name)
+        return
+    bench.repeated(_DELETE, name, 0)
+    mark = bench.mark()
+    long = 3 * short
+    second = learn(bench, peer, name, long)
+    left = second.after + latest(bench, long) - bench.now()
+    found = bench.until_instruction(_DELETE, name, left / bench.period)
+    bench.require(found, "a VarDelete after the second creation", "none in time", "VD-SCR-05")
+    check_time(bench, bench.instructions(_DELETE, name, mark)[0], second, long, "VD-SCR-03", "VD-SCR-01")
+
+
+def _own(bench: Bench, name: int, timeout_ms: int) -> Change:
+    return create_own(bench, name, timeout_ms)
+
+
+def _foreign(bench: Bench, name: int, timeout_ms: int) -> Change:
+    return learn(bench, bench.peer(), name, timeout_ms)
+
+
+_LONGEST = 65_535
+
+
+@case(
+    "TC_VD_SCR_TI_12",
+    "The longest timeout, 65,535 ms, is neither truncated nor ignored ({variant})",
+    requirements="VD-TYP-04 VD-SCR-01",
+    stimulus="a variable with timeout 65535 ms is created; then no more records",
+    expect="the VarDelete 65,535 ms later, or at most one scrubbing period after that",
+    window=700,
+    needs=_WIRE,
+    variants={
+        "received": _foreign,
+        "own": Variant(_own, needs=Needs(since=SpecVersion.V2_0, ut=("RTDB-Create",))),
+    },
+    long=True,
+)
+def longest_timeout(bench: Bench, make: Callable[[Bench, int, int], Change]) -> None:
+    hurry(bench)
+    name = bench.own_var_id() if make is _own else bench.var_id()
+    since = make(bench, name, _LONGEST)
+    found = deleted(bench, name, since, _LONGEST)
+    if found is None and make is _foreign:
+        not_by_consumers(bench, name)
+        return
+    bench.require(found is not None, "a VarDelete of the variable", "none in time")
+    assert found is not None
+    check_time(bench, found, since, _LONGEST)

@@ -1,0 +1,1 @@
+"""Test cases of VarDis: processing of received payloads."""

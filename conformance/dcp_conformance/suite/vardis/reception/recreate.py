@@ -1,0 +1,309 @@
+"""dcp-vardis.md: Service RTDB-Create, for an identifier that is in the database."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from dcp_spec.constants import ICType, SpecVersion
+
+from dcp_conformance.frames.received import Instruction
+from dcp_conformance.model.case import Needs, case
+from dcp_conformance.test_system.bench import Bench
+from dcp_conformance.test_system.services import (
+    EXISTS,
+    OK,
+    create_request,
+    expect_any,
+    max_repetitions,
+    nanoseconds,
+    produced,
+    same_status,
+    settled,
+    several_repetitions,
+    taught,
+    untaught,
+)
+
+_CREATE = ICType.CREATE_VARIABLES
+_DELETE = ICType.DELETE_VARIABLES
+_UPDATE = ICType.UPDATES
+
+
+@case(
+    "TC_VD_CRE_BO_01",
+    "RTDB-Create rejects the identifier of another node's variable",
+    requirements="VD-CRE-02",
+    stimulus="a peer creates a variable; RTDB-Create with its identifier",
+    expect="VARIABLE-EXISTS; the variable of the peer is unchanged",
+    needs=Needs(ut=("RTDB-Create", "RTDB-Read")),
+)
+def foreign(bench: Bench) -> None:
+    var_id = taught(bench, bench.peer(), value=b"theirs")
+    bench.expect_status(EXISTS, "RTDB-Create", **create_request(bench, var_id, value=b"ours"))
+    value = bench.call("RTDB-Read", varId=var_id).result.get("value")
+    bench.check(value == bench.value(b"theirs").hex(), "the value unchanged", f"{value}", shown=True)
+
+
+@case(
+    "TC_VD_CRE_BO_02",
+    "RTDB-Create rejects the identifier of another node's deleted variable",
+    requirements="VD-CRE-02",
+    stimulus="a peer creates and deletes a variable; RTDB-Create with its identifier",
+    expect="VARIABLE-EXISTS; according to the description of the service, VARDIS-STATUS-OK is also possible (X20)",
+    needs=Needs(since=SpecVersion.V2_0, ut=("RTDB-Create",)),
+)
+def foreign_deleted(bench: Bench) -> None:
+    peer = bench.peer()
+    var_id = taught(bench, peer)
+    untaught(bench, peer, var_id)
+    answer = expect_any(bench, (EXISTS, OK), "RTDB-Create", "VD-CRE-02", **create_request(bench, var_id))
+    if answer.ok or answer.is_status(EXISTS):
+        bench.reading("X20", "by-description" if answer.ok else "by-steps")
+
+
+@case(
+    "TC_VD_CRE_BO_03",
+    "Up to 1.3, RTDB-Create rejects the identifier of an existing variable of the node itself",
+    requirements="VD-CRE-16 VD-CRE-02",
+    stimulus="RTDB-Create twice with the same identifier",
+    expect="VARDIS-STATUS-OK, then VARIABLE-EXISTS; the first value is kept",
+    needs=Needs(until=SpecVersion.V1_3, ut=("RTDB-Create", "RTDB-Read")),
+)
+def own_exists(bench: Bench) -> None:
+    var_id = produced(bench, value=b"first")
+    bench.expect_status(EXISTS, "RTDB-Create", **create_request(bench, var_id, value=b"second"))
+    value = bench.call("RTDB-Read", varId=var_id).result.get("value")
+    bench.check(value == bench.value(b"first").hex(), "the value unchanged", f"{value}", shown=True)
+
+
+@case(
+    "TC_VD_CRE_BO_04",
+    "A node can create its own variable again, with a later creationTime and sequence number 0",
+    requirements="VD-CRE-03 VD-CRE-09",
+    stimulus="RTDB-Create, RTDB-Update, and RTDB-Create again with another value",
+    expect=(
+        "VARDIS-STATUS-OK, and a VarCreate with the new value, seqno 0 and a later creationTime (X20: "
+        "VARIABLE-EXISTS is also possible)"
+    ),
+    window=14,
+    needs=Needs(since=SpecVersion.V2_0, ut=("RTDB-Create", "RTDB-Update")),
+)
+def own_anew(bench: Bench) -> None:
+    var_id = produced(bench, value=b"first")
+    first = bench.until_instruction(_CREATE, var_id)
+    if first is None:
+        bench.inconclusive("the first VarCreate", "none in time")
+    bench.must("RTDB-Update", varId=var_id, value=bench.value(b"newer").hex())
+    bench.wait(2)
+    # The resolution of the clock may be coarser than this.
+    bench.wait_ns(nanoseconds(bench, 1))
+    mark = bench.mark()
+    answer = expect_any(
+        bench, (OK, EXISTS), "RTDB-Create", "VD-CRE-03", **create_request(bench, var_id, value=b"second")
+    )
+    if answer.ok or answer.is_status(EXISTS):
+        bench.reading("X20", "by-steps" if answer.ok else "by-description")
+    if not answer.ok:
+        return
+    bench.relies_on("creationTime")
+    _check_anew(bench, var_id, mark, first.spec.creation_time, bench.value(b"second"))
+
+
+def _check_anew(bench: Bench, var_id: int, mark: int, before: int, value: bytes) -> None:
+    """Check the VarCreate of the second creation; one of the first creation may have been prepared before."""
+    record = bench.until(lambda heard: _anew(heard.about(_CREATE, var_id), before))
+    frames = bench.instructions(_CREATE, var_id, mark)
+    if record is None:
+        observed = "none" if not frames else f"creationTime {frames[-1].record.spec.creation_time}"
+        bench.fail(f"a VarCreate with a creationTime after {before}", observed, "VD-CRE-09", frames=frames)
+    bench.check(
+        record.upd.seqno == 0, "seqno 0 in the VarCreate", f"{record.upd.seqno}", "VD-CRE-03", frames=frames, shown=True
+    )
+    bench.check(
+        record.upd.value == value,
+        f"value {value!r} in the VarCreate",
+        f"{record.upd.value!r}",
+        "VD-CRE-03",
+        frames=frames,
+        shown=True,
+    )
+
+
+def _anew(record: Any | None, before: int) -> Any | None:
+    spec = getattr(record, "spec", None)
+    return record if spec is not None and spec.creation_time > before else None
+
+
+@case(
+    "TC_VD_CRE_BO_05",
+    "A creation right after a deletion cancels the deletion",
+    requirements="VD-CRE-11 VD-CRE-03",
+    stimulus="RTDB-Create, RTDB-Delete with the maximum repCnt, and immediately RTDB-Create",
+    expect=(
+        "after at most one more VarDelete, exactly repCnt VarCreates of the new variable, and no VarDelete among them"
+    ),
+    window=40,
+    needs=Needs(since=SpecVersion.V2_0, ut=("RTDB-Create", "RTDB-Delete"), when=several_repetitions),
+)
+def ends_deletion(bench: Bench) -> None:
+    count = max_repetitions(bench)
+    var_id = produced(bench, rep_cnt=count, value=b"first")
+    first = bench.until_instruction(_CREATE, var_id)
+    if first is None:
+        bench.inconclusive("the first VarCreate", "none in time")
+    bench.must("RTDB-Delete", varId=var_id)
+    if bench.until_instruction(_DELETE, var_id) is None:
+        bench.inconclusive("a VarDelete", "none in time")
+    mark = bench.mark()
+    bench.expect_status(OK, "RTDB-Create", "VD-CRE-03", **create_request(bench, var_id, rep_cnt=count, value=b"second"))
+    done = bench.mark()
+    if len(bench.frames_with(_DELETE, var_id)) > count - 2:
+        bench.inconclusive("remaining repetitions of the VarDelete", "none left when the variable was created again")
+    bench.relies_on("creationTime")
+    before = first.spec.creation_time
+    made = bench.until_quiet(lambda heard: _anew(heard.about(_CREATE, var_id), before), since=mark)
+    deletions = bench.frames_with(_DELETE, var_id, done)
+    late = [heard for heard in deletions if not made or heard.time >= made[0].time]
+    bench.check(
+        len(deletions) <= 1 and not late,
+        "no VarDelete, except one prepared before the creation",
+        f"{len(deletions)} VarDeletes, {len(late)} of them with or after the new VarCreate",
+        "VD-CRE-11",
+        frames=deletions,
+        shown=True,
+    )
+    bench.check(
+        len(made) == count,
+        f"{count} beacons with the new VarCreate",
+        f"{len(made)}",
+        "VD-CRE-11",
+        frames=made,
+        shown=len(made) > count,
+    )
+
+
+@case(
+    "TC_VD_CRE_BO_06",
+    "A second creation cancels the pending records of the variable",
+    requirements="VD-CRE-11",
+    stimulus="RTDB-Create and RTDB-Update with the maximum repCnt; one beacon later RTDB-Create again",
+    expect="exactly repCnt VarCreates of the new variable, one per beacon, and no VarUpdate among them",
+    window=40,
+    needs=Needs(since=SpecVersion.V2_0, ut=("RTDB-Create", "RTDB-Update"), when=several_repetitions),
+)
+def ends_repetitions(bench: Bench) -> None:
+    count = max_repetitions(bench)
+    var_id = produced(bench, rep_cnt=count, value=b"first")
+    first = bench.until_instruction(_CREATE, var_id)
+    if first is None:
+        bench.inconclusive("the first VarCreate", "none in time")
+    bench.must("RTDB-Update", varId=var_id, value=bench.value(b"newer").hex())
+    if bench.until_instruction(_UPDATE, var_id) is None:
+        bench.inconclusive("a VarUpdate", "none in time")
+    mark = bench.mark()
+    answer = bench.call("RTDB-Create", **create_request(bench, var_id, rep_cnt=count, value=b"second"))
+    if same_status(answer, EXISTS):
+        bench.reading("X20", "by-description")
+        return
+    bench.check_status(answer, (OK,), "RTDB-Create")
+    bench.relies_on("creationTime")
+    before = first.spec.creation_time
+    made = bench.until_quiet(lambda heard: _anew(heard.about(_CREATE, var_id), before), since=mark)
+    bench.check(
+        len(made) == count,
+        f"{count} beacons with the new VarCreate",
+        f"{len(made)}",
+        frames=made,
+        shown=len(made) > count,
+    )
+    twice = [heard for heard in made if len(heard.instructions(_CREATE, var_id)) > 1]
+    bench.check(
+        not twice,
+        "at most one VarCreate of the variable in each beacon",
+        f"more in {len(twice)} beacons",
+        frames=twice,
+        shown=True,
+    )
+    late = [heard for heard in bench.frames_with(_UPDATE, var_id, mark) if made and heard.time >= made[0].time]
+    bench.check(
+        not late,
+        "no VarUpdate with or after the new VarCreate",
+        f"{len(late)} beacons with one",
+        frames=late,
+        shown=True,
+    )
+
+
+@case(
+    "TC_VD_CRE_BO_07",
+    "Up to 1.3, an identifier can be used again after its variable was removed",
+    requirements="VD-DEL-08 VD-CRE-02",
+    stimulus="RTDB-Create, RTDB-Delete; after the last VarDelete RTDB-Create again",
+    expect="VARDIS-STATUS-OK, and a VarCreate with seqno 0",
+    window=20,
+    needs=Needs(until=SpecVersion.V1_3, ut=("RTDB-Create", "RTDB-Update", "RTDB-Delete")),
+)
+def used_again(bench: Bench) -> None:
+    var_id = produced(bench, value=b"first")
+    settled(bench, var_id)
+    bench.must("RTDB-Update", varId=var_id, value=bench.value(b"newer").hex())
+    bench.must("RTDB-Delete", varId=var_id)
+    bench.until_quiet(lambda heard: heard.instructions(_DELETE, var_id))
+    mark = bench.mark()
+    bench.expect_status(OK, "RTDB-Create", **create_request(bench, var_id, value=b"second"))
+    record = bench.until_instruction(_CREATE, var_id)
+    frames = bench.instructions(_CREATE, var_id, mark)
+    ok = record is not None and record.upd.seqno == 0 and record.upd.value == bench.value(b"second")
+    bench.check(
+        ok, "a VarCreate of the new variable with seqno 0", f"{record}", frames=frames, shown=record is not None
+    )
+
+
+@case(
+    "TC_VD_CRE_BO_08",
+    "Up to 1.3, RTDB-Create rejects an identifier while its variable is being deleted",
+    requirements="VD-CRE-16 VD-CRE-02",
+    stimulus="RTDB-Create and RTDB-Delete with the maximum repCnt, and immediately RTDB-Create",
+    expect="VARIABLE-EXISTS",
+    needs=Needs(until=SpecVersion.V1_3, ut=("RTDB-Create", "RTDB-Delete"), when=several_repetitions),
+)
+def being_deleted(bench: Bench) -> None:
+    var_id = produced(bench, rep_cnt=max_repetitions(bench))
+    bench.must("RTDB-Delete", varId=var_id)
+    bench.expect_status(EXISTS, "RTDB-Create", **create_request(bench, var_id))
+
+
+@case(
+    "TC_VD_CRE_BV_08",
+    "RTDB-Create cancels a pending request for the variable",
+    requirements="VD-CRE-11",
+    stimulus="a summary of an unknown variable, and immediately RTDB-Create with its identifier; up to three times",
+    expect="no VarReqCreate in at least one attempt",
+    window=10,
+    needs=Needs(since=SpecVersion.V1_1, ut=("RTDB-Create",)),
+)
+def request_ended(bench: Bench) -> None:
+    late: list[Instruction] = []
+    for _ in range(3):
+        peer, var_id = bench.peer(), bench.own_var_id()
+        bench.beacons(1)
+        since = bench.mark()
+        peer.send(peer.summary(var_id, 1))
+        bench.must("RTDB-Create", **create_request(bench, var_id))
+        bench.require_alive("a summary and RTDB-Create")
+        bench.beacons(1, 1.5)
+        late = bench.instructions(ICType.REQUEST_VARCREATES, var_id, since)
+        if not late:
+            break
+    if late and bench.session.slow_call > bench.period // 2:
+        bench.inconclusive(
+            "no VarReqCreate for the node's own variable", "calls take so long that it may be sent before them"
+        )
+    text = "one in every attempt"
+    bench.check(
+        not late,
+        "no VarReqCreate for the node's own variable in at least one of 3 attempts",
+        text,
+        frames=late,
+        shown=True,
+    )

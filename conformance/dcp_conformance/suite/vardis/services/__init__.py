@@ -1,0 +1,1 @@
+"""Test cases of VarDis: services for applications, and their parameters."""

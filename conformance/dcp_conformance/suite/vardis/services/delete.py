@@ -1,0 +1,252 @@
+"""dcp-vardis.md: Service RTDB-Delete."""
+
+from __future__ import annotations
+
+from dcp_spec.constants import ICType, SpecVersion
+
+from dcp_conformance.model.case import Needs, case
+from dcp_conformance.test_system.bench import Bench
+from dcp_conformance.test_system.services import (
+    NOT_PRODUCER,
+    OK,
+    UNKNOWN,
+    count_of,
+    deleted_status,
+    described,
+    entry_of,
+    expect_any,
+    least_left,
+    max_repetitions,
+    produced,
+    settled,
+    several_repetitions,
+    statuses_after_deletion,
+    taught,
+    untaught,
+)
+
+_D = ICType.DELETE_VARIABLES
+_OTHERS = (ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.SUMMARIES)
+_DELETE = Needs(ut=("RTDB-Create", "RTDB-Delete"))
+
+
+@case(
+    "TC_VD_DEL_BV_01",
+    "A VarDelete is sent in exactly repCnt beacons, and no other record of the variable ({variant})",
+    requirements="VD-DEL-05",
+    stimulus="RTDB-Create with repCnt {variant}; after its repetitions RTDB-Delete",
+    expect="VARDIS-STATUS-OK; one VarDelete in each of exactly repCnt beacons, and no VarCreate, VarUpdate or summary",
+    window=50,
+    needs=_DELETE,
+    variants={"1": "1", "2": "2", "most": "most"},
+)
+def repetitions(bench: Bench, name: str) -> None:
+    count = count_of(bench, name)
+    var_id = produced(bench, rep_cnt=count)
+    settled(bench, var_id)
+    _check_deletion(bench, var_id, count)
+
+
+def _check_deletion(bench: Bench, var_id: int, count: int) -> None:
+    mark = bench.mark()
+    bench.expect_status(OK, "RTDB-Delete", varId=var_id)
+    done = bench.mark()
+    frames = bench.until_quiet(lambda heard: heard.instructions(_D, var_id), since=mark)
+    bench.check(
+        len(frames) == count,
+        f"{count} beacons with the VarDelete",
+        f"{len(frames)} beacons",
+        frames=frames,
+        shown=len(frames) > count,
+    )
+    twice = [heard for heard in frames if len(heard.instructions(_D, var_id)) > 1]
+    bench.check(
+        not twice,
+        "at most one VarDelete of the variable in each beacon",
+        f"more in {len(twice)} beacons",
+        frames=twice,
+        shown=True,
+    )
+    # A beacon prepared before the request may still be sent.
+    for kind in _OTHERS:
+        others = bench.frames_with(kind, var_id, done)
+        late = [heard for heard in others if frames and heard.time >= frames[0].time]
+        bench.check(
+            len(others) <= 1 and not late,
+            f"no {kind.label} record of the variable, except in a beacon prepared before the request",
+            f"in {len(others)} beacons, {len(late)} of them with or after the first VarDelete",
+            frames=others,
+            shown=True,
+        )
+
+
+@case(
+    "TC_VD_DEL_BV_02",
+    "A deletion cancels the repetitions of creation and update",
+    requirements="VD-DEL-05",
+    stimulus="RTDB-Create and RTDB-Update with the maximum repCnt; after two beacons RTDB-Delete",
+    expect=(
+        "VARDIS-STATUS-OK; exactly repCnt beacons with the VarDelete, and no VarCreate, VarUpdate or summary with "
+        "or after them"
+    ),
+    window=50,
+    needs=Needs(ut=("RTDB-Create", "RTDB-Update", "RTDB-Delete"), when=several_repetitions),
+)
+def ends_repetitions(bench: Bench) -> None:
+    count = max_repetitions(bench)
+    var_id = produced(bench, rep_cnt=count)
+    bench.must("RTDB-Update", varId=var_id, value=bench.value(b"newer").hex())
+    if bench.until_instruction(ICType.UPDATES, var_id) is None:
+        bench.inconclusive("a VarUpdate of the variable", "none in time")
+    _check_deletion(bench, var_id, count)
+
+
+@case(
+    "TC_VD_DEL_BV_03",
+    "The database entry of a deleted variable has the contents that the specification requires",
+    requirements="VD-DEL-05",
+    stimulus="RTDB-Create, RTDB-Update and RTDB-Delete with the maximum repCnt, then immediately RTDB-DescribeVariable",
+    expect="isDeleted true, countDelete at most two less than repCnt, the other counters 0",
+    needs=Needs(ut=("RTDB-Create", "RTDB-Update", "RTDB-Delete", "RTDB-DescribeVariable"), when=several_repetitions),
+)
+def entry(bench: Bench) -> None:
+    count = max_repetitions(bench)
+    var_id = produced(bench, rep_cnt=count)
+    bench.must("RTDB-Update", varId=var_id, value=bench.value(b"newer").hex())
+    start = bench.mark()
+    bench.must("RTDB-Delete", varId=var_id)
+    found = entry_of(bench, var_id)
+    least = least_left(bench, count, start)
+    if found is None:
+        bench.fail("a database entry of the deleted variable", "no entry", shown=True)
+    for name, low, high in (
+        ("isDeleted", True, True),
+        ("countDelete", least, count),
+        ("countCreate", 0, 0),
+        ("countUpdate", 0, 0),
+    ):
+        if name in found:
+            bench.check(low <= found[name] <= high, f"{name} from {low} to {high}", f"{found[name]}", shown=True)
+
+
+@case(
+    "TC_VD_DEL_BV_04",
+    "A deleted variable remains in the database",
+    requirements="VD-DEL-06",
+    stimulus="RTDB-Create and RTDB-Delete; after the last VarDelete RTDB-DescribeVariable",
+    expect="VARDIS-STATUS-OK and the entry, marked as deleted",
+    window=20,
+    needs=Needs(since=SpecVersion.V2_0, ut=("RTDB-Create", "RTDB-Delete", "RTDB-DescribeVariable")),
+)
+def stays(bench: Bench) -> None:
+    var_id = produced(bench)
+    bench.must("RTDB-Delete", varId=var_id)
+    bench.until_quiet(lambda heard: heard.instructions(_D, var_id))
+    answer = bench.expect_status(OK, "RTDB-DescribeVariable", varId=var_id)
+    found = described(answer)
+    bench.check(found.get("isDeleted", True) is True, "isDeleted is true", f"{found.get('isDeleted')}", shown=True)
+
+
+@case(
+    "TC_VD_DEL_BV_05",
+    "Up to 1.3, a deleted variable is removed from the database after its last VarDelete",
+    requirements="VD-DEL-08",
+    stimulus="RTDB-Create and RTDB-Delete; after the last VarDelete RTDB-DescribeVariable and RTDB-Delete",
+    expect="VARIABLE-DOES-NOT-EXIST",
+    window=20,
+    needs=Needs(until=SpecVersion.V1_3, ut=("RTDB-Create", "RTDB-Delete", "RTDB-DescribeVariable")),
+)
+def leaves(bench: Bench) -> None:
+    var_id = produced(bench)
+    bench.must("RTDB-Delete", varId=var_id)
+    bench.until_quiet(lambda heard: heard.instructions(_D, var_id))
+    bench.expect_status(UNKNOWN, "RTDB-DescribeVariable", varId=var_id)
+    bench.expect_status(UNKNOWN, "RTDB-Delete", varId=var_id)
+
+
+# -- refusals ----------------------------------------------------------------------------------------------------------
+
+
+@case(
+    "TC_VD_DEL_BI_01",
+    "RTDB-Delete rejects a variable that does not exist",
+    requirements="VD-DEL-02",
+    stimulus="RTDB-Delete for an identifier that is not in use",
+    expect="VARIABLE-DOES-NOT-EXIST; no VarDelete",
+    needs=Needs(ut=("RTDB-Delete",)),
+)
+def unknown(bench: Bench) -> None:
+    var_id = bench.unknown_id()
+    bench.expect_status(UNKNOWN, "RTDB-Delete", varId=var_id)
+    bench.require_alive("RTDB-Delete for an unknown variable")
+    frames = bench.frames_with(_D, var_id)
+    bench.check(not frames, "no VarDelete", f"{len(frames)} beacons with one", frames=frames, shown=True)
+
+
+@case(
+    "TC_VD_DEL_BO_01",
+    "RTDB-Delete rejects a variable of another node",
+    requirements="VD-DEL-03",
+    stimulus="a peer creates a variable; RTDB-Delete",
+    expect="NOT-PRODUCER; RTDB-Read still finds the variable, and no VarDelete is sent",
+    needs=Needs(ut=("RTDB-Delete", "RTDB-Read")),
+)
+def foreign(bench: Bench) -> None:
+    var_id = taught(bench, bench.peer(), value=b"theirs")
+    bench.expect_status(NOT_PRODUCER, "RTDB-Delete", varId=var_id)
+    bench.require_alive("RTDB-Delete for a variable of another node")
+    answer = bench.call("RTDB-Read", varId=var_id)
+    bench.check(
+        answer.ok and answer.result.get("value") == bench.value(b"theirs").hex(),
+        "the variable still exists",
+        str(answer),
+        shown=True,
+    )
+    frames = bench.frames_with(_D, var_id)
+    bench.check(not frames, "no VarDelete", f"{len(frames)} beacons with one", frames=frames, shown=True)
+
+
+@case(
+    "TC_VD_DEL_BO_02",
+    "RTDB-Delete rejects a deleted variable of another node, and checks the producer first",
+    requirements="VD-DEL-03",
+    stimulus="a peer creates and deletes a variable; RTDB-Delete",
+    expect="NOT-PRODUCER; up to 1.3 VARIABLE-DOES-NOT-EXIST once it has been removed",
+    needs=Needs(ut=("RTDB-Delete",)),
+)
+def foreign_deleted(bench: Bench) -> None:
+    peer = bench.peer()
+    var_id = taught(bench, peer, rep_cnt=max_repetitions(bench))
+    untaught(bench, peer, var_id)
+    gone = (UNKNOWN,) if bench.features.removed_after_deletion else ()
+    expect_any(bench, (NOT_PRODUCER, *gone), "RTDB-Delete", varId=var_id)
+
+
+@case(
+    "TC_VD_DEL_BO_03",
+    "A second RTDB-Delete of a variable is rejected, both immediately and later",
+    requirements="VD-DEL-04 VD-DEL-09",
+    stimulus=(
+        "RTDB-Create with the maximum repCnt, RTDB-Delete, RTDB-Delete again immediately, and after the last VarDelete"
+    ),
+    expect="VARIABLE-IS-DELETED both times, and no further VarDelete; up to 1.3 VARIABLE-BEING-DELETED, then "
+    "VARIABLE-DOES-NOT-EXIST",
+    window=30,
+    needs=_DELETE,
+)
+def twice(bench: Bench) -> None:
+    count = max_repetitions(bench)
+    var_id = produced(bench, rep_cnt=count)
+    mark = bench.mark()
+    bench.must("RTDB-Delete", varId=var_id)
+    expect_any(bench, statuses_after_deletion(bench), "RTDB-Delete", varId=var_id)
+    frames = bench.until_quiet(lambda heard: heard.instructions(_D, var_id), since=mark)
+    bench.check(
+        len(frames) == count,
+        f"{count} beacons with the VarDelete",
+        f"{len(frames)} beacons",
+        frames=frames,
+        shown=len(frames) > count,
+    )
+    status = UNKNOWN if bench.features.removed_after_deletion else deleted_status(bench)
+    bench.expect_status(status, "RTDB-Delete", varId=var_id)

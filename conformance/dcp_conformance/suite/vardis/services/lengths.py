@@ -1,0 +1,297 @@
+"""dcp-vardis.md: Receive Path, lengths and repetition counts at their limits."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from dcp_spec.constants import ICType, SpecVersion
+
+from dcp_codec.values import VarCreate, VardisRecord
+from dcp_conformance.model.case import Needs, Variant, case
+from dcp_conformance.test_steps.variable_queries import INSTRUCTIONS, ask, named, traces
+from dcp_conformance.test_system.bench import Bench
+from dcp_conformance.test_system.services import longest_description, taught
+
+_ANY, _V1_1, _V1_2 = SpecVersion.V1_0, SpecVersion.V1_1, SpecVersion.V1_2
+Bound = Callable[[int], int]
+#: Lengths and counts as functions of the maximum, whether they are allowed, and the first version that rejects the
+#: others.
+_BOUNDS: dict[str, tuple[Bound, bool, SpecVersion]] = {
+    "0": (lambda _: 0, False, _V1_2),
+    "1": (lambda _: 1, True, _ANY),
+    "max": (lambda most: most, True, _ANY),
+    "max+1": (lambda most: most + 1, False, _V1_1),
+    "255": (lambda _: 255, False, _V1_1),
+}
+
+
+def _field(bench: Bench, what: str) -> tuple[int, int]:
+    """Return the largest allowed value of a field, and the largest value that it can hold."""
+    types = bench.profile.types
+    if what == "repCnt":
+        return bench.bound("VARDISPAR_MAX_REPETITIONS"), (1 << 8 * types.var_rep_cnt.width) - 1
+    if what == "description":
+        return longest_description(bench), 254
+    return bench.bound("VARDISPAR_MAX_VALUE_LENGTH"), 255
+
+
+def _requirement(what: str) -> str:
+    return {"value": "VD-PC-04", "description": "VD-PC-05", "repCnt": "VD-PC-06"}[what]
+
+
+def _variants() -> dict[str, Variant]:
+    found = {}
+    for what in ("value", "description", "repCnt"):
+        for name, (bound, allowed, since) in _BOUNDS.items():
+            # Version 1.1 does not check repetition counts.
+            refused = max(since, _V1_2) if what == "repCnt" else since
+            found[f"{what}-{name}"] = Variant(
+                (what, bound, allowed, refused),
+                purpose=f"A VarCreate is {'accepted' if allowed else 'ignored'} ({what}: {name})",
+                requirements=_requirement(what),
+                stimulus=f"a VarCreate of an unknown variable ({what}: {name}; a length or count, max: the parameter)",
+                expect="it is forwarded and stored" if allowed else "no reaction; the variable remains unknown",
+            )
+    return found
+
+
+@case(
+    "TC_VD_LEN_BI_01",
+    "{variant}",
+    requirements="VD-PC-04",
+    stimulus="{variant}",
+    expect="{variant}",
+    window=6,
+    variants=_variants(),
+)
+def creations(bench: Bench, what: tuple[str, Bound, bool, SpecVersion]) -> None:
+    field, bound, allowed, refused = what
+    most, widest = _field(bench, field)
+    number = bound(most)
+    if not _expressible(bench, number, most, widest, allowed=allowed):
+        return
+    if number <= 1:
+        # Accepted or rejected whatever the maximum is.
+        bench.assumptions.clear()
+    peer, var_id = bench.peer(), bench.unknown_id()
+    bench.created.add(var_id)
+    record = peer.create(
+        var_id,
+        value=b"v" * (number if field == "value" else 1),
+        descr=b"d" * (number if field == "description" else 1),
+        rep_cnt=number if field == "repCnt" else 1,
+        exact=True,
+    )
+    since = bench.mark()
+    peer.send(record)
+    if allowed:
+        came = bench.until_instruction(ICType.CREATE_VARIABLES, var_id)
+        bench.check(
+            came == record, "the VarCreate is accepted and forwarded unchanged", f"{came}", shown=came is not None
+        )
+        if came is not None:
+            held = ask(bench, var_id)
+            bench.check(
+                held.record == record,
+                "the VarCreate unchanged in the database",
+                str(held),
+                shown=held.record is not None,
+            )
+        return
+    bench.require_alive("the VarCreate")
+    bench.beacons(2, 2.5)
+    found = traces(bench, var_id, since, ICType)
+    if bench.profile.spec_version < refused:
+        bench.info(
+            f"What is the reaction to a VarCreate with a {field} of {number}, which no rule forbids?", named(found)
+        )
+        return
+    bench.check(
+        not found,
+        f"a VarCreate with a {field} of {number} is ignored",
+        f"{named(found)}",
+        frames=found,
+        shown=True,
+    )
+    held = ask(bench, var_id)
+    bench.check(held.state == "unknown", "no entry of the variable", str(held), shown=held.shown)
+
+
+def _expressible(bench: Bench, number: int, most: int, widest: int, *, allowed: bool) -> bool:
+    """Return whether a number can be sent and is on the intended side of the limit; report it if not."""
+    if number > widest:
+        bench.info("Can the limit be tested?", f"no: {number} does not fit into the field, whose maximum is {widest}")
+        return False
+    if not allowed and 0 < number <= most:
+        bench.info("Can the limit be tested?", f"no: {number} is allowed, because the maximum is {most}")
+        return False
+    return True
+
+
+def _updates() -> dict[str, Variant]:
+    return {
+        name: Variant(
+            what,
+            purpose=f"A VarUpdate with a value of length {name} is {'accepted' if what[1] else 'ignored'}",
+            expect="it is forwarded and stored" if what[1] else "no reaction; the old value remains",
+        )
+        for name, what in _BOUNDS.items()
+    }
+
+
+@case(
+    "TC_VD_LEN_BI_02",
+    "{variant}",
+    requirements="VD-PU-04",
+    stimulus="a newer VarUpdate of a known variable with a value of length {variant}",
+    expect="{variant}",
+    window=6,
+    variants=_updates(),
+)
+def updates(bench: Bench, what: tuple[Bound, bool, SpecVersion]) -> None:
+    bound, allowed, refused = what
+    most, widest = _field(bench, "value")
+    number = bound(most)
+    if not _expressible(bench, number, most, widest, allowed=allowed):
+        return
+    if number <= 1:
+        bench.assumptions.clear()
+    peer = bench.peer()
+    var_id = taught(bench, peer, value=b"value")
+    record, since = peer.update(var_id, 1, b"v" * number, exact=True), bench.mark()
+    peer.send(record)
+    if allowed:
+        came = bench.until_instruction(ICType.UPDATES, var_id)
+        bench.check(
+            came == record, "the VarUpdate is accepted and forwarded unchanged", f"{came}", shown=came is not None
+        )
+        if came is not None:
+            held = ask(bench, var_id)
+            stored = held.record is not None and held.record.upd == record
+            bench.check(stored, "the VarUpdate unchanged in the database", str(held), shown=held.record is not None)
+        return
+    bench.require_alive("the VarUpdate")
+    bench.beacons(1, 1.5)
+    found = traces(bench, var_id, since)
+    if bench.profile.spec_version < refused:
+        bench.info(
+            f"What is the reaction to a VarUpdate with a value of {number} octets, which no rule forbids?", named(found)
+        )
+        return
+    bench.check(
+        not found, f"a VarUpdate with a value of {number} octets is ignored", named(found), frames=found, shown=True
+    )
+    held = ask(bench, var_id)
+    stored = held.record is not None and (held.record.upd.seqno, held.record.upd.value) == (0, bench.value(b"value"))
+    bench.check(stored, "the old value and sequence number in the database", str(held), shown=held.record is not None)
+
+
+@case(
+    "TC_VD_LEN_BI_03",
+    "Records that are ignored because of their lengths do not affect others in the same container",
+    requirements="VD-PC-04 VD-PC-06 VD-PU-04",
+    stimulus=(
+        "a container with a valid VarCreate among two with empty values and one with repCnt 0; then a container "
+        "with a valid VarUpdate between two with empty values"
+    ),
+    expect="the valid records are forwarded; there is no record of the others",
+    window=8,
+    needs=Needs(since=_V1_2),
+)
+def among_others(bench: Bench) -> None:
+    peer, (one, good, two, three) = bench.peer(), bench.unknown_ids(4)
+    bench.created.update((one, good, two, three))
+    record = peer.create(good)
+    since = bench.mark()
+    peer.send(peer.create(one, value=b""), peer.create(three, rep_cnt=0), record, peer.create(two, value=b""))
+    came = bench.until_instruction(ICType.CREATE_VARIABLES, good)
+    bench.check(
+        came == record, "the valid VarCreate is forwarded unchanged", f"{came}", "VD-PC-04", shown=came is not None
+    )
+    newer = peer.update(good, 2, b"good")
+    peer.send(peer.update(good, 1, b""), newer, peer.update(good, 3, b""))
+    came = bench.until_instruction(ICType.UPDATES, good)
+    bench.check(
+        came == newer, "the valid VarUpdate is forwarded unchanged", f"{came}", "VD-PU-04", shown=came is not None
+    )
+    bench.require_alive("the containers")
+    for var_id, requirement in ((one, "VD-PC-04"), (two, "VD-PC-04"), (three, "VD-PC-06")):
+        found = traces(bench, var_id, since, INSTRUCTIONS)
+        bench.check(
+            not found,
+            "no record of the variables with invalid lengths or counts",
+            f"{named(found)}",
+            requirement,
+            frames=found,
+            shown=True,
+        )
+
+
+@case(
+    "TC_VD_LEN_BV_01",
+    ("A VarCreate with the longest value, the longest description and the maximum repCnt is accepted and forwarded"),
+    requirements="VD-PC-04 VD-PC-05 VD-PC-06",
+    stimulus="a VarCreate with all three at their maximum",
+    expect="it is forwarded unchanged",
+)
+def longest(bench: Bench) -> None:
+    peer = bench.peer()
+    value, description = _field(bench, "value")[0], _field(bench, "description")[0]
+    record: VarCreate = peer.create(
+        bench.var_id(),
+        value=b"v" * min(value, 255),
+        descr=b"d" * min(description, 254),
+        rep_cnt=_field(bench, "repCnt")[0],
+        exact=True,
+    )
+    peer.send(record)
+    came: VardisRecord | None = bench.until_instruction(ICType.CREATE_VARIABLES, record.spec.var_id)
+    bench.check(came == record, "the VarCreate is forwarded unchanged", f"{came}", shown=came is not None)
+
+
+@case(
+    "TC_VD_LEN_BI_04",
+    "A VarUpdate of an unknown variable causes a request whatever the length of its value ({variant})",
+    requirements="VD-PU-01",
+    stimulus="a VarUpdate of an unknown variable with a value of length {variant}",
+    expect="one VarReqCreate: the length is checked later",
+    variants={name: _BOUNDS[name][0] for name in ("0", "max+1", "255")},
+)
+def unknown_variable(bench: Bench, bound: Bound) -> None:
+    most, widest = bench.parameter("VARDISPAR_MAX_VALUE_LENGTH"), 255
+    if not _expressible(bench, bound(most), most, widest, allowed=True):
+        return
+    peer, var_id, since = bench.peer(), bench.unknown_id(), bench.mark()
+    peer.send(peer.update(var_id, 1, b"v" * bound(most), exact=True))
+    bench.check_repeated(ICType.REQUEST_VARCREATES, var_id, 1, since)
+
+
+@case(
+    "TC_DCP_DATA_BI_02",
+    "The length of a received description counts octets, not characters",
+    requirements="DATA-08 VD-PC-05",
+    stimulus="a VarCreate whose description has fewer characters than the maximum, but more octets",
+    expect="it is ignored",
+    needs=Needs(since=SpecVersion.V1_1),
+)
+def length_of_received_text(bench: Bench) -> None:
+    longest = longest_description(bench)
+    descr = ("\u00e9" * (longest // 2 + 1)).encode()
+    if len(descr) > 254:
+        bench.inconclusive(
+            "a description longer than the maximum",
+            f"impossible: the maximum of {longest} is the largest length that can be sent",
+        )
+    peer, var_id, since = bench.peer(), bench.unknown_id(), bench.mark()
+    bench.created.add(var_id)
+    peer.send(peer.create(var_id, descr=descr, value=b"v", exact=True))
+    bench.require_alive("the VarCreate")
+    bench.beacons(1, 1.5)
+    found = bench.instructions(ICType.CREATE_VARIABLES, var_id, since)
+    bench.check(
+        not found,
+        f"a VarCreate with a description of {len(descr)} octets is ignored",
+        "it was forwarded",
+        frames=found,
+        shown=True,
+    )

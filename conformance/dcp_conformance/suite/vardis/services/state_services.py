@@ -1,0 +1,336 @@
+"""dcp-vardis.md: Variable States, Services and Scrubbing.
+
+Service requests and timeouts in every state of a variable. The variants are named ``state.event``, as in the cases of
+received records.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from dcp_spec.constants import ICType, SpecVersion
+
+from dcp_codec.values import VarCreate
+from dcp_conformance.frames.received import Instruction
+from dcp_conformance.model.case import Needs, Variant, case
+from dcp_conformance.test_steps.variable_queries import INSTRUCTIONS, ask, named, stepped, traces
+from dcp_conformance.test_system.bench import MS, Bench
+from dcp_conformance.test_system.services import (
+    EXISTS,
+    NOT_PRODUCER,
+    OK,
+    UNKNOWN,
+    create_request,
+    deleted_status,
+    same_status,
+)
+
+METHODS = ("RTDB-Create", "RTDB-Update", "RTDB-Delete", "RTDB-Read")
+STATES = {
+    "unknown": "an unknown variable",
+    "alive-producer": "one of the node's own variables",
+    "alive-consumer": "a variable of another node",
+    "deleted-producer": "one of the node's own deleted variables",
+    "deleted-consumer": "a deleted variable of another node",
+}
+#: Number of repetitions that keep a deleted variable in the database long enough to be tested, up to 1.3.
+_LASTING = 4
+_VALUE = b"fresh"
+
+
+@dataclass
+class Place:
+    """A variable in a given state."""
+
+    var_id: int
+    state: str
+    stored: VarCreate | None
+    rep_cnt: int = 1
+    fleeting: bool = False
+    """Whether it may have been removed from the database by now."""
+
+
+def _sent(bench: Bench, var_id: int) -> VarCreate:
+    record = bench.until_instruction(ICType.CREATE_VARIABLES, var_id)
+    if not isinstance(record, VarCreate):
+        bench.inconclusive("a VarCreate of the variable, which this case needs", "none in time")
+    return record
+
+
+def place(bench: Bench, state: str, *, timeout: int = 0) -> Place:
+    """Create a variable and bring it into a state."""
+    own = state.endswith("producer")
+    if state == "unknown":
+        return Place(bench.own_var_id(), state, None)
+    var_id = bench.own_var_id() if own else bench.var_id()
+    removed = bench.features.removed_after_deletion
+    rep_cnt = bench.rep_cnt(_LASTING) if state.startswith("deleted") and removed else 1
+    peer, since = bench.peer(), bench.mark()
+    if own:
+        bench.must("RTDB-Create", **create_request(bench, var_id, rep_cnt=rep_cnt, timeout=timeout))
+    else:
+        peer.send(peer.create(var_id, rep_cnt=rep_cnt, seqno=5, timeout=timeout))
+    stored = _sent(bench, var_id)
+    found = Place(var_id, state, stored, rep_cnt)
+    if rep_cnt > 1:
+        bench.until_quiet(lambda heard: heard.instructions(ICType.CREATE_VARIABLES, var_id), since=since)
+    if state.startswith("deleted"):
+        if own:
+            bench.must("RTDB-Delete", varId=var_id)
+        else:
+            peer.send(peer.delete(var_id))
+        if bench.until_instruction(ICType.DELETE_VARIABLES, var_id) is None:
+            bench.inconclusive("a VarDelete of the variable, which this case needs", "none in time")
+        # One repetition was heard, and the next payload may already be composed.
+        found.fleeting = removed and rep_cnt < _LASTING
+    return found
+
+
+def _may_be_over(bench: Bench, where: Place) -> bool:
+    """Return whether the last repetition of a deletion may have been sent, after which the variable is removed."""
+    if not where.state.startswith("deleted") or not bench.features.removed_after_deletion:
+        return False
+    bench.mark()
+    return len(bench.frames_with(ICType.DELETE_VARIABLES, where.var_id)) >= where.rep_cnt - 1
+
+
+def _statuses(bench: Bench, method: str, where: Place) -> list[str]:
+    """Return the statuses that the specification allows for a request in a state; the usual one first."""
+    state, old = where.state, bench.profile.spec_version < SpecVersion.V2_0
+    if method == "RTDB-Create":
+        free = state == "unknown" or (state.endswith("producer") and not old)
+        found = [OK] if free else [EXISTS]
+        if where.fleeting:
+            found.append(OK)
+    else:
+        if state == "unknown":
+            found = [UNKNOWN]
+        elif method != "RTDB-Read" and state.endswith("consumer"):
+            found = [NOT_PRODUCER]
+        else:
+            found = [deleted_status(bench) if state.startswith("deleted") else OK]
+        if where.fleeting:
+            found.append(UNKNOWN)
+    return found
+
+
+def _disputed(bench: Bench, where: Place) -> str:
+    """Return the other status of RTDB-Create according to the reading ``by-description`` of X20; empty if there is
+    none.
+    """
+    if bench.profile.spec_version < SpecVersion.V2_0:
+        return ""
+    return {"alive-producer": EXISTS, "deleted-consumer": OK}.get(where.state, "")
+
+
+def _only(bench: Bench, where: Place, kind: ICType, since: int) -> Instruction | None:
+    found = bench.check_repeated(kind, where.var_id, 1, since)
+    wanted = [each for each in INSTRUCTIONS if each is not kind]
+    if where.state == "deleted-producer" and kind is ICType.CREATE_VARIABLES:
+        wanted.remove(ICType.DELETE_VARIABLES)
+    others = traces(bench, where.var_id, since, wanted)
+    bench.check(not others, f"no records other than {kind.label}", f"{named(others)}", frames=others, shown=True)
+    return found[-1] if found else None
+
+
+def _created(bench: Bench, where: Place, since: int) -> None:
+    found = _only(bench, where, ICType.CREATE_VARIABLES, since)
+    if found is None:
+        return
+    spec, upd = found.record.spec, found.record.upd
+    bench.check(
+        (spec.prod_id, upd.seqno, upd.value) == (bench.sut_id, 0, bench.value(_VALUE)),
+        "a VarCreate with the node as producer, sequence number 0 and the given value",
+        f"producer {spec.prod_id.hex(':')}, sequence number {upd.seqno}, value {upd.value.hex()}",
+        frames=[found],
+        shown=True,
+    )
+    before = where.stored.spec.creation_time if where.stored is not None else None
+    if spec.creation_time is not None and before is not None:
+        later = f"{spec.creation_time}, before it {before}"
+        bench.relies_on("creationTime")
+        bench.check(
+            spec.creation_time > before,
+            "a later creationTime",
+            later,
+            frames=[found],
+            shown=True,
+        )
+
+
+def _updated(bench: Bench, where: Place, since: int) -> None:
+    found = _only(bench, where, ICType.UPDATES, since)
+    if found is None or where.stored is None:
+        return
+    expected = (stepped(bench, where.stored.upd.seqno, 1), bench.value(_VALUE))
+    came = (found.record.seqno, found.record.value)
+    bench.check(came == expected, f"sequence number and value {expected}", f"{came}", frames=[found], shown=True)
+
+
+def _deleted(bench: Bench, where: Place, since: int) -> None:
+    _only(bench, where, ICType.DELETE_VARIABLES, since)
+    after = "unknown" if bench.features.removed_after_deletion else "deleted"
+    held = ask(bench, where.var_id)
+    bench.check(held.state == after, f"state of the variable: {after}", str(held), shown=held.shown)
+
+
+def _unchanged(bench: Bench, where: Place, since: int) -> None:
+    """Check that a rejected request, or RTDB-Read, has changed nothing."""
+    deleting = where.state.startswith("deleted") and bench.features.removed_after_deletion
+    if deleting:
+        return
+    bench.require_alive("the request")
+    found = traces(bench, where.var_id, since, set(INSTRUCTIONS) - {ICType.DELETE_VARIABLES})
+    bench.check(not found, "no record as a reaction", f"{named(found)}", frames=found, shown=True)
+    held = ask(bench, where.var_id)
+    expected = where.state.partition("-")[0]
+    bench.check(held.state == expected, f"state of the variable: {expected}, as before", str(held), shown=held.shown)
+    if expected == "alive":
+        bench.check(held.record == where.stored, "the stored contents unchanged", str(held), shown=True)
+
+
+_EFFECTS = {"RTDB-Create": _created, "RTDB-Update": _updated, "RTDB-Delete": _deleted, "RTDB-Read": _unchanged}
+
+_DECIDED = {
+    "unknown.RTDB-Create": "VD-CRE-10 VD-CRE-12",
+    "alive-producer.RTDB-Create": "VD-CRE-03 VD-CRE-16",
+    "alive-consumer.RTDB-Create": "VD-CRE-02 VD-CRE-16",
+    "deleted-producer.RTDB-Create": "VD-CRE-03 VD-CRE-16",
+    "deleted-consumer.RTDB-Create": "VD-CRE-02 VD-CRE-16",
+    "unknown.RTDB-Update": "VD-UPD-02",
+    "alive-producer.RTDB-Update": "VD-UPD-07",
+    "alive-consumer.RTDB-Update": "VD-UPD-03",
+    "deleted-producer.RTDB-Update": "VD-UPD-04 VD-UPD-12",
+    "deleted-consumer.RTDB-Update": "VD-UPD-03",
+    "unknown.RTDB-Delete": "VD-DEL-02",
+    "alive-producer.RTDB-Delete": "VD-DEL-05",
+    "alive-consumer.RTDB-Delete": "VD-DEL-03",
+    "deleted-producer.RTDB-Delete": "VD-DEL-04 VD-DEL-09",
+    "deleted-consumer.RTDB-Delete": "VD-DEL-03",
+    "unknown.RTDB-Read": "VD-REA-02",
+    "alive-producer.RTDB-Read": "VD-REA-04",
+    "alive-consumer.RTDB-Read": "VD-REA-04",
+    "deleted-producer.RTDB-Read": "VD-REA-03 VD-REA-06",
+    "deleted-consumer.RTDB-Read": "VD-REA-03 VD-REA-06",
+}
+
+
+def _services(methods: tuple[str, ...]) -> Iterator[tuple[str, Variant]]:
+    for method in methods:
+        for state, words in STATES.items():
+            event = method.removeprefix("RTDB-").lower()
+            yield (
+                f"{state}.app-{event}",
+                Variant(
+                    (state, method),
+                    purpose=f"{method} for {words}",
+                    requirements=_DECIDED[f"{state}.{method}"],
+                    stimulus=f"{method} for {words}",
+                    expect=f"the status and the effect of {method} for {words}",
+                ),
+            )
+
+
+@case(
+    "TC_VD_STATE_BV_03",
+    "{variant}",
+    requirements="VD-CRE-10",
+    stimulus="{variant}",
+    expect="the status and the effect that the specification gives for this request in this state",
+    needs=Needs(ut=METHODS),
+    variants=dict(_services(METHODS)),
+)
+def service(bench: Bench, cell: tuple[str, str]) -> None:
+    state, method = cell
+    where = place(bench, state)
+    since = bench.mark()
+    params = {
+        "RTDB-Create": create_request(bench, where.var_id, value=_VALUE),
+        "RTDB-Update": {"varId": where.var_id, "value": bench.value(_VALUE).hex()},
+    }.get(method, {"varId": where.var_id})
+    answer = bench.call(method, **params)
+    where.fleeting = where.fleeting or _may_be_over(bench, where)
+    usual, disputed = _statuses(bench, method, where), _disputed(bench, where) if method == "RTDB-Create" else ""
+    bench.check_status(answer, [*usual, disputed] if disputed else usual, method)
+    if disputed and any(map(answer.is_status, (*usual, disputed))):
+        bench.reading("X20", "by-description" if answer.is_status(disputed) else "by-steps")
+    if method == "RTDB-Read" and same_status(answer, OK) and where.stored is not None:
+        value = answer.result.get("value")
+        bench.check(
+            value == where.stored.upd.value.hex(),
+            f"value {where.stored.upd.value.hex()}",
+            f"{value}",
+            shown=True,
+        )
+    if not answer.ok:
+        _unchanged(bench, where, since)
+    elif not where.fleeting:
+        _EFFECTS[method](bench, where, since)
+
+
+# -- scrubbing ---------------------------------------------------------------------------------------------------------
+
+
+def _scrubs() -> Iterator[tuple[str, Variant]]:
+    for state, words in STATES.items():
+        if state == "unknown":
+            continue
+        own = state.endswith("producer")
+        yield (
+            f"{state}.timeout",
+            Variant(
+                state,
+                purpose=f"Timeout of {words}",
+                requirements="VD-SCR-02" if state.startswith("deleted") else "VD-SCR-04" if own else "VD-SCR-05",
+                needs=Needs(since=SpecVersion.V2_0, ut=("RTDB-Create", "RTDB-Delete") if own else ()),
+            ),
+        )
+
+
+@case(
+    "TC_VD_STATE_TI_01",
+    "{variant}",
+    requirements="VD-SCR-04",
+    stimulus="a variable with a timeout of two beacon periods is not updated",
+    expect="it is deleted at most one scrubbing period after its timeout; no reaction if it was deleted before",
+    window=20,
+    variants=dict(_scrubs()),
+)
+def timeout(bench: Bench, state: str) -> None:
+    lapse = max(1, 2 * bench.period // MS)
+    begun = bench.now()
+    where = place(bench, state, timeout=lapse)
+    var_id, since = where.var_id, bench.mark()
+    scrubbing = bench.parameter("VARDISPAR_SCRUBBING_PERIOD")
+    window = (lapse + scrubbing + bench.pixit.timer_tolerance_ms) * MS / bench.period + bench.reaction
+    if state.startswith("deleted"):
+        bench.wait(window)
+        found = traces(bench, var_id, since)
+        bench.check(not found, "no record of a deleted variable", f"{named(found)}", frames=found, shown=True)
+        return
+    came = bench.until(lambda heard: heard.instructions(ICType.DELETE_VARIABLES, var_id), window) or []
+    if not came:
+        bench.bound("VARDISPAR_SCRUBBING_PERIOD")
+    if not came and state.endswith("consumer"):
+        held = ask(bench, var_id)
+        if bench.check(
+            held.state == "alive", "a variable that is not scrubbed still exists", str(held), shown=held.shown
+        ):
+            bench.reading("X26", "producer-only")
+        return
+    late = f"within {lapse} ms and a scrubbing period of {scrubbing} ms"
+    bench.require(came, f"a VarDelete {late}", "none in time")
+    passed = (came[0].heard.time - begun) // MS if came else 0
+    bench.check(
+        passed >= lapse,
+        f"not before {lapse} ms after its creation",
+        f"{passed} ms after its creation",
+        frames=came,
+        shown=True,
+    )
+    bench.check_repeated(ICType.DELETE_VARIABLES, var_id, 1, since)
+    if state.endswith("consumer"):
+        bench.reading("X26", "every-node")
+    held = ask(bench, var_id)
+    bench.check(held.state == "deleted", "state of the variable: deleted", str(held), shown=held.shown)

@@ -1,0 +1,394 @@
+"""dcp-vardis.md: Data Types, Instruction Containers, Real-Time Database."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Any
+
+from dcp_spec.constants import BP_PROTID_VARDIS, ICType, SpecVersion
+
+from dcp_codec.errors import Problem
+from dcp_codec.values import VarCreate
+from dcp_conformance.frames.received import ReceivedBeacon
+from dcp_conformance.model.case import Needs, case
+from dcp_conformance.test_steps.variable_queries import ask, taught_all
+from dcp_conformance.test_system.bench import MS, Bench
+from dcp_conformance.test_system.peers import Peer
+from dcp_conformance.test_system.services import create_request, entry_of, listed, longest_description, produced, taught
+
+_DESCRIBE = Needs(ut=("RTDB-DescribeVariable",))
+_SINCE_1_1 = SpecVersion.V1_1
+
+
+def _everything(bench: Bench, peer: Peer) -> int:
+    """Make the implementation send containers of all six types; return the mark before them."""
+    known = [peer.create(var_id, seqno=5) for var_id in bench.var_ids(3)]
+    since = bench.mark()
+    taught_all(bench, peer, known)
+    updated, behind, doomed = (create.spec.var_id for create in known)
+    unknown = bench.unknown_id()
+    # In separate payloads: an implementation that loses a second container must not be reported for containers that it
+    # therefore does not send.
+    for records in (
+        [peer.delete(doomed)],
+        [peer.update(updated, 6)],
+        [peer.summary(behind, 6), peer.summary(unknown, 1)],
+    ):
+        peer.send(*records)
+    wanted = {
+        (ICType.DELETE_VARIABLES, doomed),
+        (ICType.UPDATES, updated),
+        (ICType.REQUEST_VARUPDATES, behind),
+        (ICType.REQUEST_VARCREATES, unknown),
+    }
+    if bench.bound("VARDISPAR_MAX_SUMMARIES"):
+        wanted.add((ICType.SUMMARIES, behind))
+
+    def complete() -> bool:
+        return all(bench.instructions(kind, var_id, since) for kind, var_id in wanted)
+
+    bench.until(lambda _: complete(), 2 * bench.reaction)
+    missing = ", ".join(sorted({kind.label for kind, var_id in wanted if not bench.instructions(kind, var_id, since)}))
+    bench.check(not missing, "records of all six types", f"none of {missing}", "VD-TYP-07", "VD-IC-02")
+    return since
+
+
+def _blocks(heard: ReceivedBeacon) -> list[bytes]:
+    """Return the VarDis payloads of a beacon as octets."""
+    return heard.data(BP_PROTID_VARDIS)
+
+
+def _faults(heard: ReceivedBeacon) -> list[Problem]:
+    """Return the problems in the VarDis payloads of a beacon, other than containers without a record."""
+    return [each for each in heard.vardis_problems if each.reason != "zero-count"]
+
+
+def _has_empty_container(heard: ReceivedBeacon) -> bool:
+    return any(each.reason == "zero-count" for each in heard.vardis_problems)
+
+
+@case(
+    "TC_VD_TYP_BV_01",
+    "Containers and records of all six types have the layout of the profile",
+    requirements="VD-TYP-01 VD-TYP-05 VD-TYP-07 VD-IC-01 VD-IC-02 VD-IC-03",
+    stimulus="records that cause a container of each type",
+    expect=(
+        "all beacons can be decoded completely with the profile; no container is empty, and each type has its number"
+    ),
+    window=10,
+)
+def layout(bench: Bench) -> None:
+    since = _everything(bench, bench.peer())
+    frames = bench.heard[since:]
+    broken = [heard for heard in frames if _faults(heard)]
+    problem = _faults(broken[0])[0] if broken else None
+    for requirement in ("VD-TYP-01", "VD-TYP-07", "VD-IC-01"):
+        what = "beacons with the layout of the profile"
+        bench.check(not broken, what, f"{problem}", requirement, frames=broken[:5], shown=True)
+    if bench.features.creation_time:
+        specs = bench.instructions(ICType.CREATE_VARIABLES, since=since)
+        bench.check(
+            specs, "varId, prodId, repCnt, creationTime, timeout and descr in each VarSpecT", "none", "VD-TYP-05"
+        )
+    empty = [heard for heard in frames if _has_empty_container(heard)]
+    empty += [heard for heard in frames if any(not each.records for each in heard.containers)]
+    bench.check(
+        not empty, "a record in every container", "an empty container", "VD-IC-03", frames=empty[:5], shown=True
+    )
+    types = {each.ic_type for heard in frames for each in heard.containers}
+    strange = types - {bench.builder.ic_type(kind) for kind in ICType}
+    bench.check(not strange, "one of the six types as icType", f"{sorted(strange)}", "VD-IC-02", shown=True)
+
+
+@case(
+    "TC_VD_TYP_BV_02",
+    "The length of a value may change with every update, up to the maximum",
+    requirements="VD-TYP-02",
+    stimulus=(
+        "VarUpdates of a variable with values of 1 octet, the maximum, 2 octets, one less than the maximum, and 1 octet"
+    ),
+    expect="each is forwarded with its length, and the last one is stored",
+    window=12,
+)
+def lengths(bench: Bench) -> None:
+    peer, most = bench.peer(), min(bench.bound("VARDISPAR_MAX_VALUE_LENGTH"), 255)
+    var_id = taught(bench, peer)
+    value = b""
+    for seqno, length in enumerate((1, most, min(2, most), max(1, most - 1), 1), 1):
+        value = bytes(0x40 + index % 64 for index in range(length))
+        peer.send(peer.update(var_id, seqno, value))
+        came = bench.until_instruction(ICType.UPDATES, var_id)
+        bench.check(
+            came is not None and came.value == value,
+            f"a value of {length} octets is forwarded unchanged",
+            f"{came}",
+            shown=came is not None,
+        )
+    held = ask(bench, var_id)
+    stored = held.record is not None and held.record.upd.value == value
+    bench.check(
+        stored,
+        f"the last value {value.hex()} in the database",
+        str(held),
+        shown=came is not None and held.record is not None,
+    )
+
+
+@case(
+    "TC_VD_TYP_BV_03",
+    "A VarCreate has the timeout that the application requested",
+    requirements="VD-TYP-04",
+    stimulus="RTDB-Create with timeout 0, with 1000 ms (or longer if beacons are rare), and with the largest timeout",
+    expect="VarCreates with these timeouts",
+    needs=Needs(since=SpecVersion.V2_0, ut=("RTDB-Create",)),
+)
+def timeouts(bench: Bench) -> None:
+    # The variable must not time out before its VarCreate is sent.
+    medium = max(1000, round(2 * bench.reaction * bench.period / MS))
+    for timeout in (0, *([medium] if medium < bench.longest_timeout else []), min(bench.longest_timeout, 0xFFFFFFFF)):
+        var_id = produced(bench, timeout=timeout)
+        came = bench.until_instruction(ICType.CREATE_VARIABLES, var_id)
+        observed = came.spec.timeout if isinstance(came, VarCreate) else None
+        bench.check(observed == timeout, f"a VarCreate with timeout {timeout}", f"{observed}", shown=came is not None)
+
+
+@case(
+    "TC_VD_IC_BV_01",
+    "No VarDis payload is larger than VARDISPAR_MAX_PAYLOAD_SIZE, even with many records to send",
+    requirements="VD-IC-05",
+    stimulus="simultaneous requests for so many VarCreates with the longest values that they need three payloads",
+    expect="payloads of at most VARDISPAR_MAX_PAYLOAD_SIZE octets, with all VarCreates",
+    window=12,
+)
+def payload_size(bench: Bench) -> None:
+    peer, limit = bench.peer(), bench.parameter("VARDISPAR_MAX_PAYLOAD_SIZE")
+    value = b"v" * min(bench.bound("VARDISPAR_MAX_VALUE_LENGTH"), 200)
+    descr = b"d" * min(longest_description(bench), 200)
+    size = bench.builder.record_size(bench.sample(value=value, descr=descr))
+    count = min(64, 5 * limit // (2 * size) + 1)
+    since = bench.mark()
+    creates = taught_all(bench, peer, (peer.create(each, value=value, descr=descr) for each in bench.var_ids(count)))
+    peer.send(*(peer.request_create(each.spec.var_id) for each in creates))
+    wanted = {each.spec.var_id for each in creates}
+    start = bench.mark()
+    bench.until(
+        lambda _: wanted <= {each.var_id for each in bench.instructions(ICType.CREATE_VARIABLES, since=start)},
+        bench.reaction + 6,
+    )
+    came = {each.var_id for each in bench.instructions(ICType.CREATE_VARIABLES, since=start)}
+    bench.check(wanted <= came, f"all {count} VarCreates", f"{len(wanted - came)} missing")
+    blocks = [(heard, len(block)) for heard in bench.heard[since:] for block in _blocks(heard)]
+    long = [heard for heard, octets in blocks if octets > limit]
+    longest = max((octets for _, octets in blocks), default=0)
+    bench.bound("VARDISPAR_MAX_PAYLOAD_SIZE")
+    bench.check(
+        not long, f"payloads of at most {limit} octets", f"a payload of {longest} octets", frames=long[:3], shown=True
+    )
+    several = any(
+        count > 1 for heard in bench.heard for count in Counter(each.ic_type for each in heard.containers).values()
+    )
+    if bench.profile.spec_version >= _SINCE_1_1:
+        bench.info(
+            "Does a payload have several containers of the same type?", "yes" if several else "not observed", "VD-IC-04"
+        )
+
+
+# -- the database ------------------------------------------------------------------------------------------------------
+
+
+def _entry(bench: Bench, var_id: int) -> dict[str, Any]:
+    entry = entry_of(bench, var_id)
+    if entry is None:
+        bench.fail(f"an answer of RTDB-DescribeVariable about variable {var_id}", "no entry", shown=True)
+    return entry
+
+
+def _expect(bench: Bench, entry: dict[str, Any], expected: dict[str, Any], *requirements: str) -> None:
+    for name, value in expected.items():
+        bench.check(
+            entry.get(name) == value,
+            f"{name} {value!r}",
+            f"{entry.get(name)!r}",
+            *requirements,
+            shown=True,
+            field="creationTime" if name == "creationTime" else None,
+        )
+
+
+@case(
+    "TC_VD_DB_BV_01",
+    "The database entry of a received variable has the contents of its VarCreate",
+    requirements="VD-DB-01 VD-PC-07",
+    stimulus="a VarCreate of another node, then RTDB-DescribeVariable; again during the repetitions of its VarCreate",
+    expect=(
+        "specification, value and sequence number as received; isDeleted false; countCreate at most repCnt, the "
+        "other counters 0"
+    ),
+    needs=_DESCRIBE,
+)
+def entry_of_received(bench: Bench) -> None:
+    peer, var_id = bench.peer(), bench.var_id()
+    record = peer.create(var_id, value=b"\0\xff", seqno=7, rep_cnt=bench.rep_cnt(2))
+    bench.learn(peer, record)
+    entry, spec = _entry(bench, var_id), record.spec
+    expected: dict[str, Any] = {
+        "varId": var_id,
+        "prodId": spec.prod_id.hex(":"),
+        "repCnt": spec.rep_cnt,
+        "descr": spec.descr.decode(),
+        "value": record.upd.value.hex(),
+        "seqno": 7,
+        "isDeleted": False,
+        "countCreate": 0,
+        "countUpdate": 0,
+        "countDelete": 0,
+    }
+    if spec.creation_time is not None:
+        expected |= {"creationTime": spec.creation_time, "timeout": spec.timeout}
+    _expect(bench, entry, expected)
+    peer.send(peer.request_create(var_id))
+    bench.until_instruction(ICType.CREATE_VARIABLES, var_id)
+    count = _entry(bench, var_id).get("countCreate")
+    right = isinstance(count, int) and 0 <= count <= spec.rep_cnt
+    bench.check(right, f"countCreate at most {spec.rep_cnt} (repCnt)", f"{count}", "VD-DB-01", shown=True)
+
+
+@case(
+    "TC_VD_DB_BV_02",
+    "The database has only one entry for a variable",
+    requirements="VD-DB-01",
+    stimulus="a variable is received, updated and requested",
+    expect="one entry with its identifier in RTDB-DescribeDatabase",
+    needs=Needs(ut=("RTDB-DescribeDatabase",)),
+)
+def one_entry(bench: Bench) -> None:
+    peer = bench.peer()
+    var_id = taught(bench, peer)
+    peer.send(peer.update(var_id, 1), peer.request_create(var_id), peer.create(var_id))
+    bench.require_alive("several records about the variable")
+    found = bench.must("RTDB-DescribeDatabase").result.get("variables")
+    same = [each for each in found if each.get("varId") == var_id] if isinstance(found, list) else []
+    bench.check(len(same) == 1, "one entry with the identifier", f"{len(same)} entries", shown=True)
+
+
+@case(
+    "TC_VD_DB_BV_03",
+    "A deleted variable remains in the database and is marked as deleted ({variant})",
+    requirements="VD-DB-02",
+    stimulus="a variable is deleted ({variant}); its repetitions end",
+    expect="RTDB-DescribeDatabase lists it; RTDB-DescribeVariable returns isDeleted true",
+    window=8,
+    needs=Needs(
+        since=SpecVersion.V2_0, ut=("RTDB-DescribeDatabase", "RTDB-DescribeVariable", "RTDB-Create", "RTDB-Delete")
+    ),
+    variants={"own": True, "received": False},
+)
+def stays(bench: Bench, own: bool) -> None:
+    peer = bench.peer()
+    if own:
+        var_id = bench.own_var_id()
+        bench.must("RTDB-Create", **create_request(bench, var_id))
+        bench.until_instruction(ICType.CREATE_VARIABLES, var_id)
+        bench.must("RTDB-Delete", varId=var_id)
+    else:
+        var_id = taught(bench, peer)
+        peer.send(peer.delete(var_id))
+    if bench.until_instruction(ICType.DELETE_VARIABLES, var_id) is None:
+        bench.inconclusive("a VarDelete of the variable, which this case needs", "none in time")
+    bench.wait(2)
+    # Each row is a VarSpecT; isDeleted is an optional addition (VD-DDB-03).
+    row = listed(bench).get(var_id)
+    bench.check(row is not None, "the variable in the list", "not in the list", shown=True)
+    flag = True if row is None else row.get("isDeleted", True)
+    bench.check(flag is True, "isDeleted true, if the list has this field", f"{flag}", shown=True)
+    _expect(bench, _entry(bench, var_id), {"isDeleted": True, "countDelete": 0, "countCreate": 0, "countUpdate": 0})
+
+
+@case(
+    "TC_VD_DB_BV_04",
+    "tStamp is the local time of the last accepted creation or update",
+    requirements="VD-DB-03",
+    stimulus="a VarCreate, a newer VarUpdate and records that are not accepted, with pauses between them",
+    expect="tStamp is renewed only by the first two, to the time of their reception",
+    window=12,
+    needs=_DESCRIBE,
+)
+def time_stamp(bench: Bench) -> None:
+    peer, tolerance = bench.peer(), round(bench.pixit.clock_tolerance_ms * MS)
+
+    def stamp(after: int) -> int:
+        """Return the time stamp of the variable, after checking that it is between ``after`` and now."""
+        found = _entry(bench, var_id).get("tStamp")
+        if not isinstance(found, int):
+            bench.fail("a number of nanoseconds as tStamp", f"{found!r}", shown=True)
+        now = bench.lower.wall()
+        right = after - tolerance <= found <= now + tolerance
+        bench.check(right, f"tStamp between {after} and {now} (+- {tolerance} ns)", f"{found}", shown=True)
+        return found
+
+    begun = bench.lower.wall()
+    var_id = taught(bench, peer, seqno=5)
+    created = stamp(begun)
+    bench.wait(2)
+    peer.send(peer.update(var_id, 5, b"equal"), peer.update(var_id, 4, b"older"), peer.summary(var_id, 5))
+    bench.require_alive("records that are not accepted")
+    bench.check(
+        stamp(begun) == created, "tStamp unchanged by records that are not accepted", "it was renewed", shown=True
+    )
+    before = bench.lower.wall()
+    peer.send(peer.update(var_id, 6))
+    came = bench.until_instruction(ICType.UPDATES, var_id)
+    updated = stamp(before)
+    bench.check(
+        updated > created, "a later tStamp after a newer VarUpdate", f"{updated}, before it {created}", shown=came
+    )
+
+
+@case(
+    "TC_VD_TYP_BV_04",
+    (
+        "The records about the first variable that a node learns can be decoded and have the contents that the "
+        "node received"
+    ),
+    requirements="VD-TYP-05 VD-TYP-07 VD-IC-01 VD-IC-02 VD-IC-03",
+    stimulus="a peer creates a variable, and nothing else",
+    expect="beacons with its VarCreate and summaries that can be decoded completely with the profile",
+    window=8,
+)
+def first_words(bench: Bench) -> None:
+    peer, since = bench.peer(), bench.mark()
+    # Exchanged members of a record can be detected only if their values differ.
+    count = bench.rep_cnt(3)
+    var_id = next(each for each in bench.var_ids(2) if each != count)
+    record = peer.create(var_id, rep_cnt=count, value=b"value")
+    peer.send(record)
+    bench.wait(bench.reaction + 2)
+    spoke = [heard for heard in bench.heard[since:] if _blocks(heard)]
+    if not spoke:
+        bench.inconclusive("beacons with a VarDis block", "none in time")
+    empty = [each for each in spoke if _has_empty_container(each)]
+    bench.check(
+        not empty, "a record in every container", "an empty container", "VD-IC-03", frames=empty[:4], shown=True
+    )
+    broken = [each for each in spoke if _faults(each)]
+    problem = f"{_faults(broken[0])[0]}" if broken else ""
+    bench.check(
+        not broken, "payloads that can be decoded", problem, "VD-IC-01", "VD-IC-02", frames=broken[:4], shown=True
+    )
+    said_of_it = {each.kind for heard in spoke for each in heard.instructions(var_id=var_id)}
+    kinds = said_of_it - {ICType.CREATE_VARIABLES, ICType.SUMMARIES}
+    names = ", ".join(sorted(kind.label for kind in kinds))
+    bench.check(
+        not kinds,
+        "no records of the variable other than VarCreates and summaries",
+        names,
+        "VD-IC-02",
+        "VD-TYP-07",
+        shown=True,
+    )
+    creates = bench.instructions(ICType.CREATE_VARIABLES, since=since)
+    wrong = [each for each in creates if each.record.spec.prod_id == peer.node_id and each.record != record]
+    said = f"{wrong[0].record}" if wrong else ""
+    bench.check(
+        not wrong, f"the VarCreate as received: {record}", said, "VD-TYP-05", "VD-TYP-07", frames=wrong[:4], shown=True
+    )

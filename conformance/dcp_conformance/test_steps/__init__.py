@@ -1,0 +1,1 @@
+"""Test steps (ISO/IEC 9646) that several test cases share: preambles, stimuli and queries."""

@@ -1,0 +1,58 @@
+"""Payloads that are filled to the last octet, whether or not parameters of VarDis can be set.
+
+If they cannot be set, the maximum payload size is that of the PIXIT, and the lengths of the records are chosen to fit.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+from dcp_spec.constants import ICType
+
+from dcp_codec.values import VarCreate
+from dcp_conformance.test_system.bench import Bench
+from dcp_conformance.test_system.peers import Peer
+
+PAYLOAD_SIZE: Final = "VARDISPAR_MAX_PAYLOAD_SIZE"
+
+
+def settable(bench: Bench) -> bool:
+    """Return whether parameters of VarDis can be set, and restored by a reset."""
+    upper = bench.session.upper
+    return upper is not None and {"UT-Reset", "VD-SetParameter"} <= upper.methods
+
+
+def longest(bench: Bench) -> tuple[bytes, bytes]:
+    """Return the longest value and description that the implementation accepts, of at most 200 octets."""
+    value = min(bench.bound("VARDISPAR_MAX_VALUE_LENGTH"), 200)
+    description = min(bench.bound("VARDISPAR_MAX_DESCRIPTION_LENGTH"), 200)
+    # The parameter of 1.0 counts the NUL after the text.
+    nul = bench.features.string_format == "nul-terminated"
+    return b"v" * max(1, value), b"d" * max(1, description - nul)
+
+
+def filling(bench: Bench, peer: Peer, kind: ICType, octets: int, *, seqno: int = 9) -> list[VarCreate] | None:
+    """Return VarCreates of new variables whose records of a kind have exactly ``octets`` octets in total.
+
+    ``kind``: CREATE-VARIABLES or UPDATES. Uses as few records as possible, of about equal length; None if impossible.
+    """
+    value, description = longest(bench)
+
+    def made(var_id: int, value_length: int, length: int) -> VarCreate:
+        return peer.create(var_id, value=value[:value_length], descr=description[:length], seqno=seqno)
+
+    def size(create: VarCreate) -> int:
+        return bench.builder.record_size(create if kind is ICType.CREATE_VARIABLES else create.upd)
+
+    least = size(made(0, 1, 1))
+    most = size(made(0, len(value), len(description)))
+    count = -(-octets // most)
+    if count < 1 or octets < count * least:
+        return None
+    creates = []
+    for place, var_id in enumerate(bench.var_ids(count)):
+        more = octets // count + (place < octets % count) - least
+        in_value = min(more, len(value) - 1)
+        creates.append(made(var_id, 1 + in_value, 1 + more - in_value))
+    assert sum(map(size, creates)) == octets
+    return creates

@@ -1,0 +1,126 @@
+"""Variables with timeouts: how to create them, and until when they must be deleted.
+
+A variable with timeout t is deleted between t and t plus one scrubbing period after its last change. The beacon with
+the VarDelete may come one reaction time later, and timers may be late (PIXIT timer_tolerance_ms).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from dcp_spec.constants import ICType
+
+from dcp_codec.values import VardisRecord
+from dcp_conformance.frames.received import Instruction
+from dcp_conformance.test_system.bench import MS, Bench
+from dcp_conformance.test_system.peers import Peer
+from dcp_conformance.test_system.services import create_request
+
+_DELETE = ICType.DELETE_VARIABLES
+
+
+class Change(NamedTuple):
+    """Interval in which a frame or call of the tester changed a variable: two times of its clock, in ns."""
+
+    before: int
+    after: int
+
+
+#: A scrubbing period in ms that is short enough for cases.
+SHORT = 200
+
+
+def scrubbing_period_ms(bench: Bench) -> int:
+    """Return VARDISPAR_SCRUBBING_PERIOD in ms."""
+    return bench.parameter("VARDISPAR_SCRUBBING_PERIOD")
+
+
+def hurry(bench: Bench) -> int:
+    """Shorten a long scrubbing period for this case, if it can be set and reset; return the period in ms from now on.
+
+    The current period may still run to its end, so deadlines depend on the initial one.
+    """
+    upper, period = bench.session.upper, scrubbing_period_ms(bench)
+    if period > SHORT and upper is not None and {"UT-Reset", "VD-SetParameter"} <= upper.methods:
+        answer = bench.call("VD-SetParameter", name="VARDISPAR_SCRUBBING_PERIOD", value=SHORT)
+        if answer.ok:
+            return SHORT
+    return period
+
+
+def latest(bench: Bench, timeout_ms: int) -> int:
+    """Return the time in ns within which the VarDelete must be received."""
+    tolerance = bench.pixit.timer_tolerance_ms * bench.session.timing_scale
+    return round((timeout_ms + scrubbing_period_ms(bench) + tolerance) * MS + bench.reaction * bench.period)
+
+
+def deleted(bench: Bench, name: int, since: Change, timeout_ms: int) -> Instruction | None:
+    """Wait for the first VarDelete until its deadline; ``since``: the last change."""
+    left = since.after + latest(bench, timeout_ms) - bench.now()
+    if not bench.instructions(_DELETE, name):
+        bench.until_instruction(_DELETE, name, max(0.0, left / bench.period))
+    found = next(iter(bench.instructions(_DELETE, name)), None)
+    if found is None:
+        bench.bound("VARDISPAR_SCRUBBING_PERIOD")
+    return found
+
+
+def check_time(
+    bench: Bench, found: Instruction, since: Change, timeout_ms: int, *requirements: str, received: object = True
+) -> None:
+    """Check that a VarDelete was sent neither too early nor too late after the last change.
+
+    ``received``: whether the implementation is known to have received that change.
+    """
+    took = found.heard.time - since.before
+    # Clocks with a resolution of milliseconds may differ by one at both ends.
+    least, most = (timeout_ms - 2) * MS, latest(bench, timeout_ms) + since.after - since.before
+    if took > most:
+        bench.bound("VARDISPAR_SCRUBBING_PERIOD")
+    what = f"the VarDelete {timeout_ms} ms to {most / MS:.0f} ms after the last change"
+    early = took < least and received
+    bench.check(least <= took <= most, what, f"{took / MS:.0f} ms", *requirements, frames=[found], shown=early)
+
+
+def sent(bench: Bench, peer: Peer, *records: VardisRecord) -> Change:
+    """Send records in one beacon and return when."""
+    before = bench.now()
+    peer.send(*records)
+    return Change(before, bench.now())
+
+
+def learn(bench: Bench, peer: Peer, name: int, timeout_ms: int, rep_cnt: int = 1) -> Change:
+    """Teach the implementation a variable with a timeout, and return when it was sent."""
+    since = sent(bench, peer, peer.create(name, timeout=timeout_ms, rep_cnt=rep_cnt))
+    if bench.until_instruction(ICType.CREATE_VARIABLES, name) is None:
+        bench.inconclusive("a forwarded VarCreate of a variable with a timeout", "none in time")
+    return since
+
+
+def not_by_consumers(bench: Bench, name: int) -> None:
+    """Report the other reading of X26, by which only producers scrub, if the variable still exists."""
+    still = bench.until_instruction(ICType.SUMMARIES, name, 8)
+    if still:
+        bench.reading("X26", "producer-only")
+    text = "no: it is still summarised" if still else "unknown: neither a VarDelete nor a summary"
+    bench.info("Does a consumer delete a variable after its timeout?", text)
+
+
+def create_own(bench: Bench, name: int, timeout_ms: int, count: int = 1) -> Change:
+    """Let the application create a variable, and return when."""
+    before = bench.now()
+    bench.must("RTDB-Create", **create_request(bench, name, rep_cnt=count, timeout=timeout_ms))
+    return Change(before, bench.now())
+
+
+def updated_in_time(bench: Bench, timeout_ms: int) -> int:
+    """Return a timeout in ms that calls of the upper tester can keep up with: this one, or longer if they are slow."""
+    return max(timeout_ms, round(4 * bench.session.slow_call / MS))
+
+
+def lasting(bench: Bench, timeout_ms: int, beacons: int = 3) -> int:
+    """Return a timeout in ms that is longer than ``beacons`` beacons take: this one, or longer if beacons are rare.
+
+    A variable that times out before its VarCreate is sent is never sent, which is correct.
+    """
+    return max(timeout_ms, round(1.2 * beacons * bench.slowness * bench.period / MS))

@@ -1,0 +1,198 @@
+"""What the basic interconnection test found out, and which later failures follow from it.
+
+An implementation that was shown not to answer a kind of stimulus at all is blamed for that once, under the requirement
+that asks for the answer. Every other case that waits in vain for such an answer is inconclusive.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final, Literal
+
+from dcp_spec.constants import ICType
+
+from dcp_codec.codec import Codec
+from dcp_conformance.frames.received import KIND_OF, ReceivedBeacon, var_id_of
+from dcp_conformance.model.results import Mark
+
+from .traffic import Event
+
+Stimulus = Literal["summary", "create", "request", "report", "payload", "transmit", "state", "variable"]
+"""What an implementation can be made to react to."""
+Question = Literal["summary", "create", "request"]
+"""Kinds of stimulus that VarDis must answer with a beacon."""
+
+TOLD: Final[Mapping[Stimulus, str]] = {
+    "summary": "a summary of an unknown variable",
+    "create": "a VarCreate",
+    "request": "a VarReqCreate",
+    "report": "a state report",
+    "payload": "a payload for a client protocol",
+    "transmit": "BP-TransmitPayload",
+    "state": "SRP-UpdateSafetyData",
+    "variable": "RTDB-Create",
+}
+"""Each kind of stimulus in words."""
+
+OWNERS: Final[Mapping[Stimulus, frozenset[str]]] = {
+    "summary": frozenset({"VD-PS-01", "VD-IC-02"}),
+    "create": frozenset({"VD-PC-07", "VD-PC-09", "VD-IC-02"}),
+    "request": frozenset({"VD-RC-01", "VD-RC-03", "VD-IC-02"}),
+    "report": frozenset({"SRP-RX-02"}),
+    "payload": frozenset({"BP-RX-07", "BP-RXP-01"}),
+    "transmit": frozenset({"BP-TX-01", "BP-TXP-09"}),
+    "state": frozenset({"SRP-SRV-03"}),
+    "variable": frozenset({"VD-CRE-12", "VD-RUN-02"}),
+}
+"""Requirements that ask for the answer to each kind, or for its form: its absence never excuses their failures."""
+
+ON_THE_AIR: Final[frozenset[Stimulus]] = frozenset({"summary", "create", "request", "transmit", "state", "variable"})
+"""Kinds whose answers are beacons."""
+
+_QUESTIONS: Final[frozenset[Stimulus]] = frozenset({"summary", "create", "request"})
+_VARDIS: Final = _QUESTIONS | {"variable", "other"}
+_SERVICES: Final[Mapping[str, Stimulus]] = {
+    "RTDB-Create": "variable",
+    "BP-TransmitPayload": "transmit",
+    "SRP-UpdateSafetyData": "state",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class BrokenRule:
+    """A rule of the header or of the blocks that octets of the implementation break."""
+
+    requirement: str
+    expected: str
+    observed: str
+    mark: Mark
+    """The frame in the recording of the case, and the octets in it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Contact:
+    """How the implementation and the tester reach each other, as found at the start of a run."""
+
+    frames: int
+    """Frames that were heard from the implementation."""
+    beacons: int
+    """Those of them whose headers are those of well-formed beacons of the profile."""
+    answered: frozenset[Stimulus]
+    unanswered: frozenset[Stimulus]
+    """Kinds that were tried in vain. Kinds that were not tried are in neither set."""
+    violations: tuple[BrokenRule, ...] = ()
+    """One for each requirement that its frames break."""
+    suspicion: str = ""
+    """What is probably set up wrongly, or what to look at first; empty if nothing is wrong."""
+    mistaken: bool = False
+    """The suspicion is that the tester was told a wrong profile, network identifier, EtherType or node identifier: what
+    is heard cannot be judged."""
+    odd: str = ""
+    """What came in the place of the answer to a summary, if something about its variable came."""
+    inactive: bool = False
+    """BP was silent, and is not since BP-MGMT-Activate."""
+    trouble: str = ""
+    """Why the upper tester could not be asked; empty if it could, or there is none."""
+    blamed: frozenset[str] = frozenset()
+    """The requirements that the sanity case has failed for it."""
+
+    @property
+    def readable(self) -> bool:
+        """Whether anything that the implementation sent could be read."""
+        return bool(self.beacons or self.answered & ON_THE_AIR)
+
+    @property
+    def good(self) -> bool:
+        """Whether nothing stands between the tester and the implementation."""
+        return not (self.mistaken or self.unanswered) and self.readable
+
+    @property
+    def question(self) -> Question:
+        """The kind of stimulus to ask VarDis by: one that it answers, if there is one."""
+        kinds: tuple[Question, ...] = ("summary", "create", "request")
+        return next((kind for kind in kinds if kind in self.answered), "summary")
+
+    def answers(self) -> str:
+        """Which kinds of stimulus are answered and which are not, in words."""
+        yes, no = _listed(self.answered), _listed(self.unanswered)
+        if not yes:
+            heard = "it sends beacons and answers" if self.frames else "nothing was heard of it, and it answers"
+            return f"{heard} none of {no}" if no else ""
+        return f"it answers {yes}" + (f", but not {no}" if no else "")
+
+    def excuse(
+        self,
+        codec: Codec,
+        events: Iterable[Event],
+        heard: Sequence[ReceivedBeacon],
+        made: Collection[int],
+        requirements: Collection[str],
+    ) -> str:
+        """Why something that is missing in a case does not count against ``requirements``; empty if it counts.
+
+        ``events`` and ``heard`` are those of the case; ``made``: the variables that it has created.
+        """
+        decided = set(requirements)
+        if self.good or decided <= self.blamed:
+            return ""
+        if self.mistaken:
+            return f"the implementation could not be reached when the run began: {self.suspicion}"
+        if not self.readable and not any(not each.header_problems for each in heard):
+            what = "none of its frames could be read" if self.frames or heard else "nothing was heard of it"
+            return f"{what} from the start of the run on{f': {self.suspicion}' if self.suspicion else ''}"
+        if not self.unanswered:
+            return ""
+        mute = self.unanswered >= _QUESTIONS
+        answered = {each.var_id for one in heard for each in one.instructions(ICType.REQUEST_VARCREATES)}
+        for kind, var_id in sorted(set(stimuli(codec, events, made)), key=str):
+            if mute and kind in _VARDIS:
+                return "VarDis answered nothing that could be read when the run began"
+            if kind == "other" or kind not in self.unanswered or (kind == "summary" and var_id in answered):
+                continue
+            # What is broken in octets keeps every answer from being read; otherwise that there is none is the fault.
+            if self.violations or not OWNERS[kind] & decided:
+                return f"the implementation did not answer {TOLD[kind]} when the run began"
+        return ""
+
+
+def stimuli(
+    codec: Codec, events: Iterable[Event], made: Collection[int]
+) -> Iterator[tuple[Stimulus | Literal["other"], int | None]]:
+    """The kinds of stimulus among events, each with its variable where it is about one.
+
+    ``made``: variables of which a summary is another kind of stimulus, since the implementation was told of them.
+    ``other``: any that only VarDis can answer.
+    """
+    for event in events:
+        if event.direction == "call" and event.text in _SERVICES:
+            yield _SERVICES[event.text], None
+        elif event.direction == "call" and event.text.startswith("RTDB-"):
+            yield "other", None
+        if event.direction != "sent":
+            continue
+        # Also what was sent to be refused in part.
+        beacon = codec.salvage(event.frame[event.start :]).beacon
+        if beacon is None:
+            continue
+        for payload in beacon.payloads:
+            if payload.srp is not None:
+                yield "report", None
+            if payload.data is not None:
+                yield "payload", None
+            for container in payload.vardis or ():
+                for record in container.records:
+                    kind, var_id = KIND_OF[type(record)], var_id_of(record)
+                    if kind is ICType.CREATE_VARIABLES:
+                        yield "create", var_id
+                    elif kind is ICType.REQUEST_VARCREATES:
+                        yield "request", var_id
+                    elif kind is ICType.SUMMARIES and var_id not in made:
+                        yield "summary", var_id
+                    else:
+                        yield "other", var_id
+
+
+def _listed(kinds: Collection[Stimulus]) -> str:
+    named = [TOLD[kind] for kind in TOLD if kind in kinds]
+    return f"{', '.join(named[:-1])} and {named[-1]}" if len(named) > 1 else "".join(named)

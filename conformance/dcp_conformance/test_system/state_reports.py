@@ -1,0 +1,179 @@
+"""State reports submitted by the tester, as opposed to those of an application on the node.
+
+An application may submit safety data at any time. SRP sends only the newest, so the tester's may be replaced before a
+beacon is sent, and sequence numbers count the submissions of both. The tester recognises its own reports by their
+safety data, repeats a submission that an application has replaced, and checks sequence numbers exactly only if no
+application submits safety data.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final, NamedTuple, NoReturn
+
+from dcp_spec.constants import SRP_SEQNO_MODULUS
+
+from dcp_codec.values import ExtendedSafetyData
+from dcp_conformance.frames.received import ReceivedBeacon
+
+from .bench import Bench
+from .services import Moment, safety_data, timed, told, until_report
+
+_UPDATE: Final = "SRP-UpdateSafetyData"
+#: Number of different safety data; the last one is for submissions whose report is not awaited.
+_DIFFERENT: Final = 99
+#: Number of repeated submissions, and the fraction of a beacon period between them, while an application replaces them.
+_BURST: Final = 90
+_PAUSE: Final = 16
+#: Number of beacon periods to listen for an application, and of reports that prove one.
+_LISTEN: Final = 40
+_SHOWN: Final = 2
+
+
+class Sent(NamedTuple):
+    """A report of the tester in a beacon."""
+
+    heard: ReceivedBeacon
+    report: ExtendedSafetyData
+    values: dict[str, Any]
+    moment: Moment
+    """When the tester submitted it."""
+    hand_downs: int
+    """Number of the tester's submissions so far, including this one."""
+
+
+class Reporter:
+    """Submits safety data and finds them in the beacons of the implementation."""
+
+    def __init__(self, bench: Bench) -> None:
+        self.bench = bench
+        self.count = 0
+        """Number of submissions so far."""
+        self._handed: list[dict[str, Any]] = []
+        self._moments: list[tuple[Moment, int]] = []
+        self._application: bool | None = None
+
+    def next_values(self) -> dict[str, Any]:
+        """Return safety data that were not submitted recently."""
+        return safety_data(self.bench, len(self._handed) % _DIFFERENT)
+
+    def submit(self) -> dict[str, Any]:
+        """Submit new safety data; inconclusive if the request is rejected."""
+        values = self.next_values()
+        self.noted(values, timed(self.bench, _UPDATE, sData=values))
+        return values
+
+    def noted(self, values: dict[str, Any], moment: Moment) -> None:
+        """Record a submission that was made without :meth:`hand_down`."""
+        self.count += 1
+        self._handed.append(values)
+        self._moments.append((moment, self.count))
+
+    def fill(self, count: int) -> None:
+        """Submit the same safety data ``count`` times, without waiting for their reports."""
+        values = safety_data(self.bench, _DIFFERENT)
+        for _ in range(count):
+            self.bench.must(_UPDATE, sData=values)
+            self.count += 1
+
+    def is_own(self, heard: ReceivedBeacon) -> bool:
+        """Return whether a beacon has a report that the tester submitted."""
+        if heard.report is None:
+            return False
+        values = told(self.bench, heard.report)
+        return values in self._handed or values == safety_data(self.bench, _DIFFERENT)
+
+    def application(self) -> bool:
+        """Return whether an application submits safety data: new reports without submissions of the tester.
+
+        The first call takes some seconds.
+        """
+        if self._application is None:
+            bench = self.bench
+            # The report of the last submission may still be in transit.
+            bench.wait(2)
+            start = bench.mark()
+            known = {each.report.seqno for each in bench.heard if each.report is not None}
+            bench.wait(_LISTEN)
+            seen = {
+                each.report.seqno for each in bench.heard[start:] if each.report is not None and not self.is_own(each)
+            }
+            self._application = len(seen - known) >= _SHOWN
+        return self._application
+
+    def sent(self, *requirements: str, what: str = "a beacon with the safety data") -> Sent:
+        """Submit safety data and wait for the first beacon with them; fails and stops the case if there is none.
+
+        Stops as inconclusive if an application replaces them each time.
+        """
+        values = self.submit()
+        return self.awaited(values, *requirements, what=what)
+
+    def awaited(
+        self,
+        values: dict[str, Any],
+        *requirements: str,
+        what: str = "a beacon with the safety data",
+        insist: bool = True,
+    ) -> Sent:
+        """As :meth:`sent`, for the safety data submitted last; see :meth:`find`."""
+        found = self.find(values, insist=insist)
+        if found is None:
+            self.lost(what, *requirements)
+        return found
+
+    def find(self, values: dict[str, Any], *, insist: bool = True) -> Sent | None:
+        """Wait for a report with the safety data submitted last.
+
+        ``insist``: if an application seems to have replaced them, submit new ones until some are received.
+        """
+        # Beacons received during the call have not been checked yet.
+        start = len(self.bench.heard)
+        heard = until_report(self.bench, values)
+        if heard is None and insist:
+            heard = self._insist(start)
+        if heard is None or heard.report is None:
+            return None
+        found = told(self.bench, heard.report)
+        index = len(self._handed) - 1 - self._handed[::-1].index(found)
+        moment, count = self._moments[index]
+        return Sent(heard, heard.report, found, moment, count)
+
+    def lost(self, what: str, *requirements: str) -> NoReturn:
+        """Fail and stop the case because a report is missing; inconclusive if an application replaces it."""
+        if self.application():
+            self.bench.inconclusive(what, "an application on the node replaces the data by its own", *requirements)
+        self.bench.fail(what, "none in time", *requirements)
+
+    def _insist(self, since: int) -> ReceivedBeacon | None:
+        """Submit safety data repeatedly until a beacon is sent before an application replaces them."""
+        bench = self.bench
+        if not any(each.report is not None and not self.is_own(each) for each in bench.heard[since:]):
+            return None
+        wanted: list[dict[str, Any]] = []
+        start = bench.mark()
+        for _ in range(_BURST):
+            wanted.append(self.submit())
+            bench.wait_ns(bench.period // _PAUSE)
+            for each in bench.heard[start:]:
+                if each.report is not None and told(bench, each.report) in wanted:
+                    return each
+            start = len(bench.heard)
+        return None
+
+    def check_grown(self, first: Sent, last: Sent, *requirements: str) -> bool:
+        """Check that the sequence number increased by one for each submission between two reports.
+
+        With an application, whose submissions are unknown, it may increase by more.
+        """
+        grown = (last.report.seqno - first.report.seqno) % SRP_SEQNO_MODULUS
+        count = last.hand_downs - first.hand_downs
+        exact = grown == count or not self.application()
+        right = grown == count if exact else count <= grown < 1 << 16
+        return self.bench.check(
+            right,
+            f"a sequence number increased by {'' if exact else 'at least '}{count}",
+            f"from {first.report.seqno} to {last.report.seqno}",
+            *requirements,
+            frames=[first.heard, last.heard],
+            shown=True,
+        )

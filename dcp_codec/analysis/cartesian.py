@@ -1,0 +1,22 @@
+"""Which fields of safety data are a position in a Cartesian frame of reference, and their scale."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from dcp_spec.profile.definition import Profile, SafetyField
+
+#: Metres in one unit of a position; positions in other units are not Cartesian.
+METRES: Mapping[str, float] = {"": 1.0, "m": 1.0, "mm": 0.001, "cm": 0.01, "dm": 0.1, "km": 1000.0}
+
+
+def cartesian_axes(profile: Profile) -> dict[str, tuple[str, float]]:
+    """Return for each of x, y, z that safety data has the name of its field and the metres in one unit of it.
+
+    Empty if the profile has no x and y, or gives a coordinate in a unit that is no length.
+    """
+    fields: dict[str, SafetyField] = {member.role: member for member in profile.srp.safety_data}
+    found = {axis: fields[f"position.{axis}"] for axis in "xyz" if f"position.{axis}" in fields}
+    if not {"x", "y"} <= set(found) or any(member.unit not in METRES for member in found.values()):
+        return {}
+    return {axis: (member.name, METRES[member.unit]) for axis, member in found.items()}

@@ -1,0 +1,1 @@
+"""MCAP files: reader, writer, attachments and the messages that hold raw frames."""

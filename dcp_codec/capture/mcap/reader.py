@@ -1,0 +1,371 @@
+"""MCAP files (mcap.dev/spec), read from front to back, finished or not.
+
+The readers of the mcap library need the summary at the end of the file, which a crash leaves out, or raise in the
+middle of what they could still give; and they take a short read for a whole one. So the records are cut out of
+the stream here, where lengths can be checked against what there is; what a record says is left to the library.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Iterator
+from io import BytesIO
+from typing import Final, Never, TypeVar
+
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Channel, Metadata, Schema
+
+from dcp_codec.capture.bytesource import READ_SIZE, ByteSource
+from dcp_codec.capture.checksum import crc32
+from dcp_codec.capture.frame import MAX_RECORD_LENGTH, MAX_TIME_NS, Frame
+from dcp_codec.capture.linktypes import link_type_name
+from dcp_codec.capture.reader import CaptureReader, counted
+
+from . import raw_frame as rawframe
+from . import raw_json as rawjson
+from .chunk import MAX_CHUNK_LENGTH, ChunkError, Unpacker
+
+MAGIC = b"\x89MCAP0\r\n"
+
+#: Records of metadata that are kept of one file.
+MAX_METADATA = 1_000
+
+RECORD_HEAD = struct.Struct("<BQ")
+_MESSAGE_HEAD = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
+_DATA_END = struct.Struct("<I")  # checksum of the data section
+_FOOTER = struct.Struct("<QQI")  # where the summary and its offsets start, checksum of the summary section
+
+#: Records that are read whole; all others but chunks are passed over.
+_READ = frozenset({Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.METADATA, Opcode.DATA_END, Opcode.FOOTER})
+_KNOWN = frozenset(Opcode)
+_FIRST_PRIVATE = 0x80  # opcodes from here on are for anybody's own use
+
+_Record = TypeVar("_Record", Schema, Channel, Metadata)
+
+#: How to decode raw frames, by the encoding of the messages on their channel.
+_DECODERS: Final = {rawframe.MESSAGE_ENCODING: rawframe.decode, rawjson.MESSAGE_ENCODING: rawjson.decode}
+
+
+class _End(Exception):  # noqa: N818 - not an error
+    """There is no more to read; if that is a problem, it has been noted."""
+
+
+class McapReader(CaptureReader):
+    """Reads an MCAP file; the window of `source` stands at its magic.
+
+    Opening reads on to the first channel of raw frames, so that a file without one is refused.
+    """
+
+    format = "mcap"
+
+    def __init__(
+        self, source: ByteSource, link_types: frozenset[int], allocate: Callable[[int], memoryview] | None = None
+    ) -> None:
+        super().__init__(source, link_types)
+        self._stamp = "ns"
+        self._schemas: dict[int, str] = {}
+        self._topics: dict[int, str] = {}
+        #: Channels with raw frames, and how to decode those.
+        self._raw: dict[int, Callable[[bytes | memoryview], rawframe.RawFrame]] = {}
+        self._unpacker = Unpacker() if allocate is None else Unpacker(allocate)
+        # Over the data section, and after it over the summary section.
+        self._crc = 0
+        self._events = self._scan()
+        # The first event is always the description of a channel of raw frames. A file that was cut off before it
+        # has any channel is no less a capture than one that was cut off after it.
+        if next(self._events, False) is False and (self._topics or not self._log.found):
+            topics = ", ".join(sorted(set(self._topics.values()))) or "none"
+            raise self._refuse(
+                f"is an MCAP file without raw frames (schema {rawframe.SCHEMA_NAME}, "
+                f"encoding {' or '.join(_DECODERS)}); its topics: {topics}"
+            )
+
+    def _records(self) -> Iterator[Frame]:
+        for event in self._events:
+            if event is not None:
+                self._frames_read += 1
+                yield event
+
+    def _scan(self) -> Iterator[Frame | None]:
+        """Frames, and None once, where the first channel that carries some is described."""
+        self._crc = crc32(self._source.take(len(MAGIC)))
+        try:
+            while True:
+                yield from self._record()
+        except _End:
+            self._position = self._source.position
+
+    def _record(self) -> Iterator[Frame | None]:
+        """Take one record of the file itself; raises `_End` after the last."""
+        source = self._source
+        offset = self._position = source.position
+        have = source.need(RECORD_HEAD.size)
+        if have < RECORD_HEAD.size:
+            self._end_early(offset, have)
+        opcode, length = RECORD_HEAD.unpack_from(source.buffer, source.start)
+        head = source.take(RECORD_HEAD.size)
+        if opcode == 0:
+            if any(head):
+                self._damaged("bad-record", offset, "no record")
+            else:
+                self._damaged("zero-filled", offset, "only zeros, as after a power cut,")
+            raise _End
+        before = self._crc
+        self._crc = crc32(head, before)
+        if opcode == Opcode.CHUNK and length <= MAX_CHUNK_LENGTH:
+            yield from self._chunk(source.take(length), offset, length)
+        elif opcode in _READ and length <= MAX_RECORD_LENGTH:
+            content = source.take(length)
+            if len(content) < length:
+                self._truncated(opcode, offset, length, len(content))
+            if opcode in (Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL):
+                yield from self._inside(head + content, offset)
+            elif opcode == Opcode.METADATA:
+                self._keep_metadata(content, offset)
+            elif opcode == Opcode.DATA_END:
+                self._check(_DATA_END, content, before, "data section", offset)
+                self._crc = 0
+                return
+            else:
+                self._footer(content, offset)
+            self._crc = crc32(content, self._crc)
+        else:
+            self._pass_over(opcode, offset, length)
+
+    # Where the file ends.
+
+    def _end_early(self, offset: int, have: int) -> Never:
+        if have or self._source.failure:
+            self._cut("truncated-header", offset, RECORD_HEAD.size, have, "the header of a record")
+        else:
+            self._log.add(
+                "unfinished",
+                f"the file ends at octet {offset} without the footer of a finished MCAP file; {self._so_far()}.",
+                offset,
+                frame=self._number,
+            )
+        raise _End
+
+    def _truncated(self, opcode: int, offset: int, length: int, have: int, rest: str = "") -> Never:
+        head = RECORD_HEAD.size
+        self._cut("truncated-record", offset, head + length, head + have, _name(opcode), rest)
+        raise _End
+
+    def _footer(self, content: bytes, offset: int) -> Never:
+        self._check(_FOOTER, content, crc32(content[: _FOOTER.size - 4], self._crc), "summary section", offset)
+        source = self._source
+        end = source.position
+        magic = source.take(len(MAGIC))
+        if len(magic) < len(MAGIC):
+            self._cut("truncated-record", end, len(MAGIC), len(magic), "the mark at the end of the file")
+        elif magic != MAGIC:
+            self._damaged("bad-record", end, f"{magic.hex(' ')} instead of the mark at the end of the file")
+        elif source.need(1):
+            self._log.add(
+                "trailing-data",
+                f"something follows the end of the MCAP file at octet {source.position}; {self._so_far()}.",
+                source.position,
+                frame=self._number,
+            )
+        raise _End
+
+    def _check(self, layout: struct.Struct, content: bytes, actual: int, what: str, offset: int) -> None:
+        """Compare the checksum that ends `content`; 0 says that the writer made none."""
+        if len(content) < layout.size:
+            self._bad_record(offset, f"{len(content)} octets are too few")
+            return
+        expected = layout.unpack_from(content)[-1]
+        if expected and expected != actual:
+            self._log.add(
+                "bad-crc",
+                f"the {what} that ends at octet {offset} does not match its checksum: something in it is not as "
+                f"it was written; {self._so_far()}.",
+                offset,
+                frame=self._number,
+            )
+
+    def _pass_over(self, opcode: int, offset: int, length: int) -> None:
+        if opcode == Opcode.CHUNK or opcode in _READ:
+            self._log.count(
+                "too-large",
+                "too-large",
+                lambda times: (
+                    f"{counted(times, 'record')} too large to be read passed over, the first at octet "
+                    f"{offset} with {length} octets."
+                ),
+                offset,
+                self._number,
+            )
+        elif opcode not in _KNOWN and opcode < _FIRST_PRIVATE:
+            self._log.count(
+                ("unknown-record", opcode),
+                "unknown-record",
+                lambda times: (
+                    f"{counted(times, 'record')} of the unknown type {opcode:#04x}, the first at octet "
+                    f"{offset}, passed over."
+                ),
+                offset,
+                self._number,
+            )
+        left = length
+        while left:
+            piece = self._source.take(min(left, READ_SIZE))
+            if not piece:
+                self._truncated(opcode, offset, length, length - left)
+            self._crc = crc32(piece, self._crc)
+            left -= len(piece)
+
+    # What stands in records.
+
+    def _chunk(self, content: bytes, offset: int, length: int) -> Iterator[Frame | None]:
+        try:
+            chunk = self._unpacker.open(content, length)
+        except ChunkError as error:
+            self._log.count(
+                error.reason,
+                error.reason,
+                lambda times, why=str(error): (
+                    f"{counted(times, 'chunk')} passed over, the first at octet "  # type: ignore[misc]
+                    f"{offset} with {length} octets: it {why}."
+                ),
+                offset,
+                self._number,
+            )
+        else:
+            before = self._frames_read
+            where = -1 if chunk.start < 0 else offset + RECORD_HEAD.size + chunk.start
+            yield from self._inside(chunk.records, where, whole=len(content) == length)
+            if len(content) < length:
+                rest = f"{self._so_far()}, {self._frames_read - before} of them from that chunk"
+                self._truncated(Opcode.CHUNK, offset, length, len(content), rest)
+        self._crc = crc32(content, self._crc)
+
+    def _inside(
+        self, records: bytes | memoryview, base: int, *, whole: bool = True, position: int = 0
+    ) -> Iterator[Frame | None]:
+        """Take the records of a chunk from `position` on; `base` is its offset in the file, -1 if it has none."""
+        view, end, head = memoryview(records), len(records), RECORD_HEAD.size
+        while end - position >= head:
+            opcode, length = RECORD_HEAD.unpack_from(view, position)
+            start = position + head
+            stop = start + length
+            if stop > end:
+                break
+            offset = base if base < 0 else base + position
+            if opcode == Opcode.MESSAGE:
+                frame = self._frame(view[start:stop], offset)
+                if frame is not None:
+                    yield frame
+            elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL) and self._describes(opcode, view[start:stop], offset):
+                yield None
+            position = stop
+        if whole and position != end:
+            self._bad_record(base, f"{end - position} octets at the end of a chunk are no record")
+
+    def _frame(self, content: memoryview, offset: int) -> Frame | None:
+        """The frame of a message, None if it is of another kind or not wanted."""
+        if len(content) < _MESSAGE_HEAD.size:
+            self._bad_record(offset, f"a message of {len(content)} octets")
+            return None
+        channel, _sequence, log_time, _publish_time = _MESSAGE_HEAD.unpack_from(content)
+        decode = self._raw.get(channel)
+        if decode is None:
+            if channel not in self._topics:
+                self._bad_record(offset, f"a message on channel {channel}, which nothing describes")
+            return None
+        try:
+            message = decode(content[_MESSAGE_HEAD.size :])
+        except ValueError as error:
+            self._bad_message(error, offset)
+            return None
+        if message.link_type not in self._link_types:
+            self._wrong_link_type(message.link_type, offset)
+            return None
+        self._number = message.number or self._number + 1
+        time_ns = log_time if message.time_ns is None else message.time_ns
+        if time_ns > MAX_TIME_NS:
+            time_ns = self._clamped(time_ns, offset)
+        return Frame(
+            self._number,
+            time_ns,
+            message.data,
+            max(message.orig_len, len(message.data)),
+            message.interface,
+            offset,
+        )
+
+    def _describes(self, opcode: int, content: memoryview, offset: int) -> bool:
+        """Take in a schema or channel; whether it is the first channel of raw frames."""
+        if opcode == Opcode.SCHEMA:
+            schema = self._parse(Schema, content, offset)
+            if schema is not None:
+                self._schemas[schema.id] = schema.name
+            return False
+        channel = self._parse(Channel, content, offset)
+        if channel is None:
+            return False
+        self._topics[channel.id] = channel.topic
+        first = not self._raw
+        decode = _DECODERS.get(channel.message_encoding)
+        if decode is not None and self._schemas.get(channel.schema_id) == rawframe.SCHEMA_NAME:
+            self._raw[channel.id] = decode
+        return first and bool(self._raw)
+
+    def _keep_metadata(self, content: bytes, offset: int) -> None:
+        record = self._parse(Metadata, memoryview(content), offset)
+        if record is not None and (len(self._metadata) < MAX_METADATA or record.name in self._metadata):
+            self._metadata[record.name] = record.metadata
+
+    def _parse(self, kind: type[_Record], content: memoryview, offset: int) -> _Record | None:
+        try:
+            record: _Record = kind.read(ReadDataStream(BytesIO(content)))
+        except (McapError, struct.error, ValueError) as error:
+            self._bad_record(offset, f"{kind.__name__.lower()}: {error or 'it is cut off'}")
+            return None
+        return record
+
+    # What is wrong with single records: all of it is counted, none of it ends the reading.
+
+    def _bad_record(self, offset: int, why: str) -> None:
+        self._log.count(
+            "bad-record",
+            "bad-record",
+            lambda times: f"{counted(times, 'record')} damaged and passed over, the first {_place(offset)} ({why}).",
+            offset,
+            self._number,
+        )
+
+    def _bad_message(self, error: Exception, offset: int) -> None:
+        self._log.count(
+            "bad-message",
+            "bad-message",
+            lambda times: (
+                f"{counted(times, 'message')} that should be raw frames passed over, the first "
+                f"{_place(offset)} ({error})."
+            ),
+            offset,
+            self._number,
+        )
+
+    def _wrong_link_type(self, link_type: int, offset: int) -> None:
+        self._log.count(
+            ("wrong-link-type", link_type),
+            "wrong-link-type",
+            lambda times: (
+                f"{counted(times, 'frame')} passed over, the first {_place(offset)}: the link type is "
+                f"{link_type_name(link_type)}."
+            ),
+            offset,
+            self._number,
+        )
+
+
+def _place(offset: int) -> str:
+    return "inside a compressed chunk" if offset < 0 else f"at octet {offset}"
+
+
+def _name(opcode: int) -> str:
+    kind = Opcode(opcode).name.lower().replace("_", " ") if opcode in _KNOWN else f"of type {opcode:#04x}"
+    return f"a record ({kind})"

@@ -1,0 +1,107 @@
+"""What is wrong with single blocks of a pcapng file, in words: all of it is counted, none of it ends the reading."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+
+from dcp_codec.capture.frame import Reason
+from dcp_codec.capture.linktypes import link_type_name
+from dcp_codec.capture.reader import Describe, ProblemLog, counted
+
+from .blocks import BadOptionError, Interface
+
+
+class BlockProblems:
+    """Told with the octet at which the block stands, and the number of the last frame before it."""
+
+    def __init__(self, log: ProblemLog) -> None:
+        self._log = log
+
+    def unknown_block(self, kind: int, offset: int, frame: int) -> None:
+        """A type of block that nobody has defined."""
+        self._count(
+            "unknown-block",
+            lambda times: (
+                f"{counted(times, 'block')} of the unknown type {kind:#010x}, the first at octet {offset}, passed over."
+            ),
+            offset,
+            frame,
+            kind,
+        )
+
+    def unknown_interface(self, offset: int, frame: int) -> None:
+        """A block for an interface that its section does not describe."""
+        self._count(
+            "unknown-interface",
+            lambda times: (
+                f"{counted(times, 'block')}, the first at octet {offset}, for an interface that its section does not "
+                "describe, passed over."
+            ),
+            offset,
+            frame,
+        )
+
+    def wrong_link_type(self, interface: Interface, offset: int, frame: int) -> None:
+        """A frame of an interface whose link type was not asked for."""
+        index, kind = interface.index, link_type_name(interface.link_type)
+        self._count(
+            "wrong-link-type",
+            lambda times: f"{counted(times, 'frame')} of interface {index} passed over: its link type is {kind}.",
+            offset,
+            frame,
+            index,
+        )
+
+    def does_not_fit(self, captured: int, room: int, offset: int, frame: int) -> None:
+        """A frame that claims more octets than its block has."""
+        self._count(
+            "bad-record",
+            lambda times: (
+                f"{counted(times, 'frame')} passed over, the first in the block at octet {offset}, which claims "
+                f"{captured} octets where its block has {room}."
+            ),
+            offset,
+            frame,
+        )
+
+    def no_time(self, offset: int, frame: int) -> None:
+        """A simple packet block, which has no time of capture."""
+        self._count(
+            "no-time",
+            lambda times: (
+                f"{counted(times, 'simple packet block')}, the first at octet {offset}, without a time of capture: "
+                "0 stands for it."
+            ),
+            offset,
+            frame,
+        )
+
+    def rounded_time(self, interface: Interface, offset: int, frame: int) -> None:
+        """A time that is no whole number of nanoseconds."""
+        index, unit = interface.index, interface.resolution
+        self._count(
+            "rounded-time",
+            lambda times: (
+                f"{counted(times, 'time')} of interface {index}, whose clock counts in {unit}, rounded to the nearest "
+                "nanosecond."
+            ),
+            offset,
+            frame,
+            index,
+        )
+
+    def bad_option(self, error: BadOptionError, offset: int, frame: int) -> None:
+        """Options of a block that are damaged; the rest of it was read."""
+        self._count(
+            "bad-option",
+            lambda times: (
+                f"{counted(times, 'block')} with options that are damaged, the first at octet {offset} ({error}); the "
+                "rest of such a block was read."
+            ),
+            offset,
+            frame,
+        )
+
+    def _count(self, reason: Reason, describe: Describe, offset: int, frame: int, of: Hashable = None) -> None:
+        """One more of a kind: those with the same ``reason`` and ``of`` are told as one."""
+        self._log.count(reason if of is None else (reason, of), reason, describe, offset, frame)

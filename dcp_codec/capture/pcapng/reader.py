@@ -1,0 +1,359 @@
+"""pcapng files: draft-ietf-opsawg-pcapng, any number of sections in either byte order, any clock."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator, Sequence
+
+from dcp_codec.capture.bytesource import ByteSource
+from dcp_codec.capture.frame import ETHERNET, MAX_RECORD_LENGTH, MAX_TIME_NS, Frame
+from dcp_codec.capture.linktypes import wrong_link_type
+from dcp_codec.capture.reader import CaptureReader
+
+from .blocks import (
+    BYTE_ORDERS,
+    ENHANCED_PACKET,
+    INTERFACE,
+    INTERFACE_OPTIONS,
+    ISB_IFDROP,
+    ISB_OSDROP,
+    LEAST_LENGTH,
+    PACKET,
+    SECTION_HEADER,
+    SECTION_OPTIONS,
+    SIMPLE_PACKET,
+    SKIPPED,
+    STATISTICS,
+    BadOptionError,
+    Interface,
+    block_name,
+    options,
+)
+from .problems import BlockProblems
+
+#: Interfaces of one file that are told apart; a file with more is taken for damaged.
+MAX_INTERFACES = 65_536
+
+#: Records of metadata that are kept of one file.
+MAX_METADATA = 1_000
+
+_LEAST = 12
+_PACKET_HEADS = {order: struct.Struct(order + "IIIII").unpack_from for order in "<>"}
+_LEAST_PACKET = LEAST_LENGTH[ENHANCED_PACKET]
+_FIXED = 28  # of an enhanced packet block, before the octets of the frame
+# By byte order: what an enhanced packet block starts with up to there, and the length that ends every block.
+_BLOCK_HEADS = {order: struct.Struct(order + "IIIIIII").unpack_from for order in "<>"}
+_TRAILERS = {order: struct.Struct(order + "I").unpack_from for order in "<>"}
+
+
+class PcapngReader(CaptureReader):
+    """Reads a pcapng file; the window of `source` stands at its first section header.
+
+    Opening reads on to the first interface of an accepted link type, so that a file without one is refused.
+    """
+
+    format = "pcapng"
+
+    def __init__(self, source: ByteSource, link_types: frozenset[int]) -> None:
+        super().__init__(source, link_types)
+        self._block_problems = BlockProblems(self._log)
+        self._order = "<"
+        self._sections = 0
+        self._interface_count = 0
+        self._interfaces: list[Interface] = []
+        self._unpack_packet = _PACKET_HEADS["<"]
+        self._pending: Frame | None = None
+        self._going = self._block()
+        if not self._sections:
+            raise self._refuse(self._log.found[-1].message)
+        refused = ETHERNET
+        while self._going and not self._stamp:
+            self._going = self._block()
+            if self._interfaces:
+                refused = self._interfaces[-1].link_type
+        if not self._stamp and self._interface_count:
+            raise self._refuse(f"has {wrong_link_type(refused, link_types)}")
+
+    @property
+    def big_endian(self) -> bool:
+        """The byte order of the section that is being read."""
+        return self._order == ">"
+
+    @property
+    def interfaces(self) -> Sequence[Interface]:
+        """The interfaces of the section that is being read, as far as they have been described."""
+        return self._interfaces
+
+    @property
+    def number(self) -> int:
+        """The number of the last frame, passed over or not."""
+        return self._number
+
+    def step(self, position: int, number: int, frames: int) -> tuple[bool, Frame | None]:
+        """Take the one block at octet `position`, behind frame `number` and `frames` that were given out.
+
+        For those who find most frames on their own, going forward, instead of iterating. Returns whether there is
+        more to read, and the frame of the block if it has one.
+        """
+        self._source.skip(position - self._source.position)
+        self._number, self._frames_read = number, frames
+        self._pending = None
+        if self._going:
+            self._going = self._block()
+        if not self._going:
+            self._log.settle()
+        return self._going, self._pending
+
+    def _records(self) -> Iterator[Frame]:
+        source = self._source
+        head, trailer = _BLOCK_HEADS["<"], _TRAILERS["<"]
+        order = ""
+        while self._going:
+            if order != self._order:
+                order = self._order
+                head, trailer = _BLOCK_HEADS[order], _TRAILERS[order]
+            buffer, start, base = source.buffer, source.start, source.base
+            interfaces, end = self._interfaces, len(source.buffer)
+            # The way of nearly every block: a frame that lies whole in the window.
+            while end - start >= _FIXED:
+                kind, total, which, high, low, captured, length = head(buffer, start)
+                stop, body = start + total, start + _FIXED
+                if (
+                    kind != ENHANCED_PACKET
+                    or stop > end
+                    or total < _LEAST_PACKET
+                    or total % 4
+                    or trailer(buffer, stop - 4)[0] != total
+                ):
+                    break
+                self._position = base + stop
+                if (
+                    which < len(interfaces)
+                    and (interface := interfaces[which]).accepted
+                    and interface.divide == 1
+                    and 0 <= total - _LEAST_PACKET - captured <= 3
+                    and 0 <= (time_ns := (high << 32 | low) * interface.multiply + interface.shift_ns) <= MAX_TIME_NS
+                ):
+                    self._number = number = self._number + 1
+                    data = buffer[body : body + captured]
+                    octets = length if length > captured else captured
+                    frame: Frame | None = Frame(number, time_ns, data, octets, interface.index, base + start)
+                else:
+                    frame = self._packet(kind, buffer, start, total)
+                start = stop
+                if frame is not None:
+                    self._frames_read += 1
+                    yield frame
+            source.start = start
+            # All others, the end of the window, and whatever is wrong.
+            self._pending = None
+            self._going = self._block()
+            if self._pending is not None:
+                self._frames_read += 1
+                yield self._pending
+
+    def _block(self) -> bool:
+        """Take one block of any kind; its frame, if it has one, is then `_pending`. False at the end."""
+        source = self._source
+        offset = source.position
+        have = source.need(_LEAST)
+        if have < _LEAST:
+            if have:
+                self._cut("truncated-header", offset, _LEAST, have, "the header of a block")
+            return False
+        if source.buffer.startswith(b"\x0a\x0d\x0d\x0a", source.start):
+            order = BYTE_ORDERS.get(source.buffer[source.start + 8 : source.start + 12])
+            if order is None:
+                return self._damaged("bad-record", offset, "a section header without its byte-order magic")
+            self._order = order
+        kind, total = struct.unpack_from(self._order + "II", source.buffer, source.start)
+        if total < LEAST_LENGTH.get(kind, _LEAST) or total % 4:
+            if not any(source.buffer[source.start : source.start + _LEAST]):
+                return self._damaged("zero-filled", offset, "only zeros, as after a power cut,")
+            return self._damaged("bad-block-length", offset, f"{block_name(kind)} that claims {total} octets")
+        known = kind in LEAST_LENGTH
+        if known and total > MAX_RECORD_LENGTH:
+            return self._damaged("bad-block-length", offset, f"{block_name(kind)} that claims {total} octets")
+        body = source.need(total) if known else source.skip(total - 4) + source.need(4)
+        if body < total:
+            self._cut("truncated-record", offset, total, body, block_name(kind))
+            return False
+        at = source.start if known else source.start - total + 4
+        if struct.unpack_from(self._order + "I", source.buffer, at + total - 4)[0] != total:
+            return self._damaged("bad-block-length", offset, f"{block_name(kind)} whose two lengths differ")
+        going = self._take(kind, source.buffer, at, total) if known else self._pass_over(kind, offset)
+        source.start = at + total
+        self._position = source.position
+        return going
+
+    def _take(self, kind: int, buffer: bytes, start: int, total: int) -> bool:
+        if kind == SECTION_HEADER:
+            return self._section(buffer, start, total)
+        if kind == INTERFACE:
+            return self._interface(buffer, start, total)
+        if kind == STATISTICS:
+            self._statistics(buffer, start, total)
+        elif kind == SIMPLE_PACKET:
+            self._pending = self._simple_packet(buffer, start, total)
+        else:
+            self._pending = self._packet(kind, buffer, start, total)
+        return True
+
+    def _pass_over(self, kind: int, offset: int) -> bool:
+        if kind not in SKIPPED:
+            self._block_problems.unknown_block(kind, offset, self._number)
+        return True
+
+    def _section(self, buffer: bytes, start: int, total: int) -> bool:
+        major, minor = struct.unpack_from(self._order + "HH", buffer, start + 12)
+        if major != 1:
+            what = f"a section of pcapng version {major}.{minor}, which is not 1.x,"
+            return self._damaged("unknown-version", self._source.base + start, what)
+        # The length of the section, 8 octets, is of no use to one who reads everything in order.
+        name = f"section.{self._sections}" if self._sections else "section"
+        self._sections += 1
+        self._unpack_packet = _PACKET_HEADS[self._order]
+        self._interfaces = []
+        self._describe(name, SECTION_OPTIONS, buffer, start, start + 24, start + total - 4)
+        return True
+
+    def _interface(self, buffer: bytes, start: int, total: int) -> bool:
+        if self._interface_count == MAX_INTERFACES:
+            return self._damaged("bad-record", self._source.base + start, f"interface {MAX_INTERFACES}")
+        link_type, _, snap = struct.unpack_from(self._order + "HHI", buffer, start + 8)
+        accepted = link_type in self._link_types
+        interface = Interface(self._interface_count, link_type, snap, accepted=accepted)
+        self._interface_count += 1
+        self._interfaces.append(interface)
+        name = f"interface.{interface.index}"
+        self._describe(name, INTERFACE_OPTIONS, buffer, start, start + 16, start + total - 4, interface)
+        if name in self._metadata:
+            self._metadata[name] |= {"linkType": str(link_type), "resolution": interface.resolution}
+        if accepted and not self._stamp:
+            self._stamp = interface.resolution
+        return True
+
+    def _describe(
+        self,
+        name: str,
+        wanted: dict[int, str],
+        buffer: bytes,
+        block: int,
+        start: int,
+        stop: int,
+        interface: Interface | None = None,
+    ) -> None:
+        """Keep the options of a block as the metadata record `name`, and apply them to the interface."""
+        record: dict[str, str] = {}
+        try:
+            for code, value in options(buffer, start, stop, self._order):
+                if code in wanted:
+                    record[wanted[code]] = value.rstrip(b"\0").decode("utf-8", "replace")
+                if interface is not None:
+                    interface.apply(code, value, self._order)
+        except BadOptionError as error:
+            self._bad_option(error, block)
+        if len(self._metadata) < MAX_METADATA and (record or interface is not None):
+            self._metadata[name] = record
+
+    def _statistics(self, buffer: bytes, start: int, total: int) -> None:
+        interface = self._interface_of(struct.unpack_from(self._order + "I", buffer, start + 8)[0], start)
+        if interface is None or not interface.accepted:
+            return
+        drops: dict[int, int] = {}
+        try:
+            for code, value in options(buffer, start + 20, start + total - 4, self._order):
+                if code in (ISB_IFDROP, ISB_OSDROP):
+                    if len(value) != 8:
+                        raise BadOptionError(f"a drop counter has {len(value)} octets, not 8")
+                    drops[code] = struct.unpack(self._order + "Q", value)[0]
+        except BadOptionError as error:
+            self._bad_option(error, start)
+        if drops:
+            # The counters run from the start of the capture, so the last block says it all.
+            self._dropped[interface.index] = sum(drops.values())
+
+    def _packet(self, kind: int, buffer: bytes, start: int, total: int) -> Frame | None:
+        """The frame of an enhanced, or obsolete, packet block."""
+        which, high, low, captured, length = self._unpack_packet(buffer, start + 8)
+        self._number = number = self._number + 1
+        if kind == PACKET:
+            # Two 16-bit numbers share the place: the interface, and a count of drops before this frame.
+            which = struct.unpack_from(self._order + "H", buffer, start + 8)[0]
+        interface = self._interfaces[which] if which < len(self._interfaces) else None
+        if interface is None or not interface.accepted:
+            self._not_wanted(interface, start)
+            return None
+        body = start + _FIXED
+        room = total - _FIXED - 4
+        if captured > room:
+            self._does_not_fit(captured, room, start)
+            return None
+        if room > captured + 3:
+            self._check_options(buffer, body + captured + -captured % 4, body + room, start)
+        time_ns: int = (high << 32 | low) * interface.multiply
+        if interface.divide != 1:
+            time_ns = self._rounded(time_ns, interface, start)
+        time_ns += interface.shift_ns
+        if not 0 <= time_ns <= MAX_TIME_NS:
+            time_ns = self._clamped(time_ns, self._source.base + start)
+        return Frame(
+            number,
+            time_ns,
+            buffer[body : body + captured],
+            length if length > captured else captured,
+            interface.index,
+            self._source.base + start,
+        )
+
+    def _simple_packet(self, buffer: bytes, start: int, total: int) -> Frame | None:
+        """The frame of a simple packet block: of the first interface, and without a time."""
+        self._number += 1
+        interface = self._interfaces[0] if self._interfaces else None
+        if interface is None or not interface.accepted:
+            self._not_wanted(interface, start)
+            return None
+        length: int = struct.unpack_from(self._order + "I", buffer, start + 8)[0]
+        room = total - 16
+        captured = min(length, interface.snap) if interface.snap else length
+        if captured > room:
+            self._does_not_fit(captured, room, start)
+            return None
+        offset = self._source.base + start
+        self._block_problems.no_time(offset, self._number - 1)
+        body = start + 12
+        return Frame(self._number, 0, buffer[body : body + captured], length, interface.index, offset)
+
+    def _interface_of(self, which: int, start: int) -> Interface | None:
+        if which < len(self._interfaces):
+            return self._interfaces[which]
+        self._block_problems.unknown_interface(self._source.base + start, self._number)
+        return None
+
+    def _not_wanted(self, interface: Interface | None, start: int) -> None:
+        offset = self._source.base + start
+        if interface is None:
+            self._block_problems.unknown_interface(offset, self._number)
+        else:
+            self._block_problems.wrong_link_type(interface, offset, self._number - 1)
+
+    def _does_not_fit(self, captured: int, room: int, start: int) -> None:
+        self._block_problems.does_not_fit(captured, room, self._source.base + start, self._number - 1)
+
+    def _check_options(self, buffer: bytes, start: int, stop: int, block: int) -> None:
+        try:
+            for _ in options(buffer, start, stop, self._order):
+                pass
+        except BadOptionError as error:
+            self._bad_option(error, block)
+
+    def _bad_option(self, error: BadOptionError, start: int) -> None:
+        self._block_problems.bad_option(error, self._source.base + start, self._number)
+
+    def _rounded(self, scaled: int, interface: Interface, start: int) -> int:
+        """`scaled` / `divide`, to the nearest nanosecond."""
+        time_ns, rest = divmod(scaled, interface.divide)
+        if not rest:
+            return time_ns
+        self._block_problems.rounded_time(interface, self._source.base + start, self._number - 1)
+        return time_ns + (2 * rest >= interface.divide)

@@ -1,0 +1,30 @@
+"""Which extra of this distribution installs a package that is missing."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+#: Top-level package as it is imported -> extra of ``dcp-conformance-kit`` that installs it.
+EXTRAS: Mapping[str, str] = MappingProxyType(
+    {
+        "scapy": "scapy",
+        **dict.fromkeys(("mcap", "google", "zstandard", "lz4"), "mcap"),
+        "yaml": "ksy",
+        "pymavlink": "mavlink",
+        "prometheus_client": "metrics",
+        "greenlet": "conformance",
+        "pytest": "pytest",
+        **dict.fromkeys(("numba", "numpy", "pyarrow"), "table"),
+        "duckdb": "duckdb",
+        "mcap_ros2": "ros2",
+        "distributed": "dask",
+        **dict.fromkeys(("bokeh", "jinja2"), "report"),
+        "atheris": "atheris",
+    }
+)
+
+
+def advice(package: str, extra: str | None = None) -> str:
+    """Return the sentence that tells the user what to install; ``extra`` overrides the table."""
+    return f"{package} is not installed: pip install 'dcp-conformance-kit[{extra or EXTRAS[package]}]'"

@@ -1,0 +1,1 @@
+"""Recordings for Foxglove: decoded channels in MCAP files, and layouts."""

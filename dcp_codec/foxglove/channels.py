@@ -1,0 +1,335 @@
+"""Decoded messages for MCAP files: what Foxglove and other viewers show beside the raw frames.
+
+=====================  ====================  ==============================================================
+topic                  schema                one message for each
+=====================  ====================  ==============================================================
+``/dcp/bp``            dcp.Beacon            beacon: addresses, header, payload blocks, padding, errors
+``/dcp/srp``           dcp.StateReport       state report
+``/dcp/vardis``        dcp.VardisContainer   instruction container
+``/dcp/errors``        dcp.Problem           error or warning
+``/dcp/pose/<node>``   foxglove.PoseInFrame  state report with a position, where the profile says which it is
+=====================  ====================  ==============================================================
+
+A viewer reads a JSON Schema as typed columns. Therefore what could not be read is missing instead of null, and so
+is a float that JSON has no number for. The schema of each message comes from the plan of the profile, and says which
+columns are there when ``errors`` is 0.
+
+Positions are poses (and not geographic locations or drawn scenes), because safety data has Cartesian coordinates; one
+topic for each node lets a viewer choose, colour and plot nodes one by one.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import msgspec
+from dcp_spec.profile.definition import Link, Profile
+from dcp_spec.version import __version__
+
+from dcp_codec.analysis.cartesian import cartesian_axes
+from dcp_codec.capture import ChannelMessage, Frame
+from dcp_codec.codec import Codec
+from dcp_codec.export.jsonrecords import JSONSchema, ViewerRecord
+from dcp_codec.export.jsonschema import (
+    DRAFT,
+    container_group,
+    problem_properties,
+    record_group,
+    schema_octets,
+    viewer_record,
+)
+from dcp_codec.export.tomltext import profile_toml
+from dcp_codec.framing.frames import DissectedFrame, FrameDissector
+from dcp_codec.framing.locate import OtherTraffic
+from dcp_codec.jsonform import problem_json
+from dcp_codec.plan.layout import walk
+from dcp_codec.plan.tree import Group, Scalar
+
+#: The frame of reference that poses are in: the one that the nodes themselves use.
+FRAME_ID = "dcp"
+
+#: Nodes that get a topic for their poses. An MCAP file has at most 65,535 channels, and identifiers that are text
+#: can be anything.
+MAX_POSE_TOPICS = 1000
+
+_IDENTITY = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
+
+
+class DecodedChannels:
+    """A message source for ``create_capture`` and ``convert``: the DCP frames of one profile, decoded.
+
+    Frames that are not DCP in the profile have no messages. Nothing in a frame makes it raise: a malformed frame has
+    messages for what could be read, without state reports in which something is wrong, and for each error. ``link``
+    replaces the profile's idea of where beacons are. An instance is for one file: it remembers which nodes have a
+    topic.
+    """
+
+    def __init__(self, codec: Codec, link: Link | None = None) -> None:
+        self._dissector = FrameDissector(codec, link)
+        self._beacon = _Channel("/dcp/bp", "dcp.Beacon", "One beacon.", *_beacon_columns(codec))
+        self._container = _Channel(
+            "/dcp/vardis",
+            "dcp.VardisContainer",
+            "One VarDis instruction container.",
+            _BLOCK | {"container": _integer("index of the container in its payload, from 0")},
+            viewer_record(codec, container_group(codec)),
+        )
+        self._report: _Channel | None = None
+        if codec.srp_plan is not None:
+            columns = viewer_record(codec, record_group(codec.srp_plan))
+            name, about = ("dcp.StateReport", "One state report.")
+            if codec.report_plan is None:
+                name, about = ("dcp.OwnReport", "One SRP payload; this profile has no state reports.")
+            self._report = _Channel("/dcp/srp", name, about, _BLOCK, columns)
+        self._problem = _Channel("/dcp/errors", "dcp.Problem", "One thing that is wrong with a frame.", _PROBLEM)
+        self._poses = _Poses(codec.profile)
+
+    def messages(self, frame: Frame) -> Iterator[ChannelMessage]:
+        """The messages of one frame, the beacon first; their time is the time of capture."""
+        dissected = self._dissector.dissect(frame)
+        if isinstance(dissected, OtherTraffic):
+            return
+        errors, warnings = dissected.dissection.errors, dissected.dissection.warnings
+        common = {"timestamp": _time(frame.time_ns), "frame": frame.number, "sender": dissected.sender}
+        whole = dissected.as_json()
+        payloads = whole.get("payloads", [])
+        addresses = {name: whole[name] for name in ("src", "dst", "etherType")}
+        counts = {"padding": whole["padding"], "errors": len(errors), "warnings": len(warnings)}
+        header = whole.get("bp", {})
+        yield self._beacon.message(frame, {**header, **common, **addresses, "payloads": payloads, **counts})
+        damaged, clear = self._damage(dissected) if errors else (set(), True)
+        for index, payload in enumerate(payloads):
+            block = {**common, "payload": index, "errors": len(errors)}
+            yield from self._content(frame, payload, block, sound=index not in damaged, clear=clear)
+        for problem in (*errors, *warnings):
+            about = {"severity": problem.severity, "message": str(problem), **problem_json(problem)}
+            yield self._problem.message(frame, common | about)
+
+    @staticmethod
+    def _damage(dissected: DissectedFrame) -> tuple[set[int], bool]:
+        """The indices of the payload blocks whose content is bad, and whether it is clear where the blocks are."""
+        framing = dissected.framing
+        found = dissected.codec.salvage(dissected.frame.data[framing.start : framing.end])
+        clear = found.beacon is not None and found.clear and found.reading == "length"
+        return {each.payload for each in found.damaged}, clear
+
+    def _content(
+        self, frame: Frame, payload: dict[str, Any], block: dict[str, Any], *, sound: bool, clear: bool
+    ) -> Iterator[ChannelMessage]:
+        report = payload.get("srp")
+        # A bad report may say anything: a viewer would plot it, and a position would move the view.
+        if report is not None and self._report is not None and sound:
+            yield self._report.message(frame, {**report, **block})
+            if clear:
+                yield from self._poses.messages(frame, report)
+        for number, container in enumerate(payload.get("vardis", ())):
+            yield self._container.message(frame, {**container, **block, "container": number})
+
+
+class _Channel:
+    """One topic and its schema. Our ``own`` columns win over those of ``record`` that a profile calls the same."""
+
+    def __init__(
+        self,
+        topic: str,
+        name: str,
+        about: str,
+        own: dict[str, JSONSchema],
+        record: ViewerRecord | None = None,
+    ) -> None:
+        record = record or ViewerRecord({}, [], [])
+        self.topic = topic
+        self.name = name
+        # Our own first, in place and in effect.
+        self.properties = {**_COMMON, **own, **record.properties, **_COMMON, **own}
+        schema: JSONSchema = {
+            "$schema": DRAFT,
+            "title": name,
+            "description": about,
+            "type": "object",
+            "properties": self.properties,
+            "required": [name for name in ("timestamp", "frame", "errors") if name in self.properties],
+        }
+        if record.required:
+            complete: JSONSchema = {"required": record.required}
+            if record.alternatives:
+                complete["oneOf"] = record.alternatives
+            schema |= {"if": {"properties": {"errors": {"const": 0}}}, "then": complete}
+        self.schema = schema_octets(schema)
+
+    def message(self, frame: Frame, values: dict[str, Any]) -> ChannelMessage:
+        data = msgspec.json.encode(_fit(values, {"properties": self.properties}))
+        return ChannelMessage(self.topic, self.name, self.schema, data, frame.time_ns)
+
+
+def _fit(value: Any, schema: JSONSchema) -> Any:
+    """``value`` with the members that ``schema`` has, in its order, but those that are null or no number there."""
+    if isinstance(value, list):
+        return [_fit(each, schema["items"]) for each in value]
+    if not isinstance(value, dict):
+        return value
+    fitted = {}
+    for name, below in schema["properties"].items():
+        found = value.get(name)
+        if found is not None and not (below["type"] == "number" and isinstance(found, str)):
+            fitted[name] = _fit(found, below)
+    return fitted
+
+
+class _Poses:
+    """Positions in state reports as ``foxglove.PoseInFrame`` on one topic for each node."""
+
+    def __init__(self, profile: Profile) -> None:
+        self._axes = cartesian_axes(profile)
+        self._schema = schema_octets(_POSE_IN_FRAME)
+        self._topics: dict[str, str] = {}
+
+    def messages(self, frame: Frame, report: Mapping[str, Any]) -> Iterator[ChannelMessage]:
+        """The pose that a state report gives, unless the profile has none or a coordinate is not finite."""
+        if not self._axes:
+            return
+        position = {"x": 0.0, "y": 0.0, "z": 0.0}
+        for axis, (name, metres) in self._axes.items():
+            value = report["sData"][name]
+            if isinstance(value, str):
+                return
+            position[axis] = value * metres
+        topic = self._topic(report["nodeId"])
+        if topic is None:
+            return
+        pose = {"position": position, "orientation": _IDENTITY}
+        data = msgspec.json.encode({"timestamp": _time(frame.time_ns), "frame_id": FRAME_ID, "pose": pose})
+        yield ChannelMessage(topic, "foxglove.PoseInFrame", self._schema, data, frame.time_ns)
+
+    def _topic(self, node: str) -> str | None:
+        if node not in self._topics and len(self._topics) < MAX_POSE_TOPICS:
+            self._topics[node] = pose_topic(node)
+        return self._topics.get(node)
+
+
+def pose_topic(node: str) -> str:
+    """``02:00:00:00:00:01`` -> ``/dcp/pose/02-00-00-00-00-01``: viewers' message paths have other uses for colons."""
+    return "/dcp/pose/" + (re.sub(r"[^A-Za-z0-9_-]+", "-", node) or "-")
+
+
+def capture_metadata(codec: Codec, recording: Mapping[str, str] | None = None) -> dict[str, dict[str, str]]:
+    """Metadata records with which a capture explains itself: tool, specification, profile with its complete text.
+
+    ``recording`` becomes a record of its own. The same arguments give the same text at any time.
+    """
+    profile = codec.profile
+    records = {
+        "dcp.tool": {"name": "dcp-codec", "version": __version__},
+        "dcp.specification": {
+            "name": "Drone Coordination Protocol",
+            "version": str(profile.spec_version),
+            "source": "https://github.com/awillig/dcp-vardis",
+        },
+        "dcp.profile": {
+            "name": profile.name,
+            "title": profile.title,
+            "toml": profile_toml(profile),
+            "json": msgspec.json.encode(profile).decode(),
+        },
+    }
+    if recording:
+        records["dcp.recording"] = dict(recording)
+    return records
+
+
+def _time(time_ns: int) -> dict[str, int]:
+    sec, nsec = divmod(time_ns, 1_000_000_000)
+    return {"sec": sec, "nsec": nsec}
+
+
+def _beacon_columns(codec: Codec) -> tuple[dict[str, JSONSchema], ViewerRecord]:
+    """The columns of a beacon: those of its header, and of its payload blocks what stands in front of the content."""
+    beacon = record_group(codec.beacon_plan)
+    header = next((member for member in beacon.members if isinstance(member, Group)), None)
+    payload = next(node for node in walk(beacon) if isinstance(node, Group) and node.type_name == "Payload")
+    columns = viewer_record(codec, payload).properties
+    heading = {member.name: columns[member.name] for member in payload.members if isinstance(member, Scalar)}
+    own: dict[str, JSONSchema] = {
+        "src": {"type": "string", "description": "source address"},
+        "dst": {"type": "string", "description": "destination address"},
+        "etherType": _integer("EtherType"),
+        "payloads": {
+            "type": "array",
+            "description": "headers of the payload blocks",
+            "items": {"type": "object", "title": "Payload", "properties": heading},
+        },
+        "padding": _integer("octets of bearer padding behind the beacon [BP-RX-14]"),
+        **_ERRORS,
+        "warnings": _integer("rules that the well-formed parts of the frame break"),
+    }
+    return own, viewer_record(codec, header) if header is not None else ViewerRecord({}, [], [])
+
+
+def _integer(about: str) -> JSONSchema:
+    return {"type": "integer", "minimum": 0, "description": about}
+
+
+_TIME: JSONSchema = {
+    "type": "object",
+    "title": "time",
+    "description": "time of capture, since 1970-01-01T00:00:00Z",
+    "properties": {"sec": _integer("whole seconds"), "nsec": {**_integer("nanoseconds"), "maximum": 999_999_999}},
+    "required": ["sec", "nsec"],
+}
+
+_COMMON: dict[str, JSONSchema] = {
+    "timestamp": _TIME,
+    "frame": {**_integer("number of the frame in the recording, from 1"), "minimum": 1},
+    "sender": {"type": "string", "description": "node that sent the frame"},
+}
+
+_ERRORS: dict[str, JSONSchema] = {
+    "errors": _integer("errors of the frame, see /dcp/errors; where it is not 0, columns may be missing")
+}
+
+_BLOCK: dict[str, JSONSchema] = {
+    **_ERRORS,
+    "payload": _integer("index of the payload block in the beacon, from 0"),
+}
+
+_PROBLEM: dict[str, JSONSchema] = {
+    "severity": {"type": "string", "enum": ["error", "warning"], "description": "whether a receiver has to notice"},
+    "message": {"type": "string", "description": "all of it as one sentence"},
+    **problem_properties(nullable=False),
+}
+
+
+def _vector(title: str, about: str, axes: str, unit: str) -> JSONSchema:
+    return {
+        "type": "object",
+        "title": title,
+        "description": about,
+        "properties": {axis: {"type": "number", "description": f"{axis}{unit}"} for axis in axes},
+        "required": list(axes),
+    }
+
+
+#: Foxglove's schema of that name; viewers go by the name and by the members.
+_POSE_IN_FRAME: JSONSchema = {
+    "$schema": DRAFT,
+    "title": "foxglove.PoseInFrame",
+    "description": "Where a node says that it is.",
+    "type": "object",
+    "properties": {
+        "timestamp": _TIME,
+        "frame_id": {"type": "string", "description": "frame of reference"},
+        "pose": {
+            "type": "object",
+            "title": "foxglove.Pose",
+            "description": "position, with an orientation that says nothing",
+            "properties": {
+                "position": _vector("foxglove.Vector3", "position from the safety data", "xyz", ", in m"),
+                "orientation": _vector("foxglove.Quaternion", "always the identity", "xyzw", ""),
+            },
+            "required": ["position", "orientation"],
+        },
+    },
+    "required": ["timestamp", "frame_id", "pose"],
+}

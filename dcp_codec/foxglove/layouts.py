@@ -1,0 +1,174 @@
+"""Layouts for Foxglove: which panels show an MCAP file of ours, as the JSON that its "Import from file" takes.
+
+The layout is made for one file: one plot line and one colour for each node in it, and the camera where the nodes are.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Sequence
+from itertools import cycle, islice
+from pathlib import Path
+from typing import Any
+
+import msgspec
+from mcap.exceptions import McapError
+from mcap.reader import make_reader
+
+from dcp_codec.capture import CaptureError
+
+POSES, BEACONS = "/dcp/pose/", "/dcp/bp"
+
+#: Colours that people with any colour vision tell apart (Okabe and Ito), one node after the other.
+_COLOURS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#f0e442")
+#: Poses that are looked at to find out where the nodes are.
+_LOOKED_AT = 5_000
+#: Nodes that get lines of their own in plots.
+_MANY = 50
+#: Metres that the camera is away from a single point, at least; and extents of the scene that it is away from it.
+_LEAST, _AWAY = 10.0, 1.5
+
+Json = dict[str, Any]
+
+
+def layout_of(path: Path) -> Json:
+    """Make the layout for an MCAP file by `convert`, with decoded messages or for ROS 2.
+
+    Raises `CaptureError` if it is no MCAP file, has no summary (it was never finished), or no messages to show.
+    """
+    try:
+        with path.open("rb") as stream:
+            reader = make_reader(stream)
+            summary = reader.get_summary()
+            if summary is None or not summary.channels:
+                raise CaptureError(f"{path}: has no summary of its topics: it was not finished, or has no messages")
+            topics = {channel.topic: channel.message_encoding for channel in summary.channels.values()}
+            poses = sorted(topic for topic in topics if topic.startswith(POSES))
+            positions = _positions(reader, poses)
+            senders = _senders(reader) if topics.get(BEACONS) == "json" else []
+    except OSError as error:
+        raise CaptureError(f"{path}: {error.strerror or error}") from error
+    except McapError as error:
+        raise CaptureError(f"{path}: is not an MCAP file that can be read from its end ({error})") from error
+    if not any(topic.startswith("/dcp/") and topic != "/dcp/frames" for topic in topics):
+        raise CaptureError(f"{path}: has no decoded messages: convert it to MCAP first, with its profile")
+    return _layout(set(topics), poses, positions, senders)
+
+
+def _positions(reader: Any, poses: Sequence[str]) -> list[Sequence[float]]:
+    """The first positions in the file."""
+    found: list[Sequence[float]] = []
+    if not poses:
+        return found
+    from .poses import position_in
+
+    for schema, channel, message in reader.iter_messages(topics=list(poses)):
+        position = position_in(channel.message_encoding, schema.name, message.data)
+        if position is not None:
+            found.append(position)
+        if len(found) >= _LOOKED_AT:
+            break
+    return found
+
+
+def _senders(reader: Any) -> list[str]:
+    """The nodes that the first beacons in the file are from."""
+    found: set[str] = set()
+    for _, _, message in islice(reader.iter_messages(topics=[BEACONS]), _LOOKED_AT):
+        sender = msgspec.json.decode(message.data).get("sender")
+        if isinstance(sender, str) and '"' not in sender:
+            found.add(sender)
+    return sorted(found)[:_MANY]
+
+
+def _layout(
+    topics: set[str], poses: Sequence[str], positions: Sequence[Sequence[float]], senders: Sequence[str]
+) -> Json:
+    panels: Json = {}
+
+    def panel(kind: str, name: str, settings: Json) -> str:
+        panels[f"{kind}!{name}"] = settings
+        return f"{kind}!{name}"
+
+    colours = {topic: _COLOURS[number % len(_COLOURS)] for number, topic in enumerate(poses)}
+    left, right = [], []
+    if poses:
+        shown = {
+            topic: {"visible": True, "type": "arrow", "axisScale": 1, "arrowScale": [5, 1, 1], "color": colour}
+            for topic, colour in colours.items()
+        }
+        scene = {"cameraState": _camera(positions), "followMode": "follow-none", "followTf": "dcp", "topics": shown}
+        left.append(panel("3D", "positions", scene))
+        for axis in "xyz":
+            lines = (f"{topic}.pose.position.{axis}" for topic in poses[:_MANY])
+            right.append(panel("Plot", f"position-{axis}", _plot(f"{axis} in m", lines, colours.values())))
+    if senders:
+        # One line for each sender: theirs are different sequences.
+        lines = (f'{BEACONS}{{sender=="{sender}"}}.seqno' for sender in senders)
+        left.append(panel("Plot", "beacons", _plot("Sequence numbers of beacons", lines, cycle(_COLOURS))))
+    if "/dcp/vardis" in topics:
+        path = {"value": "/dcp/vardis.icName", "label": "instructions", "timestampMethod": "receiveTime"}
+        left.append(panel("StateTransitions", "instructions", {"paths": [path], "isSynced": True}))
+        right.append(panel("RawMessages", "vardis", {"topicPath": "/dcp/vardis"}))
+    if "/dcp/variables" in topics:
+        right.append(panel("Table", "variables", {"topicPath": "/dcp/variables"}))
+    if "/dcp/neighbours" in topics:
+        left.append(panel("Table", "neighbours", {"topicPath": "/dcp/neighbours.neighbours[:]"}))
+    if "/dcp/errors" in topics:
+        right.append(panel("Table", "errors", {"topicPath": "/dcp/errors"}))
+    sides = [_stack(side, "column") for side in (left, right) if side]
+    return {
+        "configById": panels,
+        "globalVariables": {},
+        "userNodes": {},
+        "playbackConfig": {"speed": 1},
+        "layout": _stack(sides, "row"),
+    }
+
+
+def _plot(title: str, lines: Iterable[str], colours: Iterable[str]) -> Json:
+    paths = [
+        {"value": line, "enabled": True, "timestampMethod": "receiveTime", "color": colour, "label": _label(line)}
+        for line, colour in zip(lines, colours, strict=False)
+    ]
+    settings = {"showXAxisLabels": True, "showYAxisLabels": True, "showLegend": True, "legendDisplay": "floating"}
+    return {"title": title, "paths": paths, "isSynced": True, "xAxisVal": "timestamp", **settings}
+
+
+def _label(line: str) -> str:
+    """The node that a line is about."""
+    return line.removeprefix(POSES).partition(".")[0] if line.startswith(POSES) else line.split('"')[1]
+
+
+def _stack(parts: Sequence[Any], direction: str) -> Any:
+    """Panels beside or below each other, all of the same size."""
+    if len(parts) == 1:
+        return parts[0]
+    share = 100 / len(parts)
+    rest = _stack(parts[1:], direction)
+    return {"direction": direction, "first": parts[0], "second": rest, "splitPercentage": share}
+
+
+def _camera(positions: Sequence[Sequence[float]]) -> Json:
+    """A camera above the middle of the nodes that sees all of them."""
+    axes = list(zip(*positions, strict=True)) or [(0.0,)] * 3
+    middle = [(min(axis) + max(axis)) / 2 for axis in axes]
+    extent = max(max(axis) - min(axis) for axis in axes)
+    distance = max(_LEAST, _AWAY * extent)
+    return {
+        "perspective": True,
+        "distance": distance,
+        "phi": 45,
+        "thetaOffset": 45,
+        "targetOffset": middle,
+        "target": [0, 0, 0],
+        "targetOrientation": [0, 0, 0, 1],
+        "fovy": 45,
+        "near": distance / 1000,
+        "far": distance * 100,
+    }
+
+
+def layout_text(layout: Json) -> str:
+    """The layout as the text of its file."""
+    return json.dumps(layout, indent=2) + "\n"

@@ -1,0 +1,1 @@
+"""Link-layer frames: where the bearer payload is, how frames are built, and EtherTypes."""

@@ -1,0 +1,1 @@
+"""Recordings as blocks of frames for the columnar decoder."""

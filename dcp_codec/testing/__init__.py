@@ -1,0 +1,1 @@
+"""Messages for tests: Hypothesis strategies, seeded mutations, and the reference recordings."""

@@ -1,0 +1,227 @@
+"""Valid messages of any profile from a seeded generator: what a mutation starts from.
+
+``dcp_codec.testing.strategies`` draws more widely, and shrinks; it is for tests. Here it is speed that counts:
+thousands of
+beacons in a second, with nothing beyond the standard library. Boundaries are favoured, sizes range from the smallest
+message to those that fill a beacon to its last octet.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+import random
+from collections.abc import Callable
+from typing import Any
+
+from dcp_spec.constants import BP_PROTID_SRP, BP_PROTID_VARDIS, IC_MAX_RECORDS, ICType
+
+from dcp_codec.codec import Codec
+from dcp_codec.errors import EncodeError
+from dcp_codec.plan.tree import snake
+from dcp_codec.values import (
+    Beacon,
+    BPHeader,
+    Container,
+    ExtendedSafetyData,
+    Payload,
+    VarCreate,
+    VarDelete,
+    VardisRecord,
+    VarReqCreate,
+    VarReqUpdate,
+    VarSpec,
+    VarSumm,
+    VarUpdate,
+)
+
+from .draws import Draws
+
+#: Chances of a boundary where a number is drawn.
+_EDGE = 0.4
+_FLOATS = (0.0, -0.0, 1.5, -1e6, math.inf, -math.inf, math.nan)
+_KINDS = tuple(ICType)
+
+
+class ValidValues:
+    """Draws values that ``codec.encode`` takes. The same seed draws the same."""
+
+    def __init__(self, codec: Codec, rng: random.Random) -> None:
+        self.codec = codec
+        self.rng = rng
+        self._chance = Draws(rng)
+        types = codec.profile.types
+        self._types = types
+        self._numbers = codec.profile.vardis.container_types.by_name()
+        self._spec_fields = codec.profile.vardis.var_spec
+        self.longest_value = _longest(types.value.lengths, terminated=types.value.terminated)
+        self.longest_text = _longest(types.string.lengths, terminated=types.string.terminated)
+        self._nodes = [self._node_id(number) for number in range(1, 6)]
+        self._data = self._data_fields()
+        self._records: dict[ICType, Callable[[], VardisRecord]] = {
+            ICType.SUMMARIES: lambda: VarSumm(self.var_id(), self.seqno()),
+            ICType.UPDATES: lambda: VarUpdate(self.var_id(), self.seqno(), self.value()),
+            ICType.REQUEST_VARUPDATES: lambda: VarReqUpdate(self.var_id(), self.seqno()),
+            ICType.REQUEST_VARCREATES: lambda: VarReqCreate(self.var_id()),
+            ICType.CREATE_VARIABLES: self._create,
+            ICType.DELETE_VARIABLES: lambda: VarDelete(self.var_id()),
+        }
+
+    def number(self, width: int, *, signed: bool = False) -> int:
+        """An integer of ``width`` octets; 0, 1, the highest two and, signed, the lowest far more often than others."""
+        edges = _edges(width, signed)
+        if self.rng.random() < _EDGE:
+            return self._chance.one_of(edges)
+        return edges[-1] + self._chance.below(1 << (8 * width))
+
+    def octets(self, most: int, *, nul: bool = True) -> bytes:
+        """Octets of a length from 0 to ``most``, now and then exactly that."""
+        if self.rng.random() < _EDGE:
+            size = self._chance.one_of((0, 1, 4, 8, most))
+        else:
+            size = self._chance.below(min(most, 16) + 1)
+        found = self.rng.randbytes(min(size, most))
+        return found if nul else found.replace(b"\0", b"\1")
+
+    def node_id(self) -> bytes:
+        """A node identifier, of a few so that they meet again."""
+        return self._chance.one_of(self._nodes)
+
+    def _node_id(self, number: int) -> bytes:
+        layout = self._types.node_id
+        octets = bytes((0x02, 0xDC, 0x90, 0, 0, number))
+        if layout.representation == "text":
+            return octets.hex(":").encode()
+        return octets[-layout.width :].rjust(layout.width, b"\2") if layout.width else b""
+
+    def var_id(self) -> int:
+        """A variable, of a few so that they meet again, or any."""
+        if self.rng.random() < 0.7:
+            return self._chance.below(8)
+        return self.number(self._types.var_id.width, signed=self._types.var_id.signed)
+
+    def var_spec(self, var_id: int) -> VarSpec:
+        """The static attributes of a variable."""
+        stamp, timeout = self._types.timestamp, self._types.var_timeout
+        return VarSpec(
+            var_id,
+            self.node_id(),
+            self.number(self._types.var_rep_cnt.width, signed=self._types.var_rep_cnt.signed),
+            self.octets(self.longest_text, nul=not self._types.string.terminated),
+            self.number(stamp.width, signed=stamp.signed) if "creationTime" in self._spec_fields else None,
+            self.number(timeout.width, signed=timeout.signed) if "timeout" in self._spec_fields else None,
+        )
+
+    def seqno(self) -> int:
+        """A sequence number of a variable."""
+        return self.number(self._types.var_seqno.width, signed=self._types.var_seqno.signed)
+
+    def value(self) -> bytes:
+        """The value of a variable."""
+        return self.octets(self.longest_value, nul=not self._types.value.terminated)
+
+    def record(self, kind: ICType) -> VardisRecord:
+        """A record of a kind."""
+        return self._records[kind]()
+
+    def _create(self) -> VarCreate:
+        var_id = self.var_id()
+        return VarCreate(self.var_spec(var_id), VarUpdate(var_id, self.seqno(), self.value()))
+
+    def container(self, kind: ICType | None = None, count: int | None = None) -> Container:
+        """A container of so many records of a kind."""
+        kind = self._chance.one_of(_KINDS) if kind is None else kind
+        count = self._chance.one_of((1, 1, 2, 3)) if count is None else count
+        record = self._records[kind]
+        return Container(self._numbers[kind.label], tuple([record() for _ in range(count)]))
+
+    def report(self) -> ExtendedSafetyData:
+        """A state report."""
+        types = self._types
+        data = self.codec.safety_data_type(**{name: draw() for name, draw in self._data})
+        stamp = self.number(types.timestamp.width, signed=types.timestamp.signed)
+        seqno = self.number(types.srp_seqno.width, signed=types.srp_seqno.signed)
+        return ExtendedSafetyData(data, self.node_id(), stamp, seqno)
+
+    def _data_fields(self) -> list[tuple[str, Callable[[], Any]]]:
+        """What the safety data of the profile consist of: the attribute, and what draws a value of it."""
+        known = self.codec.safety_data_type.__struct_fields__
+        found: list[tuple[str, Callable[[], Any]]] = []
+        for field in self.codec.profile.srp.safety_data:
+            draw: Callable[[], Any]
+            if field.type == "opaque":
+                draw = functools.partial(self.rng.randbytes, field.octets)
+            elif field.type.startswith("f"):
+                draw = functools.partial(self._chance.one_of, _FLOATS)
+            else:
+                draw = functools.partial(self.number, field.width, signed=field.type.startswith("i"))
+            found.append((snake(field.name) if snake(field.name) in known else field.name, draw))
+        return found
+
+    def header(self) -> BPHeader | None:
+        """The header of a beacon; the network is the profile's own."""
+        profile = self.codec.profile
+        if not profile.bp.header:
+            return None
+        network = (profile.bp.network_id or 0) if profile.has_header_field("networkId") else None
+        seqno = self.number(self._types.bp_seqno.width) if profile.has_header_field("seqno") else 0
+        return BPHeader(self.node_id(), seqno, network)
+
+    def payload(self) -> Payload:
+        """A payload block: VarDis, SRP if the profile has octets for it, or octets of another protocol."""
+        chance = self.rng.random()
+        if chance < 0.15 and self.codec.report_plan is not None:
+            return Payload(BP_PROTID_SRP, self.report())
+        if chance < 0.25:
+            width = self._types.protocol_id.width
+            other = self._chance.one_of((0, 3, (1 << (8 * width)) - 1))
+            return Payload(other, self.octets(40))
+        return Payload(BP_PROTID_VARDIS, tuple(self.container() for _ in range(self._chance.one_of((1, 1, 2, 3)))))
+
+    def beacon(self) -> bytes:
+        """A beacon; one that would be larger than the profile allows is drawn again."""
+        while True:
+            octets = self._encoded(tuple(self.payload() for _ in range(self._chance.one_of((1, 1, 2, 3)))))
+            if octets is not None:
+                return octets
+
+    def full(self, kind: ICType) -> bytes:
+        """A beacon with as many records of a kind in one container as there can be, within a quarter."""
+        drawn = self.container(kind, IC_MAX_RECORDS)
+        count = IC_MAX_RECORDS
+        while count > 1:
+            container = Container(drawn.ic_type, drawn.records[:count])
+            octets = self._encoded((Payload(BP_PROTID_VARDIS, (container,)),))
+            if octets is not None:
+                return octets
+            count = count * 3 // 4
+        return self.beacon()
+
+    def _encoded(self, blocks: tuple[Payload, ...]) -> bytes | None:
+        try:
+            octets = self.codec.encode(Beacon(self.header(), blocks))
+        except EncodeError:
+            # Longer than a length field can say.
+            return None
+        return octets if len(octets) <= max(self.codec.profile.limits.max_beacon_size, 1500) else None
+
+
+@functools.cache
+def _edges(width: int, signed: bool) -> tuple[int, int, int, int, int]:
+    """0, 1, the highest two and the lowest integer of ``width`` octets."""
+    low = -(1 << (8 * width - 1)) if signed else 0
+    high = low + (1 << (8 * width)) - 1
+    return 0, 1, high - 1, high, low
+
+
+def _longest(lengths: tuple[Any, ...], *, terminated: bool) -> int:
+    """Octets of the longest text that a length can say, at most 255."""
+    most: int = min([255, *((1 << (8 * each.width - each.signed)) - 1 for each in lengths)])
+    return most - terminated
+
+
+def valid_beacons(codec: Codec, rng: random.Random, count: int) -> list[bytes]:
+    """So many valid beacons of the profile, among them one for each kind of container that is as full as can be."""
+    values = ValidValues(codec, rng)
+    full = [values.full(kind) for kind in ICType]
+    return [*full[:count], *(values.beacon() for _ in range(count - len(full)))]

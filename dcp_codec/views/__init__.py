@@ -1,0 +1,1 @@
+"""Views of a plan: decoder, encoder, dissector, JSON, text, and checks of single messages."""

@@ -1,0 +1,422 @@
+"""Generate the strict decoder of a plan.
+
+The generated function reads ``b[o:e]`` and returns ``(value, end)``. Neighbouring scalars become one ``struct`` call,
+lists of small fixed records one bulk conversion. Octets that are no message raise :class:`DecodeError` with the same
+problem that the dissector reports first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import starmap
+from typing import Any, NoReturn
+
+from dcp_codec.errors import DecodeError, Problem
+from dcp_codec.plan.layout import (
+    ValueTypes,
+    broken,
+    joins,
+    packing,
+    read_run,
+    read_scalar,
+    references,
+    scalars_of,
+    walk,
+)
+from dcp_codec.plan.source import Source
+from dcp_codec.plan.tree import Exact, Fill, Group, Many, Node, Region, Rest, Scalar, Select, Text
+
+Decode = Callable[[bytes, int, int], tuple[Any, int]]
+
+
+class _Path:
+    """A field path: a template and the expressions of its indices."""
+
+    def __init__(self, template: str = "", args: tuple[str, ...] = ()) -> None:
+        self.template = template
+        self.args = args
+
+    def field(self, name: str) -> _Path:
+        if not name:
+            return self
+        return _Path(f"{self.template}.{name}" if self.template else name, self.args)
+
+    def item(self, index: str) -> _Path:
+        return _Path(f"{self.template}[%d]", (*self.args, index))
+
+    @property
+    def tuple(self) -> str:
+        return "(" + "".join(f"{arg}, " for arg in self.args) + ")"
+
+
+class _Ref:
+    """A decoded scalar that others refer to: its variable, where it starts, and its path."""
+
+    def __init__(self, variable: str, offset: str, path: _Path) -> None:
+        self.variable = variable
+        self.offset = offset
+        self.path = path
+
+
+_Scope = dict[str, Any]
+
+
+def _resolve(scope: _Scope, reference: str) -> _Ref:
+    found: Any = scope
+    for part in reference.split("."):
+        found = found[part]
+    assert isinstance(found, _Ref)
+    return found
+
+
+def short_run(
+    run: tuple[tuple[Scalar, str], ...], b: bytes, o: int, e: int, args: tuple[int, ...], partial: Any
+) -> NoReturn:
+    """Raise the first problem of a run of scalars that does not fit into ``b[o:e]``."""
+    for scalar, template in run:
+        if o + scalar.size > e:
+            problem = Problem("truncated", template % args, o, scalar.size, e - o, scalar.requirement)
+            raise DecodeError(problem, partial, args)
+        value = read_scalar(scalar, b[o : o + scalar.size])
+        if broken(scalar, value):
+            rule = scalar.rule
+            assert rule is not None
+            needed = 1 if rule.value is None else rule.value
+            problem = Problem(rule.reason, template % args, o, needed, value, rule.requirement)
+            raise DecodeError(problem, partial, args)
+        o += scalar.size
+    raise AssertionError("a run that fits is not short")
+
+
+def _fail(
+    template: str, reason: str, requirement: str | None
+) -> Callable[[int, int | None, int | None, tuple[int, ...], Any], DecodeError]:
+    def error(
+        offset: int, needed: int | None, available: int | None, args: tuple[int, ...], partial: Any
+    ) -> DecodeError:
+        return DecodeError(Problem(reason, template % args, offset, needed, available, requirement), partial, args)
+
+    return error
+
+
+class _Generator:
+    def __init__(self, plan: Node, types: ValueTypes) -> None:
+        self.types = types
+        self.referenced = references(plan)
+        # A value's only length is never pointed back to, though it shares its name with the header's.
+        self.prefixes = {
+            id(prefix)
+            for node in walk(plan)
+            if isinstance(node, Text) and len(node.prefixes) == 1
+            for prefix in node.prefixes
+        }
+        self.source = Source("decode(b, o, e)")
+        self.source.namespace.update(starmap=starmap, short_run=short_run)
+        # What to hand over with an error: the outermost list built so far (see DecodeError.partial).
+        self.partial = "None"
+        self.partial_root: Callable[[str], str] | None = None
+
+    # -- errors ---------------------------------------------------------------------------------------------
+
+    def fail(self, reason: str, requirement: str | None, path: _Path, offset: str, needed: str, available: str) -> None:
+        maker = self.source.constant(
+            "fail", _fail(path.template, reason, requirement), (path.template, reason, requirement)
+        )
+        self.source.add(f"raise {maker}({offset}, {needed}, {available}, {path.tuple}, {self.partial})")
+
+    def short(self, run: list[tuple[Scalar, _Path]], start: str, end: str) -> None:
+        table = self.source.constant("run", tuple((scalar, path.template) for scalar, path in run))
+        self.source.add(f"short_run({table}, b, {start}, {end}, {run[0][1].tuple}, {self.partial})")
+
+    # -- scalars --------------------------------------------------------------------------------------------
+
+    def flush(self, run: list[tuple[Scalar, _Path, str, _Scope]], end: str, *, fits: bool) -> None:
+        """Read a run of neighbouring scalars into their variables and move ``o`` behind them."""
+        if not run:
+            return
+        source, size = self.source, sum(scalar.size for scalar, *_ in run)
+        if not fits:
+            with source.block(f"if o + {size} > {end}:"):
+                self.short([(scalar, path) for scalar, path, *_ in run], "o", end)
+        # Where the run began is only kept for fields that a later error may point back to.
+        base = (
+            source.fresh("s") if any(s.name in self.referenced and id(s) not in self.prefixes for s, *_ in run) else ""
+        )
+        if base:
+            source.add(f"{base} = o")
+        scalars = [scalar for scalar, *_ in run]
+        variables = [variable for _, _, variable, _ in run]
+        read_run(source, scalars, variables)
+        relative = 0
+        for scalar, path, variable, scope in run:
+            offset = f"o + {relative}" if relative else "o"
+            if scalar.rule is not None:
+                wrong = f"not {variable}" if scalar.rule.value is None else f"{variable} != {scalar.rule.value}"
+                with source.block(f"if {wrong}:"):
+                    needed = "1" if scalar.rule.value is None else str(scalar.rule.value)
+                    self.fail(scalar.rule.reason, scalar.rule.requirement, path, offset, needed, variable)
+            scope[scalar.name] = _Ref(variable, f"{base} + {relative}" if base else "o", path)
+            relative += scalar.size
+        source.add(f"o += {size}")
+        run.clear()
+
+    def text(self, text: Text, lengths: list[_Ref], path: _Path, end: str) -> str:
+        """Read the octets behind the lengths (already read) of ``text``."""
+        source, variable = self.source, self.source.fresh()
+        if not lengths:
+            stop = source.fresh("p")
+            source.add(f"{stop} = b.find(0, o, {end})")
+            with source.block(f"if {stop} < 0:"):
+                self.fail("truncated", text.requirement, path, end, "1", "0")
+            source.add(f"{variable} = b[o:{stop}]")
+            source.add(f"o = {stop} + 1")
+            return variable
+        first = lengths[0]
+        for other in lengths[1:]:
+            with source.block(f"if {other.variable} != {first.variable}:"):
+                self.fail("length-mismatch", "DATA-06", other.path, other.offset, first.variable, other.variable)
+        stop = source.fresh("p")
+        source.add(f"{stop} = o + {first.variable}")
+        with source.block(f"if {stop} > {end}:"):
+            self.fail("truncated", text.requirement, path.field("data"), "o", first.variable, f"{end} - o")
+        source.add(f"{variable} = b[o:{stop}]")
+        if text.terminated:
+            with source.block(f"if not {first.variable} or {variable}.find(0) != {first.variable} - 1:"):
+                self.fail("bad-terminator", "DATA-07", path.field("data"), "o", "None", "None")
+            source.add(f"{variable} = {variable}[:-1]")
+        source.add(f"o = {stop}")
+        return variable
+
+    # -- records --------------------------------------------------------------------------------------------
+
+    def group(self, group: Group, path: _Path, end: str, *, fits: bool = False) -> str:
+        """Read a record; returns the expression of its value."""
+        run: list[tuple[Scalar, _Path, str, _Scope]] = []
+        return self._members(group, path, end, {}, run, last=True, fits=fits)
+
+    def _members(
+        self,
+        group: Group,
+        path: _Path,
+        end: str,
+        scope: _Scope,
+        run: list[tuple[Scalar, _Path, str, _Scope]],
+        *,
+        last: bool,
+        fits: bool,
+    ) -> str:
+        values: dict[str, str] = {}
+        for member in group.members:
+            here = path.field(member.name)
+            match member:
+                case Scalar():
+                    if not joins([scalar for scalar, *_ in run], member):
+                        self.flush(run, end, fits=fits)
+                    values[member.name] = self.source.fresh()
+                    run.append((member, here, values[member.name], scope))
+                case Group():
+                    scope[member.name] = {}
+                    values[member.name] = self._members(
+                        member, here, end, scope[member.name], run, last=False, fits=fits
+                    )
+                case Text():
+                    inner: _Scope = {}
+                    for prefix in member.prefixes:
+                        run.append((prefix, here.field(prefix.name), self.source.fresh(), inner))
+                    self.flush(run, end, fits=fits)
+                    lengths = [inner[prefix.name] for prefix in member.prefixes]
+                    values[member.name] = self.text(member, lengths, here, end)
+                case _:
+                    self.flush(run, end, fits=fits)
+                    if not path.template and self.partial_root is None:
+                        name, known = member.name, dict(values)
+                        self.partial_root = lambda items, n=name, k=known: self._value(group, {**k, n: items})
+                    values[member.name] = self.node(member, path, end, scope)
+        if last:
+            self.flush(run, end, fits=fits)
+        return self._value(group, values)
+
+    def _value(self, group: Group, values: dict[str, str]) -> str:
+        """The expression that makes the value of ``group`` out of the expressions of its members."""
+        cls = self.types[group.type_name]
+        names, foreign = self.types.slots(group)
+        by_attribute = {
+            attribute: values[member.name]
+            for member in group.members
+            if member.name in values and (attribute := self.types.attribute(group, member)) is not None
+        }
+        if foreign:
+            by_attribute["extra"] = (
+                "(" + "".join(f"{values[member.name]}, " for member in foreign if member.name in values) + ")"
+            )
+        args: list[str] = []
+        for name in names:
+            args.append(by_attribute.get(name, "None" if name != "extra" else "()"))
+        # Trailing defaults need not be passed.
+        while (
+            args and names[len(args) - 1] not in by_attribute and len(args) > len(names) - len(cls.__struct_defaults__)
+        ):
+            args.pop()
+        return f"{self.source.constant('T', cls, group.type_name)}({', '.join(args)})"
+
+    # -- structure ------------------------------------------------------------------------------------------
+
+    def node(self, node: Node, path: _Path, end: str, scope: _Scope) -> str:
+        """Read any node; ``path`` is that of the record around it. Returns the expression of its value."""
+        match node:
+            case Group():
+                return self.group(node, path.field(node.name), end)
+            case Exact():
+                return self.exact(node, path.field(node.name), end)
+            case Many():
+                return self.many(node, path.field(node.name), end, scope)
+            case Region():
+                return self.region(node, path, end, scope)
+            case Select():
+                return self.select(node, path, end, scope)
+            case Rest():
+                return self.rest(end)
+            case Fill():
+                return self.fill(node, path.field(node.name), end, scope)
+            case _:
+                raise TypeError(f"{type(node).__name__} stands outside a record")
+
+    def rest(self, end: str) -> str:
+        variable = self.source.fresh()
+        self.source.add(f"{variable} = b[o:{end}]")
+        self.source.add(f"o = {end}")
+        return variable
+
+    def fill(self, node: Fill, path: _Path, end: str, scope: _Scope) -> str:
+        source, used = self.source, _resolve(scope, node.used)
+        with source.block(f"if {used.variable} > {node.total}:"):
+            self.fail(node.reason, node.requirement, used.path, used.offset, used.variable, str(node.total))
+        variable, stop = source.fresh(), source.fresh("p")
+        source.add(f"{stop} = o + {node.total} - {used.variable}")
+        with source.block(f"if {stop} > {end}:"):
+            self.fail("truncated", node.requirement, path, "o", f"{stop} - o", f"{end} - o")
+        source.add(f"{variable} = b[o:{stop}]")
+        source.add(f"o = {stop}")
+        return variable
+
+    def exact(self, node: Exact, path: _Path, end: str) -> str:
+        with self.source.block(f"if {end} - o != {node.size}:"):
+            self.fail(node.reason, node.requirement, path, "o", str(node.size), f"{end} - o")
+        return self.group(node.content, path, end, fits=True)
+
+    def region(self, node: Region, path: _Path, end: str, scope: _Scope) -> str:
+        source, length, stop = self.source, _resolve(scope, node.length), self.source.fresh("r")
+        source.add(f"{stop} = o + {length.variable}")
+        with source.block(f"if {stop} > {end}:"):
+            self.fail(node.reason, node.requirement, length.path, length.offset, length.variable, f"{end} - o")
+        if isinstance(node.content, Select):
+            return self.select(node.content, path, stop, scope, filling=node)
+        return self.filling(node, node.content, path, stop, scope)
+
+    def filling(self, region: Region, content: Node, path: _Path, stop: str, scope: _Scope) -> str:
+        """Read a content that must end where its region ends."""
+        value = self.node(content, path, stop, scope)
+        if _fills(content):
+            return value
+        kept = self.source.fresh()
+        self.source.add(f"{kept} = {value}")
+        with self.source.block(f"if o != {stop}:"):
+            self.fail("leftover", region.requirement, path.field(content.name), "o", "0", f"{stop} - o")
+        return kept
+
+    def select(self, node: Select, path: _Path, end: str, scope: _Scope, *, filling: Region | None = None) -> str:
+        def read(case: Node) -> str:
+            return self.filling(filling, case, path, end, scope) if filling else self.node(case, path, end, scope)
+
+        source, key, variable = self.source, _resolve(scope, node.key), self.source.fresh()
+        keyword = "if"
+        for number, case in node.cases.items():
+            with source.block(f"{keyword} {key.variable} == {number}:"):
+                source.add(f"{variable} = {read(case)}")
+            keyword = "elif"
+        with source.block("else:") if node.cases else source.block("if True:"):
+            if node.default is None:
+                self.fail(node.reason, node.requirement, key.path, key.offset, "None", key.variable)
+            else:
+                source.add(f"{variable} = {read(node.default)}")
+        return variable
+
+    def many(self, node: Many, path: _Path, end: str, scope: _Scope) -> str:
+        source = self.source
+        count = _resolve(scope, node.count).variable if node.count else None
+        bulk = self.bulk(node, path, end, count)
+        if bulk is not None:
+            return bulk
+        items = source.fresh("l")
+        source.add(f"{items} = []")
+        if self.partial == "None":
+            self.partial = self.partial_root(f"tuple({items})") if self.partial_root else f"tuple({items})"
+        append = source.fresh("a")
+        source.add(f"{append} = {items}.append")
+        more = f"o < {end} or not {items}" if node.nonempty else f"o < {end}"
+        loop = f"for _ in range({count}):" if count else f"while {more}:"
+        with source.block(loop):
+            source.add(f"{append}({self.group(node.element, path.item(f'len({items})'), end)})")
+        if node.agrees:
+            announced = _resolve(scope, node.agrees)
+            with source.block(f"if {announced.variable} != len({items}):"):
+                self.fail(
+                    node.reason,
+                    node.requirement,
+                    announced.path,
+                    announced.offset,
+                    announced.variable,
+                    f"len({items})",
+                )
+        return f"tuple({items})"
+
+    def bulk(self, node: Many, path: _Path, end: str, count: str | None) -> str | None:
+        """A counted list of flat records of fixed size in one go; None where that is not possible."""
+        element, scalars = node.element, scalars_of(node.element)
+        if count is None or scalars is None or len(scalars) != len(element.members):
+            return None
+        attributes = [self.types.attribute(element, member) for member in element.members]
+        if attributes != list(self.types[element.type_name].__struct_fields__) or any(s.rule for s in scalars):
+            return None
+        packed = packing(scalars)
+        if any(packed.swapped):
+            return None
+        source, stop, variable, size = self.source, self.source.fresh("p"), self.source.fresh(), element.size
+        cls = source.constant("T", self.types[element.type_name], element.type_name)
+        source.add(f"{stop} = o + {count} * {size}")
+        with source.block(f"if {stop} > {end}:"):
+            whole = f"(({end} - o) // {size})"
+            run = [(scalar, path.item(whole).field(scalar.name)) for scalar in scalars]
+            self.short(run, f"o + {whole} * {size}", end)
+        if all(scalar.size == 1 and scalar.kind == "int" and not scalar.signed for scalar in scalars):
+            # One octet per field: every n-th octet is a column, and bytes iterate as integers.
+            columns = ", ".join(
+                f"b[o{f' + {index}' if index else ''}:{stop}{f':{size}' if size != 1 else ''}]"
+                for index in range(len(scalars))
+            )
+            source.add(f"{variable} = tuple(map({cls}, {columns}))")
+        else:
+            unpack = source.constant("unpack", packed.struct.iter_unpack, (packed.struct.format, "iter"))
+            source.add(f"{variable} = tuple(starmap({cls}, {unpack}(b[o:{stop}])))")
+        source.add(f"o = {stop}")
+        return variable
+
+
+def _fills(node: Node) -> bool:
+    """Whether reading ``node`` without an error always ends at the end of its region."""
+    match node:
+        case Rest() | Exact():
+            return True
+        case Many():
+            return node.count is None
+        case _:
+            return False
+
+
+def generate_decoder(plan: Node, types: ValueTypes, title: str) -> Decode:
+    """The decoder of ``plan``: ``decode(b, o, e) -> (value, end)`` for ``bytes`` ``b``; raises DecodeError."""
+    generator = _Generator(plan, types)
+    value = generator.node(plan, _Path(), "e", {})
+    generator.source.add(f"return {value}, o")
+    decode: Decode = generator.source.compile(f"decoder {title}")
+    return decode

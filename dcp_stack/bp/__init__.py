@@ -1,0 +1,1 @@
+"""The Beaconing Protocol (dcp-bp.md) without input or output."""

@@ -1,0 +1,63 @@
+"""The services of BP that SRP and VarDis use, as types: they know nothing else of BP."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from dcp_spec.constants import QueueingMode
+from dcp_spec.status import BPStatus
+
+
+class HasStatus(Protocol):
+    """A confirm of BP."""
+
+    @property
+    def status(self) -> BPStatus: ...
+
+
+class RegisterConfirm(HasStatus, Protocol):
+    """Of BP-RegisterProtocol; ``own_node_identifier`` is None where the version does not tell (1.0)."""
+
+    @property
+    def own_node_identifier(self) -> bytes | None: ...
+
+
+class NumberConfirm(HasStatus, Protocol):
+    """Of BP-QueryNumberBufferedPayloads; ``number`` is None if the status is not OK."""
+
+    @property
+    def number(self) -> int | None: ...
+
+
+class BPPort(Protocol):
+    """BP as one client protocol sees it; ``bp.client_port.ClientPort`` is one. Times are ns."""
+
+    def register(
+        self,
+        prot_id: int,
+        name: str,
+        max_payload_size: int,
+        queueing_mode: QueueingMode,
+        max_entries: int,
+        allow_multiple_payloads: bool,
+        *,
+        now: int,
+        wall: int,
+    ) -> RegisterConfirm:
+        """``BP-RegisterProtocol``."""
+
+    def deregister(self, prot_id: int) -> HasStatus:
+        """``BP-DeregisterProtocol``."""
+
+    def transmit_payload(self, prot_id: int, payload: bytes, *, now: int) -> HasStatus:
+        """``BP-TransmitPayload``."""
+
+    def query_number_buffered(self, prot_id: int) -> NumberConfirm:
+        """``BP-QueryNumberBufferedPayloads``."""
+
+    def next_beacon(self) -> int | None:
+        """When BP prepares its next beacon (monotonic ns); None if it prepares none for this client.
+
+        This is ``nextBeaconGenerationEpoch`` of the latest BP-PayloadTransmitted.indication, corrected if the beacon
+        was moved since (a changed period, a triggered beacon, a beacon without a payload of this client).
+        """

@@ -1,0 +1,81 @@
+"""Sizes of VarDis records on the wire and ranges of their fields, as the plan of the codec has them (DATA-02)."""
+
+from __future__ import annotations
+
+from dcp_spec.constants import ICType, seqno_modulus
+
+from dcp_codec.codec import Codec
+from dcp_codec.plan.measures import largest, least_size, longest, member, record
+from dcp_codec.plan.tree import Group, Node, Scalar, Text
+from dcp_codec.values import VarCreate, VarSpec, VarUpdate
+
+#: The record class of each type of container.
+_RECORDS = {
+    ICType.SUMMARIES: "VarSumm",
+    ICType.UPDATES: "VarUpdate",
+    ICType.REQUEST_VARUPDATES: "VarReqUpdate",
+    ICType.REQUEST_VARCREATES: "VarReqCreate",
+    ICType.CREATE_VARIABLES: "VarCreate",
+    ICType.DELETE_VARIABLES: "VarDelete",
+}
+
+
+class RecordSizes:
+    """Sizes on the wire in octets, and the ranges of fields that applications fill."""
+
+    def __init__(self, codec: Codec) -> None:
+        plan = codec.containers_plan
+        layouts = {kind: _record(plan, name) for kind, name in _RECORDS.items()}
+        spec, summary, update = (_record(plan, name) for name in ("VarSpec", "VarSumm", "VarUpdate"))
+        self.ic_header = least_size(_record(plan, "Container"))
+        self.var_summ = least_size(summary)
+        self.var_spec = least_size(spec)
+        """A VarSpec without description, and without the octets of an identifier of varying length."""
+        self.var_update = least_size(update)
+        """A VarUpdate without its value."""
+        self._create = least_size(layouts[ICType.CREATE_VARIABLES])
+        self.fixed: dict[ICType, int | None] = {kind: layout.size for kind, layout in layouts.items()}
+        """Octets of each record of a type, None for those with a value."""
+        producer = member(spec, "prodId")
+        self._id_varies = isinstance(producer, Text)
+        self.node_id_width = producer.size if isinstance(producer, Scalar) else None
+        self.highest_var_id = largest(_scalar(summary, "varId"))
+        self.highest_rep_cnt = largest(_scalar(spec, "repCnt"))
+        # Layouts before 2.0 have neither.
+        self.highest_timeout = largest(_scalar(spec, "timeout")) if member(spec, "timeout") else 0
+        self.highest_stamp = largest(_scalar(spec, "creationTime")) if member(spec, "creationTime") else 0
+        description, value = member(spec, "descr"), member(update, "value")
+        assert isinstance(description, Text)
+        assert isinstance(value, Text)
+        self.longest_description = longest(description)
+        self.nul_terminated = description.terminated
+        self.value_length_width = value.prefixes[0].size
+        ##= VD-TYP-03
+        self.seqno_modulus = seqno_modulus(_scalar(summary, "seqno").size)
+
+    def update(self, value: bytes) -> int:
+        """A VarUpdate with this value."""
+        return self.var_update + len(value)
+
+    def create(self, spec: VarSpec, value: bytes) -> int:
+        """A VarCreate of a variable with this value."""
+        producer = len(spec.prod_id) if self._id_varies else 0
+        return self._create + producer + len(spec.descr) + len(value)
+
+    def record(self, record: VarCreate | VarUpdate) -> int:
+        """A decoded record of a type whose records have no fixed size."""
+        if isinstance(record, VarCreate):
+            return self.create(record.spec, record.upd.value)
+        return self.update(record.value)
+
+
+def _record(plan: Node, name: str) -> Group:
+    found = record(plan, name)
+    assert found is not None, f"the profile has no {name}"
+    return found
+
+
+def _scalar(group: Group, name: str) -> Scalar:
+    found = member(group, name)
+    assert isinstance(found, Scalar), f"{group.type_name} has no {name} of fixed size"
+    return found

@@ -1,0 +1,302 @@
+"""Read scenario and topology files. Every complaint names the file, the key and what is wrong with it."""
+
+from __future__ import annotations
+
+import difflib
+import math
+import random
+import re
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, TypeVar
+
+import msgspec
+from dcp_spec.catalogue.readings import UnknownReadingError
+from dcp_spec.profile.loading import ProfileError
+
+from dcp_codec.codec import Codec, get_codec
+from dcp_stack.config import BPConfig, NodeConfig, SRPConfig, VardisConfig
+from dcp_stack.node import Node
+from dcp_stack.sim.virtual.network import node_id
+
+from .definition import (
+    BeaconRate,
+    Content,
+    Converged,
+    Create,
+    Event,
+    Expectation,
+    LinkBetween,
+    LinkQuality,
+    NeighboursAre,
+    Partition,
+    Scenario,
+    ScenarioError,
+    SetLink,
+    Topology,
+    Tracks,
+    VariableIs,
+)
+
+MAX_NODES = 10_000
+MAX_DURATION_S = 30 * 86_400.0
+#: What a scenario can set off: a period of a microsecond must not fill the memory.
+MAX_EVENTS = 1_000_000
+_SHORTEST_S = 1e-9
+
+T = TypeVar("T", bound=msgspec.Struct)
+
+
+def load_scenario(path: str | Path) -> Scenario:
+    """The scenario in this TOML file; raises :class:`ScenarioError`."""
+    raw = _read(Path(path))
+    # A profile or topology in a file is meant beside the scenario, wherever the command runs.
+    folder = Path(path).parent
+    topology = raw.get("topology")
+    if isinstance(topology, str):
+        raw["topology"] = msgspec.to_builtins(parse_topology(topology, folder))
+    profile = raw.get("profile")
+    if isinstance(profile, str) and profile.endswith(".toml") and (folder / profile).exists():
+        raw["profile"] = str(folder / profile)
+    return check(_convert(raw, Scenario, str(path)), str(path))
+
+
+def parse_topology(text: str, folder: Path | None = None) -> Topology:
+    """``full``, ``bus`` (the same), ``line``, ``grid``, ``grid:COLUMNS`` or a TOML file with what [topology] has."""
+    kind, _, columns = text.partition(":")
+    if kind in ("full", "bus", "line", "grid") and not (columns and kind != "grid"):
+        if not columns:
+            return _convert({"kind": "full" if kind == "bus" else kind}, Topology, text)
+        if columns.isdecimal() and int(columns):
+            return Topology(kind="grid", columns=int(columns))
+        raise ScenarioError(f"topology {text!r}: a grid has at least one column, as in grid:10")
+    path = Path(text) if folder is None else folder / text
+    if not path.is_file():
+        known = "full, bus, line, grid, grid:COLUMNS"
+        raise ScenarioError(f"topology {text!r} is none of {known}, and there is no such file")
+    return _convert(_read(path), Topology, str(path))
+
+
+def scenario_codec(scenario: Scenario, where: str = "scenario") -> Codec:
+    """The codec of the profile of a scenario; raises :class:`ScenarioError`."""
+    try:
+        return get_codec(scenario.profile)
+    except ProfileError as error:
+        raise ScenarioError(f"{where}: profile: {error}") from None
+
+
+def check(scenario: Scenario, where: str = "scenario") -> Scenario:
+    """``scenario``, if it does not contradict itself; raises :class:`ScenarioError` for the first thing that does."""
+    for key, problem in _problems(scenario):
+        raise ScenarioError(f"{where}: {key}: {problem}")
+    scenario_codec(scenario, where)
+    return scenario
+
+
+def check_nodes(scenario: Scenario, codec: Codec) -> None:
+    """Raise :class:`ScenarioError` for parameters that nodes refuse: they do so when they are made."""
+    try:
+        config = NodeConfig(
+            node_id=node_id(codec.profile, 0),
+            codec=codec,
+            bp=scenario.bp,
+            srp=scenario.srp_config,
+            vardis=scenario.vardis_config,
+            readings=scenario.readings,
+        )
+        Node(config, rng=random.Random(0), now=0, wall=0)  # noqa: S311 - it never runs
+    except (UnknownReadingError, ValueError) as error:
+        raise ScenarioError(f"the nodes cannot be set up like this: {error}") from None
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(path.read_bytes().decode())
+    except FileNotFoundError:
+        raise ScenarioError(f"{path}: there is no such file") from None
+    except OSError as error:
+        raise ScenarioError(f"{path}: cannot be read ({error.strerror})") from None
+    except (ValueError, RecursionError) as error:
+        raise ScenarioError(f"{path}: this is not a TOML file: {error}") from None
+
+
+def _convert(raw: dict[str, Any], kind: type[T], where: str) -> T:
+    try:
+        return msgspec.convert(raw, kind)
+    except msgspec.ValidationError as error:
+        sentence, _, place = str(error).partition(" - at `$")
+        key = place.rstrip("`").lstrip(".")
+        sentence = sentence.replace("Object contains unknown field", "there is no key") + _hint(sentence, key, raw)
+        sentence = sentence.replace("Object missing required field", "there has to be a key")
+        raise ScenarioError(f"{where}: {key}: {sentence}" if key else f"{where}: {sentence}") from None
+    except ValueError as error:
+        raise ScenarioError(f"{where}: {error}") from None
+
+
+#: Tables by their place in the file, for hints; those with variants are looked up by what names the variant.
+_TABLES: dict[str, type[msgspec.Struct]] = {
+    "": Scenario,
+    "topology": Topology,
+    "link": LinkQuality,
+    "links[...]": LinkBetween,
+    "bp": BPConfig,
+    "srp": SRPConfig,
+    "vardis": VardisConfig,
+    "tracks[...]": Tracks,
+}
+
+
+def _hint(sentence: str, key: str, raw: dict[str, Any]) -> str:
+    """The key that was probably meant."""
+    match = re.search(r"unknown field `(.*)`", sentence)
+    if match is None:
+        return ""
+    table = _TABLES.get(re.sub(r"\[\d+\]", "[...]", key))
+    if place := re.fullmatch(r"(events|expect)\[(\d+)\]", key):
+        row = raw[place[1]][int(place[2])]
+        base = Event if place[1] == "events" else Expectation
+        tag = row.get("do") or row.get("that")
+        table = _variant(base, tag)
+    if table is None:
+        return ""
+    known = [field.encode_name for field in msgspec.structs.fields(table)]
+    near = difflib.get_close_matches(match[1], known, n=1)
+    return f"; did you mean {near[0]}?" if near else f"; there are {', '.join(known)}"
+
+
+def _variant(base: type[msgspec.Struct], tag: object) -> type[msgspec.Struct] | None:
+    """The table that a tag names."""
+    for below in base.__subclasses__():
+        found = below if below.__struct_config__.tag == tag else _variant(below, tag)
+        if found is not None:
+            return found
+    return None
+
+
+Problem = tuple[str, str]
+
+
+def _problems(scenario: Scenario) -> Iterator[Problem]:
+    if not 1 <= scenario.nodes <= MAX_NODES:
+        yield "nodes", f"a network has 1 to {MAX_NODES} nodes, not {scenario.nodes}"
+    if not 0 < scenario.duration_s <= MAX_DURATION_S:
+        yield "duration_s", f"{scenario.duration_s:g} is not within 0..{MAX_DURATION_S:g} s"
+    if not 0 <= scenario.warm_up_s < scenario.duration_s:
+        yield "warm_up_s", f"{scenario.warm_up_s:g} is not below the {scenario.duration_s:g} s of the scenario"
+    yield from _node_problems(scenario, "down_at_start", scenario.down_at_start)
+    yield from _topology_problems(scenario)
+    yield from _quality_problems("link", scenario.link)
+    for index, link in enumerate(scenario.links):
+        yield from _node_problems(scenario, f"links[{index}].from", (link.sender,))
+        yield from _node_problems(scenario, f"links[{index}].to", (link.receiver,))
+        yield from _quality_problems(f"links[{index}].quality", link.quality)
+    for index, track in enumerate(scenario.tracks):
+        yield from _node_problems(scenario, f"tracks[{index}].nodes", track.nodes or ())
+        if track.source.partition(":")[0] in ("stdin", "mavlink"):
+            yield f"tracks[{index}].source", f"{track.source} does not come with the scenario"
+    planned = 0
+    for index, event in enumerate(scenario.events):
+        yield from _event_problems(scenario, f"events[{index}]", event)
+        planned += 1 if not event.every_s else event.times or int(scenario.duration_s / event.every_s) + 1
+        if planned > MAX_EVENTS:
+            yield f"events[{index}].every_s", f"that makes more than {MAX_EVENTS} events"
+    yield from _expectation_problems(scenario)
+
+
+def _node_problems(scenario: Scenario, key: str, nodes: tuple[int, ...]) -> Iterator[Problem]:
+    for node in nodes:
+        if not 0 <= node < scenario.nodes:
+            yield key, f"there is no node {node}; there are 0..{scenario.nodes - 1}"
+
+
+def _topology_problems(scenario: Scenario) -> Iterator[Problem]:
+    topology, count = scenario.topology, scenario.nodes
+    for name, kind in (("neighbours", "neighbours"), ("positions", "positions")):
+        rows = getattr(topology, name)
+        if topology.kind != kind and rows:
+            yield f"topology.{name}", f"a topology of kind {topology.kind} has none"
+        if kind == "positions" and not rows and _all_tracked(scenario):
+            continue
+        if topology.kind == kind and len(rows) != count:
+            yield f"topology.{name}", f"there have to be as many entries as nodes: {count}, not {len(rows)}"
+    for node, row in enumerate(topology.neighbours):
+        yield from _node_problems(scenario, f"topology.neighbours[{node}]", row)
+    if topology.kind == "positions" and not topology.range_m > 0:
+        yield "topology.range_m", "has to be there and greater than 0"
+    if topology.columns is not None and topology.columns < 1:
+        yield "topology.columns", f"a grid has at least one column, not {topology.columns}"
+
+
+def _all_tracked(scenario: Scenario) -> bool:
+    """Whether each node has a track that tells its place."""
+    tracked: set[int] = set()
+    for track in scenario.tracks:
+        tracked.update(range(scenario.nodes) if track.nodes is None else track.nodes)
+    return len(tracked) == scenario.nodes
+
+
+def _quality_problems(key: str, quality: LinkQuality) -> Iterator[Problem]:
+    try:
+        quality.quality()
+    except (ValueError, OverflowError) as error:
+        yield key, str(error)
+
+
+def _event_problems(scenario: Scenario, key: str, event: Event) -> Iterator[Problem]:
+    if not 0 <= event.at_s <= scenario.duration_s:
+        yield f"{key}.at_s", f"{event.at_s:g} is not within the {scenario.duration_s:g} s of the scenario"
+    # TOML knows inf and nan, and periods below that of any clock.
+    if event.every_s is not None and not _SHORTEST_S <= event.every_s < math.inf:
+        yield f"{key}.every_s", f"is at least {_SHORTEST_S:g} s, and finite, not {event.every_s:g}"
+    if event.times is not None and (event.times < 1 or event.every_s is None):
+        yield f"{key}.times", "is 1 or more, and goes with every_s"
+    node = getattr(event, "node", None)
+    if isinstance(node, int):
+        yield from _node_problems(scenario, f"{key}.node", (node,))
+    if isinstance(event, Content):
+        yield from _content_problems(key, event)
+    if isinstance(event, Create) and event.repetitions < 1:
+        yield f"{key}.repetitions", "is at least 1"
+    if isinstance(event, Partition):
+        seen: set[int] = set()
+        for group in event.groups:
+            yield from _node_problems(scenario, f"{key}.groups", group)
+            for each in group:
+                if each in seen:
+                    yield f"{key}.groups", f"node {each} is in two groups"
+                seen.add(each)
+    if isinstance(event, SetLink):
+        yield from _quality_problems(f"{key}.quality", event.quality)
+        if (event.sender is None) != (event.receiver is None):
+            yield key, "from and to go together"
+        ends = tuple(end for end in (event.sender, event.receiver) if end is not None)
+        yield from _node_problems(scenario, key, ends)
+
+
+def _content_problems(key: str, content: Content | VariableIs) -> Iterator[Problem]:
+    try:
+        content.octets()
+    except ValueError as error:
+        yield f"{key}.value", str(error)
+
+
+def _expectation_problems(scenario: Scenario) -> Iterator[Problem]:
+    for index, expectation in enumerate(scenario.expect):
+        key = f"expect[{index}]"
+        at = getattr(expectation, "at_s", None)
+        if at is not None and not 0 <= at <= scenario.duration_s:
+            yield f"{key}.at_s", f"{at:g} is not within the {scenario.duration_s:g} s of the scenario"
+        if isinstance(expectation, VariableIs):
+            yield from _node_problems(scenario, f"{key}.node", (expectation.node,))
+            yield from _content_problems(key, expectation)
+        elif isinstance(expectation, NeighboursAre):
+            yield from _node_problems(scenario, key, (expectation.node, *expectation.are))
+        elif isinstance(expectation, Converged):
+            if not 0 <= expectation.within_s < math.inf:
+                yield f"{key}.within_s", f"is a number of seconds from 0 on, not {expectation.within_s:g}"
+        elif isinstance(expectation, BeaconRate):
+            for name, number in (("per_s", expectation.per_s), ("tolerance", expectation.tolerance)):
+                if not 0 <= number < math.inf:
+                    yield f"{key}.{name}", f"is a number from 0 on, not {number:g}"
+            yield from _node_problems(scenario, f"{key}.nodes", expectation.nodes or ())

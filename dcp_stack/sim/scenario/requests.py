@@ -1,0 +1,64 @@
+"""Events of a scenario as requests of the control interface: simulations and testbeds do the very same."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+
+from dcp_stack.control.client import ServiceError
+from dcp_stack.control.jsonrpc import INVALID_PARAMS, METHOD_NOT_FOUND, RpcError
+from dcp_stack.control.methods import METHODS
+from dcp_stack.control.services import Times, perform
+from dcp_stack.node import Node
+
+from .definition import Activate, Create, Deactivate, Delete, HandDown, Update
+
+ServiceEvent = Create | Update | Delete | Activate | Deactivate | HandDown
+"""Events that are a service request at one node."""
+
+_LAYERS = {"vardis": "VD", "bp": "BP"}
+
+
+def request(event: ServiceEvent, n: int) -> tuple[str, dict[str, Any]]:
+    """Method and parameters of the ``n``-th repetition of an event."""
+    match event:
+        case Create():
+            return "RTDB-Create", {
+                "varId": event.variable,
+                "repCnt": event.repetitions,
+                "descr": event.description,
+                "value": event.octets(n).hex(),
+                "timeout": event.timeout_ms,
+            }
+        case Update():
+            return "RTDB-Update", {"varId": event.variable, "value": event.octets(n).hex()}
+        case Delete():
+            return "RTDB-Delete", {"varId": event.variable}
+        case Activate():
+            return f"{_LAYERS[event.layer]}-MGMT-Activate", {}
+        case Deactivate():
+            return f"{_LAYERS[event.layer]}-MGMT-Deactivate", {}
+        case HandDown():
+            return "SRP-UpdateSafetyData", {"sData": event.data}
+
+
+def answer(node: Node, method: str, params: dict[str, Any], now: int, wall: int) -> dict[str, Any]:
+    """What a node answers at its control interface; raises ServiceError for an error."""
+    known = METHODS.get(method)
+    if known is None:
+        raise ServiceError(METHOD_NOT_FOUND, f"there is no method {method}")
+    try:
+        found = perform(node, method, msgspec.convert(params, known.params), Times(now, wall))
+    except RpcError as error:
+        raise ServiceError(error.code, str(error)) from None
+    except msgspec.ValidationError as error:
+        raise ServiceError(INVALID_PARAMS, str(error)) from None
+    plain: dict[str, Any] = msgspec.to_builtins(found)
+    return plain
+
+
+def trouble(result: dict[str, Any]) -> str:
+    """The status of a confirm that is not OK; empty if it is."""
+    status = str(result["status"])
+    return "" if status.endswith("-STATUS-OK") else status

@@ -1,0 +1,212 @@
+"""The virtual Ethernet of a testbed: bridges and veth pairs, in namespaces.
+
+A node has one interface, ``dcp0``, and what it broadcasts there once reaches its neighbours and nobody else:
+
+* On a bus ``dcp0`` is one end of a veth pair, and the other ends are ports of one bridge. (Unless single links have a
+  quality of their own: then it is built like the others.)
+* In any other topology ``dcp0`` is a bridge of the node's own, with a veth pair to each neighbour's. All ports are
+  *isolated*: the kernel forwards nothing between them, so what came from one neighbour is handed to the node, and
+  what the node sends goes to all. One interface per neighbour would be simpler, but then a node would send a beacon
+  several times and hear its neighbours on different links, which is no broadcast medium. One bridge with isolated
+  ports for all cannot do it either: isolation separates all ports from all others.
+
+So there is a queue for each direction between two nodes (on a bus for each receiver), where tc can lose and delay.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Sequence
+
+from dcp_stack.sim.scenario.definition import PERFECT, LinkQuality, Scenario, ScenarioError, SetLink
+
+from .namespaces import NamespaceError, batch, create, run
+
+INTERFACE = "dcp0"
+_BRIDGE = "type bridge stp_state 0 mcast_snooping 0"
+_SINK = "sink"
+
+
+class Fabric:
+    """The Ethernet of one scenario."""
+
+    def __init__(self, scenario: Scenario, prefix: str, addresses: Sequence[bytes]) -> None:
+        """``addresses`` are those of the nodes' interfaces. Raises NamespaceError, ScenarioError."""
+        self._count = scenario.nodes
+        # The ports of one bridge know their receivers only: links of their own need a cable for each pair.
+        single = any(isinstance(event, SetLink) and event.sender is not None for event in scenario.events)
+        self._bus = scenario.topology.kind == "full" and not scenario.links and not single
+        self._pairs = scenario.topology.pairs(scenario.nodes)
+        self._addresses = [address[:6].hex(":") for address in addresses]
+        width = len(str(self._count - 1))
+        self.namespaces = [f"{prefix}-n{node:0{width}}" for node in range(self._count)]
+        self._ether = f"{prefix}-bus"
+        self._bridges = 1
+        self._own: set[tuple[int, int]] = set()
+        self._shaper = Shaper()
+        create([*self.namespaces, self._ether] if self._bus else self.namespaces)
+        if self._bus:
+            self._build_bus()
+        else:
+            self._build_cables()
+        self.set_quality(None, scenario.link)
+        for link in scenario.links:
+            for direction in link.directions:
+                self.set_quality(direction, link.quality)
+
+    def set_quality(self, direction: tuple[int, int] | None, quality: LinkQuality) -> None:
+        """Change what happens to frames from one node to another, or (None) wherever nothing of its own was said."""
+        if direction is not None:
+            if self._bus:
+                raise ScenarioError(
+                    "on a bus, links have no quality of their own; list them in [[links]] from the start"
+                )
+            self._own.add(direction)
+            self._shape(direction, quality)
+            return
+        if self._bus:
+            for node in range(self._count):
+                self._shaper.shape(self._ether, f"p{node}", quality)
+            return
+        for pair in self._pairs:
+            for each in (pair, pair[::-1]):
+                if each not in self._own:
+                    self._shape(each, quality)
+
+    def partition(self, groups: Sequence[Sequence[int]]) -> None:
+        """Let frames stay inside their groups; nodes in none of them are another one. No groups: heal."""
+        member = {node: number for number, group in enumerate(groups, start=1) for node in group}
+        if self._bus:
+            new = range(self._bridges, len(groups) + 1)
+            batch("ip", self._ether, [line for number in new for line in _bridge_lines(f"bus{number}")])
+            self._bridges = max(self._bridges, len(groups) + 1)
+            ports = [f"link set p{node} master bus{member.get(node, 0)}" for node in range(self._count)]
+            batch("ip", self._ether, ports)
+            return
+        lines: dict[int, list[str]] = defaultdict(list)
+        for a, b in self._pairs:
+            state = "up" if member.get(a, 0) == member.get(b, 0) else "down"
+            # One end is enough: the other one loses its carrier.
+            lines[a].append(f"link set to{b} {state}")
+        for node, commands in lines.items():
+            batch("ip", self.namespaces[node], commands)
+
+    def _build_bus(self) -> None:
+        batch("ip", self._ether, _bridge_lines("bus0"))
+        lines = []
+        for node in range(self._count):
+            peer = f"{INTERFACE} address {self._addresses[node]} netns {self.namespaces[node]}"
+            lines.append(f"link add p{node} type veth peer name {peer}")
+            lines.append(f"link set p{node} addrgenmode none master bus0 up")
+        batch("ip", self._ether, lines)
+        for name in self.namespaces:
+            batch("ip", name, [f"link set {INTERFACE} addrgenmode none up"])
+
+    def _build_cables(self) -> None:
+        for node, name in enumerate(self.namespaces):
+            address = f"address {self._addresses[node]}"
+            batch(
+                "ip", name, [f"link add {INTERFACE} {address} {_BRIDGE}", f"link set {INTERFACE} addrgenmode none up"]
+            )
+        ports: dict[int, list[str]] = defaultdict(list)
+        for a, b in self._pairs:
+            cable = f"link add to{b} type veth peer name to{a} netns {self.namespaces[b]}"
+            run(["ip", "-n", self.namespaces[a], *cable.split()])
+            ports[a].append(f"to{b}")
+            ports[b].append(f"to{a}")
+        for node, names in ports.items():
+            up = [f"link set {name} addrgenmode none master {INTERFACE} up" for name in names]
+            batch("ip", self.namespaces[node], up)
+            isolate = [f"link set dev {name} isolated on learning off" for name in names]
+            batch("bridge", self.namespaces[node], isolate)
+
+    def _shape(self, direction: tuple[int, int], quality: LinkQuality) -> None:
+        sender, receiver = direction
+        if (min(direction), max(direction)) in self._pairs:
+            self._shaper.shape(self.namespaces[sender], f"to{receiver}", quality)
+
+
+def _bridge_lines(name: str) -> list[str]:
+    return [f"link add {name} {_BRIDGE}", f"link set {name} addrgenmode none up"]
+
+
+class Shaper:
+    """Gives what leaves an interface the quality of a connection.
+
+    netem does all of it. Kernels without it (sch_netem is a module that small ones leave out) can still lose frames:
+    a classifier draws a random number for each and redirects some to an interface where nobody listens.
+    """
+
+    def __init__(self) -> None:
+        self._shaped: set[tuple[str, str]] = set()
+        self._sinks: set[str] = set()
+        self._netem: bool | None = None
+
+    def shape(self, namespace: str, interface: str, quality: LinkQuality) -> None:
+        """Set the quality; raises ScenarioError for one that this machine cannot do."""
+        if (namespace, interface) in self._shaped:
+            kind = "root" if self._netem else "clsact"
+            run(["tc", "-n", namespace, "qdisc", "delete", "dev", interface, kind])
+            self._shaped.remove((namespace, interface))
+        if quality == PERFECT or quality == LinkQuality(reorder_delay_ms=quality.reorder_delay_ms):
+            return
+        if self._netem is None or self._netem:
+            self._netem = self._with_netem(namespace, interface, quality)
+        if not self._netem:
+            self._with_classifier(namespace, interface, quality)
+        self._shaped.add((namespace, interface))
+
+    def _with_netem(self, namespace: str, interface: str, quality: LinkQuality) -> bool:
+        command = f"tc -n {namespace} qdisc add dev {interface} root netem {netem_options(quality)}"
+        try:
+            run(command.split())
+        except NamespaceError as error:
+            if "unknown" in str(error) or "No such file" in str(error):
+                return False
+            raise
+        return True
+
+    def _with_classifier(self, namespace: str, interface: str, quality: LinkQuality) -> None:
+        if quality != LinkQuality(loss=quality.loss, reorder_delay_ms=quality.reorder_delay_ms):
+            raise ScenarioError(
+                "this kernel has no netem (module sch_netem), without which a testbed can lose frames, but not delay, "
+                "duplicate or reorder them; simulate can"
+            )
+        if namespace not in self._sinks:
+            lines = [f"link add {_SINK} type veth peer name drain"]
+            lines += [f"link set {name} addrgenmode none up" for name in (_SINK, "drain")]
+            batch("ip", namespace, lines)
+            self._sinks.add(namespace)
+        try:
+            run(["tc", "-n", namespace, "qdisc", "add", "dev", interface, "clsact"])
+            match = ["protocol", "all", "bpf", "bytecode", chance(quality.loss)]
+            redirect = ["action", "mirred", "egress", "redirect", "dev", _SINK]
+            run(["tc", "-n", namespace, "filter", "add", "dev", interface, "egress", *match, *redirect])
+        except NamespaceError as error:
+            raise ScenarioError(f"this kernel can lose no frames, neither by netem nor by cls_bpf: {error}") from None
+
+
+def netem_options(quality: LinkQuality) -> str:
+    """The same quality as options of netem; raises ScenarioError for what it cannot express."""
+    # netem draws from delay - jitter .. delay + jitter, a scenario from delay .. delay + jitter.
+    half = quality.jitter_ms / 2
+    options = [f"delay {quality.delay_ms + half:.3f}ms {half:.3f}ms"] if quality.delay_ms or half else []
+    if quality.reorder:
+        if options:
+            raise ScenarioError("in a testbed, reorder does not go together with delay_ms or jitter_ms")
+        # The other way round: netem sends a share at once, and holds up the rest.
+        options = [f"delay {quality.reorder_delay_ms:.3f}ms", f"reorder {(1 - quality.reorder) * 100:.4f}%"]
+    if quality.loss:
+        options.append(f"loss {quality.loss * 100:.4f}%")
+    if quality.duplicate:
+        options.append(f"duplicate {quality.duplicate * 100:.4f}%")
+    return " ".join(options)
+
+
+def chance(probability: float) -> str:
+    """A classic BPF program for tc that matches frames with this probability."""
+    if probability >= 1:
+        return "1,6 0 0 4294967295,"
+    threshold = round(probability * (1 << 32))
+    # Load a random number (SKF_AD_OFF + SKF_AD_RANDOM); at least the threshold: no match (0), below it: match (-1).
+    return f"4,32 0 0 {0xFFFFF000 + 56},53 0 1 {min(threshold, 0xFFFFFFFF)},6 0 0 0,6 0 0 4294967295,"

@@ -1,0 +1,321 @@
+"""Play a scenario with node processes on a virtual Ethernet, in real time."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Self
+
+from dcp_stack.control.client import ControlError, ServiceError
+from dcp_stack.sim.scenario.agreement import Agreement, ConvergenceClock
+from dcp_stack.sim.scenario.definition import (
+    NS_PER_S,
+    Activate,
+    Create,
+    Deactivate,
+    Delete,
+    Down,
+    Event,
+    HandDown,
+    Heal,
+    Partition,
+    Restart,
+    Scenario,
+    ScenarioError,
+    SetLink,
+    Up,
+    Update,
+)
+from dcp_stack.sim.scenario.expectations import VariableState, checks, describe, judge_all, judge_now
+from dcp_stack.sim.scenario.loading import check, check_nodes, scenario_codec
+from dcp_stack.sim.scenario.provenance import Provenance
+from dcp_stack.sim.scenario.report import Finding, NodeTraffic, Report
+from dcp_stack.sim.scenario.requests import request, trouble
+from dcp_stack.sim.virtual.network import node_id
+
+from .cleanup import Janitor
+from .fabric import Fabric
+from .namespaces import own_prefix, sweep
+from .processes import END_PATIENCE, NodeProcess, seconds_between, settings_for
+
+log = logging.getLogger(__name__)
+
+#: Seconds between two looks at all nodes: how exactly convergence is measured.
+LOOK_INTERVAL = 0.05
+#: Seconds that one node may take to start; on a busy machine Python itself takes some.
+START_PATIENCE = 30.0
+
+
+class StartError(Exception):
+    """A node does not start; the message says which one, and what it wrote last."""
+
+
+class Testbed:
+    """Namespaces, links and processes for one scenario; a context manager that leaves nothing behind."""
+
+    __test__ = False
+
+    def __init__(self, scenario: Scenario, directory: Path, *, keep: bool, record: bool = True) -> None:
+        """``directory`` exists and takes settings, logs, sockets and recordings; it stays if ``keep`` says so.
+        ``record`` False leaves the recordings away.
+
+        Raises ScenarioError, NamespaceError.
+        """
+        self.scenario = check(scenario)
+        if scenario.topology.kind == "positions" and not scenario.topology.positions:
+            raise ScenarioError(
+                "topology.positions: a testbed needs the place of each node: tracks move links in simulations only"
+            )
+        codec = scenario_codec(scenario)
+        check_nodes(scenario, codec)
+        self.profile = codec.profile
+        self._provenance = Provenance.of(scenario, codec)
+        self.agreement = Agreement(scenario.nodes)
+        self.clock = ConvergenceClock()
+        self.findings: list[Finding] = []
+        self.nodes: list[NodeProcess] = []
+        self._problems: list[str] = []
+        self._begin = 0.0
+        self._late = self._slowest_start = 0.0
+        sweep()
+        prefix = own_prefix()
+        self._janitor = Janitor(prefix, None if keep else str(directory))
+        try:
+            identifiers = [node_id(self.profile, index) for index in range(scenario.nodes)]
+            # The address of an interface has six octets, whatever the identifier of the node looks like.
+            addresses = [b"\x02" + index.to_bytes(5, "big") for index in range(scenario.nodes)]
+            self._fabric = Fabric(scenario, prefix, addresses)
+            text = self.profile.types.node_id.representation == "text"
+            width = len(str(scenario.nodes - 1))
+            for index, identifier in enumerate(identifiers):
+                settings = settings_for(scenario, index, identifier.decode() if text else identifier.hex(":"))
+                name, namespace = f"node-{index:0{width}}", self._fabric.namespaces[index]
+                self.nodes.append(NodeProcess(index, namespace, settings, directory, name, record=record))
+        except BaseException:
+            self._janitor.finish()
+            raise
+        self._numbers = {identifier.hex(":"): index for index, identifier in enumerate(identifiers)}
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End all nodes in an orderly way, and remove everything; may be called twice."""
+        try:
+            for node in self.nodes:
+                node.ask_to_end()
+            deadline = time.monotonic() + END_PATIENCE
+            for node in self.nodes:
+                node.wait(deadline)
+        finally:
+            self._janitor.finish()
+
+    # -- running -------------------------------------------------------------------------------------------------------
+
+    def start(self) -> None:
+        """Switch on the nodes that are on from the start, and wait until they answer; time 0 is then.
+
+        Raises :class:`StartError` if one does not.
+        """
+        awaited = [node for node in self.nodes if node.index not in self.scenario.down_at_start]
+        for node in awaited:
+            node.start()
+        deadline = time.monotonic() + START_PATIENCE + len(awaited)
+        while True:
+            ready = [node.connect() for node in awaited]
+            if all(ready):
+                break
+            for node in awaited:
+                if node.ended():
+                    raise StartError(node.failure)
+            if time.monotonic() > deadline:
+                missing = ", ".join(str(node.index) for node in awaited if not node.answers)
+                raise StartError(f"after {START_PATIENCE + len(awaited):g} s nothing is heard from nodes {missing}")
+            time.sleep(0.02)
+        self._begin = time.monotonic()
+
+    @property
+    def now(self) -> int:
+        """Time of the scenario in ns."""
+        return round((time.monotonic() - self._begin) * NS_PER_S)
+
+    def run(self) -> Report:
+        """Start, play the scenario from beginning to end, and end the nodes; the same report as of a simulation.
+
+        Raises :class:`StartError`.
+        """
+        started = time.perf_counter()
+        self.start()
+        started_before = [len(node.starts) for node in self.nodes]
+        for at, act in self._timeline():
+            self._wait_until(at)
+            act()
+        self._wait_until(self.scenario.duration)
+        for node, before in zip(self.nodes, started_before, strict=True):
+            self._slowest_start = max([self._slowest_start, *node.starts[before:]])
+        for node in self.nodes:
+            if node.answers:
+                # Also what it sent is counted up to here.
+                self._look_at(node)
+        self.clock.look(self.now, self.agreement)
+        self.close()
+        return self._report(time.perf_counter() - started)
+
+    def _timeline(self) -> list[tuple[int, Callable[[], None]]]:
+        found: list[tuple[int, Callable[[], None]]] = []
+        for at, n, event in self.scenario.timeline():
+            found.append((at, lambda event=event, n=n: self._happen(event, n)))  # type: ignore[misc]
+        for at, expected in checks(self.scenario):
+            found.append((at, lambda expected=expected: self.findings.append(judge_now(expected, self))))  # type: ignore[misc]
+        return sorted(found, key=lambda each: each[0])
+
+    def _wait_until(self, at: int) -> None:
+        while True:
+            self._look_around()
+            left = (at - self.now) / NS_PER_S
+            if left <= 0:
+                self._late = max(self._late, -left)
+                return
+            time.sleep(min(left, LOOK_INTERVAL))
+
+    def _look_around(self) -> None:
+        """See how all nodes are, and whether they agree."""
+        pending = False
+        for node in self.nodes:
+            if not node.on or node.ended():
+                self._absent(node.index)
+            elif not node.connect():
+                # Switched on, and not ready: until then nobody can say that all agree.
+                self._absent(node.index)
+                pending = True
+            elif self.clock.pending:
+                self._look_at(node)
+        if not pending:
+            self.clock.look(self.now, self.agreement)
+
+    def _look_at(self, node: NodeProcess) -> None:
+        try:
+            seen = node.look()
+        except (ControlError, ServiceError, LookupError) as error:
+            node.failure = node.failure or f"node {node.index}: {error}"
+            self._absent(node.index)
+            return
+        self.agreement.replace(node.index, seen.known)
+        self.agreement.enter(node.index, seen.active)
+
+    def _absent(self, index: int) -> None:
+        self.agreement.forget(index)
+        self.agreement.enter(index, False)
+
+    # -- what happens --------------------------------------------------------------------------------------------------
+
+    def _happen(self, event: Event, n: int) -> None:
+        what = describe(event, n)
+        if event.disturbs:
+            self.clock.event(self.now, what)
+        try:
+            status = self._perform(event, n)
+        except (LookupError, ServiceError, ControlError) as error:
+            status = str(error)
+        if status:
+            self._problems.append(f"at {event.at_s:g} s {what}: {status}")
+        self._look_around()
+
+    def _perform(self, event: Event, n: int) -> str:
+        match event:
+            case Create() | Update() | Delete() | HandDown() | Activate() | Deactivate():
+                method, params = request(event, n)
+                return trouble(self.nodes[event.node].call(method, **params))
+            case Down(node=node):
+                self.nodes[node].kill()
+            case Up(node=node):
+                self.nodes[node].start()
+            case Restart(node=node):
+                self.nodes[node].kill()
+                self.nodes[node].start()
+            case Partition(groups=groups):
+                self._fabric.partition(groups)
+            case Heal():
+                self._fabric.partition(())
+            case SetLink(sender=int() as sender, receiver=int() as receiver, quality=quality):
+                for direction in ((sender, receiver), (receiver, sender))[: 1 + event.both_ways]:
+                    self._fabric.set_quality(direction, quality)
+            case SetLink(quality=quality):
+                self._fabric.set_quality(None, quality)
+        return ""
+
+    # -- looking -------------------------------------------------------------------------------------------------------
+
+    def variable(self, node: int, var_id: int) -> VariableState:
+        """What a node knows about a variable now."""
+        try:
+            seen = self.nodes[node].look()
+        except (ControlError, ServiceError, LookupError):
+            return VariableState("off")
+        if not seen.active:
+            return VariableState("off")
+        known = seen.known.get(var_id)
+        if known is not None:
+            return VariableState("alive", known.value)
+        return VariableState("deleted" if var_id in seen.deleted else "unknown")
+
+    def neighbours(self, node: int) -> list[int] | None:
+        """Whom a node has in its neighbour table now."""
+        try:
+            table = self.nodes[node].call("SRP-NeighbourTable")
+        except (ControlError, ServiceError, LookupError):
+            return None
+        if trouble(table):
+            return None
+        found = (self._numbers.get(each["nodeId"]) for each in table["neighbours"])
+        return sorted(index for index in found if index is not None)
+
+    def _report(self, elapsed: float) -> Report:
+        scenario = self.scenario
+        traffic = list(self._traffic())
+        failures = [node.failure for node in self.nodes if node.failure]
+        return Report(
+            title=scenario.title,
+            ground="testbed",
+            nodes=scenario.nodes,
+            profile=scenario.profile,
+            seed=scenario.seed,
+            duration_s=scenario.duration_s,
+            provenance=self._provenance,
+            findings=[
+                *judge_all(scenario.expect, self.clock.events, traffic),
+                *self.findings,
+                Finding("no node ends by itself", not failures, "; ".join(failures[:3])),
+                Finding("every event can happen", not self._problems, "; ".join(self._problems[:3])),
+            ],
+            convergences=self.clock.events,
+            traffic=traffic,
+            elapsed_s=elapsed,
+            late_s=round(self._late, 3),
+            slowest_start_s=round(self._slowest_start, 3),
+        )
+
+    def _traffic(self) -> Iterator[NodeTraffic]:
+        interrupted = {event.node for event in self.scenario.events if isinstance(event, Down | Up | Restart)}
+        interrupted |= set(self.scenario.down_at_start)
+        for node in self.nodes:
+            rate, left_out = None, 0.0
+            for first, last in node.runs:
+                seconds = seconds_between(first, last)
+                if node.index not in interrupted and seconds > 0:
+                    rate = (last.beacons_sent - first.beacons_sent) / seconds
+                    left_out = (last.beacons_left_out - first.beacons_left_out) / seconds
+            lives = [last for _, last in node.runs]
+            yield NodeTraffic(
+                node=node.index,
+                beacons_sent=sum(last.beacons_sent for last in lives),
+                octets_sent=sum(last.octets_sent for last in lives),
+                beacons_received=sum(last.beacons_received for last in lives),
+                beacons_per_s=rate,
+                left_out_per_s=left_out,
+            )

@@ -1,0 +1,362 @@
+"""Play a scenario on a simulated network."""
+
+from __future__ import annotations
+
+import copy
+import random
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from msgspec.structs import astuple
+
+from dcp_codec.analysis.vantage_point import MEDIUM
+from dcp_codec.codec import Codec
+from dcp_stack.control.client import ServiceError
+from dcp_stack.effects import VariableChanged
+from dcp_stack.links.memory import MediumCounters
+from dcp_stack.links.recording import Recorder
+from dcp_stack.positions import SourceError, open_source
+from dcp_stack.sim.measuring import Measurements
+from dcp_stack.sim.scenario.agreement import Agreement, ConvergenceClock, Known
+from dcp_stack.sim.scenario.definition import (
+    NS_PER_S,
+    Activate,
+    Create,
+    Deactivate,
+    Delete,
+    Down,
+    Event,
+    HandDown,
+    Heal,
+    LinkQuality,
+    Partition,
+    Restart,
+    Scenario,
+    ScenarioError,
+    SetLink,
+    Up,
+    Update,
+)
+from dcp_stack.sim.scenario.expectations import VariableState, checks, describe, judge_all, judge_now
+from dcp_stack.sim.scenario.loading import check, check_nodes, scenario_codec
+from dcp_stack.sim.scenario.provenance import Provenance
+from dcp_stack.sim.scenario.report import Finding, NodeTraffic, Report
+from dcp_stack.sim.scenario.requests import request, trouble
+
+from .network import Network
+
+
+class Simulation:
+    """One run of a scenario. Afterwards ``network`` and ``agreement`` can be looked at."""
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        *,
+        record: Path | None = None,
+        record_medium: Path | None = None,
+        share_decoding: bool = True,
+    ) -> None:
+        """``record`` is a directory for one MCAP file per node, ``record_medium`` a file for each transmission once.
+
+        Raises :class:`ScenarioError` for what the nodes refuse, LinkError if something cannot be recorded.
+        """
+        self.scenario = check(scenario)
+        self.codec: Codec = scenario_codec(scenario)
+        check_nodes(scenario, self.codec)
+        self.network = Network(
+            scenario.nodes,
+            self.codec,
+            seed=scenario.seed,
+            topology=scenario.topology.heard_by(scenario.nodes),
+            quality=scenario.link.quality(),
+            bp=scenario.bp,
+            srp=scenario.srp_config,
+            vardis=scenario.vardis_config,
+            readings=scenario.readings,
+            share_decoding=share_decoding,
+        )
+        self.agreement = Agreement(scenario.nodes)
+        self.clock = ConvergenceClock()
+        self.findings: list[Finding] = []
+        self._recorders: list[Recorder] = []
+        self._problems: list[str] = []
+        period = scenario.bp.beacon_period_ms * 1_000_000
+        queued = scenario.vardis_config.bp_queue_entries if scenario.vardis_config is not None else 1
+        self.measurements = Measurements(
+            self.network.medium,
+            {station.config.node_id: station.index for station in self.network.stations},
+            warm_up=scenario.warm_up,
+            # Twice what the payloads before it take: jitter, and a beacon that another client fills.
+            held_back=2 * (queued + 2) * period,
+        )
+        self._before = Traffic.of(self.network)
+        self._own_quality: set[tuple[int, int]] = set()
+        self._plan()
+        self._record(record, record_medium)
+
+    # -- running -------------------------------------------------------------------------------------------------------
+
+    def run(self) -> Report:
+        """Play it from beginning to end. Call it once."""
+        real, cpu = time.perf_counter(), time.process_time()
+        try:
+            self.network.run_until(self.scenario.duration)
+        finally:
+            self.network.close()
+            for recorder in self._recorders:
+                recorder.close()
+        return self._report(time.perf_counter() - real, time.process_time() - cpu)
+
+    def _plan(self) -> None:
+        network, scenario = self.network, self.scenario
+        for link in scenario.links:
+            for sender, receiver in link.directions:
+                self._set_link(sender, receiver, link.quality)
+        network.listen(VariableChanged, self._changed)
+        # Nodes are not switched on by one hand: each begins at some moment of the first beacon period.
+        spread = random.Random(f"{scenario.seed}/start")  # noqa: S311 - to be repeatable is the point
+        for node in range(scenario.nodes):
+            begin = spread.randrange(scenario.bp.beacon_period_ms * 1_000_000)
+            if node not in scenario.down_at_start:
+                network.at(begin, lambda node=node: self._switch_on(node))  # type: ignore[misc]
+        self._attach_tracks()
+        if scenario.warm_up:
+            network.at(scenario.warm_up, self._warmed_up)
+        for at, n, event in scenario.timeline():
+            network.at(at, lambda event=event, n=n: self._happen(event, n))  # type: ignore[misc]
+        for at, expected in checks(scenario):
+            network.at(at, lambda expected=expected: self.findings.append(judge_now(expected, self)))  # type: ignore[misc]
+
+    def _attach_tracks(self) -> None:
+        for index, track in enumerate(self.scenario.tracks):
+            for node in range(self.scenario.nodes) if track.nodes is None else track.nodes:
+                rng = random.Random(f"{self.scenario.seed}/track/{index}/{node}")  # noqa: S311 - as above
+                try:
+                    source = open_source(track.source, self.codec, rng=rng)
+                except SourceError as error:
+                    raise ScenarioError(f"tracks[{index}].source: {error}") from None
+                self.network.attach(node, source)
+
+    @property
+    def recorded(self) -> bool:
+        """Whether all that was to be recorded was; the log says what was not."""
+        return not any(recorder.problem for recorder in self._recorders)
+
+    def _record(self, directory: Path | None, medium: Path | None) -> None:
+        made_by = Provenance.of(self.scenario, self.codec)
+
+        def recorder(path: Path, vantage: str) -> Recorder:
+            about = {
+                "vantage": vantage,
+                "ground": "simulate",
+                "seed": str(self.scenario.seed),
+                "scenario_sha256": made_by.scenario_sha256,
+                "kit_version": made_by.kit_version,
+            }
+            made = Recorder(path, self.codec, overwrite=True, clock=lambda: self.network.now, about=about)
+            self._recorders.append(made)
+            return made
+
+        if directory is not None:
+            width = len(str(self.scenario.nodes - 1))
+            for station in self.network.stations:
+                station.watchers.append(
+                    recorder(directory / f"node-{station.index:0{width}}.mcap", station.config.node_id.hex(":"))
+                )
+        if medium is not None:
+            self.network.watchers.append(recorder(medium, MEDIUM))
+
+    # -- what happens --------------------------------------------------------------------------------------------------
+
+    def _happen(self, event: Event, n: int) -> None:
+        what = describe(event, n)
+        if event.disturbs:
+            self.clock.event(self.network.now, what)
+        try:
+            status = self._perform(event, n)
+        except (LookupError, ServiceError) as error:
+            status = str(error)
+        if status:
+            self._problems.append(f"at {self.network.now / NS_PER_S:g} s {what}: {status}")
+        self.measurements.connections_changed()
+        self._look()
+
+    def _perform(self, event: Event, n: int) -> str:
+        """Do it; the status if it is not OK, empty if it is."""
+        network, medium = self.network, self.network.medium
+        match event:
+            case Create() | Update() | Delete() | HandDown() | Activate() | Deactivate():
+                method, params = request(event, n)
+                found = network.request(event.node, method, **params)
+                if isinstance(event, Activate | Deactivate):
+                    self._refresh(event.node)
+                return trouble(found)
+            case Down(node=node):
+                self._switch_off(node)
+            case Up(node=node):
+                self._switch_on(node)
+            case Restart(node=node):
+                self._switch_off(node)
+                self._switch_on(node)
+            case Partition(groups=groups):
+                medium.partition(*groups)
+            case Heal():
+                medium.heal()
+            case SetLink(sender=int() as sender, receiver=int() as receiver, quality=quality):
+                self._set_link(sender, receiver, quality)
+                if event.both_ways:
+                    self._set_link(receiver, sender, quality)
+            case SetLink(quality=quality):
+                for pair in self.scenario.topology.pairs(len(network)):
+                    for sender, receiver in (pair, pair[::-1]):
+                        if (sender, receiver) not in self._own_quality:
+                            medium.set_quality(sender, receiver, quality.quality())
+        return ""
+
+    def _set_link(self, sender: int, receiver: int, quality: LinkQuality) -> None:
+        """Give one direction a quality of its own, which it then keeps."""
+        self._own_quality.add((sender, receiver))
+        self.network.medium.set_quality(sender, receiver, quality.quality())
+
+    def _switch_on(self, node: int) -> None:
+        self.measurements.on(node)
+        self.network.start(node)
+        self._refresh(node)
+
+    def _switch_off(self, node: int) -> None:
+        self.measurements.off(self.network.now, node)
+        self.network.stop(node)
+        self._refresh(node)
+
+    def _refresh(self, index: int) -> None:
+        """Compare a node with the others anew: it appeared, or is not there any more."""
+        node = self.network.stations[index].node
+        vardis = None if node is None else node.vardis
+        if node is None:
+            self.agreement.forget(index)
+        active = vardis is not None and vardis.active
+        self.agreement.enter(index, active)
+        self.measurements.consistency.enter(self.network.now, index, active)
+        self._look()
+
+    def _look(self) -> None:
+        self.clock.look(self.network.now, self.agreement)
+
+    def _changed(self, now: int, index: int, effect: VariableChanged) -> None:
+        node = self.network.stations[index].node
+        if node is None or node.vardis is None:
+            return
+        entry = node.vardis.describe_variable(effect.var_id).entry
+        if effect.event == "deleted" or entry is None or entry.is_deleted:
+            self.agreement.learn(index, effect.var_id, None)
+            self.measurements.deleted(now, index, effect.var_id)
+        else:
+            created = entry.spec.creation_time
+            self.agreement.learn(index, effect.var_id, Known(effect.prod_id, created, entry.seqno, entry.value))
+            self.measurements.stored(now, index, effect.var_id, entry, self.network.delivering, effect.event)
+        self._look()
+
+    def _warmed_up(self) -> None:
+        """Count from now on."""
+        self._before = Traffic.of(self.network)
+        self.measurements.consistency.settle(self.network.now)
+        self.measurements.consistency.restart(self.network.now)
+
+    # -- looking -------------------------------------------------------------------------------------------------------
+
+    def variable(self, node: int, var_id: int) -> VariableState:
+        """What a node knows about a variable now."""
+        there = self.network.stations[node].node
+        if there is None or there.vardis is None or not there.vardis.active:
+            return VariableState("off")
+        entry = there.vardis.describe_variable(var_id).entry
+        if entry is None:
+            return VariableState("unknown")
+        return VariableState("deleted") if entry.is_deleted else VariableState("alive", entry.value)
+
+    def neighbours(self, node: int) -> list[int] | None:
+        """Whom a node has in its neighbour table now."""
+        there = self.network.stations[node].node
+        if there is None or there.srp is None or not there.srp.registered:
+            return None
+        numbers = {each.config.node_id: each.index for each in self.network.stations}
+        return sorted(numbers[found] for found in there.srp.neighbours.list_all_node_ids() if found in numbers)
+
+    def _report(self, elapsed: float, cpu: float) -> Report:
+        scenario, medium = self.scenario, Traffic.of(self.network).since(self._before).medium
+        traffic = list(self._traffic())
+        failures = [f"node {each.index} {each.failure}" for each in self.network.stations if each.failure]
+        findings = [
+            *judge_all(scenario.expect, self.clock.events, traffic),
+            *self.findings,
+            Finding("no node raises anything", not failures, "; ".join(failures[:3])),
+            Finding("every event can happen", not self._problems, "; ".join(self._problems[:3])),
+        ]
+        total = max(medium.expected, 1)
+        shares = {"delivered": medium.delivered, "lost": medium.lost, "duplicated": medium.duplicated}
+        shares["missed"] = medium.missed
+        return Report(
+            title=scenario.title,
+            ground="simulate",
+            nodes=scenario.nodes,
+            profile=scenario.profile,
+            seed=scenario.seed,
+            duration_s=scenario.duration_s,
+            provenance=Provenance.of(scenario, self.codec),
+            findings=findings,
+            convergences=self.clock.events,
+            traffic=traffic,
+            values=self.measurements.values.totals(),
+            delays=self.measurements.values.rows(),
+            consistency=self.measurements.consistency.found(self.network.now),
+            shares={name: number / total for name, number in shares.items() if number or name == "delivered"},
+            expected=medium.expected,
+            digest=self.network.digest.hexdigest(),
+            elapsed_s=elapsed,
+            cpu_s=cpu,
+        )
+
+    def _traffic(self) -> Iterator[NodeTraffic]:
+        interrupted = {event.node for event in self.scenario.events if isinstance(event, Down | Up | Restart)} | set(
+            self.scenario.down_at_start
+        )
+        counted = Traffic.of(self.network).since(self._before).nodes
+        for each, (sent, octets, received) in zip(self.network.stations, counted, strict=True):
+            rate = None
+            if each.up_since is not None and each.index not in interrupted:
+                up = self.network.now - max(each.up_since, self.scenario.warm_up)
+                rate = sent / (up / NS_PER_S) if up else None
+            yield NodeTraffic(each.index, sent, octets, received, rate)
+
+
+class Traffic(NamedTuple):
+    """Counters of a network at one moment, or between two of them."""
+
+    nodes: list[tuple[int, int, int]]
+    """For each node: beacons and octets sent, beacons received."""
+    medium: MediumCounters
+
+    @classmethod
+    def of(cls, network: Network) -> Traffic:
+        """The counters as they are now."""
+        nodes = [(each.beacons_sent, each.octets_sent, each.beacons_received) for each in network.stations]
+        return cls(nodes, copy.copy(network.medium.counters))
+
+    def since(self, before: Traffic) -> Traffic:
+        """What was counted after ``before``."""
+        nodes = [
+            (now[0] - then[0], now[1] - then[1], now[2] - then[2])
+            for now, then in zip(self.nodes, before.nodes, strict=True)
+        ]
+        medium = MediumCounters(
+            *(now - then for now, then in zip(astuple(self.medium), astuple(before.medium), strict=True))
+        )
+        return Traffic(nodes, medium)
+
+
+def simulate(scenario: Scenario, **options: Any) -> Report:
+    """Play a scenario in virtual time; options as for :class:`Simulation`."""
+    return Simulation(scenario, **options).run()

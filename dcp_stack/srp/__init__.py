@@ -1,0 +1,1 @@
+"""The State Reporting Protocol (dcp-srp.md) without input or output."""

@@ -1,0 +1,198 @@
+"""Questions to the neighbour table: where neighbours are, how they move, how close they come.
+
+The specification has no such service; programs on the node use them, and nothing in the protocol depends on them.
+Positions are in m and velocities in m/s, along the axes that the nodes agreed on; times are ns. An entry says where its
+node was when it made the report. Without common clocks the age of a report at its reception is not known: motions count
+from the reception, and a place is late by the delay of the bearer (see :meth:`NeighbourQueries.delay`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any, Literal
+
+import msgspec
+
+from dcp_codec.values import SafetyData
+from dcp_stack.positions.fields import SafetyFields
+from dcp_stack.positions.geometry import Approach, Motion, Vector, closest_approach, distance, velocity_between
+from dcp_stack.timestamps import StampClock
+
+if TYPE_CHECKING:
+    from .neighbour_table import NeighbourTableEntry
+
+
+class Near(msgspec.Struct, frozen=True, gc=False):
+    """A neighbour and its distance in m, from where it last reported to be."""
+
+    node_id: bytes
+    distance: float
+    position: Vector
+
+
+class NeighbourApproach(msgspec.Struct, frozen=True, gc=False):
+    """The closest point of approach of one neighbour (see :class:`~dcp_stack.positions.geometry.Approach`)."""
+
+    node_id: bytes
+    approach: Approach
+    velocity: Literal["reported", "estimated", "unknown"]
+    """What is known of the neighbour's velocity; ``unknown`` counts as standing."""
+
+
+class NeighbourQueries:
+    """Questions that a neighbour table answers; the table itself is the subclass."""
+
+    fields: SafetyFields
+    """The safety data of the profile."""
+    stamps: StampClock
+    """Relates the stamps of reports to wall time."""
+
+    def __iter__(self) -> Iterator[NeighbourTableEntry]:
+        raise NotImplementedError
+
+    # -- one entry --------------------------------------------------------------------------------------------
+
+    def position(self, entry: NeighbourTableEntry) -> Vector | None:
+        """Where the node reported to be (m); None if the profile has no position or a coordinate is not finite."""
+        return self.fields.position(entry.ext_sd.s_data)
+
+    def motion(self, entry: NeighbourTableEntry) -> Motion | None:
+        """Place and velocity of a neighbour as of the (first) reception of its report; None without a position.
+
+        The velocity is what the report says, or where the profile has no field for it, that between the last two
+        reports of different sequence numbers by the stamps of their node.
+        """
+        position = self.position(entry)
+        if position is None:
+            return None
+        if self.fields.has_velocity:
+            return Motion(position, self.fields.velocity(entry.ext_sd.s_data), entry.fresh_at)
+        return Motion(position, self._estimate(entry, position), entry.fresh_at, estimated=True)
+
+    def _estimate(self, entry: NeighbourTableEntry, position: Vector) -> Vector | None:
+        if entry.before is None or (start := self.fields.position(entry.before.s_data)) is None:
+            return None
+        # Receptions jitter by a whole beacon period, about the time between two reports; stamps do not. They only
+        # have to be by one clock, which need not be ours.
+        elapsed = self.stamps.between(entry.before.t_stamp, entry.ext_sd.t_stamp)
+        return velocity_between(start, position, elapsed if elapsed > 0 else entry.fresh_at - entry.before_at)
+
+    def delay(self, entry: NeighbourTableEntry) -> int | None:
+        """Time in ns between the stamp of a report and its reception: delay of BP and bearer if clocks agree.
+
+        None where the epoch of stamps is not comparable (simulation, boot).
+        """
+        if not self.stamps.comparable:
+            return None
+        return entry.reception_time - self.stamps.wall(entry.ext_sd.t_stamp, near=entry.reception_time)
+
+    # -- all entries ------------------------------------------------------------------------------------------
+
+    def nearest(self, point: Vector, *, limit: int | None = None) -> list[Near]:
+        """Neighbours by increasing distance from ``point`` (m), the first ``limit`` of them; no position, no place."""
+        found = [
+            Near(entry.node_id, distance(point, position), position)
+            for entry in self
+            if (position := self.position(entry)) is not None
+        ]
+        found.sort(key=lambda near: near.distance)
+        return found[:limit]
+
+    def within(self, point: Vector, radius: float) -> list[Near]:
+        """Neighbours at most ``radius`` m from ``point``, by increasing distance."""
+        return [near for near in self.nearest(point) if near.distance <= radius]
+
+    def older_than(self, age: int, *, now: int) -> list[NeighbourTableEntry]:
+        """Entries whose report was received more than ``age`` ns before ``now``, the oldest first."""
+        found = [entry for entry in self if entry.age(now) > age]
+        found.sort(key=lambda entry: entry.received_at)
+        return found
+
+    def closest_approaches(
+        self, own: Motion, *, now: int, horizon: int, limit: int | None = None
+    ) -> list[NeighbourApproach]:
+        """How close each neighbour comes to ``own`` within ``horizon`` ns from ``now``, the closest first.
+
+        Everybody is taken to go on in a straight line at the last known velocity, also since the last report.
+        Neighbours without a position are left out.
+        """
+        found = []
+        for entry in self:
+            motion = self.motion(entry)
+            if motion is None:
+                continue
+            approach = closest_approach(own, motion, now=now, horizon=horizon)
+            known: Literal["reported", "estimated", "unknown"] = "estimated" if motion.estimated else "reported"
+            found.append(NeighbourApproach(entry.node_id, approach, "unknown" if motion.velocity is None else known))
+        found.sort(key=lambda each: (each.approach.distance, each.approach.time))
+        return found[:limit]
+
+    def snapshot(self) -> list[dict[str, Any]]:
+        """The entries as plain data, by node id: octets as hex, times in ns."""
+        return [self._plain(entry) for entry in sorted(self, key=lambda entry: entry.node_id)]
+
+    def _plain(self, entry: NeighbourTableEntry) -> dict[str, Any]:
+        motion = self.motion(entry)
+        return {
+            "node_id": entry.node_id.hex(":"),
+            "sender_id": entry.sender_id.hex(":"),
+            "safety_data": {
+                name: value.hex() if isinstance(value, bytes) else value
+                for name, value in entry.ext_sd.s_data.as_dict().items()
+            },
+            "t_stamp": entry.ext_sd.t_stamp,
+            "seqno": entry.ext_sd.seqno,
+            "reception_time": entry.reception_time,
+            "received_at": entry.received_at,
+            "first_seen": entry.first_seen,
+            "received": entry.received,
+            "repeated": entry.repeated,
+            "lost": entry.lost,
+            "restarts": entry.restarts,
+            "mean_gap": entry.mean_gap,
+            "mean_interval": entry.mean_interval,
+            "delay": self.delay(entry),
+            "position": motion.position if motion is not None else None,
+            "velocity": motion.velocity if motion is not None else None,
+            "velocity_estimated": motion is not None and motion.velocity is not None and motion.estimated,
+        }
+
+
+class OwnMotion:
+    """The last two safety data that an application has handed down, with the monotonic times."""
+
+    def __init__(self, fields: SafetyFields) -> None:
+        self._fields = fields
+        self._last: tuple[SafetyData, int] | None = None
+        self._before: tuple[SafetyData, int] | None = None
+
+    @property
+    def data(self) -> SafetyData | None:
+        """What was handed down last."""
+        return None if self._last is None else self._last[0]
+
+    def note(self, data: SafetyData, now: int) -> None:
+        """Safety data were handed down at the monotonic time ``now``."""
+        self._before, self._last = self._last, (data, now)
+
+    def clear(self) -> None:
+        """Forget what was handed down."""
+        self._last = self._before = None
+
+    def motion(self) -> Motion | None:
+        """Place and velocity; None without, or where the profile has no position.
+
+        Where the profile has no velocity it is that between the last two hand-downs.
+        """
+        if self._last is None:
+            return None
+        data, at = self._last
+        position = self._fields.position(data)
+        if position is None:
+            return None
+        if self._fields.has_velocity:
+            return Motion(position, self._fields.velocity(data), at)
+        start = None if self._before is None else self._fields.position(self._before[0])
+        if self._before is None or start is None:
+            return Motion(position, None, at, estimated=True)
+        return Motion(position, velocity_between(start, position, at - self._before[1]), at, estimated=True)

@@ -1,0 +1,219 @@
+"""The neighbour table of SRP (dcp-srp.md, "The Neighbour Table"); times are ns.
+
+What control loops ask it is in :mod:`dcp_stack.srp.entity.neighbour_queries`, the base class of the table.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Final, Literal
+
+import msgspec
+from dcp_spec.constants import SRP_SEQNO_MODULUS
+from dcp_spec.profile.definition import Profile
+
+from dcp_codec.values import ExtendedSafetyData
+from dcp_stack.positions.fields import SafetyFields
+from dcp_stack.timestamps import StampClock
+
+from .neighbour_queries import NeighbourQueries
+
+RESTART_GAP: Final = 1 << 16
+"""A step of the sequence number by this or more, or backwards, is a restart of the node and no loss.
+
+An entry lives for seconds after a report, and no node makes 65536 reports in that time.
+"""
+EWMA_ALPHA: Final = 0.95
+"""Weight of the past in the two averages, the default of the C++ implementation (gapSizeEWMAAlpha)."""
+
+
+class NeighbourTableEntry(msgspec.Struct, frozen=True, gc=False):
+    """``NeighbourTableEntry``: the last report of a neighbour, and what its reports had in common.
+
+    The specification leaves further fields free (SRP-NT-04); those below ``sender_id`` are ours. Counters count since
+    the entry was inserted.
+    """
+
+    node_id: bytes
+    ext_sd: ExtendedSafetyData
+    reception_time: int
+    """Wall time in ns at which ``ext_sd`` was received."""
+    received_at: int
+    """The same moment by the monotonic clock, in ns."""
+    sender_id: bytes
+    """Sender of the beacon; another node than ``node_id`` if somebody forwards or forges (SRP-RX-05)."""
+    first_seen: int
+    """Wall time in ns of the first report."""
+    fresh_at: int
+    """When this sequence number was first received (monotonic ns); later than that come repetitions."""
+    received: int = 1
+    """Reports, repetitions not counted."""
+    repeated: int = 0
+    """Reports with the sequence number of the one before, as in mode REPEAT."""
+    lost: int = 0
+    """Sequence numbers that were left out: reports lost on the air, or replaced by their node before sending."""
+    restarts: int = 0
+    """Sequence numbers that went backwards or too far ahead (:data:`RESTART_GAP`)."""
+    mean_gap: float = 1.0
+    """EWMA of the steps of the sequence number; 1 when nothing is lost."""
+    mean_interval: float | None = None
+    """EWMA of the time between two different reports, in ns; None before the second."""
+    before: ExtendedSafetyData | None = None
+    """The report before ``ext_sd`` by the same run of the node, None after a restart."""
+    before_at: int = 0
+    """``fresh_at`` of ``before``."""
+
+    @property
+    def loss_rate(self) -> float:
+        """Lost reports in proportion to all that were made, 0..1."""
+        return self.lost / (self.lost + self.received)
+
+    def age(self, now: int) -> int:
+        """Time in ns since ``ext_sd`` was received, at the monotonic time ``now``."""
+        return now - self.received_at
+
+
+class NeighbourTable(NeighbourQueries):
+    """The neighbours of one node, at most ``capacity`` of them; see the module docstring for units."""
+
+    def __init__(
+        self,
+        profile: Profile,
+        *,
+        capacity: int,
+        stamps: StampClock | None = None,
+        fields: SafetyFields | None = None,
+    ) -> None:
+        """Raises ValueError for a capacity below 1.
+
+        ``stamps`` relates the stamps of reports to wall time. ``fields`` are those of the profile, if they are there.
+        """
+        if capacity < 1:
+            raise ValueError(f"a neighbour table has room for one entry at least, not {capacity}")
+        self.capacity = capacity
+        self.fields = fields or SafetyFields(profile)
+        self._modulus = seqno_modulus(profile)
+        self.stamps = stamps or StampClock(profile.types.timestamp)
+        self._entries: dict[bytes, NeighbourTableEntry] = {}
+        # Those with one report only, the oldest first: a flood of forged identifiers consists of them.
+        self._once: dict[bytes, None] = {}
+        self.displaced: bytes | None = None
+        """The node that :meth:`record` gave up last to make room, until somebody takes note of it."""
+
+    def __len__(self) -> int:
+        return len(self._entries)
+
+    def __iter__(self) -> Iterator[NeighbourTableEntry]:
+        return iter(tuple(self._entries.values()))
+
+    def __contains__(self, node_id: object) -> bool:
+        return node_id in self._entries
+
+    # -- the operations of the specification ------------------------------------------------------------------
+
+    ##= SRP-NT-01
+    def lookup(self, node_id: bytes) -> NeighbourTableEntry | None:
+        """``ntLookup``: the entry of a node, None if there is none."""
+        return self._entries.get(node_id)
+
+    ##= SRP-NT-02
+    def list_all_node_ids(self) -> list[bytes]:
+        """``ntListAllNodeIds``: the nodes in the table, in no order that can be relied upon."""
+        return [*self._entries]
+
+    # -- maintenance, for SRP itself --------------------------------------------------------------------------
+
+    def record(
+        self, report: ExtendedSafetyData, sender_id: bytes, *, now: int, wall: int
+    ) -> Literal["new", "replaced", "full"]:
+        """Insert a report or replace the entry of its node.
+
+        A full table gives up an entry for a new node: the oldest of those with a single report, otherwise the one that
+        was silent for longest; ``displaced`` names it.
+        """
+        ##= SRP-RX-05
+        node_id = report.node_id
+        old = self._entries.get(node_id)
+        if old is None:
+            if len(self._entries) >= self.capacity:
+                self.displaced = self._least_useful()
+                self._remove(self.displaced)
+            self._once[node_id] = None
+        else:
+            self._once.pop(node_id, None)
+        ##= SRP-RX-03
+        ##= SRP-RX-04
+        # Also when its sequence number is lower: the node may have been started anew.
+        self._entries[node_id] = (
+            NeighbourTableEntry(node_id, report, wall, now, sender_id, wall, now)
+            if old is None
+            else _succeed(old, report, sender_id, now, wall, self._modulus)
+        )
+        return "new" if old is None else "replaced"
+
+    def expire(self, now: int, timeout: int) -> list[bytes]:
+        """Drop what was received more than ``timeout`` ns before ``now``; returns the nodes that are gone."""
+        ##= SRP-RUN-02
+        gone = [node_id for node_id, entry in self._entries.items() if now - entry.received_at > timeout]
+        for node_id in gone:
+            self._remove(node_id)
+        return gone
+
+    def expire_at(self, wall: int, timeout: int) -> list[bytes]:
+        """As :meth:`expire` by the system time, in ns since 1970 (X50 ``system-time``)."""
+        gone = [node_id for node_id, entry in self._entries.items() if wall - entry.reception_time > timeout]
+        for node_id in gone:
+            self._remove(node_id)
+        return gone
+
+    def clear(self) -> None:
+        """Forget everybody."""
+        self._entries.clear()
+        self._once.clear()
+
+    def _least_useful(self) -> bytes:
+        if self._once:
+            return next(iter(self._once))
+        return min(self._entries.values(), key=lambda entry: entry.received_at).node_id
+
+    def _remove(self, node_id: bytes) -> None:
+        del self._entries[node_id]
+        self._once.pop(node_id, None)
+
+
+def seqno_modulus(profile: Profile) -> int:
+    """What sequence numbers count modulo: 2^32, or less where a profile has fewer octets for them."""
+    return min(SRP_SEQNO_MODULUS, 1 << (8 * profile.types.srp_seqno.width))
+
+
+##= SRP-NT-04
+def _succeed(
+    old: NeighbourTableEntry, report: ExtendedSafetyData, sender_id: bytes, now: int, wall: int, modulus: int
+) -> NeighbourTableEntry:
+    """The entry that takes the place of ``old``, with its statistics carried on."""
+    gap = (report.seqno - old.ext_sd.seqno) % modulus
+    if gap == 0:
+        return msgspec.structs.replace(
+            old, ext_sd=report, reception_time=wall, received_at=now, sender_id=sender_id, repeated=old.repeated + 1
+        )
+    restarted = gap >= min(RESTART_GAP, modulus // 2)
+    interval = float(now - old.fresh_at)
+    if old.mean_interval is not None:
+        interval = EWMA_ALPHA * old.mean_interval + (1 - EWMA_ALPHA) * interval
+    return NeighbourTableEntry(
+        old.node_id,
+        report,
+        wall,
+        now,
+        sender_id,
+        old.first_seen,
+        now,
+        received=old.received + 1,
+        repeated=old.repeated,
+        lost=old.lost if restarted else old.lost + gap - 1,
+        restarts=old.restarts + restarted,
+        mean_gap=old.mean_gap if restarted else EWMA_ALPHA * old.mean_gap + (1 - EWMA_ALPHA) * gap,
+        mean_interval=interval,
+        before=None if restarted else old.ext_sd,
+        before_at=old.fresh_at,
+    )

@@ -1,0 +1,1 @@
+"""VarDis, the Variable Dissemination Protocol (dcp-vardis.md), without input or output."""

@@ -1,0 +1,171 @@
+"""Composing a payload of instruction containers (dcp-vardis.md#vardis-payload-format-construction)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from itertools import islice
+
+from dcp_spec.constants import IC_MAX_RECORDS, ICType
+
+from dcp_codec.values import (
+    Container,
+    VarCreate,
+    VarDelete,
+    VardisRecord,
+    VarReqCreate,
+    VarReqUpdate,
+    VarSumm,
+    VarUpdate,
+)
+
+from .core import Core
+from .database import DBEntry, IdQueue
+
+
+class Composer:
+    """Fills payloads from the queues of a database, and counts down what it has filled in."""
+
+    def __init__(self, core: Core) -> None:
+        config = core.config
+        self._database = core.database
+        self._parameters = core.parameters
+        self._sizes = core.sizes
+        database = core.database
+        self._queues = {
+            ICType.CREATE_VARIABLES: database.create_q,
+            ICType.DELETE_VARIABLES: database.delete_q,
+            ICType.REQUEST_VARCREATES: database.req_create_q,
+            ICType.SUMMARIES: database.summary_q,
+            ICType.UPDATES: database.update_q,
+            ICType.REQUEST_VARUPDATES: database.req_upd_q,
+        }
+        ##= VD-PAY-07
+        ##= VD-PAY-01
+        self._order = tuple([(kind, self._queues[kind]) for kind in config.features.container_order])
+        ##= VD-IC-02
+        self._numbers = config.container_numbers
+        ##= VD-IC-04
+        self._several = (
+            config.features.several_containers_per_type and config.profile.behaviour.containers_per_type == "several"
+        )
+        self._purge = config.features.purge_when_composing or config.reading("X17") == "purge-first"
+
+    def compose(self, room: int) -> tuple[Container, ...]:
+        """The containers of the next payload, at most ``room`` octets; empty if there is nothing to say.
+
+        Everything in it counts as sent: counters go down and requests leave their queues.
+        """
+        ##= VD-CMP-14
+        if self._purge:
+            self._database.purge()
+        largest = room - self._sizes.ic_header
+        containers: list[Container] = []
+        for kind, queue in self._order:
+            ##= VD-IC-03
+            if not queue:
+                continue
+            chosen, used = self._fitting(kind, queue, room, largest)
+            room -= used
+            # Records are made before the next container is considered: what is chosen has left its queue.
+            records = [self._take(kind, var_id) for var_id in chosen]
+            ##= VD-PAY-05
+            for first in range(0, len(records), IC_MAX_RECORDS):
+                group = tuple(records[first : first + IC_MAX_RECORDS])
+                ##= VD-IC-01
+                containers.append(Container(ic_type=self._numbers[kind], records=group))
+        return tuple(containers)
+
+    def _fitting(self, kind: ICType, queue: IdQueue, room: int, largest: int) -> tuple[list[int], int]:
+        """``numberFittingRecords``: the identifiers whose records fit into ``room`` octets, and how many these take.
+
+        The queue is looked at once, from its head, until a record does not fit, so no variable comes twice into a
+        payload. ``largest`` is what an empty payload could take.
+        """
+        candidates: Iterable[int] = queue
+        if kind is ICType.SUMMARIES:
+            ##= VD-CMP-01
+            ##= VD-CMP-02
+            candidates = islice(candidates, self._parameters.max_summaries)
+        header = self._sizes.ic_header
+        chosen: list[int] = []
+        used = 0
+        ##= VD-PAY-06
+        for var_id in candidates:
+            size = self._record_size(kind, var_id)
+            ##= VD-CMP-08 | exception: what no payload can hold (limits were lowered since) does not block the rest
+            if size > largest:
+                continue
+            if len(chosen) % IC_MAX_RECORDS == 0:
+                if chosen and not self._several:
+                    break
+                size += header
+            ##= VD-CMP-08
+            ##= VD-CMP-13
+            ##= VD-IC-05
+            if used + size > room:
+                break
+            ##= VD-PAY-02
+            ##= VD-PAY-03
+            chosen.append(var_id)
+            used += size
+        return chosen, used
+
+    def _record_size(self, kind: ICType, var_id: int) -> int:
+        if kind is ICType.CREATE_VARIABLES:
+            entry = self._entry(var_id)
+            return self._sizes.create(entry.spec, entry.value)
+        if kind is ICType.UPDATES:
+            return self._sizes.update(self._entry(var_id).value)
+        size = self._sizes.fixed[kind]
+        assert size is not None
+        return size
+
+    def _entry(self, var_id: int) -> DBEntry:
+        return self._database.entries[var_id]
+
+    def _take(self, kind: ICType, var_id: int) -> VardisRecord:
+        """The record of a variable, which from now on counts as sent."""
+        database = self._database
+        if kind is ICType.REQUEST_VARCREATES:
+            ##= VD-CMP-12
+            database.req_create_q.remove(var_id)
+            return VarReqCreate(var_id)
+        entry = self._entry(var_id)
+        if kind is ICType.CREATE_VARIABLES:
+            ##= VD-CMP-06
+            entry.count_create -= 1
+            _rotate_or_leave(database.create_q, var_id, entry.count_create)
+            ##= VD-CMP-07
+            ##= VD-TYP-06
+            ##= VD-PC-10
+            ##= VD-TYP-07
+            return VarCreate(entry.spec, VarUpdate(var_id, entry.seqno, entry.value))
+        if kind is ICType.UPDATES:
+            ##= VD-CMP-09
+            entry.count_update -= 1
+            _rotate_or_leave(database.update_q, var_id, entry.count_update)
+            ##= VD-UPD-10
+            return VarUpdate(var_id, entry.seqno, entry.value)
+        if kind is ICType.DELETE_VARIABLES:
+            ##= VD-CMP-10
+            entry.count_delete -= 1
+            _rotate_or_leave(database.delete_q, var_id, entry.count_delete)
+            if not entry.count_delete:
+                database.after_last_delete(var_id)
+            return VarDelete(var_id)
+        if kind is ICType.REQUEST_VARUPDATES:
+            ##= VD-CMP-11
+            database.req_upd_q.remove(var_id)
+            return VarReqUpdate(var_id, entry.seqno)
+        ##= VD-CMP-03
+        database.summary_q.rotate(var_id)
+        ##= VD-CMP-04
+        return VarSumm(var_id, entry.seqno)
+
+
+def _rotate_or_leave(queue: IdQueue, var_id: int, remaining: int) -> None:
+    ##= VD-SCP-02
+    if remaining:
+        queue.rotate(var_id)
+    else:
+        queue.remove(var_id)

@@ -1,0 +1,92 @@
+"""What the parts of VarDis share: configuration, database, and the rules by which events are judged."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from dcp_stack.config import MAX_VARIABLES, NodeConfig
+from dcp_stack.effects import Effect, VariableChanged
+from dcp_stack.timestamps import StampClock
+
+from .database import Database, DBEntry
+from .delivery import Delivery
+from .parameters import VardisParameters
+from .state_table import Cell, Event, table
+
+
+class Sequence:
+    """Circular comparison of sequence numbers (C.1, reading X28)."""
+
+    def __init__(self, modulus: int, policy: str) -> None:
+        self._modulus = modulus
+        self._half = modulus >> 1
+        self._half_is_older = policy == "half-range-older"
+        self._half_is_answered = policy != "half-range-neither"
+
+    def received_is_older(self, received: int, own: int) -> bool:
+        """Whether a received number is strictly older than the stored one."""
+        behind = (own - received) % self._modulus
+        return 0 < behind < self._half or (behind == self._half and self._half_is_older)
+
+    def answers(self, requested: int, own: int) -> bool:
+        """Whether the stored number is strictly newer than that of a request."""
+        ahead = (own - requested) % self._modulus
+        return 0 < ahead < self._half or (ahead == self._half and self._half_is_answered)
+
+    def after(self, seqno: int) -> int:
+        """The next number."""
+        return (seqno + 1) % self._modulus
+
+
+class Core:
+    """The state of one VarDis entity; services, receiver and composer work on it."""
+
+    def __init__(self, config: NodeConfig, emit: Callable[[Effect], None]) -> None:
+        """Raises ValueError if the node has no VarDis, or parameters in ``config.vardis`` are out of bounds."""
+        self.config = config
+        self.features = config.features
+        self.emit = emit
+        self.parameters = VardisParameters(config)
+        self.sizes = config.record_sizes
+        self.sequence = Sequence(self.sizes.seqno_modulus, _half_range(config))
+        self.delivery = Delivery(self.sequence)
+        """Whether what this node says gets through."""
+        self.database = Database(remove_deleted=self.features.removed_after_deletion)
+        # The wall clock counts from 1970 in every profile: a start of the node must not make creations look earlier.
+        self.clock = StampClock(config.profile.types.timestamp)
+        self.own_id = config.node_id
+        ##= VD-INI-01
+        self.active = False
+        """``vardisActive``."""
+        assert config.vardis is not None
+        self.settings = config.vardis
+        ahead = self.settings.max_creation_ahead_s
+        if ahead is not None and not ahead >= 0:
+            raise ValueError(f"max_creation_ahead_s is a number of seconds from 0 on, not {ahead:g}")
+        room = self.settings.max_variables
+        self.max_variables = room if room is not None else config.profile.limits.max_variables or MAX_VARIABLES
+        self._table = table(config)
+
+    def cell(self, event: Event, entry: DBEntry | None) -> Cell:
+        """What the table says about an event for a variable with this entry, None if there is none."""
+        unknown, own, foreign, own_deleted, foreign_deleted = self._table[event]
+        if entry is None:
+            return unknown
+        if entry.spec.prod_id == self.own_id:
+            return own_deleted if entry.is_deleted else own
+        return foreign_deleted if entry.is_deleted else foreign
+
+    def changed(self, event: str, entry: DBEntry) -> None:
+        """Tell that a variable was ``created``, ``updated`` or ``deleted``."""
+        spec = entry.spec
+        if event == "deleted" or spec.prod_id != self.own_id:
+            self.delivery.deleted(spec.var_id)
+        self.emit(VariableChanged(event, spec.var_id, entry.seqno, entry.value, spec.prod_id))
+
+
+def _half_range(config: NodeConfig) -> str:
+    """Reading X28 if it was chosen, otherwise what the profile says of its implementation."""
+    if "X28" in config.readings:
+        return config.reading("X28")
+    names = {"neither": "half-range-neither", "newer": "half-range-answered", "older": "half-range-older"}
+    return names[config.profile.behaviour.seqno_half_range]

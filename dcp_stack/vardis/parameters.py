@@ -1,0 +1,172 @@
+"""The configurable parameters of VarDis (dcp-vardis.md#vardis-configurable-parameters), as a node has them now."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+import msgspec
+from dcp_spec.parameters import Sizes, UnknownParameterError, Violation, parameter, parameters, validate
+
+from dcp_stack.config import NodeConfig
+
+VALUE_LENGTH = "VARDISPAR_MAX_VALUE_LENGTH"
+DESCRIPTION_LENGTH = "VARDISPAR_MAX_DESCRIPTION_LENGTH"
+REPETITIONS = "VARDISPAR_MAX_REPETITIONS"
+PAYLOAD_SIZE = "VARDISPAR_MAX_PAYLOAD_SIZE"
+SUMMARIES = "VARDISPAR_MAX_SUMMARIES"
+SCRUBBING_PERIOD = "VARDISPAR_SCRUBBING_PERIOD"
+BUFFER_CHECK_PERIOD = "VARDISPAR_BUFFER_CHECK_PERIOD"
+
+#: The payload size first and the value length second: the bounds of those behind depend on them.
+_ORDER = (
+    PAYLOAD_SIZE,
+    VALUE_LENGTH,
+    DESCRIPTION_LENGTH,
+    REPETITIONS,
+    SUMMARIES,
+    SCRUBBING_PERIOD,
+    BUFFER_CHECK_PERIOD,
+)
+
+
+class VardisParameters:
+    """Current values, by the specification's names; lengths and sizes in octets, periods in ms."""
+
+    def __init__(self, config: NodeConfig) -> None:
+        """Raises ValueError for a value in ``config.vardis`` that violates a bound.
+
+        What ``config.vardis`` leaves open comes from the limits of the profile, lowered where a bound asks for it.
+        """
+        values, self._sizes = config.once(_initial)
+        self._values = dict(values)
+        self._record_bound = config.reading("X23") == "record-bound"
+        self._takes_nearest = config.reading("X39") == "nearest-value"
+        ##= VD-CRE-04
+        # The parameter of 1.0 counts the terminating NUL, the limit of a profile is what a description may have.
+        self._terminator = _terminator(config)
+
+    def as_dict(self) -> dict[str, int]:
+        """All parameters that the version has, in the order of the specification."""
+        ##= VD-PAR-09
+        return {name: self._values[name] for name in parameters() if name in self._values}
+
+    def set(self, name: str, value: object) -> Violation | None:
+        """Give a parameter a new value, or say why it cannot have it.
+
+        Raises ``UnknownParameterError`` for a name that is no parameter of VarDis.
+        """
+        if name not in _ORDER:
+            raise UnknownParameterError(f"VarDis has no parameter {name!r}")
+        changed = _changed(name, value, self._values, self._sizes, record_bound=self._record_bound)
+        if isinstance(changed, Violation) and self._takes_nearest and isinstance(value, int):
+            value = _nearest(name, value, self._sizes)
+            changed = _changed(name, value, self._values, self._sizes, record_bound=self._record_bound)
+        if isinstance(changed, Violation):
+            return changed
+        assert isinstance(value, int)
+        self._sizes = changed
+        ##= VD-PAR-01
+        self._values[name] = value
+        return None
+
+    @property
+    def max_value_length(self) -> int:
+        """Longest value in octets."""
+        return self._values[VALUE_LENGTH]
+
+    @property
+    def longest_description(self) -> int:
+        """Longest description in octets, without a terminating NUL."""
+        return self._values[DESCRIPTION_LENGTH] - self._terminator
+
+    @property
+    def max_repetitions(self) -> int:
+        """Highest repetition count."""
+        return self._values[REPETITIONS]
+
+    @property
+    def max_payload_size(self) -> int:
+        """Largest payload in octets."""
+        return self._values[PAYLOAD_SIZE]
+
+    @property
+    def max_summaries(self) -> int:
+        """Most summaries in a payload; 0 for none."""
+        return self._values[SUMMARIES]
+
+    @property
+    def scrubbing_period_ms(self) -> int:
+        """Time between two runs of scrubbing in ms; none of it before 2.0."""
+        return self._values[SCRUBBING_PERIOD]
+
+    @property
+    def buffer_check_period_ms(self) -> int:
+        """Time between two looks at the buffer of BP in ms."""
+        return self._values[BUFFER_CHECK_PERIOD]
+
+
+def _nearest(name: str, value: int, sizes: Sizes) -> int:
+    """The legal value that is nearest to one out of bounds (X39)."""
+    lowest, highest = parameter(name).minimum(sizes), parameter(name).maximum(sizes)
+    value = value if highest is None else min(value, highest)
+    return value if lowest is None else max(value, lowest)
+
+
+def _terminator(config: NodeConfig) -> int:
+    return int(config.features.string_format == "nul-terminated")
+
+
+def _initial(config: NodeConfig) -> tuple[Mapping[str, int], Sizes]:
+    """The values that a node begins with, and the sizes that bounds depend on then."""
+    settings = config.vardis
+    if settings is None:
+        raise ValueError("the node is configured without VarDis")
+    limits, sizes = config.profile.limits, config.sizes
+    chosen = {
+        VALUE_LENGTH: settings.max_value_length,
+        DESCRIPTION_LENGTH: settings.max_description_length,
+        REPETITIONS: settings.max_repetitions,
+        PAYLOAD_SIZE: settings.max_payload_size,
+        SUMMARIES: settings.max_summaries,
+        SCRUBBING_PERIOD: settings.scrubbing_period_ms,
+        BUFFER_CHECK_PERIOD: settings.buffer_check_period_ms,
+    }
+    fallback = {
+        VALUE_LENGTH: limits.max_value_length,
+        DESCRIPTION_LENGTH: limits.max_description_length + _terminator(config),
+        REPETITIONS: limits.max_repetitions,
+        PAYLOAD_SIZE: limits.max_vardis_payload,
+        SUMMARIES: limits.max_summaries,
+    }
+    record_bound = config.reading("X23") == "record-bound"
+    values: dict[str, int] = {}
+    for name in _ORDER:
+        if parameter(name).since > config.profile.spec_version:
+            continue
+        value = chosen[name]
+        if value is None:
+            highest = parameter(name).maximum(sizes)
+            value = fallback[name] if highest is None else min(fallback[name], highest)
+        changed = _changed(name, value, values, sizes, record_bound=record_bound)
+        if isinstance(changed, Violation):
+            raise ValueError(str(changed))
+        values[name], sizes = value, changed
+    return MappingProxyType(values), sizes
+
+
+def _changed(
+    name: str, value: object, values: Mapping[str, int], sizes: Sizes, *, record_bound: bool
+) -> Sizes | Violation:
+    """The sizes that bounds depend on with a new value, or why a parameter cannot have it."""
+    violation = validate(name, value, sizes)
+    if violation is not None:
+        return violation
+    assert isinstance(value, int)
+    if name == PAYLOAD_SIZE:
+        return msgspec.structs.replace(sizes, max_payload_size=value)
+    if name == VALUE_LENGTH:
+        sizes = msgspec.structs.replace(sizes, max_value_length=value)
+        if record_bound and DESCRIPTION_LENGTH in values:
+            violation = validate(DESCRIPTION_LENGTH, values[DESCRIPTION_LENGTH], sizes)
+    return violation or sizes

@@ -1,0 +1,232 @@
+"""The receive path of VarDis, second phase: instructions change the database (dcp-vardis.md, "Processing Step")."""
+
+from __future__ import annotations
+
+from dcp_spec.constants import ICType
+
+from dcp_codec.values import VarCreate, VarDelete, VarReqCreate, VarReqUpdate, VarSumm, VarUpdate
+from dcp_stack.drops import DROPS
+from dcp_stack.effects import Dropped
+
+from .core import Core
+from .database import DBEntry
+from .state_table import Action, Cell, Event
+from .wire import Extracted
+
+#: What an extraction error violates, by the reason of the codec; all others are records that end too late.
+_EXTRACTION = {"unknown-type": "VD-RX-05", "zero-count": "VD-RX-06"}
+_REQUIREMENTS = {reason: requirement for reason, (requirement, _) in DROPS.items()}
+
+
+class Receiver:
+    """Executes the instructions of a payload, in the order of the specification."""
+
+    def __init__(self, core: Core) -> None:
+        self._core = core
+        self._database = core.database
+        self._parameters = core.parameters
+        self._emit = core.emit
+        self._check_too_long = core.features.receive_checks_too_long
+        self._check_empty_and_repcnt = core.features.receive_checks_empty_and_repcnt
+        most = core.settings.max_creation_ahead_s
+        self._most_ahead = None if most is None else round(most * 1e9)
+        self._drop_mismatch = core.config.reading("X14") == "drop-mismatch"
+
+    def process(self, extracted: Extracted, *, now: int, wall: int) -> None:
+        """Execute all records and report all problems. Never raises."""
+        for problem in extracted.problems:
+            requirement = _EXTRACTION.get(problem.reason, "VD-RX-07")
+            self._emit(Dropped("vardis", problem.reason, requirement, problem.offset))
+        records = extracted.records
+        ##= VD-RX-08
+        for offset, record in records[ICType.CREATE_VARIABLES]:
+            self._create(record, offset, now, wall)
+        for offset, record in records[ICType.DELETE_VARIABLES]:
+            self._delete(record, offset)
+        for offset, record in records[ICType.UPDATES]:
+            self._update(record, offset, now, wall)
+        for offset, record in records[ICType.SUMMARIES]:
+            self._summary(record, offset)
+        for offset, record in records[ICType.REQUEST_VARCREATES]:
+            self._request_create(record, offset)
+        for offset, record in records[ICType.REQUEST_VARUPDATES]:
+            self._request_update(record, offset)
+
+    # -- one record of each type --------------------------------------------------------------------------------
+
+    def _create(self, record: VarCreate, offset: int, now: int, wall: int) -> None:
+        var_id = record.spec.var_id
+        if self._most_ahead is not None and self._ahead(record, wall) > self._most_ahead:
+            self._dropped("creation-ahead", offset, var_id)
+            return
+        entry = self._database.lookup(var_id)
+        event = self._create_event(record, entry)
+        if record.spec.prod_id == self._core.own_id:
+            known = None if entry is None else entry.spec.creation_time
+            self._core.delivery.own_creation(var_id, record.spec.creation_time, known)
+        elif entry is not None and record.upd.seqno == entry.seqno:
+            self._core.delivery.has(var_id)
+        cell = self._core.cell(event, entry)
+        if cell.action is not Action.ADOPT:
+            self._drop(cell, offset, var_id)
+            return
+        if entry is None and len(self._database) >= self._core.max_variables:
+            self._dropped("database-full", offset, var_id)
+            return
+        ##= VD-PC-07
+        stored = self._database.insert(record.spec, record.upd.value, record.upd.seqno, now=now, wall=wall)
+        self._core.changed("created", stored)
+
+    def _ahead(self, record: VarCreate, wall: int) -> int:
+        """How far (ns) the creation time of a VarCreate is ahead of the own clock; negative as it should be."""
+        created = record.spec.creation_time
+        return 0 if created is None else self._core.clock.wall(created, near=wall) - wall
+
+    def _create_event(self, record: VarCreate, entry: DBEntry | None) -> Event:
+        """How a VarCreate compares with what is known, in the order of the steps."""
+        spec, upd = record.spec, record.upd
+        if self._drop_mismatch and upd.var_id != spec.var_id:
+            return Event.RX_CREATE_MISMATCH
+        ##= VD-PC-01
+        if entry is not None and not self._is_later(record, entry):
+            return Event.RX_CREATE_NOT_LATER
+        ##= VD-PC-03
+        if spec.prod_id == self._core.own_id:
+            return Event.RX_CREATE_OWN
+        ##= VD-PC-04
+        if self._is_bad_value(upd.value):
+            return Event.RX_CREATE_BAD_VALUE
+        ##= VD-PC-05
+        if self._check_too_long and len(spec.descr) > self._parameters.longest_description:
+            return Event.RX_CREATE_BAD_DESCRIPTION
+        if self._check_empty_and_repcnt:
+            if not spec.descr:
+                return Event.RX_CREATE_BAD_DESCRIPTION
+            ##= VD-PC-06
+            if not 1 <= spec.rep_cnt <= self._parameters.max_repetitions:
+                return Event.RX_CREATE_BAD_REPCNT
+        return Event.RX_CREATE_LATER
+
+    def _is_later(self, record: VarCreate, entry: DBEntry) -> bool:
+        """Whether a VarCreate is of a later creation than the one known; nothing tells that before 2.0."""
+        ##= VD-PC-11
+        received, stored = record.spec.creation_time, entry.spec.creation_time
+        return self._core.features.creation_time and received is not None and stored is not None and received > stored
+
+    def _is_bad_value(self, value: bytes) -> bool:
+        ##= VD-TYP-02
+        too_long = self._check_too_long and len(value) > self._parameters.max_value_length
+        return too_long or (self._check_empty_and_repcnt and not value)
+
+    def _delete(self, record: VarDelete, offset: int) -> None:
+        entry = self._database.lookup(record.var_id)
+        cell = self._core.cell(Event.RX_DELETE, entry)
+        if cell.action is Action.DELETE and entry is not None:
+            ##= VD-PD-04
+            self._database.mark_deleted(entry)
+            self._core.changed("deleted", entry)
+        else:
+            self._drop(cell, offset, record.var_id)
+
+    def _update(self, record: VarUpdate, offset: int, now: int, wall: int) -> None:
+        var_id = record.var_id
+        entry = self._database.lookup(var_id)
+        cell = self._core.cell(self._update_event(record, entry), entry)
+        if cell.action is Action.STORE and entry is not None:
+            ##= VD-PU-07
+            self._database.store(entry, record.value, record.seqno, now=now, wall=wall)
+            ##= VD-PU-08
+            self._database.req_upd_q.remove(var_id)
+            self._core.changed("updated", entry)
+            return
+        self._answer(cell, entry, var_id, offset)
+
+    def _update_event(self, record: VarUpdate, entry: DBEntry | None) -> Event:
+        ##= VD-PU-04
+        if self._is_bad_value(record.value):
+            return Event.RX_UPDATE_BAD_VALUE
+        if entry is None:
+            return Event.RX_UPDATE_NEWER
+        ##= VD-PU-05
+        if record.seqno == entry.seqno:
+            return Event.RX_UPDATE_EQUAL
+        if self._core.sequence.received_is_older(record.seqno, entry.seqno):
+            return Event.RX_UPDATE_OLDER
+        return Event.RX_UPDATE_NEWER
+
+    def _summary(self, record: VarSumm, offset: int) -> None:
+        ##= VD-SCP-01
+        var_id = record.var_id
+        entry = self._database.lookup(var_id)
+        if entry is not None and entry.spec.prod_id == self._core.own_id:
+            self._core.delivery.summary_of_own(var_id, record.seqno)
+        if entry is not None and record.seqno == entry.seqno:
+            event = Event.RX_SUMMARY_EQUAL
+            self._core.delivery.has(var_id)
+        elif entry is not None and self._core.sequence.received_is_older(record.seqno, entry.seqno):
+            event = Event.RX_SUMMARY_OLDER
+        else:
+            event = Event.RX_SUMMARY_NEWER
+        self._answer(self._core.cell(event, entry), entry, var_id, offset)
+
+    def _request_update(self, record: VarReqUpdate, offset: int) -> None:
+        entry = self._database.lookup(record.var_id)
+        ##= VD-RU-03
+        behind = entry is not None and self._core.sequence.answers(record.seqno, entry.seqno)
+        event = Event.RX_REQUEST_UPDATE_BEHIND if behind else Event.RX_REQUEST_UPDATE_OTHER
+        self._answer(self._core.cell(event, entry), entry, record.var_id, offset)
+
+    def _request_create(self, record: VarReqCreate, offset: int) -> None:
+        entry = self._database.lookup(record.var_id)
+        self._answer(self._core.cell(Event.RX_REQUEST_CREATE, entry), entry, record.var_id, offset)
+
+    # -- what cells ask for -------------------------------------------------------------------------------------
+
+    def _answer(self, cell: Cell, entry: DBEntry | None, var_id: int, offset: int) -> None:
+        """Schedule the instruction that a cell asks for, and report the record if it was ignored."""
+        database, action = self._database, cell.action
+        if action is Action.IGNORE:
+            pass
+        elif action is Action.REQUEST_CREATE:
+            self._request(var_id, offset)
+        elif entry is not None:
+            if action is Action.TEACH:
+                ##= VD-PU-06
+                ##= VD-PS-03
+                if var_id not in database.update_q:
+                    database.arm_update(entry)
+            elif action is Action.SEND_UPDATE:
+                ##= VD-RU-04
+                database.arm_update(entry)
+                self._core.delivery.asked(var_id)
+            elif action is Action.SEND_CREATE:
+                ##= VD-RC-03
+                database.arm_create(entry)
+                self._core.delivery.asked(var_id)
+            elif action is Action.REQUEST_UPDATE:
+                ##= VD-PS-04
+                database.req_upd_q.append(var_id)
+        if cell.reason is not None:
+            self._dropped(cell.reason, offset, var_id)
+
+    def _request(self, var_id: int, offset: int) -> None:
+        """Ask neighbours for a variable."""
+        queue = self._database.req_create_q
+        if var_id in queue:
+            return
+        # What would not be stored need not be asked for, and nothing received may use up memory.
+        if len(self._database) >= self._core.max_variables or len(queue) >= self._core.max_variables:
+            self._dropped("database-full", offset, var_id)
+            return
+        ##= VD-PU-01
+        ##= VD-PS-01
+        ##= VD-RU-01
+        ##= VD-RC-01
+        queue.append(var_id)
+
+    def _drop(self, cell: Cell, offset: int, var_id: int) -> None:
+        if cell.reason is not None:
+            self._dropped(cell.reason, offset, var_id)
+
+    def _dropped(self, reason: str, offset: int, var_id: int) -> None:
+        self._emit(Dropped("vardis", reason, _REQUIREMENTS[reason], offset, var_id))

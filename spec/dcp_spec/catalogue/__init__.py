@@ -1,0 +1,1 @@
+"""The catalogue: requirements, readings of contradictory text, and where each stands in the specification."""

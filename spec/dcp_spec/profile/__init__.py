@@ -1,0 +1,1 @@
+"""Wire profiles: their definition, rules, loading and reference."""

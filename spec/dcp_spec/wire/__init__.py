@@ -1,0 +1,1 @@
+"""The wire formats of a profile as construct schemas."""

@@ -1,0 +1,185 @@
+"""What an installation without extras does, and what it says about those that are missing.
+
+The processes below import the standard library, this project and the distributions of the chosen extras; everything
+else fails to import as if it were not installed.
+"""
+
+from __future__ import annotations
+
+import ast
+import importlib.metadata
+import json
+import re
+import subprocess
+import sys
+import tomllib
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+from dcp_codec.common.extras import EXTRAS
+
+from ..ports import own_port
+
+ROOT = Path(__file__).resolve().parents[2]
+RECORDING = ROOT / "captures" / "b_crud.mcap"
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+OURS = {"dcp_spec", "dcp_codec", "dcp_stack", "dcp_conformance"}
+#: Runs a command of ours in a process where only the given packages of others can be imported.
+PROGRAM = """
+import importlib, importlib.abc, json, sys
+package, allowed, arguments = json.loads(sys.argv[1])
+class Absent(importlib.abc.MetaPathFinder):
+    def find_spec(self, name, path=None, target=None):
+        top = name.partition(".")[0]
+        if top in allowed or top in sys.stdlib_module_names:
+            return None
+        raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+for name in list(sys.modules):
+    if name.partition(".")[0] not in {*allowed, *sys.stdlib_module_names, "__main__"}:
+        del sys.modules[name]
+sys.meta_path.insert(0, Absent())
+importlib.import_module(package).main(arguments)
+"""
+
+
+def normal(name: str) -> str:
+    return re.sub(r"[-_.]+", "-", name).lower()
+
+
+def requirement(text: str) -> tuple[str, set[str]]:
+    """Name and extras of a requirement; without those that only other systems or further extras need."""
+    name, extras = re.match(r"([\w.-]+)(?:\[([^\]]*)\])?", text).groups()
+    return normal(name), {each.strip() for each in (extras or "").split(",") if each.strip()}
+
+
+def required(extras: Iterable[str]) -> Iterator[str]:
+    """The direct requirements of the kit with these extras, from pyproject.toml: the installed metadata may be old."""
+    texts = list(PROJECT["dependencies"])
+    for extra in extras:
+        texts += PROJECT["optional-dependencies"][extra]
+    for text in texts:
+        name, further = requirement(text)
+        if name == PROJECT["name"]:
+            yield from required(further)
+        else:
+            yield name
+
+
+@cache
+def packages(*extras: str) -> frozenset[str]:
+    """Top-level packages that an installation with these extras has, our own included."""
+    todo, found = list(required(extras)), set[str]()
+    while todo:
+        name = todo.pop()
+        if name in found:
+            continue
+        found.add(name)
+        try:
+            texts = importlib.metadata.requires(name) or []
+        except importlib.metadata.PackageNotFoundError:
+            continue  # for another system, or another version of Python
+        todo += [requirement(text)[0] for text in texts if "extra ==" not in text]
+    provided = importlib.metadata.packages_distributions()
+    tops = {top for top, names in provided.items() if found & {normal(name) for name in names}}
+    return frozenset(tops | OURS)
+
+
+@dataclass(frozen=True)
+class Done:
+    status: int
+    out: str
+    err: str
+
+
+def run(line: str, *extras: str) -> Done:
+    """Run a command as it behaves in an installation with these extras."""
+    name, *arguments = line.split()
+    package = {"dcp-node": "dcp_stack", "dcp-codec": "dcp_codec", "dcp-conformance": "dcp_conformance"}[name] + ".cli"
+    given = json.dumps([package, sorted(packages(*extras)), arguments])
+    done = subprocess.run([sys.executable, "-c", PROGRAM, given], capture_output=True, text=True, check=False)
+    return Done(done.returncode, done.stdout, done.stderr)
+
+
+def missing(package: str, extra: str) -> str:
+    return f"{package} is not installed: pip install 'dcp-conformance-kit[{extra}]'"
+
+
+def test_the_table_of_extras_agrees_with_the_project_file():
+    for package, extra in EXTRAS.items():
+        if package == "atheris":  # wheels for some systems only
+            continue
+        assert package in packages(extra), (package, extra)
+        assert package not in packages(), package
+
+
+def test_the_help_of_all_commands_needs_no_extra():
+    for line in ("dcp-node --help", "dcp-codec --help", "dcp-conformance --help", "dcp-node run --help"):
+        assert run(line).status == 0, line
+
+
+def test_a_node_over_udp_needs_no_extra(tmp_path):
+    # The end of standard input is the end of the node.
+    control = f"--link udp:239.255.77.1:{own_port()} --node-id 02:00:00:00:00:01 --control stdio"
+    done = run(f"dcp-node run {control} --log-level error")
+    assert (done.status, done.err) == (0, "")
+
+
+def test_simulation_and_pcap_need_no_extra(tmp_path):
+    assert run("dcp-node simulate -n 2 --duration 2").status == 0
+    medium = tmp_path / "medium.pcap"
+    assert run(f"dcp-codec convert {RECORDING} {medium}", "mcap").status == 0
+    done = run(f"dcp-codec stats {medium}")
+    assert (done.status, "beacons in" in done.out) == (0, True)
+
+
+@pytest.mark.parametrize(
+    ("line", "package", "extra"),
+    [
+        (f"dcp-codec stats {RECORDING}", "mcap", "mcap"),
+        ("dcp-node run --link udp --control none --record {tmp}/node.mcap", "mcap", "mcap"),
+        ("dcp-codec export ksy --profile dcp-2.0", "yaml", "ksy"),
+        ("dcp-codec export scapy --profile dcp-2.0", "scapy", "scapy"),
+        (f"dcp-codec table {RECORDING} --out {{tmp}}/tables", "numpy", "table"),
+        ("dcp-codec record --interface lo --out {tmp}/lo.pcap", "scapy", "scapy"),
+        ("dcp-node run --interface lo --node-id 02:00:00:00:00:01 --control none", "scapy", "scapy"),
+        ("dcp-conformance run --in-process TC_BP_TX_TI_04", "greenlet", "conformance"),
+    ],
+)
+def test_what_is_missing_is_named_with_its_extra(line, package, extra, tmp_path):
+    done = run(line.format(tmp=tmp_path))
+    assert done.status == 2
+    assert missing(package, extra) in done.err
+    assert "Traceback" not in done.err
+
+
+CASES = "TC_BP_TX_TI_04 --jobs 1"
+
+
+def test_a_run_in_process_needs_no_scapy(tmp_path):
+    done = run(f"dcp-conformance run --in-process {CASES} --report-dir {tmp_path}/report", "conformance")
+    assert done.status == 0, done.err
+    assert (tmp_path / "report" / "report.html").is_file()
+
+
+def test_a_run_over_ethernet_says_that_scapy_is_missing(tmp_path):
+    done = run(f"dcp-conformance run --interface lo {CASES} --report-dir {tmp_path}/report", "conformance")
+    assert missing("scapy", "scapy") in done.err
+    assert done.status == 4
+    assert "Traceback" not in done.err
+
+
+def test_only_one_package_imports_scapy():
+    found = set[str]()
+    for folder in ("spec/dcp_spec", "dcp_codec", "dcp_stack", "conformance/dcp_conformance"):
+        for path in (ROOT / folder).rglob("*.py"):
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+                names = [each.name for each in node.names] if isinstance(node, ast.Import) else []
+                if isinstance(node, ast.ImportFrom) and node.level == 0:
+                    names.append(node.module or "")
+                if any(name.partition(".")[0] == "scapy" for name in names):
+                    found.add(path.parent.relative_to(ROOT).as_posix())
+    assert found == {"dcp_codec/scapy"}
