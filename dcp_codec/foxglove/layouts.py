@@ -86,8 +86,8 @@ def _layout(
 ) -> Json:
     panels: Json = {}
 
-    def panel(kind: str, name: str, settings: Json) -> str:
-        panels[f"{kind}!{name}"] = settings
+    def panel(kind: str, name: str, title: str, settings: Json) -> str:
+        panels[f"{kind}!{name}"] = {"foxglovePanelTitle": title, **settings}
         return f"{kind}!{name}"
 
     colours = {topic: _COLOURS[number % len(_COLOURS)] for number, topic in enumerate(poses)}
@@ -98,24 +98,24 @@ def _layout(
             for topic, colour in colours.items()
         }
         scene = {"cameraState": _camera(positions), "followMode": "follow-none", "followTf": "dcp", "topics": shown}
-        left.append(panel("3D", "positions", scene))
+        left.append(panel("3D", "positions", "Positions", scene))
         for axis in "xyz":
             lines = (f"{topic}.pose.position.{axis}" for topic in poses[:_MANY])
-            right.append(panel("Plot", f"position-{axis}", _plot(f"{axis} in m", lines, colours.values())))
+            right.append(panel("Plot", f"position-{axis}", f"{axis} in m", _plot(lines, colours.values())))
     if senders:
         # One line for each sender: theirs are different sequences.
         lines = (f'{BEACONS}{{sender=="{sender}"}}.seqno' for sender in senders)
-        left.append(panel("Plot", "beacons", _plot("Sequence numbers of beacons", lines, cycle(_COLOURS))))
+        left.append(panel("Plot", "beacons", "Sequence numbers of beacons", _plot(lines, cycle(_COLOURS))))
     if "/dcp/vardis" in topics:
         path = {"value": "/dcp/vardis.icName", "label": "instructions", "timestampMethod": "receiveTime"}
-        left.append(panel("StateTransitions", "instructions", {"paths": [path], "isSynced": True}))
-        right.append(panel("RawMessages", "vardis", {"topicPath": "/dcp/vardis"}))
+        left.append(panel("StateTransitions", "instructions", "Instructions", {"paths": [path], "isSynced": True}))
+        right.append(panel("RawMessages", "vardis", "VarDis payloads", {"topicPath": "/dcp/vardis"}))
     if "/dcp/variables" in topics:
-        right.append(panel("Table", "variables", {"topicPath": "/dcp/variables"}))
+        right.append(panel("Table", "variables", "Variables", {"topicPath": "/dcp/variables"}))
     if "/dcp/neighbours" in topics:
-        left.append(panel("Table", "neighbours", {"topicPath": "/dcp/neighbours.neighbours[:]"}))
+        left.append(panel("Table", "neighbours", "Neighbours", {"topicPath": "/dcp/neighbours.neighbours[:]"}))
     if "/dcp/errors" in topics:
-        right.append(panel("Table", "errors", {"topicPath": "/dcp/errors"}))
+        right.append(panel("Table", "errors", "Malformed frames", {"topicPath": "/dcp/errors"}))
     sides = [_stack(side, "column") for side in (left, right) if side]
     return {
         "configById": panels,
@@ -126,13 +126,13 @@ def _layout(
     }
 
 
-def _plot(title: str, lines: Iterable[str], colours: Iterable[str]) -> Json:
+def _plot(lines: Iterable[str], colours: Iterable[str]) -> Json:
     paths = [
         {"value": line, "enabled": True, "timestampMethod": "receiveTime", "color": colour, "label": _label(line)}
         for line, colour in zip(lines, colours, strict=False)
     ]
     settings = {"showXAxisLabels": True, "showYAxisLabels": True, "showLegend": True, "legendDisplay": "floating"}
-    return {"title": title, "paths": paths, "isSynced": True, "xAxisVal": "timestamp", **settings}
+    return {"paths": paths, "isSynced": True, "xAxisVal": "timestamp", **settings}
 
 
 def _label(line: str) -> str:

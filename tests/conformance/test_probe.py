@@ -15,7 +15,7 @@ from dcp_conformance.execution.target import TargetOptions, describe
 from dcp_conformance.frames.builder import Block, FrameBuilder
 from dcp_conformance.interconnection.probe import Period, draft, measured_period, rounded, write_pics
 from dcp_conformance.interconnection.profile_ranking import doubtful, ranked_with
-from dcp_conformance.lower_tester import Arrival
+from dcp_conformance.lower_tester import Arrival, LinkHealth
 from dcp_conformance.model.case import DECLARED, DENIED, all_cases
 from dcp_conformance.model.declared import denied_by
 from dcp_conformance.model.pics import UNKNOWN_PROFILE, Capabilities, Pics, Testing, load_pics
@@ -152,6 +152,9 @@ class Air:
     def send(self, octets: bytes, source: bytes) -> bytes:
         """Nobody answers."""
         return b"\xff" * 6 + source + b"\x49\x53" + octets
+
+    def health(self) -> LinkHealth:
+        return LinkHealth(0)
 
     def receive(self, until: int, also: Any = ()) -> Arrival | None:
         if self._arrivals and self._arrivals[0].time < until:

@@ -181,6 +181,13 @@ class Judge:
                 odd.difference_update(set(ids) - asked)
         self._odd[node] = odd
 
+    def restarted(self, node_id: bytes) -> None:
+        """Say that a node has been restarted since the last frame.
+
+        Sequence numbers alone do not show a restart after a single beacon.
+        """
+        self._context.senders.restarted(node_id)
+
     def _cite(self) -> None:
         """Keep the frames of new findings while they are there."""
         if not self._context.changed:

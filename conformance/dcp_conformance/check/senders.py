@@ -40,6 +40,12 @@ class Senders:
         self._most = most
         self._known: dict[bytes, Sender] = {}
         self._gaps: deque[tuple[int, int]] = deque(maxlen=_GAPS)
+        self._restarted: set[bytes] = set()
+
+    def restarted(self, who: bytes) -> None:
+        """Somebody has restarted a node: its next beacon begins a new life, whatever its number."""
+        if who in self._known:
+            self._restarted.add(who)
 
     def feed(self, who: bytes, seqno: int | None, time: int) -> None:
         """A beacon; ``seqno`` None where beacons are not numbered, or this one is none."""
@@ -54,6 +60,9 @@ class Senders:
             step = (seqno - sender.seqno) % BP_SEQNO_MODULUS
             missed = step - 1 if step else 0
         elif time - sender.time > _PAUSE:
+            missed = _LONG_GAP + 1
+        if who in self._restarted:
+            self._restarted.discard(who)
             missed = _LONG_GAP + 1
         if missed:
             self._gaps.append((sender.time, time))

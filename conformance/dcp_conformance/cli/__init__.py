@@ -20,6 +20,7 @@ main = CommandLine(
         "fuzz": "Find inputs that break an implementation.",
         "report": "Make a report again, or put several runs side by side.",
         "compare": "Show which verdicts differ between two runs.",
+        "interop": "Test networks of several implementations.",
         "selftest": "Test the suite with mutants of our own node.",
         "provenance": "Compare the catalogue with another version of the specification.",
     },

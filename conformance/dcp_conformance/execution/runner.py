@@ -37,7 +37,7 @@ DEACTIVATE = "BP-MGMT-Deactivate"
 #: The expectation that fails where no case can be executed any more.
 _ALIVE = "a living implementation"
 #: Executions of a case that only the tester's own lateness, or frames that it lost, leave undecided.
-MOST_EXECUTIONS = 3
+MOST_EXECUTIONS = 6
 #: The code of JSON-RPC for a fault of the implementation.
 _INTERNAL_ERROR = -32603
 

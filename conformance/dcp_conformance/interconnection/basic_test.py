@@ -23,7 +23,7 @@ from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.test_system.contact import BrokenRule, Contact, Question, Stimulus, stimuli
 from dcp_conformance.test_system.misreading import stores_reports
 
-from .misconfiguration import PERIODS, look_elsewhere, misnamed, suspect
+from .misconfiguration import PERIODS, first_suspects, look_elsewhere, misnamed, suspect
 
 #: Attempts with the first question, and with each further kind of stimulus: frames get lost.
 _ATTEMPTS: Final = 3
@@ -202,7 +202,9 @@ class _Test:
         if self._trouble:
             return f"nothing was heard, and the upper tester does not answer ({self._trouble}): {where}"
         if upper is not None:
-            return f"nothing was heard, though the upper tester answers: is {bench.lower.name} its link? {where}"
+            suspects = first_suspects(bench)
+            link = f"is {bench.lower.name} its link? {where}"
+            return f"nothing was heard, though the upper tester answers; {suspects}; {link}"
         return f"nothing was heard: {where}"
 
     def _what_it_tells(self) -> str:

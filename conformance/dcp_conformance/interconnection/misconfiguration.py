@@ -8,22 +8,16 @@ from typing import Final
 
 from dcp_spec.profile.loading import BUILTIN_PROFILES
 
-from dcp_codec.codec import Codec, get_codec
-from dcp_codec.errors import DecodeError
+from dcp_codec.codec import get_codec
 from dcp_conformance.frames.received import ReceivedBeacon
-from dcp_conformance.lower_tester import HearsEveryType
 from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.test_system.traffic import Event
 
-from .probe import question
+from .other_settings import network_ids, other_ether_type, question
 from .profile_ranking import EXPLAINED, doubtful, ranked_with
 
 #: Beacon periods to wait for an answer.
 PERIODS: Final = 8.0
-#: Network identifiers that are tried when nothing is heard, beside those of the built-in profiles.
-_NETWORKS: Final = (0, 1, 2, 3, 0x00FF, 0x0100, 0x1111, 0x1234, 0xFFFF)
-#: EtherTypes that are tried when nothing is heard, beside those of the built-in profiles: the local experimental ones.
-_ETHER_TYPES: Final = (0x88B5, 0x88B6)
 
 
 def misnamed(bench: Bench) -> ReceivedBeacon | None:
@@ -85,15 +79,31 @@ def _other_node(bench: Bench, frames: Sequence[Event]) -> str:
 
 def look_elsewhere(bench: Bench) -> str:
     """Nothing is heard: ask in other ways. Which setting of the tester explains the answer; empty if none comes."""
-    return _told_by_hello(bench) or _asked_otherwise(bench) or _other_ether_type(bench)
+    return _told_by_hello(bench) or _asked_otherwise(bench) or _in_other_ether_type(bench)
 
 
 def _told_by_hello(bench: Bench) -> str:
     upper = bench.session.upper
-    told = upper.about.get("profile") if upper is not None else None
-    if not isinstance(told, str) or not told or told == bench.profile.name:
+    if upper is None:
+        return ""
+    told = upper.about.get("profile")
+    if not isinstance(told, str) or not told:
+        return _other_version(bench, upper.about.get("specVersion"))
+    if told == bench.profile.name:
         return ""
     return f"UT-Hello says that its profile is {told}, the tester speaks {bench.profile.name}: try --profile {told}"
+
+
+def _other_version(bench: Bench, told: object) -> str:
+    """UT-Hello names a version of the specification for which there are other profiles."""
+    version = ".".join(told.split(".")[:2]) if isinstance(told, str) else ""
+    fitting = [name for name in BUILTIN_PROFILES if str(get_codec(name).profile.spec_version) == version]
+    if not fitting or bench.profile.spec_version == version:
+        return ""
+    return (
+        f"UT-Hello says that it follows specification {told}, the tester's profile {bench.profile.name} is of "
+        f"{bench.profile.spec_version}: try --profile {' or '.join(fitting)}"
+    )
 
 
 def _asked_otherwise(bench: Bench) -> str:
@@ -105,51 +115,27 @@ def _asked_otherwise(bench: Bench) -> str:
     bench.beacons(1, PERIODS)
     if not bench.heard and not bench.others and bench.profile.has_header_field("networkId"):
         var_id = bench.unknown_ids(1)[0] if bench.has_unknown_ids() else 0
-        for network_id in _networks(bench):
+        for network_id in network_ids(bench.codec, bench.parameter("BPPAR_NETWORK_ID")):
             peer = bench.peer()
             peer.send(peer.summary(var_id, 1), network_id=network_id)
         bench.beacons(1, PERIODS)
     return suspect(bench)
 
 
-def _networks(bench: Bench) -> list[int]:
-    """Network identifiers to try, without the tester's own."""
-    top = 1 << (8 * bench.profile.types.network_id.width)
-    known = (get_codec(name).profile.bp.network_id for name in BUILTIN_PROFILES)
-    numbers = dict.fromkeys((*(each for each in known if each is not None), *_NETWORKS))
-    return [each for each in numbers if each < top and each != bench.parameter("BPPAR_NETWORK_ID")]
+def _in_other_ether_type(bench: Bench) -> str:
+    return other_ether_type(bench.lower, bench.codec, bench.peer().address, round(PERIODS * bench.period))
 
 
-def _other_ether_type(bench: Bench) -> str:
-    """Listen to, and ask in, other EtherTypes, where the link has any."""
-    lower = bench.lower
-    if not isinstance(lower, HearsEveryType):
-        return ""
-    known = (get_codec(name).profile.link.ether_type for name in BUILTIN_PROFILES)
-    numbers = dict.fromkeys((*(each for each in known if each is not None), *_ETHER_TYPES))
-    octets = question(bench.codec, 0)
-    source = bench.peer().address
-    asked = [b"\xff" * 6 + source + each.to_bytes(2, "big") + octets for each in numbers if each != lower.ether_type]
-    found: Counter[int] = Counter()
-    for frame in lower.overhear(asked, round(PERIODS * bench.period)):
-        if _is_beacon(bench.codec, frame[14:]):
-            found[int.from_bytes(frame[12:14], "big")] += 1
-    if not found:
-        return ""
-    number, count = found.most_common(1)[0]
-    return (
-        f"{count} beacons came in frames with EtherType {number:#06x}, the tester listens to {lower.ether_type:#06x}: "
-        f"give --ether-type {number:#06x}"
-    )
-
-
-def _is_beacon(codec: Codec, octets: bytes) -> bool:
-    """Whether octets are a beacon of the profile, or of another one."""
-    for each in (codec, *map(get_codec, BUILTIN_PROFILES)):
-        if each.profile.bp.header:
-            try:
-                each.decode(octets)
-            except DecodeError:
-                continue
-            return True
-    return False
+def first_suspects(bench: Bench) -> str:
+    """What to compare first if an upper tester answers and nothing is heard: what both sides must have in common."""
+    upper, profile = bench.session.upper, bench.profile
+    about = upper.about if upper is not None else {}
+    told = bench.session.parameters.get("BPPAR_NETWORK_ID")
+    compared = [
+        (f"the wire profile is {profile.name}", about.get("profile")),
+        (f"its specification is {profile.spec_version}", about.get("specVersion")),
+    ]
+    if profile.has_header_field("networkId"):
+        compared.append((f"the network identifier is {bench.parameter('BPPAR_NETWORK_ID')}", told))
+    listed = [f"{ours} (it says {theirs if theirs not in (None, '') else 'nothing'})" for ours, theirs in compared]
+    return f"for the tester {', '.join(listed)}: is that so? ('dcp-conformance probe' finds them by trying)"

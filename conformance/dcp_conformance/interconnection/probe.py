@@ -17,8 +17,7 @@ from dcp_spec.constants import BP_PROTID_SRP, BP_PROTID_VARDIS, BP_SEQNO_MODULUS
 
 from dcp_codec.analysis.guess import Guess
 from dcp_codec.codec import Codec
-from dcp_codec.values import Beacon, VarSumm
-from dcp_conformance.frames.builder import FrameBuilder
+from dcp_codec.values import Beacon
 from dcp_conformance.frames.envelopes import blocks_in, counted, nearest, sound
 from dcp_conformance.frames.header_faults import explanation
 from dcp_conformance.frames.header_rules import judge
@@ -29,13 +28,14 @@ from dcp_conformance.model.pics_file import write_pics
 from dcp_conformance.test_system.session import Session
 from dcp_conformance.upper_tester import Answer, UpperTester
 
+from .other_settings import ASKER, network_ids, other_ether_type, question
 from .profile_ranking import EXPLAINED, doubtful, ranked_by, score_of
 from .reaction import prepare
 
 __all__ = ["Period", "draft", "measured_period", "question", "write_pics"]
 
-#: The address and identifier that questions on the air come from.
-ASKER = bytes.fromhex("02dc90000001")
+#: ns for which other EtherTypes are listened to.
+_OVERHEAR = 2_000_000_000
 #: ns between questions on the air.
 _ASK_EVERY = 10_000_000
 #: Intervals that a mean period is believed of, and the missing sequence numbers that are taken for losses.
@@ -133,9 +133,10 @@ def draft(
         if ask:
             _how_fast(found, codec, lower, upper)
     if not arrivals:
+        elsewhere = other_ether_type(lower, codec_candidates[0], ASKER, _OVERHEAR) if ask else ""
         found.remarks.append(
-            f"nothing was heard on {lower.name} in {seconds:g} s: is the implementation running, on this link, with "
-            "this EtherType or port?"
+            f"nothing was heard on {lower.name} in {seconds:g} s: "
+            + (elsewhere or "is the implementation running, on this link, with this EtherType or port?")
         )
     return found.finished(), found.remarks
 
@@ -207,28 +208,23 @@ def _listen(lower: LowerTester, codecs: Sequence[Codec], seconds: float, ask: bo
     found.remarks.append(f"{what} has been asked for variables on the air to hear {'one' if arrivals else 'it at all'}")
     # Whoever is heard is not asked in layouts that are not its own.
     codecs = [each for each in codecs if arrivals and 2 * sound(each, arrivals) > len(arrivals)] or codecs
-    number = 0
+    number, elsewhere = 0, False
     while lower.now() < end:
         for codec in codecs:
             lower.send(question(codec, number), ASKER)
+        # Who has not answered for half of the time may be in another network.
+        elsewhere = elsewhere or (not arrivals and 2 * lower.now() > begun + end)
+        for codec in codecs if elsewhere else ():
+            networks = network_ids(codec, codec.profile.bp.network_id)
+            for network_id in networks[number % len(networks) :][:1] if networks else ():
+                lower.send(question(codec, number, network_id), ASKER)
         number += 1
         until = min(end, lower.now() + _ASK_EVERY)
         while (arrival := lower.receive(until)) is not None:
             arrivals.append(arrival)
+    if elsewhere and arrivals:
+        found.remarks.append("it did not answer in the usual network, and answered a question in another one")
     return arrivals
-
-
-def question(codec: Codec, number: int) -> bytes:
-    """A beacon with the summary of a variable that is not there: who has VarDis asks for it (VD-PS-01)."""
-    builder = FrameBuilder(codec)
-    layout = codec.profile.types.node_id
-    if layout.representation == "text":
-        sender = ASKER.hex(":").encode()
-    else:
-        sender = ASKER[-layout.width :].rjust(layout.width, b"\x02")
-    highest = (1 << (8 * codec.profile.types.var_id.width)) - 1
-    block = builder.vardis(VarSumm(number % (highest + 1), 1))
-    return builder.beacon(sender, number + codec.profile.behaviour.first_beacon_seqno, [block])
 
 
 def _profile(

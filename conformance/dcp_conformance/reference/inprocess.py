@@ -38,9 +38,10 @@ def plain_node(config: NodeConfig, rng: random.Random, now: int, wall: int) -> N
 class InProcess:
     """A node with the time around it. ``make`` builds the node, so that mutants can be put in its place."""
 
-    def __init__(self, config: NodeConfig, *, seed: int = 1, make: MakeNode = plain_node) -> None:
+    def __init__(self, config: NodeConfig, *, seed: int = 1, make: MakeNode = plain_node, now: int = 0) -> None:
+        """``now``: virtual time in ns at which the node starts."""
         self.config = config
-        self.now = 0
+        self.now = now
         # A restart does not take it back: intervals between beacons differ from start to start.
         self._rng = random.Random(seed)  # noqa: S311 - jitter, no secret
         self._make = make

@@ -18,11 +18,12 @@ _ALWAYS: Final = frozenset({"UT-Hello"})
 class Tested(InProcess):
     """The node of a set-up with its clock and its application."""
 
-    def __init__(self, setup: Setup) -> None:
+    def __init__(self, setup: Setup, *, seed: int = 1, now: int = 0) -> None:
+        """``now``: virtual time in ns at which the node starts."""
         self._offset = setup.clock
         self._make_application = setup.application
         self._application: Application | None = setup.application() if setup.application is not None else None
-        super().__init__(setup.config, make=setup.make)
+        super().__init__(setup.config, seed=seed, make=setup.make, now=now)
         self.can_restart = setup.can_restart
 
     def node_wall(self) -> int:

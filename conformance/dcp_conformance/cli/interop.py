@@ -1,0 +1,210 @@
+"""``dcp-conformance interop``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+import msgspec
+
+from dcp_codec.common.commandline import say
+from dcp_conformance.errors import UsageError
+
+from .options import as_typed
+
+if TYPE_CHECKING:
+    from dcp_conformance.interop.cell import WorldKind
+    from dcp_conformance.interop.results import CellResult, MatrixResult
+
+EXIT_STATUS = (
+    "Exit status: 0 every cell that applies passes; 1 a cell fails; 2 wrong usage, or no cell applies; 3 a cell is "
+    "inconclusive; 4 the tester's own trouble; 130 interrupted. With --selftest, 0 means that every fault turns a cell "
+    "red and no permitted variant does."
+)
+
+
+@click.command("interop", epilog=EXIT_STATUS)
+@click.argument("file", required=False, type=click.Path(path_type=Path))
+@click.option("--virtual", is_flag=True, help="Virtual time on a simulated medium instead of processes.")
+@click.option("--test", "tests", multiple=True, metavar="ID|GLOB", help="Only these network tests.")
+@click.option("--short", is_flag=True, help="Only the short selection of network tests.")
+@click.option("--with", "names", multiple=True, metavar="IMPL", help="Also node:PROFILE, mutant:ID or variant:ID.")
+@click.option("--only", multiple=True, metavar="IMPL:IMPL:TEST", help="Only this cell.")
+@click.option("--seed", type=int, default=1, show_default=True, metavar="N", help="First seed of links and scenarios.")
+@click.option("--seeds", type=click.IntRange(1), default=1, show_default=True, metavar="N", help="Seeds of each cell.")
+@click.option("--jobs", type=click.IntRange(1), metavar="N", help="Cells side by side.  [default: by processors]")
+@click.option("--dask", metavar="ADDRESS|local", help="Run the cells by the workers of a Dask cluster (--virtual).")
+@click.option(
+    "--report-dir", type=click.Path(path_type=Path), metavar="DIR", help="Write reports and recordings there."
+)
+@click.option(
+    "--replay",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="Run the cell of a failed/*.json again, with its seed.",
+)
+@click.option("--list", "show_list", is_flag=True, help="Show the network tests and end.")
+@click.option("--selftest", is_flag=True, help="Put known faults and permitted variants into networks instead.")
+@click.option(
+    "--document",
+    type=click.Path(dir_okay=False, path_type=Path),
+    metavar="FILE",
+    help="With --selftest: write the table into its section of FILE (Markdown).",
+)
+@click.option("--quiet", "-q", is_flag=True, help="Only what does not pass.")
+def command(
+    file: Path | None,
+    tests: tuple[str, ...],
+    names: tuple[str, ...],
+    only: tuple[str, ...],
+    seed: int,
+    seeds: int,
+    jobs: int | None,
+    dask: str | None,
+    report_dir: Path | None,
+    replay: Path | None,
+    document: Path | None,
+    *,
+    virtual: bool,
+    short: bool,
+    show_list: bool,
+    selftest: bool,
+    quiet: bool,
+) -> int:
+    """Test networks of several implementations: each with each, in both roles.
+
+    FILE (TOML) describes the implementations; without FILE our node in all versions meets itself.
+    """
+    from dcp_conformance.interop.definition import select_tests
+    from dcp_conformance.interop.implementations import BUILT_IN, Matrix, load_description, resolve
+    from dcp_conformance.interop.matrix import cells_of, parse_only, run_matrix
+
+    chosen = select_tests(tests, short=short)
+    if show_list:
+        for each in chosen:
+            say(f"{each.id:<34} {each.purpose}")
+        return 0
+    if (seeds > 1 or dask) and not (virtual or selftest or replay):
+        raise UsageError("--seeds and --dask repeat cells in virtual time; add --virtual")
+    if document is not None and not selftest:
+        raise UsageError("--document writes the table of --selftest; add --selftest")
+    if selftest:
+        return _selftest(tests, names, jobs, document, seeds=seeds, quiet=quiet)
+    if replay is not None:
+        return _replay(replay, file, report_dir)
+    described = load_description(file) if file is not None else None
+    known = described.implementation if described is not None else {}
+    choice = described.matrix if described is not None else Matrix()
+    wanted = parse_only(only)
+    kind: WorldKind = "virtual" if virtual else "real"
+    if wanted:
+        from dcp_conformance.interop.definition import all_tests
+
+        cells = []
+        for a, b, test in wanted:
+            if test not in all_tests():
+                raise UsageError(f"--only: there is no network test {test!r}; see dcp-conformance interop --list")
+            found = resolve((a, b), known)
+            cells += cells_of(found, [all_tests()[test]], rows=[a], columns=[b], world=kind, seed=seed)
+    else:
+        found = resolve([*(known or ([] if names else BUILT_IN)), *names], known)
+        if not tests and choice.tests:
+            chosen = select_tests(choice.tests, short=short)
+        rows = [*choice.rows, *names] if choice.rows else []
+        columns = [*choice.columns, *names] if choice.columns else []
+        cells = cells_of(found, chosen, rows=rows, columns=columns, world=kind, seed=seed)
+
+    def on_cell(result: CellResult, done: int, many: int) -> None:
+        if not quiet or result.verdict not in ("pass", "not-applicable"):
+            _say_cell(result, f"{done}/{many} ")
+
+    if report_dir is not None:
+        report_dir.mkdir(parents=True, exist_ok=True)
+    matrix = run_matrix(
+        cells, seeds=seeds, jobs=jobs, folder=report_dir, dask=dask, on_cell=on_cell, command=as_typed()
+    )
+    if file is not None:
+        matrix = _with_file(matrix, file)
+    return _finish(matrix, report_dir)
+
+
+def _with_file(matrix: MatrixResult, file: Path) -> MatrixResult:
+    """Name the description in the commands that run cells again."""
+    import shlex
+
+    def changed(cell: CellResult) -> CellResult:
+        words = cell.rerun.replace("interop ", f"interop {shlex.quote(str(file))} ", 1)
+        return msgspec.structs.replace(cell, rerun=words)
+
+    return msgspec.structs.replace(matrix, cells=tuple(map(changed, matrix.cells)))
+
+
+def _say_cell(result: CellResult, before: str = "") -> None:
+    line = f"{before}{result.verdict:<12} {result.a} with {result.b}: {result.test}"
+    say(f"{line}  {result.reason}" if result.reason else line)
+
+
+def _finish(matrix: MatrixResult, report_dir: Path | None) -> int:
+    from dcp_conformance.interop.reports import write_reports
+
+    counts = matrix.counts()
+    applied = sum(counts.values()) - counts.get("not-applicable", 0)
+    told = ", ".join(f"{number} {name}" for name, number in sorted(counts.items()))
+    say(f"{len(matrix.cells)} cells in {matrix.elapsed_s:.1f} s: {told or 'none'}")
+    if report_dir is not None:
+        say(f"report: {write_reports(matrix, report_dir)}")
+    if not applied:
+        say("no network test applies to these implementations", err=True)
+        return 2
+    for verdict, status in (("error", 4), ("fail", 1), ("inconclusive", 3)):
+        if counts.get(verdict):
+            return status
+    return 0
+
+
+def _replay(path: Path, file: Path | None, report_dir: Path | None) -> int:
+    from dcp_conformance.interop.cell import Cell
+    from dcp_conformance.interop.definition import all_tests
+    from dcp_conformance.interop.implementations import load_description, resolve
+    from dcp_conformance.interop.matrix import run_matrix
+    from dcp_conformance.interop.results import CellResult
+
+    try:
+        before = msgspec.json.decode(path.read_bytes(), type=CellResult)
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be read: {error.strerror or error}") from None
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise UsageError(f"{path}: not a failed cell (failed/*.json of a report): {error}") from None
+    if before.test not in all_tests():
+        raise UsageError(f"{path}: there is no network test {before.test!r} in this version")
+    known = load_description(file).implementation if file is not None else {}
+    found = resolve((before.a, before.b), known)
+    kind: WorldKind = "virtual" if before.world == "virtual" else "real"
+    cell = Cell(
+        a=before.a, b=before.b, test=before.test, implementations=(found[before.a], found[before.b]), world=kind,
+        seed=before.seed,
+    )  # fmt: skip
+    if report_dir is not None:
+        report_dir.mkdir(parents=True, exist_ok=True)
+    matrix = run_matrix([cell], jobs=1, folder=report_dir, command=as_typed())
+    for each in matrix.cells:
+        _say_cell(each)
+        if (each.verdict, each.reason) != (before.verdict, before.reason):
+            say(f"before: {before.verdict}  {before.reason}")
+    return _finish(matrix, report_dir)
+
+
+def _selftest(
+    tests: tuple[str, ...], names: tuple[str, ...], jobs: int | None, document: Path | None, *, seeds: int, quiet: bool
+) -> int:
+    from dcp_conformance.interop.selftest import run_selftest, write_document
+
+    result = run_selftest(
+        tests=tests, names=names, seeds=seeds, jobs=jobs, on_line=None if quiet else lambda line: say(line)
+    )
+    for line in result.lines():
+        say(line)
+    if document is not None:
+        write_document(result, document)
+    return 0 if result.good else 1

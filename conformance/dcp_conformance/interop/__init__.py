@@ -1,0 +1,1 @@
+"""Networks of several implementations: network tests, two worlds that run them, and the matrix of their verdicts."""

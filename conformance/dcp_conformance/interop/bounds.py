@@ -1,0 +1,48 @@
+"""How long a change may take to reach every station: a closed form with a stated probability of being wrong."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+from typing import Final
+
+from .world import Limits
+
+#: The probability that a correct network misses the bound.
+MISS: Final = 1e-6
+#: Beacon periods of one attempt to cross a hop: a station may share its beacons among clients, vary its intervals by up
+#: to a period, and answer a summary with a request, and a request with a create, each in a beacon of its own.
+_PERIODS: Final = 8
+#: Seconds of patience for machines and for time that a station needs to start.
+_PATIENCE: Final = 1.0
+
+
+@cache
+def attempts(hops: int, success: float) -> int:
+    """The smallest k such that k independent attempts succeed at least ``hops`` times, except with probability MISS."""
+    if success >= 1:
+        return hops
+    k = hops
+    while True:
+        terms = (math.comb(k, i) * success**i * (1 - success) ** (k - i) for i in range(hops))
+        if sum(terms) <= MISS:
+            return k
+        k += 1
+
+
+def spreading_time(hops: int, loss: float, variables: int, limits: Limits) -> float:
+    """Return the seconds within which a change crosses ``hops`` hops, each frame being lost with probability ``loss``.
+
+    An attempt succeeds if summary, request and record are all received. Attempts happen each time that the summary of
+    the variable comes round, so their interval grows with ``variables``.
+    """
+    # An entry of a summary has 3 octets at most in all versions; 30 octets are left for containers and a record.
+    room = max(1, min(limits.summaries or 20, (limits.payload - 30) // 3))
+    rounds = math.ceil(variables / room)
+    # Values themselves need room, too: at least one record of each variable on each hop.
+    records = (
+        math.ceil(variables * (limits.description + limits.value + 30) / max(limits.payload, 1)) if variables > 1 else 0
+    )
+    crossing = attempts(max(hops, 1), (1 - loss) ** 3) * (_PERIODS + rounds - 1) + records * max(hops, 1) * 4
+    checks = crossing / _PERIODS * 2 * limits.buffer_check_ms
+    return (crossing * limits.beacon_period_ms + checks) / 1000 + _PATIENCE

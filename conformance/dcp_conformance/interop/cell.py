@@ -1,0 +1,191 @@
+"""One cell of the matrix: one network test with two implementations in one world, and its verdict."""
+
+from __future__ import annotations
+
+import time
+import traceback
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Literal
+
+import msgspec
+from dcp_spec.profile.definition import Profile
+
+from dcp_conformance.errors import ConformanceError, UsageError
+from dcp_conformance.model.results import Check
+from dcp_conformance.model.verdict import Verdict, worst
+
+from .definition import NetworkTest
+from .implementations import Implementation, codec_of, meeting_profile, virtual_setup
+from .judge import deaths, rules
+from .results import CellResult, StationResult
+from .scene import NotApplicableError, Scene, StopError
+from .world import World
+
+WorldKind = Literal["virtual", "real"]
+
+
+class Cell(msgspec.Struct, frozen=True, kw_only=True):
+    """What is to be run."""
+
+    a: str
+    b: str
+    test: str
+    implementations: tuple[Implementation, Implementation]
+    """Of role A and of role B."""
+    world: WorldKind = "virtual"
+    seed: int = 1
+
+    @property
+    def name(self) -> str:
+        """``A:B:TEST``, as ``--only`` has it."""
+        return f"{self.a}:{self.b}:{self.test}"
+
+
+def obstacle(test: NetworkTest, a: Implementation, b: Implementation, world: WorldKind) -> str:
+    """Why a test does not apply to a pair of implementations; empty if it does."""
+    meeting = meeting_profile(a, b)
+    if test.wire == "same" and meeting is None:
+        return "the implementations have no version of the wire format and network in common"
+    if test.wire == "different" and meeting is not None:
+        return f"the implementations share a version ({meeting}); the test is about different ones"
+    if test.wire == "different" and set(a.profiles) & set(b.profiles):
+        return "the implementations differ within one version, which beacons do not tell apart"
+    if world == "real" and test.virtual_only:
+        return f"needs virtual time: {test.virtual_only}"
+    for each in (a, b):
+        for entity in test.entities:
+            profile = codec_of(each.profile).profile
+            if not getattr(each, entity) or not _has(profile, entity):
+                return f"an implementation has no {entity}"
+        version = codec_of(meeting or each.profile).profile.spec_version
+        if not test.since <= version <= test.until:
+            return f"the test is about versions {test.since} to {test.until}, not {version}"
+    return ""
+
+
+def _has(profile: Profile, entity: str) -> bool:
+    return bool(profile.srp.is_report) if entity == "srp" else True
+
+
+def run_cell(cell: Cell, test: NetworkTest, folder: Path | None = None) -> CellResult:
+    """Run a cell. ``folder``: for recordings and logs; without one only cells that fail keep their moments."""
+    began = time.perf_counter()
+    a, b = cell.implementations
+    profile = meeting_profile(a, b) or a.profile
+    reason = obstacle(test, a, b, cell.world)
+    if reason:
+        return _result(cell, test, profile, Verdict.NOT_APPLICABLE, reason)
+    # Not before: most cells of a large matrix do not apply.
+    try:
+        world = _world(cell, test)
+    except ConformanceError as error:
+        return _result(cell, test, profile, Verdict.ERROR, str(error))
+    try:
+        result = _play(cell, test, world, profile)
+    finally:
+        world.close()
+    result = msgspec.structs.replace(result, elapsed_s=round(time.perf_counter() - began, 3))
+    if folder is not None:
+        from .recording import write_recordings
+
+        result = write_recordings(result, world, folder)
+    return result
+
+
+def _world(cell: Cell, test: NetworkTest) -> World:
+    roles = [cell.implementations["AB".index(role)] for role in test.shape.roles]
+    names = [(cell.a, cell.b)["AB".index(role)] for role in test.shape.roles]
+    common = meeting_profile(*cell.implementations)
+    profiles = [common or each.profile for each in roles]
+    if cell.world == "virtual":
+        from .virtual import VirtualWorld
+
+        made = [
+            (name, *virtual_setup(each, profile)) for name, each, profile in zip(names, roles, profiles, strict=True)
+        ]
+        return VirtualWorld(made, test.shape, cell.seed)
+    raise UsageError("networks of processes in real time are not available yet; add --virtual")
+
+
+def _play(cell: Cell, test: NetworkTest, world: World, profile: str) -> CellResult:
+    scene = Scene(world, test.shape, test.requirements, cell.seed)
+    skipped = detail = ""
+    checks: list[Check] = []
+    try:
+        test.run(scene)
+    except NotApplicableError as missing:
+        skipped = str(missing)
+    except StopError:
+        pass
+    except ConformanceError as error:
+        checks.append(Check(Verdict.ERROR, test.requirements, "the tester can run the test", str(error)))
+    except Exception as error:
+        if not world.deaths():
+            detail = traceback.format_exc()
+            text = f"{type(error).__name__}: {error}"
+            checks.append(Check(Verdict.ERROR, test.requirements, "the tester does not stumble", text))
+    world.settle()
+    checks += scene.checks
+    checks += deaths(world, test.requirements)
+    if not skipped and test.rules:
+        checks += rules(world, world.sent(), strangers=scene.strangers, restarts=scene.restarts)
+    if skipped and all(check.verdict is Verdict.PASS for check in checks):
+        verdict, reason = Verdict.NOT_APPLICABLE, skipped
+    else:
+        verdict = worst(check.verdict for check in checks) or Verdict.INCONCLUSIVE
+        reason = _reason(checks, verdict)
+    return msgspec.structs.replace(
+        _result(cell, test, profile, verdict, reason),
+        duration_s=round(world.now() / 1e9, 3),
+        checks=tuple(checks),
+        spreads=tuple(scene.spreads),
+        moments=tuple(scene.moments),
+        left_out=scene.left_out,
+        stations=tuple(_stations(test, world)),
+        links=world.link_counters(),
+        error_detail=detail,
+    )
+
+
+def _reason(checks: list[Check], verdict: Verdict) -> str:
+    if verdict is Verdict.PASS:
+        return ""
+    decisive = next((check for check in checks if check.verdict is verdict), None)
+    if decisive is None:
+        return "the test checked nothing"
+    return f"{decisive.expected}: {decisive.observed}" if decisive.observed else decisive.expected
+
+
+def _stations(test: NetworkTest, world: World) -> Iterator[StationResult]:
+    sent: dict[int, int] = {}
+    for each in world.sent():
+        sent[each.place] = sent.get(each.place, 0) + 1
+    for place in world.places:
+        yield StationResult(
+            place=place.number,
+            implementation=place.implementation,
+            profile=place.codec.profile.name,
+            node_id=place.node_id.decode() if b":" in place.node_id else place.node_id.hex(":"),
+            neighbours=test.shape.neighbours(place.number),
+            beacons=sent.get(place.number, 0),
+            death=world.deaths().get(place.number, ""),
+        )
+
+
+def _result(cell: Cell, test: NetworkTest, profile: str, verdict: Verdict, reason: str) -> CellResult:
+    words = ["dcp-conformance", "interop", "--only", cell.name, "--seed", str(cell.seed)]
+    return CellResult(
+        a=cell.a,
+        b=cell.b,
+        test=test.id,
+        purpose=test.purpose,
+        requirements=test.requirements,
+        network=test.shape.name,
+        profile=profile,
+        world=cell.world,
+        seed=cell.seed,
+        verdict=verdict,
+        reason=reason,
+        rerun=" ".join([*words, "--virtual"] if cell.world == "virtual" else words),
+    )

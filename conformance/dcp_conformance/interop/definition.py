@@ -1,0 +1,232 @@
+"""Network tests: what they are called, which network they need, and what they decide.
+
+A network test is a function that is given a :class:`~dcp_conformance.interop.scene.Scene`. It runs in virtual time and
+in real time without a difference: time passes only in the waiting methods of the scene. Identifiers are
+``IT_<protocol>_<subject>``, with ``-<network>`` for each network; ``data/interop-test-ids.txt`` holds all that ever
+existed, and none is used twice.
+"""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import pkgutil
+import re
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
+from functools import cache
+from types import ModuleType
+from typing import TYPE_CHECKING, Any, Final, Literal
+
+from dcp_spec.catalogue.requirements import requirement
+from dcp_spec.constants import SpecVersion
+
+from dcp_conformance.errors import UsageError
+
+if TYPE_CHECKING:
+    from .scene import Scene
+
+PACKAGE: Final = "dcp_conformance.interop.network_tests"
+_ATTRIBUTE: Final = "__dcp_network_tests__"
+_ID: Final = re.compile(r"IT_(?:BP|SRP|VD|NET)_[A-Z0-9]+(?:_[A-Z0-9]+)*")
+_VARIANT: Final = re.compile(r"[a-z0-9][a-z0-9.+-]*")
+
+Wire = Literal["same", "different"]
+
+
+@dataclass(frozen=True, slots=True)
+class Shape:
+    """A network: who is where, and who hears whom.
+
+    ``roles`` has one letter for each place: ``A`` and ``B`` are the two implementations of a cell. ``links`` are the
+    pairs of places that hear each other; None: all do.
+    """
+
+    name: str
+    roles: str
+    links: tuple[tuple[int, int], ...] | None = None
+
+    @property
+    def pairs(self) -> tuple[tuple[int, int], ...]:
+        """All directions (sender, receiver), ascending."""
+        count = len(self.roles)
+        if self.links is None:
+            return tuple((a, b) for a in range(count) for b in range(count) if a != b)
+        return tuple(sorted({each for a, b in self.links for each in ((a, b), (b, a))}))
+
+    def neighbours(self, place: int) -> tuple[int, ...]:
+        """The places that hear ``place``, ascending."""
+        return tuple(receiver for sender, receiver in self.pairs if sender == place)
+
+    @property
+    def diameter(self) -> int:
+        """The largest number of hops between two places."""
+        return max(max(self.hops(place).values()) for place in range(len(self.roles)))
+
+    def hops(self, start: int) -> dict[int, int]:
+        """The number of hops from ``start`` to each place."""
+        found, edge = {start: 0}, [start]
+        while edge:
+            reached = [other for place in edge for other in self.neighbours(place) if other not in found]
+            for place in edge:
+                for other in self.neighbours(place):
+                    found.setdefault(other, found[place] + 1)
+            edge = list(dict.fromkeys(reached))
+        return found
+
+
+def _grid(count: int, columns: int) -> tuple[tuple[int, int], ...]:
+    right = [(n, n + 1) for n in range(count - 1) if (n + 1) % columns]
+    below = [(n, n + columns) for n in range(count - columns)]
+    return tuple(sorted([*right, *below]))
+
+
+PAIR: Final = Shape("pair", "AB")
+LINE_3: Final = Shape("line3", "ABA", ((0, 1), (1, 2)))
+LINE_5: Final = Shape("line5", "ABABA", tuple((n, n + 1) for n in range(4)))
+GRID_8: Final = Shape("grid8", "ABABABAB", _grid(8, 4))
+BUS_4: Final = Shape("bus4", "ABAB")
+SPREAD: Final = (PAIR, LINE_3, LINE_5, GRID_8)
+
+
+@dataclass(frozen=True, slots=True)
+class NetworkTest:
+    """One network test in one network."""
+
+    id: str
+    purpose: str
+    """One line: what the test shows."""
+    requirements: tuple[str, ...]
+    shape: Shape
+    run: Callable[[Scene], None]
+    since: SpecVersion = SpecVersion.V1_0
+    until: SpecVersion = SpecVersion.V2_0
+    """First and last version of the specification that the test applies to."""
+    entities: tuple[str, ...] = ("vardis",)
+    """Of ``vardis`` and ``srp``: the protocols that all implementations need."""
+    services: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    """By role: methods of the upper tester interface that the test calls there."""
+    wire: Wire = "same"
+    """Whether the implementations speak the same version, or different ones."""
+    virtual_only: str = ""
+    """Why the test needs virtual time; empty if it runs in real time as well."""
+    rules: bool = True
+    """Whether the rules of ``check`` judge the recording: not after traffic that no rule expects."""
+    short: bool = False
+    """Whether it belongs to the short selection (``--short``)."""
+    module: str = ""
+
+    @property
+    def base(self) -> str:
+        """The identifier without its network and parameters."""
+        return self.id.partition("-")[0]
+
+
+@dataclass(slots=True)
+class _Definition:
+    tests: list[NetworkTest] = field(default_factory=list)
+
+
+def network_test(
+    identifier: str,
+    purpose: str,
+    *,
+    requirements: str,
+    shapes: tuple[Shape, ...],
+    variants: Mapping[str, Any] | None = None,
+    since: SpecVersion = SpecVersion.V1_0,
+    until: SpecVersion = SpecVersion.V2_0,
+    entities: tuple[str, ...] = ("vardis",),
+    services: Mapping[str, str] | None = None,
+    wire: Wire = "same",
+    virtual_only: str = "",
+    rules: bool = True,
+    short: bool = False,
+) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Make a network test of ``body(scene)`` for each of ``shapes``; with ``variants`` of ``body(scene, value)``.
+
+    ``requirements`` and ``services`` (by role) are names separated by spaces. ``purpose`` may contain ``{variant}``.
+    Raises ``ValueError`` for an identifier of another form, ``UnknownRequirementError`` for an unknown requirement.
+    """
+    if not _ID.fullmatch(identifier):
+        raise ValueError(f"{identifier!r} is not an identifier of a network test (IT_VD_CREATE)")
+    ids = tuple(requirements.split())
+    if not ids:
+        raise ValueError(f"{identifier} decides no requirement")
+    for each in ids:
+        requirement(each)
+    called = {role: tuple(names.split()) for role, names in (services or {}).items()}
+
+    def decorate(body: Callable[..., None]) -> Callable[..., None]:
+        definition = _Definition()
+        for shape in shapes:
+            for name, value in (variants or {"": None}).items():
+                if name and not _VARIANT.fullmatch(name):
+                    raise ValueError(f"{identifier}: {name!r} cannot be part of an identifier")
+
+                def run(scene: Scene, value: Any = value, name: str = name) -> None:
+                    body(scene, value) if name else body(scene)
+
+                definition.tests.append(
+                    NetworkTest(
+                        id="-".join(filter(None, (identifier, shape.name, name))),
+                        purpose=purpose.replace("{variant}", name),
+                        requirements=ids,
+                        shape=shape,
+                        run=run,
+                        since=since,
+                        until=until,
+                        entities=entities,
+                        services=called,
+                        wire=wire,
+                        virtual_only=virtual_only,
+                        rules=rules,
+                        short=short and shape is shapes[0],
+                        module=inspect.getmodule(body).__name__,  # type: ignore[union-attr]
+                    )
+                )
+        setattr(body, _ATTRIBUTE, definition)
+        return body
+
+    return decorate
+
+
+def tests_of(module: ModuleType) -> Iterator[NetworkTest]:
+    """Yield the network tests of a module in the order of their definition."""
+    for value in vars(module).values():
+        definition = getattr(value, _ATTRIBUTE, None)
+        if isinstance(definition, _Definition) and value.__module__ == module.__name__:
+            yield from definition.tests
+
+
+@cache
+def all_tests() -> dict[str, NetworkTest]:
+    """Return all network tests by identifier. Raises ``ValueError`` for an identifier that is used twice."""
+    found: dict[str, NetworkTest] = {}
+    package = importlib.import_module(PACKAGE)
+    for name in sorted(info.name for info in pkgutil.iter_modules(package.__path__)):
+        for each in tests_of(importlib.import_module(f"{PACKAGE}.{name}")):
+            if each.id in found:
+                raise ValueError(f"{each.id} is defined in {found[each.id].module} and in {each.module}")
+            found[each.id] = each
+    return found
+
+
+def select_tests(patterns: tuple[str, ...], *, short: bool = False) -> list[NetworkTest]:
+    """Return the tests that identifiers, beginnings of identifiers or globs name; all without any.
+
+    Raises ``UsageError`` for a pattern that matches no test.
+    """
+    tests = [each for each in all_tests().values() if each.short or not short]
+    if not patterns:
+        return tests
+    chosen: set[str] = set()
+    for pattern in patterns:
+        matching = {t.id for t in all_tests().values() if fnmatchcase(t.id, pattern) or t.base == pattern}
+        if not matching:
+            raise UsageError(
+                f"no network test matches {pattern!r}; 'dcp-conformance interop --list' shows their identifiers"
+            )
+        chosen |= matching
+    return [each for each in all_tests().values() if each.id in chosen]

@@ -1,0 +1,1 @@
+"""The network tests, one module for each concern."""

@@ -1,0 +1,9 @@
+"""What every process of a matrix needs: imported once, in the server that forks them."""
+
+from __future__ import annotations
+
+from . import cell, definition, implementations, virtual
+
+definition.all_tests()
+
+__all__ = ["cell", "definition", "implementations", "virtual"]

@@ -1,0 +1,69 @@
+"""Recordings of a cell: everything that was transmitted, and what each station sent and received."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import msgspec
+
+from dcp_codec.capture import CaptureError, Frame, create_capture
+from dcp_conformance.errors import UsageError
+
+from .judge import frames_of
+from .results import CellResult
+from .world import Received, Sent, World
+
+
+def folder_of(result: CellResult) -> str:
+    """The name of a cell's folder in a report."""
+    return "/".join(re.sub(r"[^A-Za-z0-9._@+=-]", "_", each) for each in ("cells", result.a, result.b, result.test))
+
+
+def write_recordings(result: CellResult, world: World, folder: Path) -> CellResult:
+    """Write ``all.mcap`` and ``place-N.mcap``; returns the result with their names, relative to ``folder``.
+
+    Raises ``UsageError`` if a file cannot be written.
+    """
+    name = folder_of(result)
+    directory = folder / name
+    directory.mkdir(parents=True, exist_ok=True)
+    sent = world.sent()
+    _write(directory / "all.mcap", frames_of(world, sent), result, "all links")
+    stations = []
+    logs = world.logs()
+    for station in result.stations:
+        both: list[Sent | Received] = [each for each in sent if each.place == station.place]
+        both += [each for each in world.received() if each.place == station.place]
+        both.sort(key=lambda each: each.time)
+        _write(directory / f"place-{station.place}.mcap", frames_of(world, both), result, f"place {station.place}")
+        log = Path(logs[station.place]) if station.place in logs else None
+        if log is not None and log.is_file():
+            text = log.read_text(errors="replace")
+            (directory / f"place-{station.place}.log").write_text(text)
+        stations.append(
+            msgspec.structs.replace(
+                station,
+                recording=f"{name}/place-{station.place}.mcap",
+                log=f"{name}/place-{station.place}.log" if log is not None and log.is_file() else "",
+            )
+        )
+    return msgspec.structs.replace(result, stations=tuple(stations), recording=f"{name}/all.mcap")
+
+
+def _write(path: Path, frames: list[Frame], result: CellResult, link: str) -> None:
+    about = {
+        "dcp.interop": {
+            "cell": f"{result.a}:{result.b}:{result.test}",
+            "link": link,
+            "profile": result.profile,
+            "seed": str(result.seed),
+            "command": result.rerun,
+        }
+    }
+    try:
+        with create_capture(path, metadata=about) as writer:
+            for frame in frames:
+                writer.write(frame)
+    except CaptureError as error:
+        raise UsageError(str(error)) from None

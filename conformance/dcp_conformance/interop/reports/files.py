@@ -1,0 +1,52 @@
+"""The files of a report: ``interop.json``, its schema, ``junit.xml``, ``interop.md``, ``interop.html``, ``failed/``."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import msgspec
+
+from dcp_codec.common.atomic_write import write_whole
+from dcp_conformance.errors import UsageError
+from dcp_conformance.interop.results import SCHEMA, MatrixResult
+from dcp_conformance.model.verdict import Verdict
+
+from .junit import junit_xml
+from .markdown import markdown
+
+NAME = "interop.json"
+
+
+def load_matrix(path: Path) -> MatrixResult:
+    """Read ``interop.json``, or the one in a folder. Raises ``UsageError``."""
+    path = path / NAME if path.is_dir() else path
+    try:
+        found = msgspec.json.decode(path.read_bytes(), type=MatrixResult)
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be read: {error.strerror or error}") from None
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise UsageError(f"{path}: not the result of dcp-conformance interop: {error}") from None
+    if found.schema != SCHEMA:
+        raise UsageError(f"{path}: has the schema {found.schema!r}, expected {SCHEMA!r}")
+    return found
+
+
+def write_reports(matrix: MatrixResult, folder: Path) -> Path:
+    """Write all reports into a folder; returns the page. Raises ``OSError``."""
+    from .page import render
+
+    folder.mkdir(parents=True, exist_ok=True)
+    write_whole(folder / NAME, msgspec.json.format(msgspec.json.encode(matrix), indent=1))
+    schema = {"title": SCHEMA, **msgspec.json.schema(MatrixResult)}
+    write_whole(folder / "interop.schema.json", msgspec.json.format(msgspec.json.encode(schema), indent=1))
+    write_whole(folder / "junit.xml", junit_xml(matrix))
+    write_whole(folder / "interop.md", markdown(matrix).encode())
+    for cell in matrix.cells:
+        if cell.verdict in (Verdict.FAIL, Verdict.ERROR):
+            (folder / "failed").mkdir(exist_ok=True)
+            name = re.sub(r"[^A-Za-z0-9._@+=-]", "_", f"{cell.a}-{cell.b}-{cell.test}-{cell.seed}")
+            write_whole(folder / "failed" / f"{name}.json", msgspec.json.format(msgspec.json.encode(cell), indent=1))
+    page = folder / "interop.html"
+    write_whole(page, render(matrix).encode())
+    return page

@@ -1,0 +1,46 @@
+"""``interop.md``: the matrix for terminals, wikis and pull requests."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+from dcp_conformance.interop.results import MatrixResult
+from dcp_conformance.model.verdict import Verdict
+
+
+def markdown(matrix: MatrixResult) -> str:
+    """One table of pairs with their counts, and a list of everything that did not pass or apply."""
+    rows = list(dict.fromkeys(cell.a for cell in matrix.cells))
+    columns = list(dict.fromkeys(cell.b for cell in matrix.cells))
+    counts: dict[tuple[str, str], Counter[Verdict]] = {}
+    for cell in matrix.cells:
+        counts.setdefault((cell.a, cell.b), Counter())[cell.verdict] += 1
+    lines = ["# Interoperability of DCP implementations", "", f"{_total(matrix)}.", ""]
+    lines += [f"| A \\ B | {' | '.join(map(_text, columns))} |", f"|---|{'---|' * len(columns)}"]
+    for a in rows:
+        lines.append(f"| **{_text(a)}** | {' | '.join(_summary(counts.get((a, b))) for b in columns)} |")
+    bad = [cell for cell in matrix.cells if cell.verdict not in (Verdict.PASS, Verdict.NOT_APPLICABLE)]
+    if bad:
+        lines += ["", "| A | B | test | verdict | reason |", "|---|---|---|---|---|"]
+        lines += [f"| {_text(c.a)} | {_text(c.b)} | {c.test} | {c.verdict} | {_text(c.reason)[:400]} |" for c in bad]
+    return "\n".join(lines) + "\n"
+
+
+def _total(matrix: MatrixResult) -> str:
+    counts = matrix.counts()
+    told = ", ".join(f"{number} {name.replace('-', ' ')}" for name, number in sorted(counts.items()))
+    return f"{len(matrix.cells)} cells in {matrix.elapsed_s:g} s: {told or 'none'}"
+
+
+def _summary(counts: Counter[Verdict] | None) -> str:
+    if not counts:
+        return ""
+    applied = sum(number for verdict, number in counts.items() if verdict is not Verdict.NOT_APPLICABLE)
+    if not applied:
+        return "n/a"
+    text = f"{counts[Verdict.PASS]} of {applied} pass"
+    return text if counts[Verdict.PASS] == applied else f"**{text}**"
+
+
+def _text(text: str) -> str:
+    return text.replace("|", "\\|").replace("\n", " ")

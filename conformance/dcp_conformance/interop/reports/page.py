@@ -1,0 +1,89 @@
+"""``interop.html``: one page that needs nothing but the recordings and logs that it links to."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from typing import Any, Final
+
+from jinja2 import ChoiceLoader, PackageLoader
+from markupsafe import Markup
+
+from dcp_conformance.interop.results import CellResult, MatrixResult
+from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.reporting.page import environment
+
+from .chart import chart
+
+#: Cells up to which those that pass have a chart as well.
+_FEW: Final = 250
+#: Files that the page links to: what the runner writes, which is no other address.
+_FILE: Final = re.compile(r"cells(/[A-Za-z0-9_@+=-][A-Za-z0-9._@+=-]*)+")
+_ORDER: Final = (Verdict.FAIL, Verdict.ERROR, Verdict.INCONCLUSIVE, Verdict.PASS, Verdict.NOT_APPLICABLE)
+
+
+def render(matrix: MatrixResult) -> str:
+    """The page of a matrix."""
+    made = environment()
+    own = PackageLoader("dcp_conformance.interop.reports")
+    made.loader = ChoiceLoader([own, *([made.loader] if made.loader is not None else [])])
+    rows = list(dict.fromkeys(cell.a for cell in matrix.cells))
+    columns = list(dict.fromkeys(cell.b for cell in matrix.cells))
+    cells = [_cell(cell, number, len(matrix.cells)) for number, cell in enumerate(matrix.cells)]
+    by_pair: dict[tuple[str, str], list[dict[str, Any]]] = {}
+    for each in cells:
+        by_pair.setdefault((each["of"].a, each["of"].b), []).append(each)
+    counts = Counter(str(cell.verdict) for cell in matrix.cells)
+    return made.get_template("interop.html").render(
+        matrix=matrix,
+        rows=rows,
+        columns=columns,
+        by_pair=by_pair,
+        summaries={pair: _summary(found) for pair, found in by_pair.items()},
+        tiles=[(str(each), counts[str(each)]) for each in _ORDER if counts[str(each)]],
+        headline=_headline(counts),
+        tests=list(dict.fromkeys(cell.test for cell in matrix.cells)),
+        what={each.name: each for each in matrix.implementations},
+    )
+
+
+def _headline(counts: Counter[str]) -> str:
+    bad = counts["fail"] + counts["error"]
+    applied = sum(counts.values()) - counts["not-applicable"]
+    if not applied:
+        return "No test applies to these implementations"
+    return f"{counts['pass']} of {applied} cells pass" + (f", {bad} do not" if bad else "")
+
+
+def _summary(cells: list[dict[str, Any]]) -> dict[str, Any]:
+    counts = Counter(str(each["of"].verdict) for each in cells)
+    applied = sum(counts.values()) - counts["not-applicable"]
+    first = next((each for each in cells if each["failed"]), None) or next(
+        (each for each in cells if each["of"].verdict is not Verdict.NOT_APPLICABLE), cells[0]
+    )
+    return {"first": first["key"], "pass": counts["pass"], "applied": applied, "bad": counts["fail"] + counts["error"]}
+
+
+def _cell(cell: CellResult, number: int, many: int) -> dict[str, Any]:
+    failed = cell.verdict in (Verdict.FAIL, Verdict.ERROR)
+    shown = many <= _FEW or cell.verdict is not Verdict.PASS
+    slowest = max((each.took for each in cell.spreads if each.took is not None), default=None)
+    return {
+        "of": cell,
+        "key": f"c{number}",
+        "failed": failed,
+        "slowest": slowest,
+        # Made of escaped texts and numbers only.
+        "chart": Markup(chart(cell)) if shown else "",  # noqa: S704
+        "checks": [each for each in cell.checks if each.verdict is not Verdict.PASS],
+        "passed": sum(each.verdict is Verdict.PASS for each in cell.checks),
+        "recording": cell.recording if _FILE.fullmatch(cell.recording) else "",
+        "stations": [
+            {
+                "of": each,
+                "recording": each.recording if _FILE.fullmatch(each.recording) else "",
+                "log": each.log if _FILE.fullmatch(each.log) else "",
+            }
+            for each in cell.stations
+        ],
+    }

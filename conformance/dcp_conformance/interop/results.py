@@ -1,0 +1,108 @@
+"""Results of a matrix as data: ``interop.json``, from which every report is made."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import msgspec
+
+from dcp_conformance.model.results import Check
+from dcp_conformance.model.verdict import Verdict
+
+SCHEMA: Final = "dcp-conformance-interop/1"
+
+
+class Moment(msgspec.Struct, frozen=True, omit_defaults=True):
+    """A line of a timeline: ``time`` in s since the start, ``place`` None for the network, ``frame`` 0 for none."""
+
+    time: float
+    place: int | None
+    text: str
+    frame: int = 0
+
+
+class Spread(msgspec.Struct, frozen=True):
+    """How long something took to reach everybody: seconds; ``took`` None if it did not within ``limit``."""
+
+    what: str
+    time: float
+    took: float | None
+    limit: float
+
+
+class StationResult(msgspec.Struct, frozen=True, kw_only=True):
+    """One place of a cell."""
+
+    place: int
+    implementation: str
+    profile: str
+    node_id: str
+    neighbours: tuple[int, ...]
+    beacons: int = 0
+    death: str = ""
+    recording: str = ""
+    """What the station sent and received, relative to the report's folder."""
+    log: str = ""
+
+
+class CellResult(msgspec.Struct, frozen=True, kw_only=True):
+    """One test with one pair of implementations."""
+
+    a: str
+    b: str
+    test: str
+    purpose: str
+    requirements: tuple[str, ...]
+    network: str
+    profile: str
+    world: str
+    """``virtual`` or ``real``."""
+    seed: int
+    verdict: Verdict
+    reason: str = ""
+    duration_s: float = 0.0
+    """Seconds of the world's time."""
+    elapsed_s: float = 0.0
+    """Seconds that the tester took."""
+    checks: tuple[Check, ...] = ()
+    spreads: tuple[Spread, ...] = ()
+    moments: tuple[Moment, ...] = ()
+    left_out: int = 0
+    stations: tuple[StationResult, ...] = ()
+    links: dict[str, Any] = {}
+    """Counters of each direction, by ``"SENDER>RECEIVER"``."""
+    recording: str = ""
+    """Everything that was transmitted, relative to the report's folder."""
+    seeds: int = 1
+    """How many seeds were played; the result is that of the first failed one."""
+    failed_seeds: tuple[int, ...] = ()
+    rerun: str = ""
+    """The command that runs this cell again."""
+    error_detail: str = ""
+
+
+class ImplementationResult(msgspec.Struct, frozen=True):
+    """One row and column of the matrix."""
+
+    name: str
+    profile: str
+    what: str = ""
+
+
+class MatrixResult(msgspec.Struct, frozen=True, kw_only=True):
+    """A whole matrix."""
+
+    schema: str = SCHEMA
+    tool: str = ""
+    started: str = ""
+    elapsed_s: float = 0.0
+    command: str = ""
+    implementations: tuple[ImplementationResult, ...] = ()
+    cells: tuple[CellResult, ...] = ()
+
+    def counts(self) -> dict[str, int]:
+        """The number of cells by verdict."""
+        found: dict[str, int] = {}
+        for cell in self.cells:
+            found[str(cell.verdict)] = found.get(str(cell.verdict), 0) + 1
+        return found

@@ -1,0 +1,243 @@
+"""The world in virtual time: our node, its mutants and its permitted variants over a simulated medium.
+
+Everything random comes from one seed, so that a world with the same seed does the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+import msgspec
+
+from dcp_codec.impairment import Impairment, Network
+from dcp_conformance.errors import UpperTesterError
+from dcp_conformance.selftest.variants.surroundings import Tested
+from dcp_conformance.selftest.variants.variant import Setup
+from dcp_conformance.upper_tester import Answer
+from dcp_stack.sim.virtual.network import node_id
+
+from .definition import Shape
+from .world import Limits, Place, Received, Sent
+
+#: How long a frame takes, in ns: a receiver never answers at the instant of the transmission.
+_FLIGHT: Final = 20_000
+_PERFECT: Final = Impairment(delay=_FLIGHT)
+#: Events without time passing after which the world gives up.
+_MOST_EVENTS: Final = 20_000
+
+
+class _Station(Tested):
+    """A node with its application, clock and upper tester; a slow upper tester lets time pass for the whole world."""
+
+    def __init__(self, world: VirtualWorld, place: int, setup: Setup, seed: int, now: int) -> None:
+        self._world = world
+        self._place = place
+        super().__init__(setup, seed=seed, now=now)
+
+    def node_wall(self) -> int:
+        """The node's clock in ns since 1970, with the offset that the test has set."""
+        return super().node_wall() + self._world.offsets[self._place]
+
+    def elapse(self, duration: int) -> None:
+        """Let this time (ns) pass for all stations."""
+        self._world.run(duration)
+
+    def due(self) -> int | None:
+        """When the node or its application wants to be called next."""
+        if self.died:
+            return None
+        times = [self._due()]
+        if self._application is not None:
+            times.append(max(self._application.due(), self.now))
+        return min((time for time in times if time is not None), default=None)
+
+    def catch_up(self, until: int) -> None:
+        """Carry out everything that is due until ``until``."""
+        while self._step(until):
+            pass
+
+
+class VirtualWorld:
+    """See :class:`~dcp_conformance.interop.world.World`."""
+
+    def __init__(self, setups: Sequence[tuple[str, Setup, Limits]], shape: Shape, seed: int = 1) -> None:
+        """``setups``: for each place the name of its implementation, how it is made, and its limits."""
+        self._seed = seed
+        count = len(setups)
+        self.tester_address = b"\x02\x00\x00\x00\x7f\x01"
+        self.offsets = [0] * count
+        self._setups: list[Setup] = []
+        self.places: list[Place] = []
+        for number, (name, setup, limits) in enumerate(setups):
+            codec = setup.config.codec
+            # As for a single node, the identifiers of places are the addresses of their interfaces.
+            own = node_id(codec.profile, number + 1)
+            self._setups.append(
+                Setup(
+                    msgspec.structs.replace(setup.config, node_id=own),
+                    setup.make,
+                    setup.pics,
+                    setup.upper,
+                    setup.can_restart,
+                    setup.application,
+                    setup.clock,
+                )
+            )
+            self.places.append(Place(number, name, codec, own, limits))
+        everybody = [each for place in range(count) for each in ((place, count), (count, place))]
+        self._medium = Network(count + 1, default=_PERFECT, seed=seed, hears=[*shape.pairs, *everybody])
+        for sender, receiver in everybody:
+            self._medium.set(_PERFECT, sender, receiver)
+        self._pairs = shape.pairs
+        self._now = 0
+        self._sent: list[Sent] = []
+        self._received: list[Received] = []
+        self._stations: list[_Station | None] = [None] * count
+        self._uppers: list[Any] = [None] * count
+        self._methods: list[frozenset[str] | None] = [None] * count
+        self._deaths: dict[int, str] = {}
+        self._lives = [0] * count
+
+    # -- time ----------------------------------------------------------------------------------------------------------
+
+    def now(self) -> int:
+        """Virtual ns since the start."""
+        return self._now
+
+    def run(self, duration: int) -> None:
+        """Let virtual time pass."""
+        end, events = self._now + duration, 0
+        while True:
+            time = self._next()
+            if time is None or time > end:
+                break
+            events = events + 1 if time <= self._now else 0
+            if events > _MOST_EVENTS:
+                raise RuntimeError(f"{events} events at {self._now / 1e9:.6f} s: virtual time does not advance")
+            self._go_to(max(time, self._now))
+        self._go_to(max(end, self._now))
+
+    def _next(self) -> int | None:
+        times = [self._medium.poll_timeout()]
+        times += [station.due() for station in self._stations if station is not None]
+        return min((time for time in times if time is not None), default=None)
+
+    def _go_to(self, time: int) -> None:
+        self._now = time
+        for transit in self._medium.due(time):
+            if transit.receiver == len(self.places):
+                continue
+            station = self._stations[transit.receiver]
+            if station is None:
+                continue
+            self._received.append(Received(time, transit.receiver, transit.sender, transit.octets))
+            station.now = max(station.now, time)
+            station.deliver(transit.octets)
+            self._collect(transit.receiver, station)
+        for place, station in enumerate(self._stations):
+            if station is None:
+                continue
+            due = station.due()
+            if due is not None and due <= time:
+                station.catch_up(time)
+            station.now = max(station.now, time)
+            self._collect(place, station)
+
+    def _collect(self, place: int, station: _Station) -> None:
+        while station.arrivals:
+            octets = station.arrivals.popleft().octets
+            self._sent.append(Sent(self._now, place, octets))
+            self._medium.broadcast(place, octets, self._now)
+        if station.died and place not in self._deaths:
+            self._deaths[place] = f"at {self._now / 1e9:.3f} s: {station.died}"
+
+    # -- stations ------------------------------------------------------------------------------------------------------
+
+    def sent(self) -> Sequence[Sent]:
+        """All transmissions so far."""
+        return self._sent
+
+    def power(self, place: int, *, on: bool) -> None:
+        """Switch a station on or off."""
+        station = self._stations[place]
+        if on and station is None:
+            self._lives[place] += 1
+            seed = (self._seed * 1009 + place) * 101 + self._lives[place]
+            self._stations[place] = station = _Station(self, place, self._setups[place], seed, self._now)
+            testing = self._setups[place].upper
+            self._uppers[place] = None if station.died else station.connection(testing)
+            upper = self._uppers[place]
+            self._methods[place] = frozenset() if upper is None else upper.methods
+            self._collect(place, station)
+        elif not on:
+            self._stations[place] = self._uppers[place] = None
+
+    def is_on(self, place: int) -> bool:
+        """Whether the station is switched on."""
+        return self._stations[place] is not None
+
+    def call(self, place: int, method: str, params: Mapping[str, Any]) -> Answer | None:
+        """Call a service of the node."""
+        station, upper = self._stations[place], self._uppers[place]
+        if station is None or upper is None or method not in upper.methods:
+            return None
+        try:
+            answer: Answer = upper.call(method, dict(params))
+        except UpperTesterError:
+            # The node has died; deaths() has the reason.
+            answer = Answer(code=-32603, message="the node ended")
+        upper.poll()
+        self._collect(place, station)
+        return answer
+
+    def offers(self, place: int, method: str) -> bool | None:
+        """Whether the upper tester has a method."""
+        methods = self._methods[place]
+        return None if methods is None else method in methods
+
+    def set_clock(self, place: int, offset: int) -> None:
+        """Set the wall clock of a station."""
+        self.offsets[place] = offset
+
+    # -- links ---------------------------------------------------------------------------------------------------------
+
+    def set_quality(self, impairment: Impairment, sender: int | None = None, receiver: int | None = None) -> None:
+        """Change the links between the places."""
+        if not impairment.delay:
+            impairment = msgspec.structs.replace(impairment, delay=_FLIGHT)
+        for each in self._pairs:
+            if sender in (None, each[0]) and receiver in (None, each[1]):
+                self._medium.set(impairment, *each)
+
+    def partition(self, groups: Sequence[Sequence[int]]) -> None:
+        """Let frames stay within their groups."""
+        self._medium.partition(groups)
+
+    def transmit(self, octets: bytes) -> None:
+        """Broadcast from the tester's own station."""
+        self._sent.append(Sent(self._now, len(self.places), octets))
+        self._medium.broadcast(len(self.places), octets, self._now)
+
+    def deaths(self) -> Mapping[int, str]:
+        """How nodes ended."""
+        return self._deaths
+
+    def link_counters(self) -> dict[str, Any]:
+        """The counters of each direction between places."""
+        pairs = {f"{a}>{b}" for a, b in self._pairs}
+        return {name: each for name, each in self._medium.counters().items() if name in pairs}
+
+    def settle(self) -> None:
+        """Nothing: every transmission is known."""
+
+    def received(self) -> Sequence[Received]:
+        """What arrived at the places."""
+        return self._received
+
+    def logs(self) -> Mapping[int, str]:
+        """Nodes in this process write no log."""
+        return {}
+
+    def close(self) -> None:
+        """Nothing is held."""

@@ -1,0 +1,153 @@
+"""A world: the network that a network test runs in, in virtual time or in real time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple, Protocol
+
+import msgspec
+
+from dcp_codec.codec import Codec
+from dcp_codec.impairment import Impairment
+from dcp_conformance.upper_tester import Answer
+
+
+class Sent(NamedTuple):
+    """A frame that a station transmitted. ``time``: ns since the start; ``octets``: the bearer payload."""
+
+    time: int
+    place: int
+    octets: bytes
+
+
+class Received(NamedTuple):
+    """A frame that arrived at the station at ``place``."""
+
+    time: int
+    place: int
+    sender: int
+    octets: bytes
+
+
+class Limits(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What an implementation can keep and send: parameters, and capacities. Lengths are octets, times ms."""
+
+    value: int = 32
+    """VARDISPAR_MAX_VALUE_LENGTH."""
+    description: int = 32
+    """VARDISPAR_MAX_DESCRIPTION_LENGTH."""
+    repetitions: int = 15
+    """VARDISPAR_MAX_REPETITIONS."""
+    summaries: int = 20
+    """VARDISPAR_MAX_SUMMARIES."""
+    payload: int = 1000
+    """VARDISPAR_MAX_PAYLOAD_SIZE."""
+    variables: int = 256
+    """Variables that the database has room for."""
+    neighbours: int = 1000
+    """Entries that the neighbour table has room for."""
+    neighbour_timeout_ms: float = 3000
+    """SRPPAR_NEIGHBOUR_TABLE_TIMEOUT."""
+    scrubbing_period_ms: float = 1000
+    """VARDISPAR_SCRUBBING_PERIOD."""
+    beacon_period_ms: float = 100
+    """BPPAR_BEACON_PERIOD."""
+    buffer_check_ms: float = 50
+    """VARDISPAR_BUFFER_CHECK_PERIOD."""
+    network_id: int | None = None
+    """BPPAR_NETWORK_ID; None: the profile's."""
+
+
+class Place(NamedTuple):
+    """A station as the judge knows it."""
+
+    number: int
+    implementation: str
+    codec: Codec
+    node_id: bytes
+    limits: Limits
+
+
+class World(Protocol):
+    """What a scene does with its network. Times are ns since the start; places are numbers from 0.
+
+    The number after the last place is the tester's own station: :meth:`transmit` sends as it.
+    """
+
+    @property
+    def places(self) -> Sequence[Place]:
+        """The stations."""
+        ...
+
+    @property
+    def tester_address(self) -> bytes:
+        """The address of the tester's own station."""
+        ...
+
+    def now(self) -> int:
+        """Return the time since the start."""
+        ...
+
+    def run(self, duration: int) -> None:
+        """Let time pass."""
+        ...
+
+    def sent(self) -> Sequence[Sent]:
+        """Return all transmissions so far, in their order; the sequence grows."""
+        ...
+
+    def power(self, place: int, *, on: bool) -> None:
+        """Switch a station on or off; it loses all state."""
+        ...
+
+    def is_on(self, place: int) -> bool:
+        """Return whether the station was switched on."""
+        ...
+
+    def call(self, place: int, method: str, params: Mapping[str, Any]) -> Answer | None:
+        """Call a service; None if the station has no upper tester or this method is missing."""
+        ...
+
+    def offers(self, place: int, method: str) -> bool | None:
+        """Return whether a method can be called there; None while the station is off and this is unknown."""
+        ...
+
+    def set_quality(self, impairment: Impairment, sender: int | None = None, receiver: int | None = None) -> None:
+        """Change the links between the places: all, or from and to single ones."""
+        ...
+
+    def partition(self, groups: Sequence[Sequence[int]]) -> None:
+        """Let frames stay within their groups; no groups: heal."""
+        ...
+
+    def set_clock(self, place: int, offset: int) -> None:
+        """Set the wall clock of a station ``offset`` ns ahead."""
+        ...
+
+    def transmit(self, octets: bytes) -> None:
+        """Broadcast a bearer payload from the tester's own station to all places."""
+        ...
+
+    def deaths(self) -> Mapping[int, str]:
+        """Return how implementations ended without being told to, by place."""
+        ...
+
+    def link_counters(self) -> dict[str, Any]:
+        """Return what each direction did to frames, as plain data."""
+        ...
+
+    def settle(self) -> None:
+        """Take in what is still under way; nothing happens in the world afterwards."""
+        ...
+
+    def received(self) -> Sequence[Received]:
+        """Return what arrived at the places, as far as the world has it."""
+        ...
+
+    def logs(self) -> Mapping[int, str]:
+        """Return the path of the log of each process."""
+        ...
+
+    def close(self) -> None:
+        """End everything that was started."""
+        ...
