@@ -59,6 +59,13 @@ def time_of(recorded: Recorded) -> Time:
     return Time(first, last, duration, np.linspace(0, duration or 1.0, many + 1))
 
 
+def times_of(recorded: Recorded, time: Time, table: str, node: int) -> Column:
+    """When a table has something of a node: seconds, ascending."""
+    columns = recorded.tables[table]
+    found: Column = np.sort(time.seconds(columns["time"][columns["node"] == node]))
+    return found
+
+
 @dataclass(frozen=True)
 class Steps:
     """What sequence numbers tell, one row for each beacon, in the order of frames.
@@ -177,11 +184,10 @@ def pair_ages(recorded: Recorded, time: Time, nodes: list[int]) -> tuple[Column,
 
     NaN for a node about itself, and where there is nothing to tell.
     """
-    beacons, reports = recorded.tables["beacons"], recorded.tables["srp"]
-    heard = {node: np.sort(time.seconds(reports["time"][reports["node"] == node])) for node in nodes}
+    heard = {node: times_of(recorded, time, "srp", node) for node in nodes}
     middle, high = np.full((2, len(nodes), len(nodes)), np.nan)
     for row, node in enumerate(nodes):
-        sent = time.seconds(beacons["time"][beacons["node"] == node])
+        sent = times_of(recorded, time, "beacons", node)
         for place, neighbour in enumerate(nodes):
             last = np.searchsorted(heard[neighbour], sent, "right") - 1
             known = last >= 0

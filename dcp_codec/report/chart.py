@@ -76,6 +76,8 @@ _THEME = Theme(
 _MS = 1000.0
 #: Pixels that a legend may take, so that it is whole on a telephone.
 _LEGEND = 300
+#: Hatches of areas that lie upon each other.
+_HATCHES = (None, "/", "x", "-", ".", "\\", "|", "o")
 _CLOCK = "%H:%M:%S.%3N"
 
 
@@ -209,10 +211,7 @@ class Chart:
     def dots(self, number: int, name: str, x: Column, y: Column, **shown: Any) -> None:
         """Dots of series ``number``."""
         source = self._source(name, x, y, shown)
-        drawn = self.figure.scatter(
-            "x", "y", source=source, marker=SYMBOLS[number % 10][0], size=6, fill_color=series_colour(number),
-            line_color=series_colour(number), fill_alpha=0.55,
-        )  # fmt: skip
+        drawn = self._scatter(source, SYMBOLS[number % 10][0], series_colour(number), size=6, fill_alpha=0.55)
         self._pointer([drawn], shown)
         self._entry(name, [drawn], y)
 
@@ -227,10 +226,7 @@ class Chart:
         """Boxes in the colour of a role, with a hatch that says the same; ``shown`` is for the pointer."""
         scale = _MS if self.duration is not None else 1.0
         source = ColumnDataSource({"left": left * scale, "right": right * scale, "bottom": bottom, "top": top, **shown})
-        drawn = self.figure.quad(
-            "left", "right", "bottom", "top", source=source, fill_color=light(role), line_color=None,
-            hatch_pattern=hatch, hatch_color=light("card"), hatch_scale=6, hatch_weight=1.2,
-        )  # fmt: skip
+        drawn = self._quads(source, light(role), hatch, 6, 1.2)
         self._pointer([drawn], shown, span=True)
         if legend:
             self._entries.append((legend, [drawn]))
@@ -244,11 +240,7 @@ class Chart:
                 {"left": edges[:-1] * _MS, "right": edges[1:] * _MS, "bottom": below, "top": above, self.label: values},
                 name=safe_text(name),
             )
-            drawn = self.figure.quad(
-                "left", "right", "bottom", "top", source=source, fill_color=series_colour(number), line_color=None,
-                hatch_pattern=(None, "/", "x", "-", ".", "\\", "|", "o")[number % 8], hatch_color=light("card"),
-                hatch_scale=8, hatch_weight=1,
-            )  # fmt: skip
+            drawn = self._quads(source, series_colour(number), _HATCHES[number % len(_HATCHES)], 8, 1)
             self._pointer([drawn], {self.label: values}, span=True)
             self._entry(name, [drawn], values)
             below = above
@@ -257,10 +249,7 @@ class Chart:
     def marks_at(self, symbol: str, role: str, x: Column, y: Column, *, size: int = 9, **shown: Any) -> None:
         """Symbols in the colour of a role at places that matter."""
         source = ColumnDataSource({"x": x * _MS if self.duration is not None else x, "y": y, **shown})
-        drawn = self.figure.scatter(
-            "x", "y", source=source, marker=symbol, size=size, fill_color=light(role), line_color=light(role),
-            line_width=1.5,
-        )  # fmt: skip
+        drawn = self._scatter(source, symbol, light(role), size=size, line_width=1.5)
         self._pointer([drawn], shown)
 
     def plot(self) -> Plot:
@@ -276,15 +265,9 @@ class Chart:
             known = [end for end in self._ends if np.isfinite(end)] or [0.0, 1.0]
             limits = (min(known), max(known))
         plot = Plot(
-            self.name,
-            self.title,
-            self.caption,
-            "; ".join(self._words),
-            self.figure,
-            limits,
-            self.duration is not None,
-            self.from_zero,
-        )
+            self.name, self.title, self.caption, "; ".join(self._words), self.figure, limits,
+            self.duration is not None, self.from_zero,
+        )  # fmt: skip
         if limits is not None and self.duration is not None:
             scale(plot, limits)
         return plot
@@ -302,9 +285,17 @@ class Chart:
 
     def _marks(self, number: int, source: ColumnDataSource, rows: Column) -> Any:
         own = ColumnDataSource({axis: np.asarray(source.data[axis])[rows] for axis in "xy"})
+        return self._scatter(own, SYMBOLS[number % 10][0], series_colour(number), size=7)
+
+    def _scatter(self, source: ColumnDataSource, marker: str, colour: str, **style: Any) -> Any:
         return self.figure.scatter(
-            "x", "y", source=own, marker=SYMBOLS[number % 10][0], size=7, fill_color=series_colour(number),
-            line_color=series_colour(number),
+            "x", "y", source=source, marker=marker, fill_color=colour, line_color=colour, **style
+        )
+
+    def _quads(self, source: ColumnDataSource, colour: str, hatch: str | None, wide: float, thick: float) -> Any:
+        return self.figure.quad(
+            "left", "right", "bottom", "top", source=source, fill_color=colour, line_color=None, hatch_pattern=hatch,
+            hatch_color=light("card"), hatch_scale=wide, hatch_weight=thick,
         )  # fmt: skip
 
     def _pointer(self, drawn: list[Any], shown: dict[str, Any], *, span: bool = False) -> None:

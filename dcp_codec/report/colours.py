@@ -49,15 +49,3 @@ def light(role: str) -> str:
 def series_colour(number: int) -> str:
     """The colour of a series, in the light scheme; it repeats after ten."""
     return light(f"s{number % 10}")
-
-
-def contrast(one: str, other: str) -> float:
-    """The contrast ratio of two colours (``#rrggbb``) as WCAG 2 defines it: 1 to 21."""
-    bright, dim = sorted((_luminance(one), _luminance(other)), reverse=True)
-    return (bright + 0.05) / (dim + 0.05)
-
-
-def _luminance(colour: str) -> float:
-    parts = [int(colour[at : at + 2], 16) / 255 for at in (1, 3, 5)]
-    red, green, blue = (part / 12.92 if part <= 0.04045 else ((part + 0.055) / 1.055) ** 2.4 for part in parts)
-    return 0.2126 * red + 0.7152 * green + 0.0722 * blue

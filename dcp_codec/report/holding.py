@@ -9,7 +9,7 @@ import numpy as np
 
 from dcp_codec.analysis.holdings import DELETED
 
-from .analysis import Time
+from .analysis import Time, times_of
 from .recorded import Column, Recorded
 from .series import usual_interval
 
@@ -115,7 +115,7 @@ def holding(recorded: Recorded, time: Time) -> Holding:
     nodes = spoken[np.argsort(-chatter, kind="stable")][:_NODES].tolist()
     variables = about[np.argsort(-words, kind="stable")][:_VARIABLES].tolist()
     found.left_out = max(0, spoken.size * about.size - len(nodes) * len(variables))
-    beacons = {node: _times(recorded, time, node) for node in nodes}
+    beacons = {node: times_of(recorded, time, "beacons", node) for node in nodes}
     for variable in variables:
         known = recorded.variables.get(variable)
         producer = known.producer if known is not None else -1
@@ -130,11 +130,6 @@ def holding(recorded: Recorded, time: Time) -> Holding:
                 found.pairs.append(pair)
     found.divergences.sort(key=lambda each: (not each.to_the_end, each.start - each.end))
     return found
-
-
-def _times(recorded: Recorded, time: Time, node: int) -> Column:
-    table = recorded.tables["beacons"]
-    return np.sort(time.seconds(table["time"][table["node"] == node]))
 
 
 def _claims(held: dict[str, Column], time: Time) -> Iterator[tuple[tuple[int, int], _Claims]]:

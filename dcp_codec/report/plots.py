@@ -16,7 +16,7 @@ from . import analysis, holding
 from .analysis import KINDS, Part, Steps, Time
 from .chart import Chart, Plot
 from .recorded import NOBODY, Column, Recorded
-from .series import extremes, in_unit, ordinal, runs, seconds_text, usual_interval
+from .series import extremes, in_unit, ordinal, runs, seconds_text, short, usual_interval
 from .variables import Passings, Values, counted, numeric
 
 #: Nodes and variables that are drawn one by one; rows of who holds what.
@@ -50,6 +50,11 @@ class Easel:
         """How a node is called in plots and narrow tables."""
         return self.short.get(node) or (self.recorded.nodes[node] if node >= 0 else NOBODY)
 
+    def times(self, table: str) -> dict[int, Column]:
+        """When a table has something of each node that is drawn; without those of which it has nothing."""
+        found = {node: analysis.times_of(self.recorded, self.time, table, node) for node in self.nodes}
+        return {node: times for node, times in found.items() if times.size}
+
     def chart(self, name: str, title: str, caption: str, **options: object) -> Chart:
         """A new plot of this recording over time."""
         return Chart(f"{self.prefix}{name}", title, caption, **{"duration": self.time.duration, **options})  # type: ignore[arg-type]
@@ -69,16 +74,31 @@ def short_names(names: dict[int, str]) -> dict[int, str]:
     return dict(names)
 
 
-def pieces_for(series: int) -> int:
-    """Pieces of time into which each of so many series is thinned."""
-    return max(_PIECES, _POINTS // (4 * max(1, series)))
+class Thinned:
+    """Thins the series of one plot, and counts what is left."""
 
+    def __init__(self, series: int) -> None:
+        self._pieces = max(_PIECES, _POINTS // (4 * max(1, series)))
+        self.drawn = self.total = 0
 
-def drawn_words(drawn: int, of: int) -> str:
-    """What to say where a series was thinned; nothing where it was not."""
-    if drawn >= of:
-        return ""
-    return f" 1 of {of / max(1, drawn):.3g} drawn: the first, last, least and greatest of each piece of time."
+    def rows(self, rows: Column, x: Column, y: Column, also: Column | None = None) -> Column:
+        """Those of ``rows`` that are drawn; ``also`` are places among them that are drawn in any case."""
+        places = self.places(x, y)
+        kept: Column = rows[places if also is None else np.union1d(places, also)]
+        self.drawn, self.total = self.drawn + kept.size, self.total + rows.size
+        return kept
+
+    def places(self, x: Column, y: Column) -> Column:
+        """The places of a series that are drawn."""
+        return extremes(x, y, self._pieces)
+
+    @property
+    def words(self) -> str:
+        """What to say where a series was thinned; nothing where none was."""
+        if self.drawn >= self.total:
+            return ""
+        share = self.total / max(1, self.drawn)
+        return f" 1 of {short(share)} drawn: the first, last, least and greatest of each piece of time."
 
 
 def over_time(
@@ -150,8 +170,7 @@ def _boxes(
 def beacon_rate(easel: Easel, steps: Steps) -> list[Plot]:
     """Beacons per second, and the share of them that is lost."""
     recorded, time = easel.recorded, easel.time
-    senders = [node for node in easel.nodes if (recorded.column("beacons", "node") == node).any()]
-    found = {node: analysis.rates(recorded, time, steps, node) for node in senders}
+    found = {node: analysis.rates(recorded, time, steps, node) for node in easel.times("beacons")}
     rate = {node: each for node, (each, _) in found.items()}
     mean = f"Mean over {seconds_text(time.width)}."
     plots = [over_time(easel, "beacon-rate", "Beacons heard", mean, "beacons per second", time.edges, rate)]
@@ -164,18 +183,17 @@ def beacon_rate(easel: Easel, steps: Steps) -> list[Plot]:
 
 def presence(easel: Easel) -> Plot:
     """Who was heard when."""
-    time, beacons = easel.time, easel.recorded.tables["beacons"]
-    senders = [node for node in easel.nodes if (beacons["node"] == node).any()]
-    seconds = {node: time.seconds(beacons["time"][beacons["node"] == node]) for node in senders}
+    time = easel.time
+    seconds = easel.times("beacons")
     # No finer than beacons come, or each interval would be a gap.
     ends = time.finer(3 * max(map(usual_interval, seconds.values()), default=0))
-    names = [easel.name(node) for node in senders]
+    names = [easel.name(node) for node in seconds]
     caption = "Times without a beacon are blank."
-    chart = easel.chart("heard", "Who was heard when", caption, rows=names, height=90 + 24 * len(senders))
+    chart = easel.chart("heard", "Who was heard when", caption, rows=names, height=90 + 24 * len(names))
     bars = [
         (ends[a], ends[b], row)
-        for row, node in enumerate(senders)
-        for a, b in runs(np.histogram(seconds[node], ends)[0] > 0)
+        for row, at in enumerate(seconds.values())
+        for a, b in runs(np.histogram(at, ends)[0] > 0)
     ]
     left, right, row = np.array(bars, np.float64).T if bars else np.zeros((3, 0))
     node = np.array([names[int(each)] for each in row])
@@ -185,11 +203,8 @@ def presence(easel: Easel) -> Plot:
 
 def ages(easel: Easel) -> Plot:
     """The age of each node's last report over time."""
-    recorded, time = easel.recorded, easel.time
-    reports = recorded.tables["srp"]
-    nodes = [node for node in easel.nodes if (reports["node"] == node).any()]
-    seconds = {node: np.sort(time.seconds(reports["time"][reports["node"] == node])) for node in nodes}
-    ends = time.finer(_REPORTS * max(map(usual_interval, seconds.values()), default=0))
+    seconds = easel.times("srp")
+    ends = easel.time.finer(_REPORTS * max(map(usual_interval, seconds.values()), default=0))
     caption = f"Since the last state report that was heard; the greatest age in each {seconds_text(ends[1] - ends[0])}."
     found = {node: analysis.age(each, ends) for node, each in seconds.items()}
     return over_time(easel, "age", "Age of information", caption, "age of the last report (s)", ends, found)
@@ -206,38 +221,28 @@ def positions(easel: Easel) -> list[Plot]:
     }
     if not place:
         return []
-    unit, pieces = easel.recorded.units, pieces_for(len(place))
-    total = sum(rows.size for rows in place.values())
-    kept = {}
+    unit, plan, height = easel.recorded.units, Thinned(len(place)), Thinned(len(place))
+    drawn, high = {}, {}
     for node, rows in place.items():
-        at = time.seconds(reports["time"][rows])
-        kept[node] = [rows[extremes(at, reports[axis][rows], pieces)] for axis in "xyz"]
-    drawn = {node: np.union1d(kept[node][0], kept[node][1]) for node in place}
-    words = drawn_words(sum(rows.size for rows in drawn.values()), total)
-    caption = f"The square is where a node was last.{words}"
-    x_label = f"x{in_unit(unit.get('position.x'))}"
+        at, x, y, z = time.seconds(reports["time"][rows]), *(reports[axis][rows] for axis in "xyz")
+        drawn[node] = plan.rows(rows, at, x, also=plan.places(at, y))
+        high[node] = height.rows(rows, at, z)
+    caption = f"The square is where a node was last.{plan.words}"
     chart = Chart(
         f"{easel.prefix}plan", "Positions in plan", caption, label=f"y{in_unit(unit.get('position.y'))}", height=380
     )
-    chart.figure.xaxis.axis_label = x_label
+    chart.figure.xaxis.axis_label = f"x{in_unit(unit.get('position.x'))}"
     chart.figure.match_aspect = True
     for node, rows in drawn.items():
-        rows = rows[np.argsort(reports["time"][rows], kind="stable")]
         x, y, at = reports["x"][rows], reports["y"][rows], time.seconds(reports["time"][rows])
         chart.line(easel.nodes.index(node), easel.name(node), x, y, seconds=at)
         chart.marks_at("square", f"s{easel.nodes.index(node) % 10}", x[-1:], y[-1:], size=8)
     plots = [chart.plot()]
     if "position.z" not in unit:
         return plots
-    words = drawn_words(sum(rows[2].size for rows in kept.values()), total)
-    chart = easel.chart(
-        "height",
-        "Height",
-        f"As state reports say it.{words}",
-        label=f"z{in_unit(unit.get('position.z'))}",
-        from_zero=False,
-    )
-    for node, (_, _, rows) in kept.items():
+    caption = f"As state reports say it.{height.words}"
+    chart = easel.chart("height", "Height", caption, label=f"z{in_unit(unit['position.z'])}", from_zero=False)
+    for node, rows in high.items():
         chart.line(easel.nodes.index(node), easel.name(node), time.seconds(reports["time"][rows]), reports["z"][rows])
     return [*plots, chart.plot()]
 
@@ -252,18 +257,17 @@ def usable(reports: dict[str, Column]) -> Column:
 
 def values(easel: Easel, found: Values) -> list[Plot]:
     """Sequence numbers, and values that fit a number, over time."""
-    pieces, drawn, total, again = pieces_for(len(easel.variables)), 0, 0, 0
-    modulus = easel.recorded.number_modulus
-    series = []
+    modulus, thinned, series = easel.recorded.number_modulus, Thinned(len(easel.variables)), []
     for number, each in enumerate(easel.variables):
         rows, count, created = counted(easel.recorded, found, each)
-        kept = np.union1d(extremes(found.time[rows], count, pieces), np.flatnonzero(created))
+        kept = thinned.rows(np.arange(rows.size), found.time[rows], count, np.flatnonzero(created))
         series.append((number, each, rows[kept], count[kept], rows[created], count[created]))
-        drawn, total, again = drawn + kept.size, total + rows.size, again + int(created.sum())
+    again = ""
+    if any(created.size for *_, created, _ in series):
+        again = " A star: the variable was created again, and its numbers start again."
     caption = (
         f"Each value when it was first heard. Numbers count modulo {modulus:,} and are drawn as if they did not."
-        f"{' A star: the variable was created again, and its numbers start again.' if again else ''}"
-        f"{drawn_words(drawn, total)}"
+        f"{again}{thinned.words}"
     )
     chart = easel.chart("seqno", "Sequence numbers of variables", caption, label="sequence number, unwrapped")
     for number, each, rows, count, created, restarted in series:
@@ -284,16 +288,16 @@ def values(easel: Easel, found: Values) -> list[Plot]:
     numbers = [each for each in easel.variables if numeric(found, each)]
     if not numbers:
         return plots
-    lines, drawn, total = [], 0, 0
-    for each in numbers:
-        rows = np.flatnonzero(found.variable == each)
-        kept = rows[extremes(found.time[rows], found.number[rows], pieces_for(len(numbers)))]
-        lines.append((each, kept))
-        drawn, total = drawn + kept.size, total + rows.size
+    thinned = Thinned(len(numbers))
+    lines = [
+        (each, thinned.rows(rows, found.time[rows], found.number[rows]))
+        for each in numbers
+        for rows in [np.flatnonzero(found.variable == each)]
+    ]
     high = float(np.nanmax(found.number[np.isin(found.variable, numbers)]))
     caption = (
         "Those whose values all have one length of at most 8 octets, read as unsigned, most significant octet first."
-        f"{drawn_words(drawn, total)}"
+        f"{thinned.words}"
     )
     chart = easel.chart("values", "Values of variables", caption, label="value", from_zero=False)
     for each, rows in lines:
@@ -310,17 +314,12 @@ def delays(easel: Easel, passed: Passings) -> list[Plot]:
     """How long values take to be passed on."""
     ours = passed.counted & np.isin(passed.node, easel.nodes)
     nodes = [node for node in easel.nodes if (ours & (passed.node == node)).any()]
-    series, drawn, total = [], 0, 0
+    series, thinned = [], Thinned(len(nodes))
     for node in nodes:
         rows = np.flatnonzero(ours & (passed.node == node))
         rows = rows[np.argsort(passed.time[rows], kind="stable")]
-        kept = rows[extremes(passed.time[rows], passed.delay[rows], pieces_for(len(nodes)))]
-        series.append((node, kept))
-        drawn, total = drawn + kept.size, total + rows.size
-    caption = (
-        "From the first beacon with a value to the first of each other node that passes it on."
-        f"{drawn_words(drawn, total)}"
-    )
+        series.append((node, thinned.rows(rows, passed.time[rows], passed.delay[rows])))
+    caption = f"From the first beacon with a value to the first of each other node that passes it on.{thinned.words}"
     chart = easel.chart("delay", "Dissemination delay of each value", caption, label="delay (s)")
     for node, rows in series:
         chart.dots(
@@ -357,15 +356,11 @@ def load(easel: Easel, parts: Sequence[Part]) -> Plot:
 
 def anomalies(easel: Easel, times: dict[str, Column]) -> Plot:
     """When something was odd."""
-    drawn, total = 0, sum(each.size for each in times.values())
-    kept = {}
-    for kind in KINDS:
-        at = np.sort(times[kind])
-        kept[kind] = at[extremes(at, np.zeros(at.size), pieces_for(len(KINDS)))]
-        drawn += kept[kind].size
+    thinned = Thinned(len(KINDS))
+    kept = {kind: thinned.rows(at, at, np.zeros(at.size)) for kind in KINDS for at in [np.sort(times[kind])]}
     caption = (
         "Malformed frames, gaps in sequence numbers, restarts (numbers that go back), repeated numbers, and a clock "
-        f"of the recorder that was set back.{drawn_words(drawn, total)}"
+        f"of the recorder that was set back.{thinned.words}"
     )
     names = [f"{kind} ({times[kind].size:,})" for kind in KINDS]
     chart = easel.chart("anomalies", "When something was odd", caption, rows=names, height=230)

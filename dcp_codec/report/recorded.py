@@ -169,22 +169,23 @@ class _Gatherer:
             # A copy: the memory of a batch is used again when nobody refers to it.
             self.pieces[table][name].append(np.array(values, _KEPT[table][name]))
 
+    def _keys(self, rows: pa.RecordBatch) -> dict[str, Column]:
+        """The columns that most tables have: which frame, when, and from whom."""
+        return {
+            "frame": _integers(rows["frame"]),
+            "time": _integers(rows["time"]),
+            "node": self.nodes.numbers(rows["sender"]),
+        }
+
     def _beacons(self, rows: pa.RecordBatch) -> None:
         has_seqno = "seqno" in rows.schema.names
         if has_seqno:
             self.modulus = 1 << rows.schema.field("seqno").type.bit_width
         seqno = _integers(rows["seqno"]) if has_seqno else np.zeros(rows.num_rows, np.int64)
         octets, frames = _integers(rows["octets"]), _integers(rows["frameLength"])
-        self._keep(
-            "beacons",
-            frame=_integers(rows["frame"]),
-            time=_integers(rows["time"]),
-            node=self.nodes.numbers(rows["sender"]),
-            interface=_integers(rows["interface"]),
-            seqno=seqno,
-            octets=octets,
-            around=np.maximum(frames - octets, 0),
-        )
+        around = np.maximum(frames - octets, 0)
+        interface = _integers(rows["interface"])
+        self._keep("beacons", **self._keys(rows), interface=interface, seqno=seqno, octets=octets, around=around)
 
     def _lengths(self, table: str, rows: pa.RecordBatch, content: str, length: str) -> None:
         octets = _integers(rows[length])
@@ -203,9 +204,7 @@ class _Gatherer:
         size, number = _numbers(rows["value"])
         self._keep(
             "said",
-            frame=_integers(rows["frame"]),
-            time=_integers(rows["time"]),
-            node=self.nodes.numbers(rows["sender"]),
+            **self._keys(rows),
             variable=variable,
             seqno=_integers(rows["seqno"]),
             creation=_creation_times(rows),
@@ -259,13 +258,7 @@ class _Gatherer:
         return self.variables.setdefault(number, Variable())
 
     def _errors(self, rows: pa.RecordBatch) -> None:
-        self._keep(
-            "errors",
-            frame=_integers(rows["frame"]),
-            time=_integers(rows["time"]),
-            node=self.nodes.numbers(rows["sender"]),
-            reason=self.reasons.numbers(rows["reason"]),
-        )
+        self._keep("errors", **self._keys(rows), reason=self.reasons.numbers(rows["reason"]))
         for reason, requirement in zip(rows["reason"].to_pylist(), rows["requirement"].to_pylist(), strict=True):
             self.requirements.setdefault(reason or NOBODY, requirement or "")
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from .analysis import Sender, Steps
 from .page import Cell, Section, Table, table
 from .plots import DRAWN, Easel, number_text
 from .recorded import Recorded
-from .series import seconds_text
+from .series import seconds_text, short
 
 #: Anomalies of each kind and differences that are listed; octets of a value that are shown.
 _LISTED, _OCTETS = 10, 16
@@ -80,13 +80,8 @@ def _at_the_end(easel: Easel, found: holding.Holding) -> Table:
             if pair is None:
                 row.append(_number("producer" if node == first.producer else "-"))
             else:
-                row.append(
-                    Cell(
-                        f"{'≠ ' if pair.differs_at_end else ''}{number_text(pair.held)}",
-                        number=True,
-                        bad=pair.differs_at_end,
-                    )
-                )
+                bad = pair.differs_at_end
+                row.append(Cell(f"{'≠ ' if bad else ''}{number_text(pair.held)}", number=True, bad=bad))
         rows.append(row)
     heads = ["variable", "producer", "its number", *(easel.name(node) for node in easel.nodes)]
     caption = "The number of each variable that each node said last. ≠ in red: it differs from the producer's."
@@ -119,21 +114,17 @@ def _never_said(easel: Easel, found: holding.Holding) -> list[Table]:
     producers = [node for node in easel.nodes if any(pair.producer == node for pair in found.pairs)]
     if not producers:
         return []
-    rows = []
-    for node in easel.nodes:
-        row = [Cell(easel.name(node), mono=True, series=easel.nodes.index(node))]
-        for producer in producers:
-            own = [pair for pair in found.pairs if pair.node == node and pair.producer == producer]
-            could, said = sum(pair.values for pair in own), sum(pair.said for pair in own)
-            row.append(
-                _number(f"{100 * (could - said) / could:.2g} % ({could - said:,} of {could:,})" if could else "-")
-            )
-        rows.append(row)
+
+    def cell(node: int, producer: int) -> str:
+        own = [pair for pair in found.pairs if pair.node == node and pair.producer == producer]
+        could, said = sum(pair.values for pair in own), sum(pair.said for pair in own)
+        return f"{short(100 * (could - said) / could, 2)} % ({could - said:,} of {could:,})" if could else "-"
+
     caption = (
         "Loss per pair, end to end: values of the column's node that the row's node never said it holds. A value that "
         "was replaced before the node's next beacon counts, too."
     )
-    return [table(caption, ["node", *(easel.name(node) for node in producers)], rows, matrix=True)]
+    return [_by_node(easel, caption, producers, cell)]
 
 
 def reactions_section(easel: Easel, found: reactions.Reactions) -> Section:
@@ -143,23 +134,22 @@ def reactions_section(easel: Easel, found: reactions.Reactions) -> Section:
     if not found.trials.any():
         section.words.append("No node passed on what another had said: nothing tells who hears whom.")
         return section
-    rows, reacts = [], []
-    for place, node in enumerate(easel.nodes):
-        row = [Cell(easel.name(node), mono=True, series=place)]
-        for other in range(len(easel.nodes)):
-            share, many = found.share(place, other), int(found.trials[place, other])
-            done = int(found.reacted[place, other])
-            if place == other:
-                row.append(_number(""))
-            elif share is None:
-                row.append(_number(f"? ({done} of {many})" if many else "?"))
-            else:
-                sign = "●" if share >= reactions.REACTS else "○" if share <= reactions.DEAF else "◐"
-                row.append(_number(f"{sign} {100 * share:.0f} % ({done:,} of {many:,})"))
-        close = [easel.name(easel.nodes[other]) for other in found.hears(place)]
-        if close:
-            reacts.append(f"{easel.name(node)} to {', '.join(close)}")
-        rows.append(row)
+
+    def cell(node: int, other: int) -> str:
+        place = easel.nodes.index(node), easel.nodes.index(other)
+        share, many, done = found.share(*place), int(found.trials[place]), int(found.reacted[place])
+        if node == other:
+            return ""
+        if share is None:
+            return f"? ({done} of {many})" if many else "?"
+        sign = "●" if share >= reactions.REACTS else "○" if share <= reactions.DEAF else "◐"
+        return f"{sign} {100 * share:.0f} % ({done:,} of {many:,})"
+
+    reacts = [
+        f"{easel.name(node)} to {', '.join(easel.name(easel.nodes[other]) for other in close)}"
+        for place, node in enumerate(easel.nodes)
+        if (close := found.hears(place))
+    ]
     caption = (
         "Row: the node that reacts; column: to whom. Counted are intervals between two beacons of the row's node in "
         "which the column's node alone said a value that was new to it, and how often the row's node then showed that "
@@ -167,7 +157,7 @@ def reactions_section(easel: Easel, found: reactions.Reactions) -> Section:
         "loss between the two, seen from what the recorder heard."
     )
     section.words.append(f"Reacts: {'; '.join(reacts)}." if reacts else "No node reacted often enough to be sure.")
-    section.tables.append(table(caption, ["node", *(easel.name(node) for node in easel.nodes)], rows, matrix=True))
+    section.tables.append(_by_node(easel, caption, easel.nodes, cell))
     return section
 
 
@@ -182,8 +172,8 @@ def senders_section(easel: Easel, senders: Sequence[Sender], steps: Steps) -> Se
         [
             Cell(names[sender.node], series=_series(easel, sender.node), mono=True),
             _number(f"{sender.beacons:,}"),
-            _number("-" if sender.rate is None else f"{sender.rate:.3g}"),
-            _number("unknown" if sender.loss is None else f"{sender.lost:,} ({100 * sender.loss:.2g} %)"),
+            _number("-" if sender.rate is None else short(sender.rate)),
+            _number("unknown" if sender.loss is None else f"{sender.lost:,} ({short(100 * sender.loss, 2)} %)"),
             _number(f"{sender.restarts:,}"),
             _number(f"{sender.reports:,}"),
             _number(f"{sender.first:.3f}"),
@@ -217,21 +207,19 @@ def ages_section(easel: Easel, found: reactions.Reactions) -> Section:
     section.plots.append(plots.ages(easel))
     _, high = analysis.pair_ages(recorded, easel.time, easel.nodes)
     inferred = found.trials.any()
-    rows = []
-    for row, node in enumerate(easel.nodes):
-        hears = found.hears(row)
-        cells = [Cell(easel.name(node), mono=True, series=row)]
-        for column in range(len(easel.nodes)):
-            unknown = not np.isfinite(high[row, column]) or (inferred and column not in hears)
-            cells.append(_number("-" if unknown else f"{high[row, column]:.3g}"))
-        rows.append(cells)
+
+    def cell(node: int, other: int) -> str:
+        row, column = easel.nodes.index(node), easel.nodes.index(other)
+        unknown = not np.isfinite(high[row, column]) or (inferred and column not in found.hears(row))
+        return "-" if unknown else short(high[row, column])
+
     if np.isfinite(high).any():
         caption = (
             "95th percentile age (s) of what the row's node could know about the column's node. Lower bound: it "
             "assumes that the node heard everything the recorder heard"
             f"{'; pairs that do not react to each other are left out' if inferred else ''}."
         )
-        section.tables.append(table(caption, ["node", *(easel.name(node) for node in easel.nodes)], rows, matrix=True))
+        section.tables.append(_by_node(easel, caption, easel.nodes, cell))
     return section
 
 
@@ -306,7 +294,7 @@ def overhead_section(easel: Easel) -> Section:
         [
             Cell(part.name, series=place),
             _number(f"{part.octets:,}"),
-            Cell(f"{share:.2g} %", number=True, bar=share / 100),
+            Cell(f"{short(share, 2)} %", number=True, bar=share / 100),
         ]
         for place, part in enumerate(parts)
         for share in [100 * part.octets / total]
@@ -316,7 +304,7 @@ def overhead_section(easel: Easel) -> Section:
     section.plots.append(plots.load(easel, parts))
     size = int(easel.recorded.column("said", "size").sum())
     if size:
-        section.words.append(f"{total / size:.3g} octets on the air for each octet of a variable's value.")
+        section.words.append(f"{short(total / size)} octets on the air for each octet of a variable's value.")
     return section
 
 
@@ -358,6 +346,15 @@ def anomalies_section(easel: Easel, steps: Steps) -> Section:
     if sum(each.size for each in times.values()) > len(worst):
         section.words.append(f"The list has the first {_LISTED} of each kind, and the largest gaps.")
     return section
+
+
+def _by_node(easel: Easel, caption: str, columns: Sequence[int], cell: Callable[[int, int], str]) -> Table:
+    """A table with one row for each node that is drawn, and columns of nodes; ``cell`` gives the text of the two."""
+    rows = [
+        [Cell(easel.name(node), mono=True, series=place), *(_number(cell(node, other)) for other in columns)]
+        for place, node in enumerate(easel.nodes)
+    ]
+    return table(caption, ["node", *(easel.name(node) for node in columns)], rows, matrix=True)
 
 
 def _number(text: str) -> Cell:

@@ -9,7 +9,9 @@ from collections import deque
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
-from .jsonrpc import LineBuffer, RpcError, parse, request_message
+from dcp_codec.common.lines import LineBuffer, LineTooLongError
+
+from .jsonrpc import RpcError, parse, request_message
 
 PATIENCE = 10.0
 """Seconds that a node may take to answer."""
@@ -118,7 +120,7 @@ class ControlClient:
             try:
                 line = self._lines.next()
                 message = None if line is None else parse(line)
-            except RpcError:
+            except (LineTooLongError, RpcError):
                 raise self._no_node() from None
             if line is None:
                 if not self._fill(deadline):

@@ -1,4 +1,4 @@
-"""JSON-RPC 2.0, one message per line: lines out of octets, requests out of lines, and the messages back.
+"""JSON-RPC 2.0, one message per line: requests out of lines, and the messages back.
 
 No library fits: those that speak over streams (pygls, python-lsp-jsonrpc) frame by Content-Length and bring threads or
 asyncio along; jsonrpcserver answers single strings but knows no notifications to clients, checks every message with
@@ -26,7 +26,7 @@ NO_ANSWER: Final = -32002
 """The service does not answer in this state (readings X10 and X30 ``no-response``)."""
 
 MAX_LINE: Final = 1 << 20
-"""Octets of a line, without its end."""
+"""Octets of a request, without the end of its line."""
 
 RequestId = int | float | str | None
 _ENCODER: Final = msgspec.json.Encoder()
@@ -48,54 +48,6 @@ class Call(msgspec.Struct, frozen=True):
     method: str
     params: Any
     id: RequestId | UnsetType
-
-
-class LineBuffer:
-    """Lines out of octets as they come; of a line that is too long nothing is kept."""
-
-    def __init__(self, limit: int = MAX_LINE) -> None:
-        self._limit = limit
-        self._octets = bytearray()
-        self._searched = 0
-        self._discarding = False
-
-    def __len__(self) -> int:
-        return len(self._octets)
-
-    def add(self, data: bytes) -> None:
-        """Take octets."""
-        self._octets += data
-
-    def next(self) -> bytes | None:
-        """The next line without its end; None if there is no whole one. Raises RpcError once for one too long."""
-        end = self._octets.find(b"\n", self._searched)
-        if end < 0:
-            if self._discarding or len(self._octets) > self._limit:
-                self._octets.clear()
-                self._searched = 0
-                if not self._discarding:
-                    self._discarding = True
-                    raise _too_long(self._limit)
-            self._searched = len(self._octets)
-            return None
-        line = bytes(self._octets[:end])
-        del self._octets[: end + 1]
-        self._searched = 0
-        if self._discarding:
-            self._discarding = False
-            return self.next()
-        if len(line) > self._limit:
-            raise _too_long(self._limit)
-        return line
-
-    def end(self) -> None:
-        """Nothing more will come: what is there is a line, also without its end."""
-        if self._octets and not self._octets.endswith(b"\n"):
-            self._octets += b"\n"
-
-
-def _too_long(limit: int) -> RpcError:
-    return RpcError(INVALID_REQUEST, f"the line is longer than {limit} octets; it was skipped")
 
 
 def parse(line: bytes) -> Any:

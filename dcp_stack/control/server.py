@@ -16,6 +16,7 @@ from typing import Any, Final
 import msgspec
 from msgspec import UNSET
 
+from dcp_codec.common.lines import LineBuffer, LineTooLongError
 from dcp_stack.effects import (
     Dropped,
     Effect,
@@ -32,10 +33,10 @@ from .jsonrpc import (
     INTERNAL_ERROR,
     INVALID_PARAMS,
     INVALID_REQUEST,
+    MAX_LINE,
     METHOD_NOT_FOUND,
     TOO_MUCH,
     Call,
-    LineBuffer,
     RpcError,
     error_message,
     id_of,
@@ -68,7 +69,7 @@ class ControlSession:
 
     def __init__(self, server: ControlServer) -> None:
         self._server = server
-        self._lines = LineBuffer()
+        self._lines = LineBuffer(MAX_LINE)
         self.output = bytearray()
         self.overrun = False
         """The client does not read what it asked to be told: give it up."""
@@ -112,8 +113,8 @@ class ControlSession:
                 return False
             try:
                 line = self._lines.next()
-            except RpcError as error:
-                self._write(error_message(None, error))
+            except LineTooLongError as error:
+                self._write(error_message(None, RpcError(INVALID_REQUEST, str(error))))
                 continue
             if line is None:
                 return False

@@ -35,7 +35,7 @@ HOUSEKEEPING_INTERVAL: Final = 1000 * MS
 HOLD: Final = 150 * MS
 """While the next beacon is at most this far away, frames, positions and housekeeping wait for it.
 
-A wake-up costs more than a frame: without this a quiet node among three takes 1.7 times the CPU time
+A wake-up costs more than a frame: without this a quiet node among three takes nearly twice the CPU time
 (``benchmarks/quiet.py``, "no hold"). Nothing is lost: frames wait in the kernel with their time of arrival, and are
 processed before the beacon is made and before a client is answered.
 """

@@ -1,6 +1,6 @@
-"""What the protocol is: wire profiles, construct schemas, constants, requirements, readings and parameters.
+"""The protocol as data: wire profiles, construct schemas, constants, requirements, readings and parameters.
 
-This package reads nothing but its own data and knows no sockets, clocks or files beyond profiles. The packages are
+This package reads only its own data and profiles. It uses no sockets and no clocks. The packages are
 ``profile`` (how octets are laid out), ``wire`` (construct schemas of a profile) and ``catalogue`` (requirements, and
 readings of disputed text). The modules ``constants``, ``status``, ``parameters`` and ``reasons`` hold what the
 specification names.

@@ -150,7 +150,7 @@ def seqno_modulus(width: int) -> int:
 
 
 class Features(msgspec.Struct, frozen=True, kw_only=True):
-    """What one version of the specification has, where the versions differ.
+    """The features of one version of the specification, where versions differ.
 
     Defaults are those of the draft 2.0; sequences of octets are not described here but in the profiles.
     """
@@ -210,7 +210,7 @@ class Features(msgspec.Struct, frozen=True, kw_only=True):
     removed_after_deletion: bool = False
     """A deleted variable leaves the database after the last VarDelete (VD-DB-02)."""
     creation_time: bool = True
-    """VarSpecT has creationTime and timeout; variables time out and can be created anew (VD-TYP-05)."""
+    """VarSpecT has creationTime and timeout; variables time out and can be created again (VD-TYP-05)."""
     producer_set_by_vardis: bool = True
     """RTDB-Create sets prodId itself (VD-CRE-08)."""
     max_repetitions_bound: int | None = 15

@@ -2,7 +2,7 @@
 
 Many bounds depend on the sizes of records and on other parameters, so they are functions of a `Sizes` value
 and hold from a certain version on. `validate` names the bound that a value violates. Bounds that the
-specification does not state are not invented; the two that follow from elsewhere say so in a comment.
+specification does not state are not invented; a comment marks the two that follow from other statements.
 """
 
 import math
@@ -20,7 +20,7 @@ _V = SpecVersion
 
 
 class Sizes(msgspec.Struct, frozen=True, kw_only=True):
-    """What bounds depend on: serialized sizes in bytes, and the current values of other parameters.
+    """The values that bounds depend on: serialized sizes in octets, and current values of other parameters.
 
     The defaults are the sizes of the C++ implementation of the draft 2.0. A negative size raises ValueError.
     """
@@ -157,7 +157,7 @@ class Violation(msgspec.Struct, frozen=True, kw_only=True):
     parameter: str
     value: object
     bound: str
-    """What a valid value has to be, with current numbers."""
+    """Return the condition for a valid value, with current numbers."""
     requirement: str
 
     def __str__(self) -> str:

@@ -55,7 +55,7 @@ COMPARISONS: Final = frozenset(
 
 
 def quantity(reason: str, needed: int | None, available: int | None) -> str:
-    """What was needed and what was there, in words; empty if the problem has no numbers."""
+    """Return the needed and the available octets in words; empty if the problem has no numbers."""
     if reason in COMPARISONS:
         expected = f"expected {needed}, " if needed is not None else ""
         return f"{expected}found {available}" if available is not None else expected.removesuffix(", ")

@@ -51,7 +51,7 @@ def test_a_case_that_passes_is_no_pass_of_the_requirement(capsys: pytest.Capture
         run = assemble(codec_of(profile).profile, Pics(), [case])
         assert run.requirements["DATA-01"] is verdict
         print_summary(run)
-        told = "DATA-01 is not met, as the profile declares: least significant octet first: timestamp"
+        told = "DATA-01 is not met, as the profile declares: little-endian: timestamp"
         assert (told in capsys.readouterr().out) is (profile == "cpp-2.0")
         assert ("Not met, as the profile declares" in render(run, None)) is (profile == "cpp-2.0")
 

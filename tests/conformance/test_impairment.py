@@ -111,8 +111,9 @@ def test_the_reason_names_the_frame_that_was_lost() -> None:
 # -- our node on bad links ---------------------------------------------------------------------------------------------
 
 
-def run_of(*impair: str, seed: int = 1) -> ConformanceRun:
-    run = ConformanceRun(TargetOptions(in_process=True, impair=impair, seed=seed), Selection())
+def run_of(*impair: str, seed: int = 1, profile: str = "dcp-2.0", cases: tuple[str, ...] = ()) -> ConformanceRun:
+    options = TargetOptions(in_process=True, impair=impair, seed=seed, profile=profile)
+    run = ConformanceRun(options, Selection(patterns=cases))
     run.execute()
     assert run.trouble == ""
     return run
@@ -138,6 +139,14 @@ def test_losses_fail_nobody_and_what_is_received_is_proof_in_spite_of_them(impai
     assert any(each.executions > 1 for each in run.results)
     assert max(each.executions for each in run.results) <= MOST_EXECUTIONS
     assert any("the link was impaired while cases were executed (loss=" in note for note in run.result().notes)
+
+
+@pytest.mark.usefixtures("strict")
+@pytest.mark.parametrize("profile", ["dcp-1.0", "dcp-1.3", "cpp-2.0"])
+def test_queues_that_lose_beacons_on_the_link_are_in_order(profile: str) -> None:
+    run = run_of("loss=0.2", profile=profile, cases=("TC_BP_QM_*", "TC_VD_PEND_*"))
+    assert len(run.results) > 10
+    assert [f"{each.id}: {each.reason}" for each in run.results if each.verdict in (Verdict.FAIL, Verdict.ERROR)] == []
 
 
 @pytest.mark.parametrize(

@@ -22,7 +22,7 @@ from dcp_codec.cli import main
 from dcp_codec.framing.envelope import Envelope
 from dcp_codec.report import analysis, variables
 from dcp_codec.report.chapter import chapter
-from dcp_codec.report.colours import BACKGROUNDS, FOREGROUNDS, SCHEMES, SYMBOLS, contrast
+from dcp_codec.report.colours import BACKGROUNDS, FOREGROUNDS, SCHEMES, SYMBOLS
 from dcp_codec.report.page import Chapter, render
 from dcp_codec.report.recorded import gather
 from dcp_codec.values import Beacon, BPHeader
@@ -46,6 +46,18 @@ from .flights import (
 
 SECTIONS = ("holding", "reactions", "anomalies", "senders", "age", "positions", "variables", "overhead")
 HOSTILE = "</svg><script>alert(1)</script>$\\frac$\x1b[31m\N{RIGHT-TO-LEFT OVERRIDE}<img src=http://evil/>"
+
+
+def contrast(one: str, other: str) -> float:
+    """The contrast ratio of two colours (``#rrggbb``) as WCAG 2 defines it: 1 to 21."""
+    bright, dim = sorted((_luminance(one), _luminance(other)), reverse=True)
+    return (bright + 0.05) / (dim + 0.05)
+
+
+def _luminance(colour: str) -> float:
+    parts = [int(colour[at : at + 2], 16) / 255 for at in (1, 3, 5)]
+    red, green, blue = (part / 12.92 if part <= 0.04045 else ((part + 0.055) / 1.055) ** 2.4 for part in parts)
+    return 0.2126 * red + 0.7152 * green + 0.0722 * blue
 
 
 class Result(NamedTuple):

@@ -10,10 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from dcp_codec.common.lines import LineBuffer, LineTooLongError
 from dcp_stack.bp.services import StatusConfirm
 from dcp_stack.control import METHODS
 from dcp_stack.control import server as server_module
-from dcp_stack.control.jsonrpc import MAX_LINE, LineBuffer, RpcError
+from dcp_stack.control.jsonrpc import MAX_LINE
 from dcp_stack.control.server import HIGH_WATER, MAX_BACKLOG, MAX_BATCH
 
 from ..chance import examples
@@ -209,7 +210,7 @@ def test_line_buffers_hold_no_more_than_they_must():
     lines = LineBuffer(limit=10)
     for _ in range(100):
         lines.add(b"x" * 8)
-        with contextlib.suppress(RpcError):
+        with contextlib.suppress(LineTooLongError):
             assert lines.next() is None
         assert len(lines) <= 18
 

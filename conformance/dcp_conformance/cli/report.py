@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from dcp_codec.common.commandline import say
 from dcp_conformance.errors import UsageError
+
+from .options import target_options
 
 if TYPE_CHECKING:
     from dcp_conformance.model.results import RunResult
@@ -38,7 +41,14 @@ if TYPE_CHECKING:
 @click.option(
     "--badge", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE", help="For one run: a badge (.svg)."
 )
-def command(results: tuple[Path, ...], output: Path | None, issues: Path | None, **exports: Path | None) -> int:
+@click.option(
+    "--minimise",
+    is_flag=True,
+    help="With --issues, execute the cases again to find out which frames of a stimulus are needed. The implementation "
+    "is named as for the run.",
+)
+@target_options
+def command(results: tuple[Path, ...], output: Path | None, issues: Path | None, minimise: bool, **options: Any) -> int:
     """Make the page of a run again, or put several runs side by side.
 
     RESULTS are results.json files, or the folders they are in. Of several, a table of implementations and requirements
@@ -49,11 +59,14 @@ def command(results: tuple[Path, ...], output: Path | None, issues: Path | None,
     from dcp_conformance.reporting.merge import labels, matrix, render_matrix
     from dcp_conformance.reporting.page import render
 
+    exports: dict[str, Path | None] = {name: options[name] for name in ("requirements", "summary", "badge")}
+    if minimise and issues is None:
+        raise UsageError("--minimise is for the reports of --issues DIR")
     runs = [load_results(path) for path in results]
     if issues is not None or any(exports.values()):
         if len(runs) != 1:
             raise UsageError("--issues, --requirements, --summary and --badge are for the results of one run")
-        _export(runs[0], issues, exports)
+        _export(runs[0], issues, exports, options if minimise else None)
         if output is None:
             return 0
     if len(runs) == 1:
@@ -82,8 +95,10 @@ def command(results: tuple[Path, ...], output: Path | None, issues: Path | None,
     return 0
 
 
-def _export(run: RunResult, issues: Path | None, exports: dict[str, Path | None]) -> None:
-    """Write what is made of one run for others."""
+def _export(
+    run: RunResult, issues: Path | None, exports: dict[str, Path | None], target: dict[str, Any] | None
+) -> None:
+    """Write what is made of one run for others. ``target``: options of the implementation, to minimise stimuli by."""
     from dcp_conformance.reporting import exports as making
     from dcp_conformance.reporting.files import codec_of
 
@@ -104,8 +119,11 @@ def _export(run: RunResult, issues: Path | None, exports: dict[str, Path | None]
     if issues is not None:
         from dcp_conformance.reporting.issues import write_issues
 
-        for path in write_issues(run, issues, codec_of(run)):
-            say(str(path))
+        from .minimising import minimiser
+
+        with minimiser(target) if target is not None else nullcontext() as minimise:
+            for path in write_issues(run, issues, codec_of(run), minimise):
+                say(str(path))
 
 
 def _write(path: Path, text: str) -> None:

@@ -17,6 +17,7 @@ import time
 from collections import deque
 from collections.abc import Sequence
 
+from dcp_codec.common.lines import LineBuffer, LineTooLongError
 from dcp_codec.common.printable import plain
 from dcp_conformance.errors import UpperTesterError, UsageError
 
@@ -37,8 +38,7 @@ class Channel:
 
     def __init__(self, name: str) -> None:
         self.name = name
-        self._buffer = bytearray()
-        self._searched = 0
+        self._lines = LineBuffer(LONGEST_LINE)
         self._ended = False
 
     # -- what subclasses say -----------------------------------------------------------------------------------
@@ -74,19 +74,16 @@ class Channel:
         Raises ``UpperTesterError`` when the other side has ended, or sends a line that has no end.
         """
         while True:
-            end = self._buffer.find(b"\n", self._searched)
-            if end >= 0:
-                found = bytes(self._buffer[:end]).removesuffix(b"\r")
-                del self._buffer[: end + 1]
-                self._searched = 0
-                if found:
-                    return found
-                continue
-            self._searched = len(self._buffer)
-            if len(self._buffer) > LONGEST_LINE:
+            try:
+                found = self._lines.next()
+            except LineTooLongError:
                 raise UpperTesterError(
                     f"{self.name}: sends a line of more than {LONGEST_LINE >> 20} MiB; messages end with a line feed"
-                )
+                ) from None
+            if found is not None:
+                if found := found.removesuffix(b"\r"):
+                    return found
+                continue
             if self._ended:
                 raise UpperTesterError(f"{self.name}: {self.epitaph()}")
             if not self._fill(deadline):
@@ -101,7 +98,7 @@ class Channel:
                 # A reset connection is an ended one.
                 data = b""
             if data:
-                self._buffer += data
+                self._lines.add(data)
                 return True
             if data is not None:
                 self._ended = True
@@ -123,8 +120,8 @@ class Channel:
                 # It may not take anything before it gets rid of what it has to say.
                 with contextlib.suppress(OSError):
                     data = self._read()
-                    self._buffer += data or b""
-                    if len(self._buffer) > LONGEST_LINE:
+                    self._lines.add(data or b"")
+                    if len(self._lines) > LONGEST_LINE:
                         raise UpperTesterError(f"{self.name}: talks, but takes no requests") from None
                 _wait((self._write_fileno(),), select.POLLOUT, min(0.05, max(0.0, deadline - time.monotonic())))
             except OSError:

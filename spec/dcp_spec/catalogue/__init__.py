@@ -1,1 +1,1 @@
-"""The catalogue: requirements, readings of contradictory text, and where each stands in the specification."""
+"""The catalogue: requirements, readings of contradictory text, and the place of each in the specification."""

@@ -10,7 +10,7 @@ import msgspec
 
 
 class Entry(Protocol):
-    """What a catalogue holds: a struct that says of itself what it is called."""
+    """An entry of a catalogue: a struct with an identifier."""
 
     @property
     def id(self) -> str:

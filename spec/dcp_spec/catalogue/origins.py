@@ -60,7 +60,7 @@ class Origin(msgspec.Struct, frozen=True):
 
 
 class RequirementOrigins(msgspec.Struct, frozen=True):
-    """What a requirement stands on."""
+    """The statement of the specification that a requirement is taken from."""
 
     id: str
     origins: Mapping[SpecVersion, tuple[Origin, ...]]
@@ -82,7 +82,7 @@ class StatementRecord(msgspec.Struct, frozen=True, array_like=True):
 
 
 class StatementsFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What ``statements.json`` holds."""
+    """The content of ``statements.json``."""
 
     version: SpecVersion
     sections: tuple[Section, ...]
@@ -90,7 +90,7 @@ class StatementsFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class OriginsFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What ``origins.json`` holds; an origin is (position of the section, line, step, fingerprint)."""
+    """The content of ``origins.json``; an origin is (position of the section, line, step, fingerprint)."""
 
     revisions: tuple[Revision, ...]
     sections: tuple[Section, ...]

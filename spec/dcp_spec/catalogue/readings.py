@@ -1,6 +1,6 @@
 """How this code base reads the specification where its text is contradictory, incomplete or hazardous.
 
-The entries stand in data/readings.toml. Requirements name the readings they depend on. Where another reading
+The entries are in data/readings.toml. Requirements name the readings they depend on. Where another reading
 can be defended, the entry lists both by name: a node can be configured for one, and the suite accepts each.
 """
 
@@ -29,7 +29,7 @@ class Reading(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
 
     id: str
     kind: Literal["contradiction", "hazard"] = "contradiction"
-    """A hazard is shown by nodes that follow the text; the suite reports it and fails nobody for it."""
+    """A hazard is shown by nodes that follow the text; the suite reports it; it is not a failure."""
     title: str
     sections: tuple[str, ...]
     """The places: file and anchor, or file and heading where the heading has no anchor."""
@@ -37,7 +37,7 @@ class Reading(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     reading: str
     why: str
     implementations: str | None = None
-    """What known implementations do, where that is known."""
+    """The behaviour of known implementations, where it is known."""
     alternatives: tuple[Alternative, ...] = ()
     """Empty where only one reading can be defended; otherwise ours first."""
 

@@ -1,6 +1,6 @@
 """The catalogue of requirements: every statement of the specification that can be fulfilled or violated.
 
-The entries stand in data/requirements.toml in our own words, each with the section it follows. Code, tests
+The entries are in data/requirements.toml in our own words, each with the section it follows. Code, tests
 and conformance cases cite them by id; error messages show the statement. Nothing is read before the first
 look-up.
 """

@@ -72,7 +72,7 @@ __all__ = [
 class Link(Part, frozen=True):
     """How beacons are told from other traffic: by an EtherType or by a UDP port (UWB-02)."""
 
-    transport: Annotated[Literal["ethernet", "udp"], Meta(description="What carries a beacon.")] = "ethernet"
+    transport: Annotated[Literal["ethernet", "udp"], Meta(description="Link layer of the beacons.")] = "ethernet"
     ether_type: Annotated[
         Annotated[int, Meta(ge=0x0600, le=0xFFFF)] | None, Meta(description="EtherType; required for `ethernet`.")
     ] = None
@@ -98,7 +98,7 @@ class BPLayout(Part, frozen=True):
     length_means: Annotated[
         Literal["blocks", "header-size"],
         Meta(
-            description="What `length` of the header counts: all payload blocks, as the specification says, or "
+            description="The octets that `length` of the header counts: all payload blocks, as specified, or "
             "(nonconforming) always the size of the header."
         ),
     ] = "blocks"
@@ -294,7 +294,7 @@ class Behaviour(Part, frozen=True):
     ] = "several"
     vardis_receive_error: Annotated[
         Literal["skip-element", "keep-prefix", "drop-payload"],
-        Meta(description="What a receiver does with a malformed VarDis payload."),
+        Meta(description="The reaction of a receiver to a malformed VarDis payload."),
     ] = "keep-prefix"
     transmit_payload_confirm: Annotated[bool, Meta(description="`BP-TransmitPayload` is confirmed.")] = True
     payload_transmitted_indication: Annotated[bool, Meta(description="Clients learn that their payload was sent.")] = (
@@ -302,12 +302,12 @@ class Behaviour(Part, frozen=True):
     )
     seqno_half_range: Annotated[
         Literal["neither", "newer", "older"],
-        Meta(description="What a number exactly half of the range away counts as."),
+        Meta(description="The order of a number that is exactly half of the range away."),
     ] = "neither"
 
 
 class Among(Part, frozen=True):
-    """What `dcp-node run` starts with among these implementations, where their limits are not the best choice.
+    """Initial settings of `dcp-node run` among these implementations, where their limits are not the best choice.
 
     Settings of the node replace it. Nodes inside the test suite and in simulations start with the limits.
     """

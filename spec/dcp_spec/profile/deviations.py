@@ -1,4 +1,4 @@
-"""What a profile declares that the specification does not allow, by requirement.
+"""Find the deviations from the specification that a profile declares, by requirement.
 
 A profile describes the octets of an implementation; it excuses none of them. What the specification leaves to
 implementers (the widths of identifiers and time stamps, all of the safety data) is no deviation.
@@ -24,7 +24,7 @@ _HEADER_FIELDS: Final = {
     "numPayloads": "BP-HDR-07",
     "seqno": "BP-HDR-08",
 }
-#: Integers whose width the specification fixes: octets, and the requirement that says so.
+#: Integers whose width the specification fixes: octets, and the requirement.
 _WIDTHS: Final = {
     "magic_no": (2, "BP-HDR-02"),
     "protocol_id": (2, "BP-HDR-11"),
@@ -65,7 +65,7 @@ def _all(profile: Profile) -> Iterator[tuple[str, str]]:
 
 def _integers(profile: Profile) -> Iterator[tuple[str, str]]:
     types = profile.types
-    # What is in no octet of this profile is in no wrong order either.
+    # A field without octets in this profile cannot have a wrong position.
     unused = {
         name
         for name, field in (("magic_no", "magicNo"), ("network_id", "networkId"), ("bp_seqno", "seqno"))
@@ -85,7 +85,7 @@ def _integers(profile: Profile) -> Iterator[tuple[str, str]]:
         little.append("length of node_id")
     little += [f"length of {name}" for name in ("string", "value") if any(map(_is_little, layouts[name].lengths))]
     if little:
-        yield "DATA-01", f"least significant octet first: {', '.join(little)}"
+        yield "DATA-01", f"little-endian: {', '.join(little)}"
     for name, (width, requirement) in _WIDTHS.items():
         if name in layouts and layouts[name].width != width:
             yield requirement, f"{name} has {layouts[name].width} octets"
@@ -98,7 +98,7 @@ def _is_little(layout: IntType) -> bool:
 
 
 def _octets(profile: Profile) -> Iterator[tuple[str, str]]:
-    # What is sent in the place of a state report is no record with octets between its fields.
+    # A pattern that is sent instead of a state report is not a record with octets between its fields.
     report = profile.srp.record if profile.srp.is_report else ()
     listed = (*report, *profile.bp.payload_header, *profile.bp.header, *profile.vardis.var_spec)
     records = [member for members in profile.vardis.records.by_name().values() for member in members]
@@ -173,7 +173,7 @@ def _names(members: Members) -> str:
 
 
 def _reordered(names: Sequence[object], wanted: Sequence[object]) -> bool:
-    """Whether the names that both have stand in another order, or there are some that only the first has."""
+    """Return whether common names have another order, or some names are only in the first list."""
     return [each for each in names if each in wanted] != [each for each in wanted if each in names] or any(
         each not in wanted for each in names
     )

@@ -174,7 +174,7 @@ def _default(field: ms.Field) -> str:
 
 
 def _toml(value: Any) -> str:
-    """A value as it is written in TOML on one line; keys with no value are left out."""
+    """Return a value in TOML on one line; keys without a value are left out."""
     match value:
         case bool():
             return str(value).lower()

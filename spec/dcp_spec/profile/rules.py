@@ -1,4 +1,4 @@
-"""What a profile may not say: rules beyond the types of its keys. Each complaint names the key and what to change."""
+"""Check a profile: rules beyond the types of its keys. Each complaint names the key and what to change."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from .definition import RECORD_MEMBERS, IntType, Members, NodeIdType, OwnField, 
 _HEADER_FIELDS = ("version", "magicNo", "senderId", "networkId", "length", "numPayloads", "seqno")
 _RECORD_FIELDS = ("sData", "nodeId", "tStamp", "seqno")
 _SPEC_FIELDS = ("varId", "prodId", "repCnt", "creationTime", "timeout", "descr")
-# What fields of the implementation's own may not be called: what else the record around them has under a name.
+# Names that own fields of an implementation must not have: other members of the record have them.
 _TAKEN = {
     "bp.header": (*_HEADER_FIELDS, "payloads", "extra"),
     "bp.payload_header": ("protocolId", "length", "content", "area", "srp", "vardis", "data", "extra"),
@@ -66,7 +66,7 @@ def _own_layouts(key: str, members: Iterable[OwnField], *, fixed: bool = False) 
         if fixed:
             yield f"{key}: field {member.name!r} must have a fixed size; block is for records"
         if not member.block.lengths and not member.block.terminated:
-            yield f"{key}: block {member.name!r} needs a length or a terminator, or nobody can tell where it ends"
+            yield f"{key}: block {member.name!r} needs a length or a terminator, or its end is undefined"
         if any(length.signed for length in member.block.lengths):
             yield f"{key}: the length of block {member.name!r} cannot be signed"
 
@@ -76,7 +76,7 @@ def _own_names(key: str, names: list[str], taken_names: Iterable[str] | None = N
     taken = {_bare(name): name for name in (_TAKEN[key] if taken_names is None else taken_names)}
     for name in names:
         if not re.fullmatch("[A-Za-z][A-Za-z0-9_]*", name) or {name, name.lower()} & set(keyword.kwlist):
-            yield f"{key}: field name {name!r} is no plain name (letters, digits, _; first a letter; no word of Python)"
+            yield f"{key}: field name {name!r} is no plain name (letters, digits, _; first a letter; no Python keyword)"
         elif _bare(name) in taken:
             yield f"{key}: field name {name!r} is taken ({taken[_bare(name)]})"
     bare = [_bare(name) for name in names]
@@ -87,7 +87,7 @@ def _own_names(key: str, names: list[str], taken_names: Iterable[str] | None = N
 def _members(
     key: str, members: Members, known: tuple[str, ...], taken: Iterable[str] | None = None, *, fixed: bool = False
 ) -> Iterable[str]:
-    """What is wrong with the members of a record: unknown, listed twice, or own fields without a layout."""
+    """Return the faults of the members of a record: unknown, listed twice, or own fields without a layout."""
     yield from _listed(key, standard_fields(members), known)
     own = own_fields(members)
     yield from _own_layouts(key, own, fixed=fixed)
@@ -95,7 +95,7 @@ def _members(
 
 
 def _bare(name: str) -> str:
-    """What names have in common that would collide as attributes: sData and s_data."""
+    """Return the form of a name in which colliding attributes are equal: sData and s_data."""
     return name.replace("_", "").lower()
 
 
@@ -269,7 +269,7 @@ def _type_contradictions(profile: Profile) -> Iterable[str]:
     for name in ("string", "value"):
         text = getattr(profile.types, name)
         if not text.lengths and not text.terminated:
-            yield f"types.{name}: needs a length or a terminator, or nobody can tell where it ends"
+            yield f"types.{name}: needs a length or a terminator, or its end is undefined"
     if not profile.types.value.lengths:
         yield "types.value: a value may hold any octet and therefore needs a length, not a terminator (DATA-06)"
     for key, length in _lengths(profile):

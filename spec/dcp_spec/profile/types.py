@@ -117,7 +117,7 @@ class OwnField(Part, frozen=True):
     block: Annotated[TextType | None, Meta(description="Layout of octets of varying number.")] = None
     text: Annotated[bool, Meta(description="The octets of `block` are UTF-8 text.")] = False
     unit: Annotated[str, Meta(description="Unit of the value, for headings.")] = ""
-    note: Annotated[str, Meta(description="What the field means, for the exported formats.")] = ""
+    note: Annotated[str, Meta(description="The meaning of the field, for exported formats.")] = ""
 
     @property
     def width(self) -> int | None:

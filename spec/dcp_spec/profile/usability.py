@@ -1,4 +1,4 @@
-"""What a node and the test suite cannot use of a profile that only describes octets.
+"""Find the parts of a profile that a node and the test suite cannot use.
 
 The codec reads and writes whatever a profile describes. Programs that take part in a network also have to give a
 meaning to each field: what they should send in a field of the implementation's own, and what follows when they receive
@@ -42,10 +42,10 @@ def _unusable(profile: Profile) -> Iterator[tuple[str, str]]:
         if own := [each for each in own_fields(members) if each.opaque is None]:
             yield key, f"has {_names(own)}; {meaning}"
     if own := own_fields(vardis.var_spec):
-        yield "vardis.var_spec", f"has {_names(own)}; {meaning}, and a node could not pass it on"
+        yield "vardis.var_spec", f"has {_names(own)}; {meaning}, and a node could not forward it"
     for name, members in vardis.records.by_name().items():
         if own := own_fields(members):
-            yield f"vardis.records.{name}", f"has {_names(own)}; {meaning}, and a node could not pass it on"
+            yield f"vardis.records.{name}", f"has {_names(own)}; {meaning}, and a node could not forward it"
     if own := [each for each in vardis.container_extra if each.extra is None]:
         yield "vardis.container_extra", f"has {_names(own)}; only integers can be sent, as zeros"
     if vardis.own_containers:

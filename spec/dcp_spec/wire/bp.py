@@ -119,7 +119,7 @@ def payload_block(profile: Profile, clients: Mapping[int, tuple[str, Any]]) -> R
 
 
 def beacon(profile: Profile, clients: Mapping[int, tuple[str, Any]]) -> Record:
-    """A whole bearer payload. Octets behind it are padding of the bearer (BP-RX-14)."""
+    """A whole bearer payload. Octets after it are padding of the bearer (BP-RX-14)."""
     block = payload_block(profile, clients)
     if not profile.bp.header:
         ##= BP-FMT-03

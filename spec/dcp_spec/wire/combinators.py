@@ -39,7 +39,7 @@ def look_up(context: Any, reference: str) -> Any:
 
 
 def remaining(stream: Any) -> int:
-    """Octets between the position of ``stream`` and its end; the position stays as it is."""
+    """Octets between the position of ``stream`` and its end; the position does not change."""
     here = stream.tell()
     end = stream.seek(0, io.SEEK_END)
     stream.seek(here)

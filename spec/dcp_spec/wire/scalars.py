@@ -32,7 +32,7 @@ def real(width: int, byte_order: str) -> Any:
 
 
 def node_id(of: NodeIdType) -> Any:
-    """The construct field for a node identifier; its value is the octets as they are on the wire."""
+    """The construct field for a node identifier; its value is the octets on the wire."""
     if of.length is not None:
         return VarBytes(integer(of.length), text=True)
     return cs.Bytes(of.width)

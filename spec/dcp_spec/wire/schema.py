@@ -11,7 +11,7 @@ from . import bp, srp, vardis
 
 
 class Schema(NamedTuple):
-    """What a profile puts on the wire, as construct objects that parse and build by themselves.
+    """The wire formats of a profile as construct objects that parse and build.
 
     ``beacon`` is a bearer payload with its client payloads taken apart, ``envelope`` the same with client payloads
     left as octets (what BP itself knows), ``srp`` an SRP payload (None where it is octets of any number),

@@ -23,7 +23,7 @@ def _safety_field(member: SafetyField) -> Field:
 
 
 def safety_data(profile: Profile) -> Record:
-    """``SafetyDataT``: what the application hands down; its layout is the profile's."""
+    """``SafetyDataT``: the data that the application submits, in the layout of the profile."""
     return Record(
         "SafetyData",
         *(_safety_field(member) for member in profile.srp.safety_data),

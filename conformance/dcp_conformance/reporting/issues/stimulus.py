@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import NamedTuple
 
 from dcp_conformance.model.results import CaseResult, Check
@@ -22,6 +22,8 @@ class Step(NamedTuple):
     """Where the bearer payload begins in the frame."""
     text: str
     """For a call: the service and its parameters."""
+    frame: int = 0
+    """For a frame: its place among all frames that the tester sent in the case, from 0."""
 
 
 def stimulus(case: CaseResult, check: Check) -> list[Step]:
@@ -34,14 +36,23 @@ def stimulus(case: CaseResult, check: Check) -> list[Step]:
     # A failure that is seen in what was sent is seen after it.
     end = max(last, min(failed, len(events))) if seen else failed
     found: list[Step] = []
+    sent = 0
     for event in events[: end + 1]:
         octets = _octets(event.octets) if event.direction == "sent" else b""
         if octets or event.direction == "call":
-            found.append(Step(event.time / 1e9, octets, event.start, "" if octets else event.text))
-    if not found:
-        return []
-    begin = found[0].time
-    return [step._replace(time=step.time - begin) for step in found]
+            found.append(Step(event.time / 1e9, octets, event.start, "" if octets else event.text, sent))
+        sent += event.direction == "sent"
+    return _from_zero(found)
+
+
+def only(steps: Sequence[Step], frames: Collection[int]) -> list[Step]:
+    """The calls, and of the frames those at these places."""
+    return _from_zero([step for step in steps if not step.octets or step.frame in frames])
+
+
+def _from_zero(steps: list[Step]) -> list[Step]:
+    begin = steps[0].time if steps else 0.0
+    return [step._replace(time=step.time - begin) for step in steps]
 
 
 def needs_calls(steps: Sequence[Step]) -> bool:

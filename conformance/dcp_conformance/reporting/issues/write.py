@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import textwrap
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,17 +21,23 @@ from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reporting.frames import Frames
 from dcp_conformance.reporting.overview import certainty
 
-from .stimulus import Step, needs_calls, stimulus
+from .stimulus import Step, needs_calls, only, stimulus
 
 #: Failed checks of the best case that are shown, frames of each, and cases that are listed.
 _CHECKS, _FRAMES, _CASES = 4, 2, 12
 
 
-def write_issues(run: RunResult, folder: Path, codec: Codec | None) -> list[Path]:
+Minimise = Callable[[CaseResult, Check, Sequence[int]], tuple[int, ...] | None]
+"""Returns the frames of a case, of those at the given places (from 0, among all that the tester sent), that are needed
+for the check to fail; None if that could not be found out."""
+
+
+def write_issues(run: RunResult, folder: Path, codec: Codec | None, minimise: Minimise | None = None) -> list[Path]:
     """Write the reports of a run with a diagnosis. Returns the Markdown files, the most important fault first.
 
-    ``codec`` takes frames apart; without one, octets are shown only. Raises ``UsageError`` if there is nothing to
-    report, or if a file cannot be written.
+    ``codec`` takes frames apart; without one, octets are shown only. ``minimise`` finds the frames of a stimulus that
+    are needed; without it, all are given. Raises ``UsageError`` if there is nothing to report, or if a file cannot be
+    written.
     """
     if run.diagnosis is None or not run.diagnosis.faults:
         raise UsageError("there is no probable fault in these results; --issues needs a run in which cases failed")
@@ -45,7 +52,13 @@ def write_issues(run: RunResult, folder: Path, codec: Codec | None) -> list[Path
                 continue
             name = f"{number:02d}-{_slug(fault.what)}"
             steps = stimulus(case, fault.check)
+            places = [step.frame for step in steps if step.octets]
+            needed = minimise(case, fault.check, places) if minimise is not None and not case.left_out else None
+            if needed is not None:
+                steps = only(steps, needed)
             context = _context(run, fault, case, steps, Frames(codec), name)
+            context["left_out"] = len(places) - len(needed) if needed is not None else 0
+            context["minimised"] = needed is not None
             for template, suffix in (("issue.md", ".md"), ("reproduce.py.txt", ".py"), ("stimulus.h.txt", ".h")):
                 if suffix == ".md" or any(step.octets for step in steps):
                     text = environment.get_template(template).render(**context)

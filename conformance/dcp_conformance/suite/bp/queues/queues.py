@@ -18,6 +18,7 @@ from dcp_conformance.test_steps.bp_clients import (
     queue_mode,
 )
 from dcp_conformance.test_system.bench import Bench
+from dcp_conformance.test_system.checks import part_of
 
 V1_1 = SpecVersion.V1_1
 _MANY = 64
@@ -98,9 +99,10 @@ def unbounded(bench: Bench) -> None:
         bench.until_quiet(client.in_frame, 2 * count, start)
         places = [payloads.index(each) for each in client.sent(start) if each in payloads]
         ordered = places == list(range(count))
-        bench.check(
-            ordered, "each payload once, in the order of submission", f"payloads {places}", "BP-QM-03", shown=True
-        )
+        what = "each payload once, in the order of submission"
+        # A payload that is missing may have been in a beacon that was lost.
+        out_of_order = not part_of(places, range(count))
+        bench.check(ordered, what, f"payloads {places}", "BP-QM-03", shown=out_of_order)
 
 
 @case(
