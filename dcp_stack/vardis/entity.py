@@ -24,7 +24,7 @@ from .confirms import Confirm
 from .core import Core
 from .database import DBEntry
 from .delivery import Obstacle
-from .instructions import instructions_of
+from .known_instructions import instructions_of
 from .receive import Receiver
 from .services import VariableServices
 from .state_table import Action, Event

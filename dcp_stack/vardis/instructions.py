@@ -8,8 +8,7 @@ instruction (``unhandled-container``).
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
-from typing import Any, ClassVar, Final
+from typing import Any, ClassVar
 
 from dcp_codec.values import OwnRecord
 
@@ -64,20 +63,3 @@ class Instruction(ABC):
     def change_spec(self, entry: DBEntry, **fields: Any) -> None:
         """Give fields that the profile adds to VarSpec new values, by their names in the profile."""
         entry.spec = self.core.config.own_spec_fields.replaced(entry.spec, fields)
-
-
-#: Instructions of this code base; a new one is added here.
-INSTRUCTIONS: Final[tuple[type[Instruction], ...]] = ()
-
-
-def instructions_of(core: Core) -> Iterator[Instruction]:
-    """The instructions that the profile of a node has containers for, in the order of the profile.
-
-    One of the configuration replaces one of this code base for the same container.
-    """
-    configured: Any = core.config.instructions
-    available: tuple[type[Instruction], ...] = (*INSTRUCTIONS, *configured)
-    known = {each.container: each for each in available}
-    for layout in core.config.profile.vardis.own_containers:
-        if layout.name in known:
-            yield known[layout.name](core)
