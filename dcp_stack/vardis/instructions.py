@@ -60,6 +60,10 @@ class Instruction(ABC):
         """Octets of a record in its container."""
         return self.core.sizes.own_record(self.number, record)
 
+    def own_field(self, entry: DBEntry, name: str) -> Any:
+        """The value of a field that the profile adds to VarSpec."""
+        return self.core.config.own_spec_fields.values(entry.spec)[name]
+
     def change_spec(self, entry: DBEntry, **fields: Any) -> None:
         """Give fields that the profile adds to VarSpec new values, by their names in the profile."""
         entry.spec = self.core.config.own_spec_fields.replaced(entry.spec, fields)
