@@ -63,7 +63,7 @@ def set_priority() -> Any:
             entry = self.entry(record.var_id)
             if entry is None or entry.spec.prod_id == self.core.own_id:
                 return "update-unknown" if entry is None else "update-own"
-            if record.priority != entry.spec.priority:
+            if record.priority != self.own_field(entry, "priority"):
                 self.change(record.var_id, record.priority)
             return None
 
@@ -77,7 +77,7 @@ def set_priority() -> Any:
         def record(self, var_id: int) -> Any:
             entry = self.entry(var_id)
             assert entry is not None
-            return self.record_type(var_id=var_id, priority=entry.spec.priority, seqno=entry.seqno)
+            return self.record_type(var_id=var_id, priority=self.own_field(entry, "priority"), seqno=entry.seqno)
 
     return SetPriority
 
