@@ -68,7 +68,7 @@ class EthernetLowerTester(SocketLowerTester):
         return frame
 
     def send_frame(self, frame: bytes) -> None:
-        """Send a frame as it is, from the destination address on."""
+        """Send a frame unchanged; it begins with the destination address."""
         to = self._ready()
         ethernet = self._ethernet
         assert ethernet is not None
@@ -142,7 +142,7 @@ class EthernetLowerTester(SocketLowerTester):
         if kind == OTHERHOST and (frame[0] & 1 or frame[:6] == self._address):
             return None
         if flags & CUT_OFF:
-            # Nothing can be said of what was not read.
+            # A frame that was not read counts as dropped.
             self._dropped += 1
             return None
         if self._echoes is not None and self._echoes.is_one(frame, self.now()):

@@ -90,7 +90,7 @@ class UDPLowerTester(SocketLowerTester):
         return self.framed(octets, source)
 
     def send_frame(self, frame: bytes) -> None:
-        """Send what is in the frame. One that is no beacon to this link (another EtherType) cannot be sent at all."""
+        """Send the payload of the frame. A frame of another EtherType cannot be sent over UDP."""
         place = locate(frame, self._link)
         if isinstance(place, Framing) and frame[:6] == b"\xff" * 6:
             self._transmit(frame[place.start : place.end])
@@ -107,7 +107,7 @@ class UDPLowerTester(SocketLowerTester):
             if error.errno == errno.EMSGSIZE:
                 raise LowerTesterError(f"{self.name}: {len(octets)} octets do not fit into a datagram") from None
             if error.errno == errno.ECONNREFUSED:
-                # What a station said of an earlier datagram: nobody listens there. That shows as silence.
+                # An ICMP error for an earlier datagram: the port is closed. The case sees silence.
                 return
             self._discard()
             raise self._gone(error) from None

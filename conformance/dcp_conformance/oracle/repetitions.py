@@ -27,7 +27,7 @@ class _Instruction(msgspec.Struct):
     since: int | None = None
     """When there was a reason to say it, the last time."""
     behind: int = 0
-    """In how many beacons it stood that were certainly composed behind that."""
+    """The number of beacons with it that were certainly composed after that."""
 
 
 class Repetitions(dict[Key, _Instruction]):
@@ -38,12 +38,12 @@ class Repetitions(dict[Key, _Instruction]):
     def __missing__(self, key: Key) -> _Instruction:
         one = self[key] = _Instruction()
         if len(self) > _MOST:
-            # There is one key for each number of an update, and the oldest of them are said no more.
+            # There is one key for each number of an update; the oldest ones are not sent any more.
             del self[next(each for each in self if each[0] is ICType.UPDATES)]
         return one
 
     def arm(self, key: Key, times: int, time: int) -> None:
-        """There is a reason to say it in so many beacons."""
+        """Allow it in this number of beacons."""
         one = self[key]
         if key[0] is ICType.UPDATES:
             # The last of them; numbers come again.
@@ -63,7 +63,7 @@ class Repetitions(dict[Key, _Instruction]):
         return 0 if one is None else one.counted
 
     def count(self, key: Key) -> tuple[int, int]:
-        """It stands in a beacon, and is about what the variable is now.
+        """Count a beacon that contains it, about the present state of the variable.
 
         In how many it stood by then, and in how many it may stand.
         """
@@ -72,7 +72,7 @@ class Repetitions(dict[Key, _Instruction]):
         return one.counted, one.allowed
 
     def stands(self, key: Key, composed: int) -> tuple[int, int] | None:
-        """It stands in a beacon that was composed at this time or later.
+        """Count a beacon that contains it and was composed at this time or later.
 
         When there was a reason, the last time, and in how many beacons from behind that it stood before; None if this
         one is not certainly from behind that.
