@@ -29,7 +29,7 @@ class Incident(NamedTuple):
     what: Literal["lost", "down", "corrupted", "duplicated", "reordered", "late"]
     """``down``: lost in an outage; ``reordered``: held back; ``late``: with a delay that is not the usual one."""
     octets: bytes
-    """As they were sent: a bearer payload, or what was sent as a whole frame."""
+    """The sent octets: a bearer payload, or a whole frame."""
 
     @property
     def misleads(self) -> bool:
@@ -47,7 +47,7 @@ class LinkHealth(NamedTuple):
     dropped: int = 0
     """Frames that the kernel dropped since the last time this was asked."""
     incidents: tuple[Incident, ...] = ()
-    """What an impaired link did since then, in order; those of a frame that is sent come with its transmission."""
+    """Effects of an impaired link since the last call, in order. Those on a sent frame come with its transmission."""
 
 
 class LowerTester(Protocol):
@@ -147,5 +147,5 @@ class Impairs(Protocol):
         ...
 
     def summary(self) -> str:
-        """What the link did in this run, in words."""
+        """Describe the effects of the link in this run."""
         ...

@@ -1,4 +1,4 @@
-"""UDP as a lower tester: multicast as ``dcp-node run --link udp`` has it, and broadcast or unicast with a fixed port.
+"""UDP as a lower tester: multicast as in ``dcp-node run --link udp``, and broadcast or unicast with a fixed port.
 
 All virtual peers share one socket; an implementation tells them apart by the identifier in their beacons. To a group
 the tester sends from a port of its own, by which it knows its own datagrams. Where beacons are told by a UDP port

@@ -38,7 +38,7 @@ def _place(record: VardisRecord) -> int:
 
 
 class Model:
-    """The variables of one node. Times are ns of any clock, as long as it is always the same."""
+    """The variables of one node. Times are ns of one clock."""
 
     def __init__(
         self,

@@ -1,4 +1,4 @@
-"""How often a node may say the instructions about one variable (VD-SCP-01, VD-SCP-02).
+"""Count how often a node may send the instructions about one variable (VD-SCP-01, VD-SCP-02).
 
 A counter of a node is never above repCnt, so however many reasons there were until a moment, behind it come at most
 repCnt beacons and what was composed already. And a payload without the instruction, composed behind the last reason,
@@ -13,7 +13,7 @@ from dcp_spec.constants import ICType
 Key = tuple[ICType, int]
 """Kind of an instruction, and for updates the sequence number."""
 
-#: Payloads that can have been composed before a moment and be on the air after it, within the latency.
+#: Payloads that can be composed before a moment and sent after it, within the latency.
 IN_FLIGHT = 2
 #: Keys that are remembered of one variable; there are far fewer that are no updates.
 _MOST = 128

@@ -285,7 +285,7 @@ class VirtualUpperTester:
         return taken
 
     def filenos(self) -> tuple[int, ...]:
-        """There are none."""
+        """Return no descriptors: nothing is received from outside."""
         return ()
 
     def another(self) -> VirtualUpperTester:

@@ -93,7 +93,7 @@ def reference_process(
 
 
 def _settings(beacon_period_ms: float) -> str:
-    """Timers of VarDis in the proportion that they have to the beacon period by default, and the limits of the profile.
+    """Return timers of VarDis in their default proportion to the beacon period, and the limits of the profile.
 
     With a short beacon period and the usual timers, most of a run would be waiting for VarDis to look at its buffer.
     What a profile recommends among its implementations is less than what is to be tested.

@@ -64,7 +64,7 @@ class ProcessControl:
         settle: float = SETTLE,
         udp_port: int | None = None,
     ) -> None:
-        """``around`` is entered while a process is made. ``ends_with_tester``: it ends with the tester, also by SIGKILL.
+        """``around`` is entered while a process is made. ``ends_with_tester``: end it with the tester, also on SIGKILL.
 
         ``udp_port``: that of the link; None for Ethernet.
 

@@ -85,11 +85,11 @@ class CommandUpperTester:
         return Answer(code=METHOD_NOT_FOUND, message=f"the adapter has no command for {method}")
 
     def poll(self) -> list[Notification]:
-        """There are none."""
+        """Return an empty list: commands cannot notify."""
         return []
 
     def filenos(self) -> tuple[int, ...]:
-        """There are none."""
+        """Return no descriptors: a command runs for each call."""
         return ()
 
     def another(self) -> None:

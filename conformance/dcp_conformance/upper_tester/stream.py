@@ -92,7 +92,7 @@ class StreamUpperTester:
         return taken
 
     def filenos(self) -> tuple[int, ...]:
-        """The descriptors of the channel, as long as it is open."""
+        """The descriptors of the channel while it is open."""
         return self._channel.filenos() if self._channel is not None else ()
 
     def another(self) -> StreamUpperTester | None:
