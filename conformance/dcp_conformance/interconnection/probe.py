@@ -115,12 +115,12 @@ def draft(
 ) -> tuple[Pics, list[str]]:
     """Receive frames for this number of seconds, and query the upper tester if there is one.
 
-    ``codec_candidates`` are the profiles that the implementation may speak. ``asked_for`` is the one that is taken
-    where several explain equally well what is heard (None: nobody has asked for one). If none explains it, the nearest
-    is proposed by headers and block lists alone; if none has these either, the profile of the draft is
-    :data:`UNKNOWN_PROFILE`, which no run takes. ``asking``: the profiles of questions on the air, all candidates unless
-    given. ``ask``: if no VarDis payload is heard in the first quarter of the time, it is asked for variables on the air
-    (summaries of ones that nobody has), so that it has something to say.
+    ``codec_candidates`` are the profiles that the implementation may speak. ``asked_for`` is chosen if several explain
+    the received frames equally well (None: no preference). If none explains them, the nearest is proposed by headers
+    and block lists alone. If none has these either, the profile of the draft is :data:`UNKNOWN_PROFILE`, which no run
+    accepts. ``asking``: the profiles of questions in beacons, by default all candidates. ``ask``: if no VarDis payload
+    is received in the first quarter of the time, the tester sends summaries of unknown variables, so that the
+    implementation has a reason to send.
 
     Raises ``LowerTesterError`` and ``UpperTesterError``.
     """

@@ -35,8 +35,8 @@ class Incident(NamedTuple):
     def misleads(self) -> bool:
         """Whether later received data may be wrong because of it, and not only missing.
 
-        Beacons that the tester does not get are only missing. Of a stimulus that was lost it is not known what a case
-        takes for granted that has sent it.
+        Beacons that the tester does not receive are only missing. After a lost stimulus, any assumption of a case about
+        the implementation may be wrong.
         """
         return self.to or self.what in ("reordered", "late")
 

@@ -26,9 +26,8 @@ _MOST_OVERHEARD = 1000
 def open_ethernet(interface: str, link: Link, *, ether_type: int | None = None) -> EthernetLowerTester:
     """A lower tester on ``interface``, for frames with the EtherType of ``link``, or another one.
 
-    The interface is switched to promiscuous mode, so that frames that an implementation sends to a station instead of
-    to all are seen, too. Frames of a VLAN are ignored, as far as
-    the kernel lets them be told.
+    The interface is in promiscuous mode, so that frames to single stations are received, too. Frames of a VLAN are
+    ignored as far as the kernel marks them.
 
     Raises ``UsageError`` (no such interface, no EtherType) and ``LowerTesterError`` (it is down or not Ethernet, no
     privilege, no scapy).

@@ -1,8 +1,8 @@
 """UDP as a lower tester: multicast as in ``dcp-node run --link udp``, and broadcast or unicast with a fixed port.
 
-All virtual peers share one socket; an implementation tells them apart by the identifier in their beacons. To a group
-the tester sends from a port of its own, by which it knows its own datagrams. Where beacons are told by a UDP port
-(student-2024) they also have to come *from* that port; there it knows its own datagrams by their octets.
+All virtual peers share one socket; their beacons have different identifiers. The tester sends to a group from a port
+of its own, which identifies its own datagrams. Where a UDP port identifies beacons (student-2024), the source port must
+be the same; there the tester identifies its own datagrams by their octets.
 """
 
 from __future__ import annotations

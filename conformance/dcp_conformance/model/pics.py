@@ -1,7 +1,7 @@
 """PICS (capabilities that an implementation claims) and PIXIT (information for testing it) as one TOML file.
 
-A capability has three states: claimed, denied, and not said. What is not said is not denied: a case that needs it is
-not applicable for want of a statement, and the report says so.
+A capability has three states: claimed, denied, and not stated. Not stated is not denied: a case that needs the
+capability is not applicable, and the report gives this as the reason.
 """
 
 from __future__ import annotations

@@ -4,8 +4,8 @@ This is the table of variable states (protocol reference C.5; dcp-vardis.md: Rec
 
 Octets that are no VarDis payload, and what the specification leaves open, make the variables concerned *uncertain*
 until something happens after which there is one state whatever it was before. That is a creation by the node itself, a
-creation later than all that it may have heard of, and the deletion of what is surely the variable of somebody else; and
-for a variable whose timeout has passed, the end of the next scrubbing.
+creation later than all that it may have received, and the deletion of a variable that certainly has another producer;
+and for a variable whose timeout has passed, the end of the next scrubbing.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Count how often a node may send the instructions about one variable (VD-SCP-01, VD-SCP-02).
 
-A counter of a node is never above repCnt, so however many reasons there were until a moment, behind it come at most
-repCnt beacons and what was composed already. And a payload without the instruction, composed behind the last reason,
-shows that its queue was empty: from then on it may not come at all.
+A counter of a node is at most repCnt. After any moment, at most repCnt beacons and the payloads that were already
+composed contain the instruction, however many reasons there were before. A payload without the instruction that was
+composed after the last reason shows that the queue was empty: after it, the instruction must not be sent.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class Repetitions(dict[Key, _Instruction]):
     def __missing__(self, key: Key) -> _Instruction:
         one = self[key] = _Instruction()
         if len(self) > _MOST:
-            # There is one key for each number of an update; the oldest ones are not sent any more.
+            # Each number of an update has a key; the oldest ones are not sent any more.
             del self[next(each for each in self if each[0] is ICType.UPDATES)]
         return one
 
@@ -74,8 +74,8 @@ class Repetitions(dict[Key, _Instruction]):
     def stands(self, key: Key, composed: int) -> tuple[int, int] | None:
         """Count a beacon that contains it and was composed at this time or later.
 
-        When there was a reason, the last time, and in how many beacons from behind that it stood before; None if this
-        one is not certainly from behind that.
+        Return the time of the last reason, and the number of beacons after it that contained the instruction before;
+        None if this beacon may be older than the reason.
         """
         one = self.get(key)
         if one is None or one.since is None or composed <= one.since:

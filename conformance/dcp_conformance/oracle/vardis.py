@@ -1,9 +1,8 @@
 """VarDis seen from outside: the received payloads of a node decide which instructions it owes.
 
-The model knows nothing of queues. It says three things of the node that hears all frames given to it: what it holds,
-what it owes, and whether something it says is covered. A payload may have been composed a while before it is seen on
-the air; everything that was true within ``latency`` before counts as true. Of variables that are in doubt nothing is
-said.
+The model has no queues. For a node that receives all given frames it computes: the variables that it holds, the
+instructions that it owes, and whether an instruction that it sends has a reason. A payload may be composed a while
+before it is sent: any state within ``latency`` before counts. Variables in doubt are not judged.
 """
 
 from __future__ import annotations
@@ -56,7 +55,7 @@ class Oracle(Model):
     ) -> list[Complaint]:
         """Judge a payload of the node; owed instructions in it are settled.
 
-        ``roomy``: any other instruction would have fitted, so that those that are missing were not to be said.
+        ``roomy``: any other instruction would have fitted, so that missing ones were not queued.
         ``waited``: so much longer than usual it may be since the payload was composed (:class:`~.waiting.Waiting`).
         """
         complaints: list[Complaint] = []

@@ -1,7 +1,7 @@
 """Simulated networks of our nodes as recordings, to test the judge of recordings.
 
 Applications on all nodes create, update, delete and create again at random. Any node may be another one than ours (a
-mutant or a permitted variant). The recorder hears everybody unless it is told to lose frames.
+mutant or a permitted variant). The recorder receives all nodes, unless the situation has losses.
 """
 
 from __future__ import annotations

@@ -61,7 +61,7 @@ def reference_process(
 ) -> Iterator[ReferenceProcess]:
     """Start our node. At the end, also after Ctrl-C and SIGTERM, remove everything that was made for it.
 
-    ``link``: ``auto`` is Ethernet, with a fall-back to UDP whose reason stands in ``about``. ``profile`` is the name or
+    ``link``: ``auto`` is Ethernet, with a fall-back to UDP; ``about`` has the reason. ``profile`` is the name or
     path of the profile, by default the name in ``codec``. ``options`` are further ones of ``dcp-node run``.
     ``patience`` is what the upper tester has, in s.
 
@@ -95,8 +95,8 @@ def reference_process(
 def _settings(beacon_period_ms: float) -> str:
     """Return timers of VarDis in their default proportion to the beacon period, and the limits of the profile.
 
-    With a short beacon period and the usual timers, most of a run would be waiting for VarDis to look at its buffer.
-    What a profile recommends among its implementations is less than what is to be tested.
+    With a short beacon period and the usual timers, most of a run would be spent waiting for VarDis to process
+    its buffer. Recommended limits of a profile are lower than those to be tested.
     """
     scale, usual = beacon_period_ms / BPConfig().beacon_period_ms, VardisConfig()
     timers = {name: getattr(usual, name) for name in ("buffer_check_period_ms", "scrubbing_period_ms")}

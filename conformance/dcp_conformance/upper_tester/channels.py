@@ -299,7 +299,7 @@ def ending(status: int) -> str:
 def end_group(process: subprocess.Popen[bytes], *, patience: float, ask_first: bool = True) -> None:
     """End a process that leads a session, and its process group: SIGTERM, then SIGKILL after ``patience`` s.
 
-    Without ``ask_first`` it is first waited for, as it has been told to end in another way.
+    Without ``ask_first``, wait first: the process has got another request to end.
     """
     if not ask_first:
         with contextlib.suppress(subprocess.TimeoutExpired):

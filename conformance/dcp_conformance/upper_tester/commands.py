@@ -110,7 +110,7 @@ class CommandUpperTester:
             if not used and _text(value) != method.fixed.get(parameter):
                 fixed = method.fixed.get(parameter)
                 says = f"only with {fixed}" if fixed is not None else "not at all"
-                raise CouldNotAskError(f"{where}: the command can be told {parameter} {says}, and not {value!r}")
+                raise CouldNotAskError(f"{where}: the command accepts {parameter} {says}, and not {value!r}")
         words = [self._filled(where, each, values) for each in method.command]
         given = self._filled(where, method.stdin, values).encode()
         status, output = _run(where, words, given, method.timeout or self._patience)
@@ -179,7 +179,7 @@ class CommandUpperTester:
 
 
 def _texts(where: str, method: Method, params: dict[str, Any]) -> dict[str, str]:
-    """Return parameters as words of commands: as in JSON, and octets of a text as text under ``...Text``."""
+    """Return parameters as arguments of commands: as in JSON, and octets of a text as text under ``...Text``."""
     values: dict[str, str] = {}
     for name, value in params.items():
         text = _text(value)

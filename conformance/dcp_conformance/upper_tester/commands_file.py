@@ -83,7 +83,7 @@ class Adapter(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 def load_adapter(name: str) -> Adapter:
     """Read a built-in adapter by its name, or a file: its path, with a ``/`` or a suffix such as ``.toml``.
 
-    The file names programs that are executed, so one that somebody else can change is refused. Raises ``UsageError``.
+    The file names programs that are executed. A file that another user can change is refused. Raises ``UsageError``.
     """
     path = Path(name)
     built_in = resources.files("dcp_conformance").joinpath("adapters")

@@ -24,10 +24,10 @@ _LONGEST_PATH = 107
 
 
 def open_upper(spec: str, patience: float = 5.0, *, starting: bool = True) -> Reconnecting:
-    """Open the upper tester that ``spec`` names (:data:`FORMS`); ``patience``: s that anything may take.
+    """Open the upper tester that ``spec`` names (:data:`FORMS`); ``patience``: timeout of each answer, s.
 
-    ``starting`` False: nobody is about to start it, so that a socket where nobody listens is refused at once. When it
-    was there and is gone, it is waited for in any case.
+    ``starting`` False: no process is about to open the socket, so that a refused connection is an error at once. After
+    a connection was lost, the tester waits in any case.
 
     Raises ``UsageError`` for a text that names none, ``UpperTesterError`` if it cannot be reached or does not keep to
     the contract.
