@@ -16,7 +16,7 @@ from .analysis import Sender, Steps, Time
 from .page import Chapter
 from .plots import DRAWN, Easel
 from .recorded import Recorded
-from .series import seconds_text
+from .series import seconds_text, short
 
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
@@ -90,7 +90,7 @@ def _tiles(
     lost, share = _lost(recorded, steps)
     tiles = [(f"{recorded.column('beacons', 'node').size:,}", "beacons", ""), (f"{len(senders):,}", "senders", "")]
     if recorded.tells_losses:
-        tiles.append((f"{share:.2g} %", "lost", "fail" if lost else ""))
+        tiles.append((f"{short(share, 2)} %", "lost", "fail" if lost else ""))
     tiles.append((str(len(recorded.variables)), "variables", ""))
     if held.pairs:
         tiles.append((f"{'≠ ' if stale else ''}{stale:,}", "stale at the end", "fail" if stale else ""))
@@ -144,11 +144,11 @@ def _figures(
         ("profile", plain(recorded.outcome.profile)),
         ("senders", f"{len(senders):,}"),
         ("beacons", f"{recorded.column('beacons', 'node').size:,}"),
-        ("beacons lost", f"{lost:,} ({share:.2g} %)" if recorded.tells_losses else "unknown"),
+        ("beacons lost", f"{lost:,} ({short(share, 2)} %)" if recorded.tells_losses else "unknown"),
         ("malformed frames", f"{recorded.outcome.malformed:,}"),
         ("values of variables", f"{values.variable.size:,}"),
         ("values that a node never said", f"{could - said:,} of {could:,}"),
-        ("time with another number than the producer's", f"{100 * differs / known:.3g} %"),
+        ("time with another number than the producer's", f"{short(100 * differs / known)} %"),
         ("stale at the end (node and variable)", f"{sum(pair.differs_at_end for pair in held.pairs):,}"),
         ("dissemination delay, median", quantile(0.5)),
         ("dissemination delay, 95th percentile", quantile(0.95)),

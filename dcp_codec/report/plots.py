@@ -16,7 +16,7 @@ from . import analysis, holding
 from .analysis import KINDS, Part, Steps, Time
 from .chart import Chart, Plot
 from .recorded import NOBODY, Column, Recorded
-from .series import extremes, in_unit, ordinal, runs, seconds_text, usual_interval
+from .series import extremes, in_unit, ordinal, runs, seconds_text, short, usual_interval
 from .variables import Passings, Values, counted, numeric
 
 #: Nodes and variables that are drawn one by one; rows of who holds what.
@@ -98,7 +98,7 @@ class Thinned:
         if self.drawn >= self.total:
             return ""
         share = self.total / max(1, self.drawn)
-        return f" 1 of {share:.3g} drawn: the first, last, least and greatest of each piece of time."
+        return f" 1 of {short(share)} drawn: the first, last, least and greatest of each piece of time."
 
 
 def over_time(

@@ -14,7 +14,7 @@ from .analysis import Sender, Steps
 from .page import Cell, Section, Table, table
 from .plots import DRAWN, Easel, number_text
 from .recorded import Recorded
-from .series import seconds_text
+from .series import seconds_text, short
 
 #: Anomalies of each kind and differences that are listed; octets of a value that are shown.
 _LISTED, _OCTETS = 10, 16
@@ -118,7 +118,7 @@ def _never_said(easel: Easel, found: holding.Holding) -> list[Table]:
     def cell(node: int, producer: int) -> str:
         own = [pair for pair in found.pairs if pair.node == node and pair.producer == producer]
         could, said = sum(pair.values for pair in own), sum(pair.said for pair in own)
-        return f"{100 * (could - said) / could:.2g} % ({could - said:,} of {could:,})" if could else "-"
+        return f"{short(100 * (could - said) / could, 2)} % ({could - said:,} of {could:,})" if could else "-"
 
     caption = (
         "Loss per pair, end to end: values of the column's node that the row's node never said it holds. A value that "
@@ -172,8 +172,8 @@ def senders_section(easel: Easel, senders: Sequence[Sender], steps: Steps) -> Se
         [
             Cell(names[sender.node], series=_series(easel, sender.node), mono=True),
             _number(f"{sender.beacons:,}"),
-            _number("-" if sender.rate is None else f"{sender.rate:.3g}"),
-            _number("unknown" if sender.loss is None else f"{sender.lost:,} ({100 * sender.loss:.2g} %)"),
+            _number("-" if sender.rate is None else short(sender.rate)),
+            _number("unknown" if sender.loss is None else f"{sender.lost:,} ({short(100 * sender.loss, 2)} %)"),
             _number(f"{sender.restarts:,}"),
             _number(f"{sender.reports:,}"),
             _number(f"{sender.first:.3f}"),
@@ -211,7 +211,7 @@ def ages_section(easel: Easel, found: reactions.Reactions) -> Section:
     def cell(node: int, other: int) -> str:
         row, column = easel.nodes.index(node), easel.nodes.index(other)
         unknown = not np.isfinite(high[row, column]) or (inferred and column not in found.hears(row))
-        return "-" if unknown else f"{high[row, column]:.3g}"
+        return "-" if unknown else short(high[row, column])
 
     if np.isfinite(high).any():
         caption = (
@@ -294,7 +294,7 @@ def overhead_section(easel: Easel) -> Section:
         [
             Cell(part.name, series=place),
             _number(f"{part.octets:,}"),
-            Cell(f"{share:.2g} %", number=True, bar=share / 100),
+            Cell(f"{short(share, 2)} %", number=True, bar=share / 100),
         ]
         for place, part in enumerate(parts)
         for share in [100 * part.octets / total]
@@ -304,7 +304,7 @@ def overhead_section(easel: Easel) -> Section:
     section.plots.append(plots.load(easel, parts))
     size = int(easel.recorded.column("said", "size").sum())
     if size:
-        section.words.append(f"{total / size:.3g} octets on the air for each octet of a variable's value.")
+        section.words.append(f"{short(total / size)} octets on the air for each octet of a variable's value.")
     return section
 
 

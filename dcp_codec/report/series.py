@@ -60,12 +60,18 @@ def usual_interval(seconds: Column) -> float:
     return float(np.median(np.diff(np.sort(seconds)))) if seconds.size > 1 else 0.0
 
 
+def short(number: float, digits: int = 3) -> str:
+    """A number with so many digits that matter, or all of its whole part: never "1e+02"."""
+    text = f"{number:.{digits}g}"
+    return f"{number:,.0f}" if "e+" in text else text
+
+
 def seconds_text(seconds: float) -> str:
     """A duration for people: "0.35 s", "12 s", "4 min 10 s"."""
     if abs(seconds) < 1:
-        return f"{seconds * 1000:.3g} ms"
+        return f"{short(seconds * 1000)} ms"
     if abs(seconds) < 100:
-        return f"{seconds:.3g} s"
+        return f"{short(seconds)} s"
     minutes, rest = divmod(round(seconds), 60)
     hours, minutes = divmod(minutes, 60)
     return f"{hours} h {minutes} min" if hours else f"{minutes} min {rest} s"

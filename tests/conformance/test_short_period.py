@@ -15,6 +15,7 @@ from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, plain_node, reference_config
 from dcp_conformance.selftest.mutants import all_mutants
 from dcp_conformance.selftest.runner import Suite, cases
+from dcp_conformance.selftest.side_by_side import compare
 from dcp_conformance.test_system.session import Session
 from dcp_conformance.test_system.waiting import Waiting
 
@@ -133,3 +134,11 @@ def test_no_case_waits_for_repetitions_that_are_over(monkeypatch, pattern: str) 
     results = list(suite.run(chosen))
     assert len(results) == len(chosen) + 1
     assert vain == []
+
+
+def test_timeouts_are_measured_with_a_short_scrubbing_period_also_at_a_short_beacon_period() -> None:
+    # Beside others they would have to wait for the configured one, which hides a variable that is deleted too early.
+    found = compare(all_mutants()["M-VD-SCR-03-half"], "dcp-2.0", [each for each in cases() if "_SCR_TI_" in each.id])
+    assert found.killed == (True, True)
+    different = {each.case for each in found.differences}
+    assert not different & {"TC_VD_SCR_TI_04", "TC_VD_SCR_TI_05", "TC_VD_SCR_TI_14-own", "TC_VD_SCR_TI_14-received"}

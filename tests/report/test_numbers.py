@@ -8,7 +8,7 @@ import pytest
 from dcp_codec.report import analysis, variables
 from dcp_codec.report.plots import short_names
 from dcp_codec.report.recorded import gather
-from dcp_codec.report.series import extremes, ordinal, runs, seconds_text, unwrapped
+from dcp_codec.report.series import extremes, ordinal, runs, seconds_text, short, unwrapped
 
 from .flights import CAPTURES, OTHER, START, Payload, create, gathered, name, record, report, steady, update
 
@@ -204,3 +204,13 @@ def test_senders_on_several_interfaces(tmp_path):
     table["interface"] = np.arange(table["node"].size, dtype=np.uint32) % 2 * (2**32 - 1)
     (both,) = analysis.senders_of(recorded, time, analysis.steps_of(recorded))
     assert alone.rate * (both.beacons - 2) == pytest.approx(both.rate * (alone.beacons - 1))
+
+
+def test_numbers_have_no_exponent():
+    """A pair that lost everything lost 100 %, not 1e+02 %."""
+    assert [short(number, 2) for number in (0, 0.123, 12.3, 99.4, 99.6, 100, 1234.5)] == [
+        *("0", "0.12", "12", "99", "100", "100"),
+        "1,234",
+    ]
+    assert [short(number) for number in (0.1234, 999.4, 999.7, 12345)] == ["0.123", "999", "1,000", "12,345"]
+    assert seconds_text(0.9997) == "1,000 ms"

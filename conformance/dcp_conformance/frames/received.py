@@ -64,7 +64,7 @@ class ReceivedBeacon:
 
     __slots__ = (
         "_codec", "_made", "beacon", "containers", "number", "octets", "problems", "report", "salvaged", "sender",
-        "source", "time", "wall",
+        "seqno", "source", "time", "wall",
     )  # fmt: skip
 
     def __init__(self, codec: Codec, number: int, time: int, wall: int, octets: bytes, source: bytes) -> None:
@@ -84,6 +84,8 @@ class ReceivedBeacon:
         """The VarDis containers of all blocks, in order."""
         self.report = self._report()
         """The first state report."""
+        self.seqno: int | None = self._seqno()
+        """The beacon's sequence number; None if the header cannot be relied on."""
         self._made: tuple[Instruction, ...] | None = None
 
     @property
@@ -145,15 +147,11 @@ class ReceivedBeacon:
             if number not in cut_off
         ]
 
-    @property
-    def seqno(self) -> int | None:
-        """The beacon's sequence number; None if the header cannot be relied on.
-
-        A header without payloads is none that anybody means: there, other fields stand in other places.
-        """
+    def _seqno(self) -> int | None:
+        """A header without payloads is none that anybody means: there, other fields stand in other places."""
         if self.beacon is None or self.beacon.bp is None or not self.salvaged.clear:
             return None
-        if any(each.reason == "zero-count" for each in self.header_problems):
+        if self.problems and any(each.reason == "zero-count" for each in self.header_problems):
             return None
         return self.beacon.bp.seqno
 

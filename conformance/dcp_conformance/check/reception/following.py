@@ -79,6 +79,24 @@ class Station:
     """By variable that it has deleted: the latest creation time that it can have had."""
     open: dict[int, Occasions] = field(default_factory=dict)
     """By variable: its open occasions."""
+    cursor: int = 0
+    """How many occasions of anybody it has looked at."""
+
+
+class Event(NamedTuple):
+    """A record to which nodes have to react if they hear it."""
+
+    whom: int
+    """Who has to, as bits."""
+    kind: Kind
+    var_id: int
+    cause: Statement
+    speaker: int
+    late_half: bool
+    """Whether it stands in the second half of its payload."""
+    length: int
+    """The length of the payload."""
+    time: int
 
 
 class Trial(NamedTuple):
@@ -108,8 +126,6 @@ class Variable:
     """Who holds any number."""
     deleted: int = 0
     """Who has deleted it, and has not stated a number since."""
-    opened: int = 0
-    """Who has open occasions."""
     producers: set[bytes] = field(default_factory=set)
     produced: int = 0
     """The same, of the nodes that are followed."""

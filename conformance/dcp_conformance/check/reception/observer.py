@@ -20,7 +20,7 @@ from dcp_conformance.check.statements import ASK_CREATE, ASK_UPDATE, CREATE, DEL
 from dcp_conformance.check.stations import Origin
 from dcp_conformance.model.circular import Circle
 
-from .following import Interval, Kind, Occasions, Station, Trial, Variable
+from .following import Event, Interval, Kind, Occasions, Station, Trial, Variable
 from .records import RecordSizes
 
 #: The reaction to what was heard between two beacons comes with the third after it at the latest: one payload may have
@@ -32,6 +32,8 @@ _CARRIED = 3
 _OPEN = 8
 #: A statement of a node about a variable is believed for so many of its beacons.
 _FRESH = 20
+#: Occasions that are kept until each node has had its next beacon.
+_EVENTS = 8_192
 #: Variables of which a node can have open occasions at the same time: more come from forged beacons alone, or late.
 MOST_OPEN = 64
 #: Nodes whose reactions are followed; a bit of a mask for each.
@@ -61,8 +63,10 @@ class Observer:
         self._everybody = 0
         self._early = 0
         """Who may have known variables before it was first heard."""
-        self._full = 0
-        """Who has open occasions of as many variables as are followed."""
+        self._log: list[Event] = []
+        """Occasions since the last beacon of some node, in order: each node looks at them with its next one."""
+        self._dropped = 0
+        """Occasions that are gone from there."""
         self._unsettled: set[int] = set()
         """Variables of which not all nodes have stated the same number."""
         self._times = context.features.creation_time
@@ -89,6 +93,7 @@ class Observer:
         station = self._station(seen)
         if station is None:
             return
+        self._catch_up(station)
         station.beacons += 1
         length = len(seen.heard.octets)
         asked = self._settle(station, seen)
@@ -108,6 +113,7 @@ class Observer:
                 return None
             listens, bit = seen.origin is not Origin.FORGED, 1 << len(self.stations)
             station = Station(seen.sender, bit, listens, seen.time, sender.life)
+            station.cursor = self._dropped + len(self._log)
             if number is None or number > self._context.profile.behaviour.first_beacon_seqno + 2:
                 self._early |= bit
             self.stations[seen.sender] = self.by_bit[bit] = station
@@ -143,15 +149,9 @@ class Observer:
         station.had.clear()
 
     def _drop_all(self, station: Station) -> None:
-        for var_id in list(station.open):
-            self._drop(station, self.variables[var_id])
+        station.open.clear()
         station.waiting.clear()
-
-    def _drop(self, station: Station, variable: Variable) -> None:
-        """No occasion of a variable is open any more."""
-        if station.open.pop(variable.var_id, None) is not None:
-            variable.opened &= ~station.bit
-            self._full &= ~station.bit
+        station.cursor = self._dropped + len(self._log)
 
     def _hold(self, station: Station, variable: Variable, number: int | None) -> None:
         bit, holders = station.bit, variable.holders
@@ -204,7 +204,7 @@ class Observer:
             elif kind is DELETE:
                 if opened:
                     self._hit(station, var_id, opened, Kind.TAKE_DELETE)
-                    self._drop(station, variable)
+                    station.open.pop(var_id, None)
                 if var_id in station.holds:
                     self._hold(station, variable, None)
                 station.had[var_id] = variable.created
@@ -213,7 +213,7 @@ class Observer:
             elif opened:
                 self._hit(station, var_id, opened, Kind.ASK_UPDATE if kind is ASK_UPDATE else Kind.ASK_CREATE)
                 if not opened:
-                    self._drop(station, variable)
+                    station.open.pop(var_id, None)
         for kind, _, ids in seen.parts:
             if kind is SUMMARY or kind is UPDATE or kind is CREATE:
                 station.said.update(dict.fromkeys(ids, station.beacons))
@@ -246,7 +246,7 @@ class Observer:
                 opened.pop(Kind.ANSWER_UPDATE, None)
                 opened.pop(Kind.TEACH, None)
             if not opened:
-                self._drop(station, variable)
+                station.open.pop(var_id, None)
         if number != had:
             holders = variable.holders
             if kind is UPDATE and holders and number not in holders:
@@ -315,7 +315,7 @@ class Observer:
                     if late and self._had_room(station, kind, variable, stated, length):
                         self._miss(station, var_id, opened, kind, now)
                 if not opened:
-                    self._drop(station, variable)
+                    station.open.pop(var_id, None)
         for var_id in list(station.waiting):
             variable = self.variables[var_id]
             opened = opened_of.get(var_id, {})
@@ -325,7 +325,7 @@ class Observer:
                     if self._room(station, length, need):
                         self._miss(station, var_id, opened, kind, now)
             if not opened:
-                self._drop(station, variable)
+                station.open.pop(var_id, None)
                 station.waiting.pop(var_id, None)
 
     def _had_room(
@@ -380,7 +380,13 @@ class Observer:
                         begins, total = self._sizes.starts(seen.parts)
                     if said is None:
                         said = said_of(kind, records[index], seen.heard, seen.sender)
-                    self._open(whom, variable, due, said, speaker.bit, 2 * begins[place][index] >= total, total)
+                    late_half = 2 * begins[place][index] >= total
+                    self._log.append(Event(whom, due, var_id, said, speaker.bit, late_half, total, self.time))
+        if len(self._log) > _EVENTS:
+            for station in self.stations.values():
+                self._catch_up(station)
+            self._dropped += len(self._log)
+            self._log.clear()
 
     def _due(self, variable: Variable, kind: int, record: Any, others: int) -> Iterator[tuple[Kind, int]]:
         """What nodes have to do about a record, if they hear it: for each kind of reaction who has to, as bits."""
@@ -399,38 +405,24 @@ class Observer:
                     if has == number or not whom & may:
                         continue
                     if newer(number, has):
-                        yield Kind.TAKE_UPDATE if kind is UPDATE else Kind.ASK_UPDATE, self._fresh(variable, whom & may)
+                        yield Kind.TAKE_UPDATE if kind is UPDATE else Kind.ASK_UPDATE, whom & may
                     elif newer(has, number):
-                        yield Kind.TEACH, self._fresh(variable, whom & may)
+                        yield Kind.TEACH, whom & may
         elif kind is ASK_CREATE:
             if known:
-                yield Kind.ANSWER_CREATE, self._fresh(variable, known)
+                yield Kind.ANSWER_CREATE, known
         elif not variable.known:
             return
         elif kind is DELETE:
             if variable.producers and known & ~variable.produced:
-                yield Kind.TAKE_DELETE, self._fresh(variable, known & ~variable.produced)
+                yield Kind.TAKE_DELETE, known & ~variable.produced
         else:
             for has, whom in variable.holders.items():
                 if whom & others and has != record.seqno and self.circle.newer(has, record.seqno):
-                    yield Kind.ANSWER_UPDATE, self._fresh(variable, whom & others)
+                    yield Kind.ANSWER_UPDATE, whom & others
         unknown = others & ~variable.known & ~variable.produced
         if unknown and kind is not DELETE:
             yield from self._due_of_unknown(variable, kind, record, unknown)
-
-    def _fresh(self, variable: Variable, whom: int) -> int:
-        """Those of some nodes that have stated the number of a variable lately, and without a gap since."""
-        fresh, by_bit, var_id = 0, self.by_bit, variable.var_id
-        if self._full:
-            whom &= ~self._full | variable.opened
-        while whom:
-            bit = whom & -whom
-            whom ^= bit
-            station = by_bit[bit]
-            said = station.said[var_id]
-            if said >= station.gap and said >= station.beacons - _FRESH:
-                fresh |= bit
-        return fresh
 
     def _due_of_unknown(self, variable: Variable, kind: int, record: Any, whom: int) -> Iterator[tuple[Kind, int]]:
         if (kind is ASK_CREATE or kind is ASK_UPDATE) and not self._asks_on:
@@ -453,38 +445,42 @@ class Observer:
         if whom:
             yield Kind.TAKE_CREATE if kind is CREATE else Kind.ASK_CREATE, whom
 
-    def _open(
-        self, whom: int, variable: Variable, kind: Kind, each: Statement, speaker: int, late_half: bool, length: int
-    ) -> None:
-        """Some nodes have an occasion."""
-        by_bit, var_id, frame, absent = self.by_bit, variable.var_id, each.frame, kind in _ABSENT
-        if self._full:
-            whom &= ~self._full | variable.opened
-        while whom:
-            bit = whom & -whom
-            whom ^= bit
-            station = by_bit[bit]
-            opened = station.open.get(var_id)
-            if opened is None:
-                opened = station.open[var_id] = {}
-                variable.opened |= bit
-                if len(station.open) >= MOST_OPEN:
-                    self._full |= bit
-            if absent:
+    def _catch_up(self, station: Station) -> None:
+        """Open the occasions that a node has had since its last beacon."""
+        log, bit, beacons, opened_of = self._log, station.bit, station.beacons, station.open
+        said, oldest = station.said, max(station.gap, beacons - _FRESH)
+        for event in log[station.cursor - self._dropped :]:
+            if not event.whom & bit:
+                continue
+            kind, var_id = event.kind, event.var_id
+            if kind in _ABSENT:
+                if var_id not in opened_of and len(opened_of) >= MOST_OPEN:
+                    continue
                 station.waiting[var_id] = None
-            intervals = opened.get(kind)
-            if intervals is None:
-                opened[kind] = [Interval(station.beacons, self.time, each, speaker, late_half, length, frame)]
+            elif said[var_id] < oldest or (var_id not in opened_of and len(opened_of) >= MOST_OPEN):
+                # It has not stated the number lately, or beacons of it are missing since.
+                continue
+            intervals = opened_of.setdefault(var_id, {}).setdefault(kind, [])
+            if not intervals or intervals[-1].begin != beacons:
+                intervals.append(
+                    Interval(
+                        beacons,
+                        event.time,
+                        event.cause,
+                        event.speaker,
+                        event.late_half,
+                        event.length,
+                        event.cause.frame,
+                    )
+                )
+                if len(intervals) > _OPEN:
+                    intervals.pop(0)
                 continue
             last = intervals[-1]
-            if last.begin == station.beacons:
-                last.speakers |= speaker
-                last.late_half = last.late_half and late_half
-                last.length = min(last.length, length)
-                if frame != last.frame:
-                    last.beacons += 1
-                    last.frame = frame
-                continue
-            intervals.append(Interval(station.beacons, self.time, each, speaker, late_half, length, frame))
-            if len(intervals) > _OPEN:
-                intervals.pop(0)
+            last.speakers |= event.speaker
+            last.late_half = last.late_half and event.late_half
+            last.length = min(last.length, event.length)
+            if event.cause.frame != last.frame:
+                last.beacons += 1
+                last.frame = event.cause.frame
+        station.cursor = self._dropped + len(log)

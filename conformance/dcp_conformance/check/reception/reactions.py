@@ -139,7 +139,6 @@ class _Shown:
     """What a node has shown in all of the recording."""
 
     hits: dict[Kind, int] = field(default_factory=dict)
-    trials: dict[Kind, int] = field(default_factory=dict)
     longest: int = 0
     """The longest payload that it has reacted to."""
     late_half: int = 0
@@ -200,12 +199,6 @@ class Reception:
     def _outcome(self, trial: Trial) -> None:
         trials = self._trials.setdefault(trial.station.bit, [])
         trials.append(trial)
-        shown = self.shown.setdefault(trial.station.node, _Shown())
-        shown.trials[trial.kind] = shown.trials.get(trial.kind, 0) + 1
-        if trial.hit:
-            shown.hits[trial.kind] = shown.hits.get(trial.kind, 0) + 1
-            shown.longest = max(shown.longest, trial.length)
-            shown.late_half += trial.late_half
         if len(trials) >= _MOST:
             self._judge(self._trials.pop(trial.station.bit))
 
@@ -218,6 +211,12 @@ class Reception:
 
     def _judge(self, trials: list[Trial]) -> None:
         station = trials[0].station
+        shown = self.shown.setdefault(station.node, _Shown())
+        for trial in trials:
+            if trial.hit:
+                shown.hits[trial.kind] = shown.hits.get(trial.kind, 0) + 1
+                shown.longest = max(shown.longest, trial.length)
+                shown.late_half += trial.late_half
         groups: dict[Group, list[Trial]] = {}
         for trial in trials:
             groups.setdefault((station.node, trial.kind, None), []).append(trial)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import itertools
+from collections import Counter
 from collections.abc import Sequence
 
 from dcp_spec.constants import ICType
 
 from dcp_codec.values import VarCreate
 from dcp_conformance.check.base import Context, Invariant, Seen, name
-from dcp_conformance.check.statements import CREATE, DELETE, SUMMARY, UPDATE, Part, Statement
+from dcp_conformance.check.statements import CREATE, DELETE, SUMMARY, UPDATE, Part, Statement, said_of
 from dcp_conformance.frames.received import Instruction
 from dcp_conformance.model.verdict import Verdict
 
@@ -91,9 +92,10 @@ class PayloadConsistency(Invariant):
         """Compare the records about each variable."""
         if _plain(seen.parts):
             return
+        said = seen.said if any(kind is DELETE for kind, _, _ in seen.parts) else _repeated(seen)
         records: dict[int, Statement] = {}
-        deleted = {each.var_id: each for each in seen.said if each.kind is DELETE}
-        for each in seen.said:
+        deleted = {each.var_id: each for each in said if each.kind is DELETE}
+        for each in said:
             kind = each.kind
             if kind is not SUMMARY and kind is not UPDATE and kind is not CREATE:
                 continue
@@ -111,6 +113,23 @@ class PayloadConsistency(Invariant):
                 if each.var_id in deleted:
                     text = f"{name(seen.sender)} deletes and summarises variable {each.var_id}"
                     self.violated(text, [deleted[each.var_id], each], "VD-CMP-05", once=(seen.sender, each.var_id))
+
+
+def _repeated(seen: Seen) -> list[Statement]:
+    """The creates, updates and summaries of a beacon about variables that have several of them."""
+    counts = Counter(
+        itertools.chain.from_iterable(
+            ids for kind, _, ids in seen.parts if kind is SUMMARY or kind is UPDATE or kind is CREATE
+        )
+    )
+    several = {var_id for var_id, count in counts.items() if count > 1}
+    return [
+        said_of(kind, record, seen.heard, seen.sender)
+        for kind, records, ids in seen.parts
+        if not several.isdisjoint(ids)
+        for record, var_id in zip(records, ids, strict=True)
+        if var_id in several
+    ]
 
 
 def _plain(parts: Sequence[Part]) -> bool:

@@ -54,10 +54,7 @@ _MEASURES: Final = (
     (r"TC_BP_RXP_BV_02", _LISTENS),
     (r"TC_VD_RUN_TI_01", _LISTENS),
 )
-_FAMILIES: Final = (
-    (re.compile(r"TC_VD_SCR_TI_(04|05|14).*"), "timeouts of variables"),
-    (re.compile(r"TC_VD_ID_BV_01-.*"), "boundary values of identifiers"),
-)
+_FAMILIES: Final = ((re.compile(r"TC_VD_ID_BV_01-.*"), "boundary values of identifiers"),)
 """Cases that are executed beside each other, but not beside those outside of the family."""
 _PATTERNS: Final = tuple((re.compile(pattern), reason) for pattern, reason in _MEASURES)
 
