@@ -55,6 +55,21 @@ def test_a_faulty_node_in_a_network_is_found_with_its_requirement(name: str, sha
     assert "1 networks" in text
 
 
+@pytest.mark.parametrize(
+    ("name", "shape", "why"),
+    [
+        ("M-VD-CMP-06-no-rotation", "bus", ("check has no rule about VD-CMP-06", "beacons differ, the first, frame ")),
+        ("M-VD-PD-02-again", "bus", ("records: ", " -> ")),
+    ],
+)
+def test_a_faulty_node_that_is_not_found_has_its_reason(name: str, shape: Literal["bus", "line"], why: tuple[str, ...]):
+    result = faulty([all_mutants()[name]], shapes=[shape])
+    (outcome,) = result.outcomes
+    assert outcome.fate == "missed"
+    assert [each for each in why if each not in outcome.text] == [], outcome.text
+    assert outcome.text in document(result, None)
+
+
 def test_a_node_of_ours_in_place_of_a_mutant_is_the_same():
     case = VariableState(seconds=4.0)
     assert record(case, {2: Other(plain_node)}) == record(case)

@@ -18,6 +18,7 @@ from dcp_conformance.selftest.mutants import Mutant, all_mutants
 from dcp_conformance.selftest.runner import process_pool
 
 from .judging import found, judged
+from .reasons import reason
 
 SHAPES: Final[tuple[Literal["bus", "line"], ...]] = ("bus", "line")
 #: The place of the faulty node: in a line everything between the halves passes it.
@@ -39,7 +40,7 @@ class Outcome(msgspec.Struct, frozen=True):
     rules: tuple[str, ...] = ()
     """The rules that found it, those first that name its requirement."""
     text: str = ""
-    """The first finding."""
+    """The first finding; of a mutant that was not found, why not."""
 
 
 class FaultyResult(msgspec.Struct, frozen=True, kw_only=True):
@@ -112,7 +113,8 @@ def _outcome(mutant: Mutant, profile: str, shape: Literal["bus", "line"], frames
         }
         if new:
             return outcome("doubted" if fate == "doubted" else "observed", list(new), next(iter(new.values())))
-    return outcome("missed")
+    sent = [frame.data for frame in frames]
+    return outcome("missed", text=reason(mutant.requirements, sent, octets, cases, Codec(profile)))
 
 
 def faulty(

@@ -14,7 +14,7 @@ COMMAND: Final = "dcp-conformance selftest --recordings --clean 500 --document d
 #: What the last column says where nothing was found.
 REASONS: Final = {
     "same": "not on the air: the octets are those of our node",
-    "missed": "on the air, and no different from a node that is permitted, from loss, or from what was not recorded",
+    "missed": "on the air",
     "observed": "observed, and not judged",
     "doubted": "the pass is withheld",
 }
@@ -76,7 +76,9 @@ def document(result: FaultyResult, clean: CleanResult | None) -> str:
 
 def _reason(row: dict[str, Outcome]) -> str:
     rules = dict.fromkeys(rule for each in row.values() for rule in each.rules)
-    if rules:
+    best = min(row.values(), key=lambda each: _ORDER.index(each.fate))
+    if best.fate in ("found", "otherwise"):
         return ", ".join(rules)
-    fates = dict.fromkeys(each.fate for each in row.values() if each.fate != "same")
-    return "; ".join(REASONS[fate] for fate in fates)
+    # What was merely observed, and what was not found, has its reason: the first of the networks that has one.
+    why = best.text.replace("|", "\\|")
+    return f"{', '.join(rules)}: {REASONS[best.fate]}: {why}" if rules else f"{REASONS[best.fate]}: {why}"
