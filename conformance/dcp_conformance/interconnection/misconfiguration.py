@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import Final
 
-from dcp_spec.profile.loading import BUILTIN_PROFILES
+from dcp_spec.profile.loading import profile_names
 
 from dcp_codec.codec import get_codec
 from dcp_conformance.frames.received import ReceivedBeacon
@@ -97,7 +97,7 @@ def _told_by_hello(bench: Bench) -> str:
 def _other_version(bench: Bench, told: object) -> str:
     """UT-Hello names a version of the specification for which there are other profiles."""
     version = ".".join(told.split(".")[:2]) if isinstance(told, str) else ""
-    fitting = [name for name in BUILTIN_PROFILES if str(get_codec(name).profile.spec_version) == version]
+    fitting = [name for name in profile_names() if str(get_codec(name).profile.spec_version) == version]
     if not fitting or bench.profile.spec_version == version:
         return ""
     return (
@@ -108,7 +108,7 @@ def _other_version(bench: Bench, told: object) -> str:
 
 def _asked_otherwise(bench: Bench) -> str:
     """Ask in every built-in profile, then for other networks."""
-    for number, name in enumerate(BUILTIN_PROFILES):
+    for number, name in enumerate(profile_names()):
         codec = get_codec(name)
         if name != bench.profile.name:
             bench.transmit(question(codec, number), bench.peer().address)

@@ -63,8 +63,8 @@ class Needs:
     """What must hold for a case to apply. What is missing makes it not applicable, with the reason said."""
 
     since: SpecVersion = SpecVersion.V1_0
-    until: SpecVersion = SpecVersion.V2_0
-    """First and last version of the specification (of the profile) that the case is about."""
+    until: SpecVersion | None = None
+    """First and last version of the specification (of the profile) that the case is about; None: no last one."""
     ut: tuple[str, ...] = ()
     """Methods of the upper tester interface that the case calls."""
     entities: tuple[str, ...] = ("vardis",)
