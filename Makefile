@@ -15,7 +15,7 @@ unexport PYTEST_ADDOPTS PYTEST_PLUGINS PYTHONPATH PYTHONHOME PYTHONOPTIMIZE PYTH
 unexport HYPOTHESIS_PROFILE DCP_EXAMPLES
 export PYTHONHASHSEED := 0
 
-.PHONY: man demo test test-fresh test-repeat lint unit bench bench-columns bench-fuzz matrix selftest-doc clean
+.PHONY: docs man demo test test-fresh test-repeat lint unit bench bench-columns bench-fuzz matrix selftest-doc clean
 
 demo: $(STAMP)
 	@$(BIN)/dcp-conformance run --report-dir demo-report
@@ -66,9 +66,13 @@ bench-fuzz: $(STAMP)
 	$(BIN)/python benchmarks/fuzz.py --jobs 2
 	$(BIN)/python benchmarks/fuzz.py --live
 
+# The documentation site: site/index.html. A broken link is an error.
+docs: $(STAMP)
+	$(BIN)/python -m tools.docs
+
 # Man pages of all commands and their subcommands, for a folder of MANPATH: build/man/man1.
 man: $(STAMP)
-	$(BIN)/python docs/man_pages.py build/man/man1
+	$(BIN)/python -m tools.docs.man_pages build/man/man1
 
 # Regenerate docs/traceability.md and add new cases to the ledger of identifiers.
 matrix: $(STAMP)

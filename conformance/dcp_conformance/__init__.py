@@ -1,1 +1,59 @@
-"""The conformance suite: cases, oracle, frame builder and ``dcp-conformance``."""
+"""The conformance suite: test cases, verdicts, results and ``dcp-conformance``.
+
+The names below are the public interface (docs/stability.md). Read the results of a run::
+
+    >>> from pathlib import Path
+    >>> from dcp_conformance import Verdict, load_results
+    >>> run = load_results(Path("report"))         # the folder of a report, or its results.json
+    >>> [case.id for case in run.cases if case.verdict is Verdict.FAIL]
+
+:func:`case` makes a test case of a function; docs/dcp-conformance.md and the modules of :mod:`dcp_conformance.suite`
+show how one is written.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from dcp_spec.exports import exported
+
+if TYPE_CHECKING:
+    from .errors import ConformanceError, UsageError
+    from .model.case import Case, Needs, Variant, case
+    from .model.pics import Capabilities, Pics, Testing, load_pics
+    from .model.results import CaseResult, Check, RunResult
+    from .model.verdict import Verdict, worst
+    from .reporting.files import load_results, write_report
+
+__all__ = [
+    "Capabilities",
+    "Case",
+    "CaseResult",
+    "Check",
+    "ConformanceError",
+    "Needs",
+    "Pics",
+    "RunResult",
+    "Testing",
+    "UsageError",
+    "Variant",
+    "Verdict",
+    "case",
+    "load_pics",
+    "load_results",
+    "worst",
+    "write_report",
+]
+
+# Who reads results loads neither the suite nor the node.
+__getattr__ = exported(
+    __name__,
+    {
+        "errors": ("ConformanceError", "UsageError"),
+        "model.case": ("Case", "Needs", "Variant", "case"),
+        "model.pics": ("Capabilities", "Pics", "Testing", "load_pics"),
+        "model.results": ("CaseResult", "Check", "RunResult"),
+        "model.verdict": ("Verdict", "worst"),
+        "reporting.files": ("load_results", "write_report"),
+    },
+)

@@ -99,13 +99,14 @@ def test_work_imports_nothing_that_it_does_not_need(line: str):
 
 
 def test_packages_export_what_they_say():
+    packages = ("dcp_spec", "dcp_codec", "dcp_codec.table", "dcp_stack", "dcp_stack.control", "dcp_conformance")
     program = (
         "import importlib, sys\n"
-        "for package in ('dcp_spec', 'dcp_codec', 'dcp_codec.table', 'dcp_stack.control'):\n"
+        f"for package in {packages}:\n"
         "    module = importlib.import_module(package)\n"
         "    assert not {'construct', 'numba'} & set(sys.modules)\n"
         "    assert not hasattr(module, 'nothing_like_it')\n"
-        "for package in ('dcp_spec', 'dcp_codec', 'dcp_codec.table', 'dcp_stack.control'):\n"
+        f"for package in {packages}:\n"
         "    module = importlib.import_module(package)\n"
         "    assert all(getattr(module, name) is not None for name in module.__all__)\n"
     )

@@ -219,7 +219,7 @@ class Scene:
     def until(self, reached: Callable[[], bool], limit: float) -> float | None:
         """Wait until ``reached``, at most ``limit`` s; returns the seconds that it took, None if it did not happen."""
         begin = self.world.now()
-        if self._pass_until(begin + round(limit * SECOND), reached):
+        if self._pass_until(begin + round(limit * self.world.patience * SECOND), reached):
             return (self.world.now() - begin) / SECOND
         return None
 
@@ -227,6 +227,9 @@ class Scene:
         while True:
             self._report()
             self._look()
+            if self.world.deaths():
+                # That decides the cell: nothing else is worth waiting for.
+                raise StopError
             if reached():
                 return True
             left = end - self.world.now()

@@ -6,6 +6,7 @@ Everything random comes from one seed, so that a world with the same seed does t
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any, Final
 
 import msgspec
@@ -60,6 +61,8 @@ class _Station(Tested):
 
 class VirtualWorld:
     """See :class:`~dcp_conformance.interop.world.World`."""
+
+    patience = 1.0
 
     def __init__(self, setups: Sequence[tuple[str, Setup, Limits]], shape: Shape, seed: int = 1) -> None:
         """``setups``: for each place the name of its implementation, how it is made, and its limits."""
@@ -234,6 +237,10 @@ class VirtualWorld:
     def received(self) -> Sequence[Received]:
         """What arrived at the places."""
         return self._received
+
+    def recordings(self) -> Mapping[int, Path]:
+        """None are made: everything is in memory."""
+        return {}
 
     def logs(self) -> Mapping[int, str]:
         """Nodes in this process write no log."""

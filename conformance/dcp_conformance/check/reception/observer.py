@@ -53,7 +53,7 @@ class Observer:
     def __init__(self, context: Context, outcome: Callable[[Trial], None]) -> None:
         self._context = context
         self._outcome = outcome
-        self._sizes = RecordSizes(context.profile)
+        self._sizes = RecordSizes(context.codec)
         self.circle = Circle(context.profile.types.var_seqno.width)
         self.stations: dict[bytes, Station] = {}
         self.by_bit: dict[int, Station] = {}

@@ -1,4 +1,4 @@
-"""Write man pages of all three commands with click-man: ``python docs/man_pages.py FOLDER`` (``make man``)."""
+"""Write man pages of all three commands with click-man: ``python -m tools.docs.man_pages FOLDER`` (``make man``)."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def eager(command: click.Command, short: str | None = None) -> click.Command:
 def write(line: CommandLine, folder: Path) -> None:
     """Write the pages of one command, the release of the kit in their footer."""
     group = line.group()
-    group = eager(group, line.about)
+    eager(group, line.about)
     for name, short in line.commands.items():
         group.commands[name].short_help = short
     write_man_pages(line.name, group, version=__version__, target_dir=str(folder))
