@@ -66,7 +66,7 @@ def _other_network(bench: Bench) -> str:
 
 
 def _other_node(bench: Bench, frames: Sequence[Event]) -> str:
-    """Others were heard, but nobody with the identifier of the implementation."""
+    """Explain silence if beacons were received, but none with the identifier of the implementation."""
     if bench.heard or not bench.others or bench.session.sut_id is None or misnamed(bench) is not None:
         return ""
     senders = Counter(each.who for each in frames)
@@ -101,7 +101,7 @@ def _other_version(bench: Bench, told: object) -> str:
     if not fitting or bench.profile.spec_version == version:
         return ""
     return (
-        f"UT-Hello says that it follows specification {told}, the tester's profile {bench.profile.name} is of "
+        f"UT-Hello reports specification {told}, the tester's profile {bench.profile.name} is of "
         f"{bench.profile.spec_version}: try --profile {' or '.join(fitting)}"
     )
 
@@ -127,7 +127,7 @@ def _in_other_ether_type(bench: Bench) -> str:
 
 
 def first_suspects(bench: Bench) -> str:
-    """What to compare first if an upper tester answers and nothing is heard: what both sides must have in common."""
+    """List the settings to compare first if an upper tester answers and no frame is received."""
     upper, profile = bench.session.upper, bench.profile
     about = upper.about if upper is not None else {}
     told = bench.session.parameters.get("BPPAR_NETWORK_ID")

@@ -1,4 +1,4 @@
-"""Settings that an implementation may have in the place of those that the tester was told: how to ask by them."""
+"""Other settings that an implementation may have than the tester, and questions with these settings."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from dcp_codec.values import VarSumm
 from dcp_conformance.frames.builder import FrameBuilder
 from dcp_conformance.lower_tester import HearsEveryType, LowerTester
 
-#: The address and identifier that questions on the air come from.
+#: Source address and sender identifier of questions.
 ASKER = bytes.fromhex("02dc90000001")
 #: Network identifiers that are tried when nothing is heard, beside those of the built-in profiles.
 _NETWORKS: Final = (0, 1, 2, 3, 0x00FF, 0x0100, 0x1111, 0x1234, 0xFFFF)
