@@ -11,7 +11,7 @@ from typing import Literal
 import msgspec
 from dcp_spec.profile.definition import Profile
 
-from dcp_conformance.errors import ConformanceError, UsageError
+from dcp_conformance.errors import ConformanceError
 from dcp_conformance.model.results import Check
 from dcp_conformance.model.verdict import Verdict, worst
 
@@ -83,14 +83,13 @@ def run_cell(cell: Cell, test: NetworkTest, folder: Path | None = None) -> CellR
         return _result(cell, test, profile, Verdict.ERROR, str(error))
     try:
         result = _play(cell, test, world, profile)
+        if folder is not None:
+            from .recording import write_recordings
+
+            result = write_recordings(result, world, folder)
     finally:
         world.close()
-    result = msgspec.structs.replace(result, elapsed_s=round(time.perf_counter() - began, 3))
-    if folder is not None:
-        from .recording import write_recordings
-
-        result = write_recordings(result, world, folder)
-    return result
+    return msgspec.structs.replace(result, elapsed_s=round(time.perf_counter() - began, 3))
 
 
 def _world(cell: Cell, test: NetworkTest) -> World:
@@ -105,7 +104,9 @@ def _world(cell: Cell, test: NetworkTest) -> World:
             (name, *virtual_setup(each, profile)) for name, each, profile in zip(names, roles, profiles, strict=True)
         ]
         return VirtualWorld(made, test.shape, cell.seed)
-    raise UsageError("networks of processes in real time are not available yet; add --virtual")
+    from .real import RealWorld
+
+    return RealWorld(list(zip(names, roles, profiles, strict=True)), test.shape, cell.seed)
 
 
 def _play(cell: Cell, test: NetworkTest, world: World, profile: str) -> CellResult:
@@ -114,6 +115,8 @@ def _play(cell: Cell, test: NetworkTest, world: World, profile: str) -> CellResu
     checks: list[Check] = []
     try:
         test.run(scene)
+        # A process can end between two looks.
+        scene.wait(0)
     except NotApplicableError as missing:
         skipped = str(missing)
     except StopError:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 from pathlib import Path
 
 import msgspec
@@ -33,10 +34,11 @@ def write_recordings(result: CellResult, world: World, folder: Path) -> CellResu
     stations = []
     logs = world.logs()
     for station in result.stations:
-        both: list[Sent | Received] = [each for each in sent if each.place == station.place]
-        both += [each for each in world.received() if each.place == station.place]
-        both.sort(key=lambda each: each.time)
-        _write(directory / f"place-{station.place}.mcap", frames_of(world, both), result, f"place {station.place}")
+        made = world.recordings().get(station.place)
+        if made is not None and made.is_file():
+            shutil.copyfile(made, directory / f"place-{station.place}.mcap")
+        else:
+            _write_place(directory, world, station.place, result)
         log = Path(logs[station.place]) if station.place in logs else None
         if log is not None and log.is_file():
             text = log.read_text(errors="replace")
@@ -49,6 +51,13 @@ def write_recordings(result: CellResult, world: World, folder: Path) -> CellResu
             )
         )
     return msgspec.structs.replace(result, stations=tuple(stations), recording=f"{name}/all.mcap")
+
+
+def _write_place(directory: Path, world: World, place: int, result: CellResult) -> None:
+    both: list[Sent | Received] = [each for each in world.sent() if each.place == place]
+    both += [each for each in world.received() if each.place == place]
+    both.sort(key=lambda each: each.time)
+    _write(directory / f"place-{place}.mcap", frames_of(world, both), result, f"place {place}")
 
 
 def _write(path: Path, frames: list[Frame], result: CellResult, link: str) -> None:

@@ -6,6 +6,7 @@ Everything random comes from one seed, so that a world with the same seed does t
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any, Final
 
 import msgspec
@@ -61,6 +62,8 @@ class _Station(Tested):
 class VirtualWorld:
     """See :class:`~dcp_conformance.interop.world.World`."""
 
+    patience = 1.0
+
     def __init__(self, setups: Sequence[tuple[str, Setup, Limits]], shape: Shape, seed: int = 1) -> None:
         """``setups``: for each place the name of its implementation, how it is made, and its limits."""
         self._seed = seed
@@ -80,7 +83,9 @@ class VirtualWorld:
                     setup.pics,
                     setup.upper,
                     setup.can_restart,
-                    setup.application,
+                    # Applications use one variable identifier: two of them would be two producers of one variable,
+                    # which the specification leaves to the user to avoid (VD-TYP-01).
+                    None if any(each.application is not None for each in self._setups) else setup.application,
                     setup.clock,
                 )
             )
@@ -234,6 +239,10 @@ class VirtualWorld:
     def received(self) -> Sequence[Received]:
         """What arrived at the places."""
         return self._received
+
+    def recordings(self) -> Mapping[int, Path]:
+        """None are made: everything is in memory."""
+        return {}
 
     def logs(self) -> Mapping[int, str]:
         """Nodes in this process write no log."""

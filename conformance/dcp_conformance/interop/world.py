@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 import msgspec
@@ -84,6 +85,11 @@ class World(Protocol):
         """The address of the tester's own station."""
         ...
 
+    @property
+    def patience(self) -> float:
+        """The factor by which limits are extended: 1 in virtual time, more where machines are busy."""
+        ...
+
     def now(self) -> int:
         """Return the time since the start."""
         ...
@@ -142,6 +148,10 @@ class World(Protocol):
 
     def received(self) -> Sequence[Received]:
         """Return what arrived at the places, as far as the world has it."""
+        ...
+
+    def recordings(self) -> Mapping[int, Path]:
+        """Return the recording of each place, as far as the world itself makes one."""
         ...
 
     def logs(self) -> Mapping[int, str]:

@@ -1,7 +1,7 @@
-"""Simulated networks of our nodes as recordings: what judges recordings is tried on them.
+"""Simulated networks of our nodes as recordings, to test the judge of recordings.
 
 Applications on all nodes create, update, delete and create again at random. Any node may be another one than ours (a
-mutant or a permitted variant). The recorder hears everybody unless it is told to lose frames.
+mutant or a permitted variant). The recorder receives all nodes, unless the situation has losses.
 """
 
 from __future__ import annotations
@@ -120,7 +120,7 @@ class MixedNetwork(Network):
 @cache
 def _clocked_class(base: type) -> type:
     class Clocked(base):  # type: ignore[misc]
-        """The same node, by a clock that somebody has set."""
+        """The same node with a clock that is set during the recording."""
 
         offset: Callable[[], int]
 
@@ -183,7 +183,7 @@ def _codec(profile: str) -> Codec:
 
 
 def _topology(situation: VariableState) -> tuple[Topology, list[tuple[int, Callable[[], None]]]]:
-    """Who hears whom, and when that changes."""
+    """Return the connections between nodes, and the times of their changes."""
     match situation.shape:
         case "bus":
             return Full(), []
@@ -267,7 +267,7 @@ def _disturb(network: MixedNetwork, situation: VariableState, rng: random.Random
 
 
 def _as_recorded(frames: Iterable[Frame], situation: VariableState) -> list[Frame]:
-    """What the recorder has of them."""
+    """Return the frames that the recorder receives."""
     rng = random.Random(f"recorder/{situation.seed}")  # noqa: S311
     kept = [frame for frame in frames if rng.random() >= situation.recorder_loss]
     if situation.recorder_clock and kept:

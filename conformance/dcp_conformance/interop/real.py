@@ -1,0 +1,245 @@
+"""The world in real time: processes in network namespaces, and a relay between their interfaces."""
+
+from __future__ import annotations
+
+import contextlib
+import shutil
+import socket
+import tempfile
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from dcp_codec.framing.locate import OtherTraffic, locate
+from dcp_codec.impairment import PERFECT, Impairment
+from dcp_conformance.errors import ConformanceError, LowerTesterError
+from dcp_conformance.upper_tester import Answer
+from dcp_stack.relay import INTERFACE, RelayError, RelayFabric
+from dcp_stack.sim.testbed import namespaces
+from dcp_stack.sim.virtual.network import node_id
+
+from .definition import Shape
+from .implementations import Implementation, codec_of, command_of, upper_tester_of
+from .judge import address_of, ether_frame
+from .processes import Station, wait_ready
+from .taps import Taps, inside
+from .world import Place, Received, Sent
+
+
+class RealWorld:
+    """See :class:`~dcp_conformance.interop.world.World`. Needs the right to make network namespaces."""
+
+    patience = 3.0
+
+    def __init__(self, stations: Sequence[tuple[str, Implementation, str]], shape: Shape, seed: int) -> None:
+        """``stations``: for each place the name of its implementation, its description, and its profile.
+
+        Raises ``LowerTesterError`` if the network cannot be built.
+        """
+        count = len(stations)
+        self.tester_address = b"\x02\x00\x00\x00\x7f\x01"
+        self.places: list[Place] = []
+        self._closing = contextlib.ExitStack()
+        self._pairs = shape.pairs
+        self._sent: list[Sent] = []
+        self._heard: set[int] = set()
+        self._deaths: dict[int, str] = {}
+        self._paused = 0
+        self._pending: list[Station] = []
+        self._counters: dict[str, Any] = {}
+        self._settled = False
+        self._directory = Path(tempfile.mkdtemp(prefix="dcp-it-"))
+        self._closing.callback(shutil.rmtree, self._directory, ignore_errors=True)
+        for number, (name, each, profile) in enumerate(stations):
+            codec = codec_of(profile)
+            self.places.append(Place(number, name, codec, node_id(codec.profile, number + 1), each.limits))
+        try:
+            self._build(stations, count, seed)
+        except (RelayError, namespaces.NamespaceError) as error:
+            self._closing.close()
+            raise LowerTesterError(f"the network cannot be built: {error}") from None
+        except BaseException:
+            self._closing.close()
+            raise
+        self._begin = time.monotonic_ns()
+
+    def _build(self, stations: Sequence[tuple[str, Implementation, str]], count: int, seed: int) -> None:
+        namespaces.sweep()
+        tester = [(count, place) for place in range(count)]
+        self._fabric = RelayFabric(
+            namespaces.own_prefix(), [*map(address_of, self.places), self.tester_address],
+            seed=seed, pairs=[*self._pairs, *tester], record=self._directory, profile=stations[0][2],
+        )  # fmt: skip
+        self._closing.callback(self._fabric.close)
+        for direction in tester:
+            self._fabric.set_quality(direction, PERFECT)
+        self._taps = Taps(self._fabric.air, [f"p{place}" for place in range(count)])
+        self._closing.callback(self._taps.close)
+        with inside(self._fabric.namespaces[count]):
+            self._voice = socket.socket(socket.AF_PACKET, socket.SOCK_RAW)
+            self._closing.callback(self._voice.close)
+            self._voice.bind((INTERFACE, 0))
+        self._stations: list[Station] = []
+        for place, (_, each, profile) in zip(self.places, stations, strict=True):
+            network = (
+                codec_of(profile).profile.bp.network_id if each.limits.network_id is None else each.limits.network_id
+            )
+            values = {
+                "interface": INTERFACE,
+                "node_id": place.node_id.decode() if b":" in place.node_id else place.node_id.hex(":"),
+                "network_id": str(network),
+                "profile": profile,
+                "control": str(self._directory / f"{place.number}.sock"),
+                "directory": str(self._directory),
+                "seed": str(seed * 1000 + place.number),
+            }
+            command, upper = command_of(each, profile, values), upper_tester_of(each, values)
+            log = self._directory / f"place-{place.number}.log"
+            name = self._fabric.namespaces[place.number]
+            self._stations.append(Station(place.number, name, command, upper, log, each.ready_s))
+            self._closing.callback(self._stations[-1].stop)
+
+    # -- time ----------------------------------------------------------------------------------------------------------
+
+    def now(self) -> int:
+        """Real ns since the start, without the time that processes took to start."""
+        return time.monotonic_ns() - self._begin - self._paused
+
+    def run(self, duration: int) -> None:
+        """Let real time pass, after waiting for processes that are starting."""
+        self._await_ready()
+        end = self.now() + duration
+        while True:
+            self._listen((end - self.now()) / 1e9)
+            if self.now() >= end:
+                break
+        self._watch()
+
+    def _await_ready(self) -> None:
+        if not self._pending:
+            return
+        begin = time.monotonic()
+        deadline = begin + max(station.ready_s for station in self._pending) + len(self._pending)
+        while self._pending:
+            self._pending = wait_ready(self._pending, deadline, self._heard)
+            if self._pending:
+                self._listen(0.02)
+        self._paused += round((time.monotonic() - begin) * 1e9)
+
+    def _listen(self, patience_s: float) -> None:
+        now, wall = self.now(), time.time_ns()
+        for each in self._taps.read(patience_s):
+            place = self.places[each.place]
+            framing = locate(each.frame, place.codec.profile.link)
+            if isinstance(framing, OtherTraffic):
+                continue
+            moment = now + (each.wall - wall) if each.wall else self.now()
+            last = self._sent[-1].time if self._sent else 0
+            self._sent.append(Sent(max(moment, last), each.place, each.frame[framing.start : framing.end]))
+            self._heard.add(each.place)
+
+    def _watch(self) -> None:
+        for station in self._stations:
+            if station.on and station.ended() and station.place not in self._deaths:
+                self._deaths[station.place] = f"at {self.now() / 1e9:.2f} s: {station.death}"
+
+    # -- stations ------------------------------------------------------------------------------------------------------
+
+    def sent(self) -> Sequence[Sent]:
+        """All transmissions so far."""
+        return self._sent
+
+    def power(self, place: int, *, on: bool) -> None:
+        """Start a process, or kill it."""
+        station = self._stations[place]
+        if on and not station.on:
+            self._heard.discard(place)
+            station.start()
+            self._pending.append(station)
+        elif not on:
+            self._watch()
+            station.stop()
+            self._pending = [each for each in self._pending if each is not station]
+
+    def is_on(self, place: int) -> bool:
+        """Whether the process was started."""
+        return self._stations[place].on
+
+    def call(self, place: int, method: str, params: Mapping[str, Any]) -> Answer | None:
+        """Call a service of a process."""
+        self._await_ready()
+        answer = self._stations[place].call(method, params)
+        self._watch()
+        return answer
+
+    def offers(self, place: int, method: str) -> bool | None:
+        """Whether the upper tester has a method."""
+        self._await_ready()
+        methods = self._stations[place].methods
+        return None if methods is None else method in methods
+
+    def set_clock(self, place: int, offset: int) -> None:
+        """The clock of a single process cannot be set. Raises ``ConformanceError``."""
+        raise ConformanceError(f"the clock of place {place} cannot be set by {offset} ns in real time")
+
+    # -- links ---------------------------------------------------------------------------------------------------------
+
+    def set_quality(self, impairment: Impairment, sender: int | None = None, receiver: int | None = None) -> None:
+        """Change the links between the places."""
+        if sender is None and receiver is None:
+            self._fabric.set_quality(None, impairment)
+            return
+        for each in self._pairs:
+            if sender in (None, each[0]) and receiver in (None, each[1]):
+                self._fabric.set_quality(each, impairment)
+
+    def partition(self, groups: Sequence[Sequence[int]]) -> None:
+        """Let frames stay within their groups."""
+        self._fabric.partition(groups)
+
+    def transmit(self, octets: bytes) -> None:
+        """Broadcast from the tester's own station."""
+        self._sent.append(Sent(self.now(), len(self.places), octets))
+        frame = ether_frame(self.places[0].codec, self.tester_address, octets)
+        with contextlib.suppress(OSError):
+            # A full queue loses frames, as the air does.
+            self._voice.send(frame)
+
+    # -- the end -------------------------------------------------------------------------------------------------------
+
+    def deaths(self) -> Mapping[int, str]:
+        """How processes ended."""
+        return self._deaths
+
+    def settle(self) -> None:
+        """End the processes, then the relay, so that its recordings are complete."""
+        if self._settled:
+            return
+        self._settled = True
+        self._listen(0.05)
+        self._watch()
+        for station in self._stations:
+            station.stop()
+        self._counters = self._fabric.close()
+
+    def link_counters(self) -> dict[str, Any]:
+        """The counters of each direction between places; complete after :meth:`settle`."""
+        pairs = {f"{a}>{b}" for a, b in self._pairs}
+        return {name: each for name, each in self._counters.get("links", {}).items() if name in pairs}
+
+    def received(self) -> Sequence[Received]:
+        """Nothing: the relay has recorded it (:meth:`recordings`)."""
+        return ()
+
+    def recordings(self) -> Mapping[int, Path]:
+        """The relay's recording of each port."""
+        return {place.number: self._directory / f"port-{place.number}.mcap" for place in self.places}
+
+    def logs(self) -> Mapping[int, str]:
+        """The log of each process."""
+        return {station.place: str(station.log) for station in self._stations}
+
+    def close(self) -> None:
+        """End everything and remove it."""
+        self._closing.close()

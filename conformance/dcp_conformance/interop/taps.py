@@ -1,0 +1,91 @@
+"""Packet sockets at the relay's ends of the cables: what each station sends, with the kernel's time stamps."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import os
+import select
+import socket
+import struct
+from collections.abc import Iterator, Sequence
+from typing import Final, NamedTuple
+
+from dcp_conformance.errors import LowerTesterError
+
+_ETH_P_ALL: Final = 0x0003
+_SO_TIMESTAMPNS: Final = 35
+_CLONE_NEWNET: Final = 0x40000000
+_PACKET_OUTGOING: Final = 4
+
+
+class Tapped(NamedTuple):
+    """A frame of a station. ``wall``: ns since 1970, by the kernel."""
+
+    wall: int
+    place: int
+    frame: bytes
+
+
+@contextlib.contextmanager
+def inside(namespace: str) -> Iterator[None]:
+    """Be in a network namespace: sockets that are opened meanwhile stay in it. Raises ``LowerTesterError``."""
+    libc = ctypes.CDLL(None, use_errno=True)
+    outside = os.open("/proc/self/ns/net", os.O_RDONLY | os.O_CLOEXEC)
+    there = os.open(f"/run/netns/{namespace}", os.O_RDONLY | os.O_CLOEXEC)
+    try:
+        if libc.setns(there, _CLONE_NEWNET):
+            raise LowerTesterError(f"namespace {namespace} cannot be entered: {os.strerror(ctypes.get_errno())}")
+        try:
+            yield
+        finally:
+            libc.setns(outside, _CLONE_NEWNET)
+    finally:
+        os.close(outside)
+        os.close(there)
+
+
+class Taps:
+    """One socket for each station, in the namespace of the relay."""
+
+    def __init__(self, namespace: str, interfaces: Sequence[str]) -> None:
+        """Raises ``LowerTesterError`` if packet sockets cannot be opened."""
+        self._sockets: list[socket.socket] = []
+        try:
+            with inside(namespace):
+                for name in interfaces:
+                    made = socket.socket(socket.AF_PACKET, socket.SOCK_RAW, socket.htons(_ETH_P_ALL))
+                    self._sockets.append(made)
+                    made.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
+                    made.bind((name, _ETH_P_ALL))
+                    made.setblocking(False)
+        except OSError as error:
+            self.close()
+            raise LowerTesterError(f"no packet socket can be opened in {namespace}: {error}") from None
+
+    def read(self, patience_s: float) -> list[Tapped]:
+        """Return what has arrived, by time; waits for the first frame at most ``patience_s``."""
+        ready, _, _ = select.select(self._sockets, [], [], max(patience_s, 0))
+        found: list[Tapped] = []
+        for each in ready:
+            place = self._sockets.index(each)
+            with contextlib.suppress(BlockingIOError):
+                while True:
+                    frame, extra, _, address = each.recvmsg(65_536, 256)
+                    if address[2] == _PACKET_OUTGOING:
+                        continue
+                    found.append(Tapped(_stamp(extra), place, frame))
+        return sorted(found)
+
+    def close(self) -> None:
+        """Close the sockets."""
+        for each in self._sockets:
+            each.close()
+
+
+def _stamp(extra: Sequence[tuple[int, int, bytes]]) -> int:
+    for _, kind, octets in extra:
+        if kind == _SO_TIMESTAMPNS:
+            seconds, nanoseconds = struct.unpack("@ll", octets[: struct.calcsize("@ll")])
+            return int(seconds * 1_000_000_000 + nanoseconds)
+    return 0
