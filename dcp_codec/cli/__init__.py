@@ -26,7 +26,7 @@ main = CommandLine(
         "profiles": "List the wire profiles, show one, or draft one from a recording.",
         "verify": "Verify recordings against their manifest.",
     },
-    about="Read recordings of DCP drone traffic (BP, SRP, VarDis): what was said, and which octet is wrong.",
+    about="Read recordings of DCP (Drone Coordination Protocol): what was sent, and which octet is wrong.",
     exit_status="0 all good; 1 malformed DCP frames were seen; 2 wrong usage, or input that could not be read "
     "(to its end).",
 )
