@@ -14,7 +14,7 @@ from .frame import CaptureError
 
 
 class ByteSink:
-    """A place for octets that knows how many went there, also where the system can not tell (pipes).
+    """A place for octets that knows how many went there, also where the system cannot tell (pipes).
 
     It does not buffer: whoever writes passes on whole records, and so a process that is killed leaves whole
     records behind.
@@ -32,7 +32,7 @@ class ByteSink:
         self._owned = owned
 
     def write(self, octets: bytes | memoryview) -> int:
-        """Write all of `octets`; raises `CaptureError` if the system can not."""
+        """Write all of `octets`; raises `CaptureError` if the system cannot."""
         view = memoryview(octets)
         try:
             while view:
@@ -75,7 +75,7 @@ class ByteSink:
 
     def _error(self, error: Exception) -> CaptureError:
         self.failed = True
-        return CaptureError(f"{self.name}: can not be written: {explain(error)}")
+        return CaptureError(f"{self.name}: cannot be written: {explain(error)}")
 
 
 def open_sink(target: str | Path | BinaryIO, *, whole: bool = False) -> ByteSink:
@@ -83,7 +83,7 @@ def open_sink(target: str | Path | BinaryIO, *, whole: bool = False) -> ByteSink
 
     A path with the suffix of a compression is compressed. ``whole``: a regular file appears when it is complete.
 
-    Raises `CaptureError` if it can not be opened.
+    Raises `CaptureError` if it cannot be opened.
     """
     if isinstance(target, str) and target == "-":
         return ByteSink(sys.stdout.buffer, "standard output", owned=False)
@@ -98,9 +98,9 @@ def open_sink(target: str | Path | BinaryIO, *, whole: bool = False) -> ByteSink
             place = (path, final)
         stream: BinaryIO = path.open("wb", buffering=0)
     except FileNotFoundError as error:
-        raise CaptureError(f"{target}: can not be written: there is no folder {Path(target).parent}") from error
+        raise CaptureError(f"{target}: cannot be written: there is no folder {Path(target).parent}") from error
     except (OSError, ValueError) as error:
-        raise CaptureError(f"{target}: can not be written: {explain(error)}") from error
+        raise CaptureError(f"{target}: cannot be written: {explain(error)}") from error
     compression = compression_of(target)
     if compression is not None:
         stream = compressing(stream, compression)

@@ -172,7 +172,7 @@ def _file_size(stream: BinaryIO | io.FileIO) -> int | None:
 
 
 def _stream_size(stream: BinaryIO) -> int | None:
-    """Octets from where the stream stands to its end, None if it can not be asked without reading."""
+    """Octets from where the stream stands to its end, None if it cannot be asked without reading."""
     try:
         here = stream.tell()
         if isinstance(stream, io.BytesIO):

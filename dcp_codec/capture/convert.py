@@ -50,7 +50,7 @@ def convert(
     target. `progress` is called now and then, and at the end, with the octets read and the octets in all, None
     for pipes.
 
-    A target that is a file appears when it is complete: if a frame can not be written, or the conversion is
+    A target that is a file appears when it is complete: if a frame cannot be written, or the conversion is
     interrupted, what was there before stays. If the source is cut off or damaged, the target holds the frames
     before that, and the report has a problem. Raises `CaptureError` also if both are the same file.
     """
@@ -59,7 +59,7 @@ def convert(
     attachment = None
     if attach_source:
         if not isinstance(source, (str, Path)) or source == "-":
-            raise CaptureError("a source that is not a file can not be attached")
+            raise CaptureError("a source that is not a file cannot be attached")
         attachment = Path(source)
     with open_capture(source) as reader:
         # Looked up as it fills: the source may say things on its way, and at its end.

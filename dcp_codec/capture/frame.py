@@ -78,8 +78,8 @@ class CaptureProblem(msgspec.Struct, frozen=True):
     - ``truncated-header``, ``truncated-record``: the file ends within the header, the body of a record;
     - ``unfinished``: an MCAP file that ends after a whole record, but was never finished;
     - ``zero-filled``: from here on there are only zeros where a record should start, as after a power cut;
-    - ``bad-record-length``, ``bad-block-length``: a length that can not be true;
-    - ``bad-record``, ``bad-option``, ``bad-message``: contents that can not be;
+    - ``bad-record-length``, ``bad-block-length``: a length that cannot be true;
+    - ``bad-record``, ``bad-option``, ``bad-message``: contents that cannot be;
     - ``bad-crc``, ``bad-compression``, ``too-large``: a chunk that was passed over, and why;
     - ``unknown-block``, ``unknown-record``, ``unknown-interface``, ``unknown-version``;
     - ``wrong-link-type``: frames that were passed over;
@@ -101,7 +101,7 @@ class CaptureProblem(msgspec.Struct, frozen=True):
 
 
 class CaptureError(Exception):
-    """A capture can not be read, or not be written, at all. The message names the file and is one for people.
+    """A capture cannot be read, or not be written, at all. The message names the file and is one for people.
 
     Reading raises it only from `open_capture`; what is found later becomes a `CaptureProblem`.
     """

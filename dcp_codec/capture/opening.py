@@ -49,7 +49,7 @@ def open_capture(source: str | Path | BinaryIO, *, link_types: frozenset[int] = 
     `source` is a path, ``"-"`` for standard input, or a binary stream, read forward from where it stands and
     left open. `link_types` are those whose frames are given out.
 
-    Raises `CaptureError` if it can not be read at all: no such file, not a capture, cut off in its header, no
+    Raises `CaptureError` if it cannot be read at all: no such file, not a capture, cut off in its header, no
     interface or channel with frames of these link types. What is found later is in `CaptureReader.problems`.
     """
     octets = open_source(source)
@@ -79,7 +79,7 @@ def create_capture(
     seekable. A file that exists is only touched when everything else is known to be in order. `format` is "pcap",
     "pcapng" or "mcap", and may be left out for a path with one of the `SUFFIXES`.
 
-    `resolution` is the unit of the stamps, and `lossy` allows to leave off what the format can not hold (of
+    `resolution` is the unit of the stamps, and `lossy` allows to leave off what the format cannot hold (of
     `Frame`: nanoseconds in microseconds, `interface` in pcap). `metadata` may go on changing: pcapng looks up an
     interface when it first occurs, MCAP writes what is new at the end. `messages`, `attachment` (a file that is
     attached byte for byte) and `compression` of the chunks are for MCAP alone.
@@ -87,7 +87,7 @@ def create_capture(
     A path that ends with ``.gz`` or ``.zst`` is compressed. With `whole` the file appears at `target` when it is
     closed, and not at all if the with-block ends with an exception; without, it grows there.
 
-    Raises `CaptureError` if the file can not be created, the format is not known, or it has no place for what is
+    Raises `CaptureError` if the file cannot be created, the format is not known, or it has no place for what is
     asked of it.
     """
     name = target if isinstance(target, (str, Path)) else getattr(target, "name", "<stream>")
@@ -129,7 +129,7 @@ def _create_mcap(
     if compression not in COMPRESSIONS:
         raise ValueError(f"compression {compression!r} is none of {', '.join(COMPRESSIONS)}")
     if attachment is not None and same_file(attachment, target):
-        raise CaptureError(f"{attachment}: can not be attached to itself")
+        raise CaptureError(f"{attachment}: cannot be attached to itself")
     original = None if attachment is None else OpenAttachment(attachment)
     try:
         sink = open_sink(target, whole=whole)

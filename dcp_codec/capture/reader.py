@@ -110,7 +110,7 @@ class CaptureReader:
         return min(max(time_ns, 0), MAX_TIME_NS)
 
     def _damaged(self, reason: Reason, offset: int, what: str) -> bool:
-        """Something after which the next record can not be found; returns False for the end."""
+        """Something after which the next record cannot be found; returns False for the end."""
         message = f"there is {what} at octet {offset}, and no way to read on from there; {self._so_far()}."
         self._log.add(reason, message, offset, frame=self._number)
         return False

@@ -83,7 +83,7 @@ class CaptureWriter:
     def write(self, frame: Frame) -> None:
         """Append one frame.
 
-        Raises `CaptureError` if the format can not hold it, or the file can not be written. After the former
+        Raises `CaptureError` if the format cannot hold it, or the file cannot be written. After the former
         the writer can still be used.
         """
         if self._closed:
@@ -118,7 +118,7 @@ class CaptureWriter:
         self._hand_over()
 
     def _refuse(self, frame: Frame, why: str) -> CaptureError:
-        return CaptureError(f"{self.name}: frame {frame.number} can not be written: {why}")
+        return CaptureError(f"{self.name}: frame {frame.number} cannot be written: {why}")
 
     def flush(self) -> None:
         """Hand everything taken so far to the system; in MCAP this ends the chunk, so do it sparingly."""
@@ -128,7 +128,7 @@ class CaptureWriter:
     def close(self) -> None:
         """Finish the file and let go of it; a stream that the caller gave stays open. May be called again.
 
-        Raises `CaptureError` if the end can not be written; not again if writing failed before.
+        Raises `CaptureError` if the end cannot be written; not again if writing failed before.
         """
         if self._closed:
             return

@@ -64,7 +64,7 @@ def write_bag(
                 report = _write(reader, stream, codec, link, progress)
             made.replace(path)
         except OSError as error:
-            raise CaptureError(f"{path}: can not be written: {error.strerror or error}") from error
+            raise CaptureError(f"{path}: cannot be written: {error.strerror or error}") from error
     return report
 
 

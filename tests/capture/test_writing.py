@@ -301,7 +301,7 @@ def test_a_full_disk_is_said_once(format, room):
             for _ in range(1000):
                 writer.write(Frame(1, 1, os.urandom(1000), 1000))
 
-    with pytest.raises(CaptureError, match="<stream>: can not be written: No space"):
+    with pytest.raises(CaptureError, match="<stream>: cannot be written: No space"):
         record()
 
 
@@ -313,7 +313,7 @@ def test_the_first_error_is_the_one_that_is_raised():
 
     with pytest.raises(ZeroDivisionError) as caught:
         record()
-    assert caught.value.__notes__ == ["<stream>: can not be written: No space left on device"]
+    assert caught.value.__notes__ == ["<stream>: cannot be written: No space left on device"]
 
 
 def test_a_closed_pipe_is_said():

@@ -425,7 +425,7 @@ def test_refusals(run, tmp_path, monkeypatch):
         (("*.nonsense", "-o", "b.html"), "nothing matches this pattern"),
         (("-", "-o", "b.html"), "name the --profile"),
         ((path, "-p", "dcp-2.0", "-o", path / "x.html"), "a.pcap"),
-        ((path, "-p", "dcp-2.0", "-o", "pipe", "--force"), "pipe: is no regular file, and is not replaced"),
+        ((path, "-p", "dcp-2.0", "-o", "pipe", "--force"), "pipe: is not a regular file and will not be replaced"),
     ]
     os.mkfifo("pipe")
     for args, words in cases:

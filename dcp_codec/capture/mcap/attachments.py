@@ -56,7 +56,7 @@ def extract_attachment(path: str | Path, attachment: Attachment, target: str | P
     """Write an attachment of the MCAP file `path` to the file `target`, which it replaces only when complete.
 
     Raises `CaptureError` if the attachment does not match its checksum, or is not there as described, or
-    `target` can not be written.
+    `target` cannot be written.
     """
     source = open_source(path)
     part = Path(f"{target}.part")
@@ -83,7 +83,7 @@ def extract_attachment(path: str | Path, attachment: Attachment, target: str | P
         part.replace(target)
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
-        raise CaptureError(f"{target}: can not be written: {reason}") from error
+        raise CaptureError(f"{target}: cannot be written: {reason}") from error
     finally:
         source.close()
         with suppress(OSError):
@@ -105,7 +105,7 @@ def _scan(source: ByteSource) -> Iterator[Attachment]:
 
 
 def _head(source: ByteSource, length: int) -> Attachment | None:
-    """What stands before the octets of an attachment, in a record with `length` octets; None if it can not be.
+    """What stands before the octets of an attachment, in a record with `length` octets; None if it cannot be.
 
     Moves the cursor to behind it.
     """

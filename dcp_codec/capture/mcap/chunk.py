@@ -21,7 +21,7 @@ _RECORDS_LENGTH = struct.Struct("<Q")
 
 
 class ChunkError(Exception):
-    """A chunk that can not be read: `reason` as in `CaptureProblem`, the message a half sentence."""
+    """A chunk that cannot be read: `reason` as in `CaptureProblem`, the message a half sentence."""
 
     def __init__(self, reason: Reason, message: str) -> None:
         super().__init__(message)
@@ -85,7 +85,7 @@ class Unpacker:
         except Exception as error:
             # zstandard and lz4 raise classes of their own; what they have in common is Exception.
             if whole:
-                raise ChunkError("bad-compression", f"can not be unpacked ({error})") from error
+                raise ChunkError("bad-compression", f"cannot be unpacked ({error})") from error
         return memory[:used]
 
     def _reader(self, compression: str, packed: bytes) -> Callable[[memoryview], int]:

@@ -1,4 +1,4 @@
-"""Writing MCAP files with the mcap library, and what it can not do: pipes, and attachments of any size."""
+"""Writing MCAP files with the mcap library, and what it cannot do: pipes, and attachments of any size."""
 
 from __future__ import annotations
 
@@ -192,7 +192,7 @@ class OpenAttachment:
     """A file that is to become an attachment: opened, measured, and copied without ever being in memory whole."""
 
     def __init__(self, path: Path) -> None:
-        """Raises `CaptureError` if the file can not be read."""
+        """Raises `CaptureError` if the file cannot be read."""
         self._path = path
         try:
             # Unbuffered, since it is read in large pieces.
@@ -205,7 +205,7 @@ class OpenAttachment:
             self._stream.seek(0)
         except OSError as error:
             self._stream.close()
-            raise CaptureError(f"{path}: can not be attached: {explain(error)}") from error
+            raise CaptureError(f"{path}: cannot be attached: {explain(error)}") from error
 
     def write(self, sink: ByteSink, time_ns: int) -> AttachmentIndex:
         """Write the attachment record, logged at `time_ns`.
@@ -235,7 +235,7 @@ class OpenAttachment:
             try:
                 piece = self._stream.read(min(left, READ_SIZE))
             except OSError as error:
-                raise CaptureError(f"{self._path}: can not be attached: {explain(error)}") from error
+                raise CaptureError(f"{self._path}: cannot be attached: {explain(error)}") from error
             if not piece:
                 raise CaptureError(f"{self._path}: became shorter while it was attached to {sink.name}")
             sink.write(piece)

@@ -38,7 +38,7 @@ class PcapWriter(CaptureWriter):
         if not self._lossy and (lost or frame.interface):
             raise self._refuse(frame, _what_is_lost(frame, lost))
         if not (seconds or fraction or frame.orig_len):
-            raise self._refuse(frame, "a frame without length at time 0 can not be told from a file's zeroed end")
+            raise self._refuse(frame, "a frame without length at time 0 cannot be told from a file's zeroed end")
         self._append(_RECORD.pack(seconds, fraction, len(frame.data), frame.orig_len) + frame.data)
 
 
