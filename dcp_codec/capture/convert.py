@@ -55,7 +55,7 @@ def convert(
     before that, and the report has a problem. Raises `CaptureError` also if both are the same file.
     """
     if same_file(source, target):
-        raise CaptureError(f"{target}: is the source itself, and would be lost before it is read")
+        raise CaptureError(f"{target}: source and target are the same file")
     attachment = None
     if attach_source:
         if not isinstance(source, (str, Path)) or source == "-":

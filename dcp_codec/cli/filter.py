@@ -1,4 +1,4 @@
-"""``dcp-codec filter``: the frames of a recording for which a condition holds, as a recording."""
+"""``dcp-codec filter``: write the frames of a recording that meet a condition to another recording."""
 
 from __future__ import annotations
 
@@ -65,12 +65,10 @@ def command(
     lossy: bool,
     list_fields: bool,
 ) -> int:
-    """Copy the frames of SOURCE that are wanted to TARGET, octet for octet. Either may be - for a pipe.
+    """Copy the selected frames of SOURCE to TARGET, octet for octet. Either may be - for a pipe.
 
-    \b
-    dcp-codec filter flight.pcap deletes.pcap -w 'vardis.icType == 6'
-    dcp-codec filter flight.mcap start.pcapng --to +30 --other
-    dcp-codec filter flight.pcap odd.pcap -w 'errors.reason or bp.seqno < 9'
+    \b dcp-codec filter flight.pcap deletes.pcap -w 'vardis.icType == 6' dcp-codec filter flight.mcap start.pcapng --to
+    +30 --other dcp-codec filter flight.pcap odd.pcap -w 'errors.reason or bp.seqno < 9'
     """
     if list_fields:
         codec = load_codec("cpp-2.0" if profile == "auto" else profile)
@@ -79,7 +77,7 @@ def command(
     if source is None or target is None:
         raise click.UsageError("give SOURCE and TARGET")
     if text is None and other is False and profile == "auto":
-        # Nothing looks into the frames: whatever they are, they are copied.
+        # Without conditions on the content all frames are copied.
         other = True
     with open_input(source) as reader:
         dissector, rest = choose(profile, ether_type, iter(reader), source)

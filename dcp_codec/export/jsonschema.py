@@ -67,7 +67,7 @@ def beacon_schema(codec: Codec) -> JSONSchema:
 
 
 def report_schema(codec: Codec) -> JSONSchema | None:
-    """The schema of a well-formed state report as a JSON object, None if the profile has no octets for it."""
+    """The schema of a well-formed state report as a JSON object, None if the profile cannot encode one."""
     plan = codec.srp_plan
     if plan is None:
         return None

@@ -206,7 +206,7 @@ class DCPPayload(_Containers):
             if "srp" not in self.fieldtype:
                 name = _session.codec.profile.name
                 raise ValueError(
-                    f"profile {name} has no octets for a state report: use DCPPayload(protocolId=1, data=b'...')"
+                    f"profile {name} cannot encode state reports: use DCPPayload(protocolId=1, data=b'...')"
                 )
             self.srp = layer
             return True

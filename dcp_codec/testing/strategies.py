@@ -57,9 +57,9 @@ def containers(codec: Codec) -> st.SearchStrategy[tuple[Container, ...]]:
 
 
 def reports(codec: Codec) -> st.SearchStrategy[ExtendedSafetyData]:
-    """State reports. Raises ValueError for a profile that has no octets for them."""
+    """State reports. Raises ValueError for a profile that cannot encode them."""
     if codec.report_plan is None:
-        raise ValueError(f"profile {codec.profile.name} has no octets for a state report (srp.record is empty)")
+        raise ValueError(f"profile {codec.profile.name} cannot encode state reports (srp.record is empty)")
     return _drawn(_shape(codec.report_plan, codec.types))
 
 

@@ -292,9 +292,9 @@ def test_encode_takes_one_object_a_list_or_lines(run, tmp_path, capture):
         (lambda row: row["bp"].update(seqno=1 << 32), "bp.seqno: 4294967296 is not in 0..4294967295"),
         (lambda row: row["bp"].update(senderId="02:00"), "bp.senderId: needs 6 octets, not 2"),
         (lambda row: row["payloads"].clear(), "payloads: 0 "),
-        (lambda row: row["payloads"][0]["vardis"][0].update(icType=9), "icType 9 is none of"),
+        (lambda row: row["payloads"][0]["vardis"][0].update(icType=9), "icType 9 is not one of"),
         (lambda row: row.update(time_ns=-1), "time_ns"),
-        (lambda row: row.update(dst="x"), "dst: 'x' is no MAC address"),
+        (lambda row: row.update(dst="x"), "dst: 'x' is not a MAC address"),
     ],
 )
 def test_encode_names_the_member_at_fault_and_goes_on(run, tmp_path, capture, change, message):

@@ -132,7 +132,7 @@ def test_filters(run, tmp_path, good, options, expected):
     result = run("decode", "-p", "cpp-2.0", "-f", "jsonl", *options, write(tmp_path / "a.pcap", *good))
     assert [json.loads(line)["frame"] for line in result.out.splitlines()] == expected
     assert result.status == 0
-    assert ("none of 5 DCP frames is what was asked for" in result.err) == (not expected)
+    assert ("none of 5 DCP frames matches the options" in result.err) == (not expected)
 
 
 def test_count_is_for_all_files_together(run, tmp_path, good):
@@ -168,7 +168,7 @@ def test_hex_of_another_ether_type(run, good):
 def test_a_container_that_does_not_exist_is_no_filter(run, tmp_path, good):
     result = run("decode", "--container", "UPDATE", write(tmp_path / "a.pcap", *good))
     assert result.status == 2
-    assert "'UPDATE' is none of SUMMARIES, UPDATES, REQUEST-VARUPDATES" in " ".join(result.err.split())
+    assert "'UPDATE' is not one of SUMMARIES, UPDATES, REQUEST-VARUPDATES" in " ".join(result.err.split())
 
 
 # -- what is wrong with frames ----------------------------------------------------------------------------------

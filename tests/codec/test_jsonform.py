@@ -243,7 +243,7 @@ def test_missing(steps: tuple[Any, ...], path: str) -> None:
         (
             ("payloads", 1, "vardis", 0, "icType"),
             9,
-            "payloads[1].vardis[0].records: icType 9 is none of 1, 2, 3, 4, 5, 6",
+            "payloads[1].vardis[0].records: icType 9 is not one of 1, 2, 3, 4, 5, 6",
         ),
         (("payloads", 2, "protocolId"), 2, "payloads[2].vardis: is missing"),
     ],
