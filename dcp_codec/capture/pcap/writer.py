@@ -1,4 +1,4 @@
-"""Writing classic pcap files, little-endian, of link type Ethernet."""
+"""Writer of classic pcap files, little-endian, of link type Ethernet."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ _MAX_SECONDS = 2**32 - 1
 class PcapWriter(CaptureWriter):
     """Writes a pcap file.
 
-    With `lossy`, what the format has no place for is left off: the number of the interface, and in
-    microseconds the nanoseconds (cut, not rounded). Without it, such frames are refused.
+    `lossy` drops what the format cannot hold: the number of the interface, and in microseconds the nanoseconds (cut,
+    not rounded). Without it, such frames are refused.
     """
 
     format = "pcap"
