@@ -67,8 +67,10 @@ def command(
 ) -> int:
     """Copy the selected frames of SOURCE to TARGET, octet for octet. Either may be - for a pipe.
 
-    \b dcp-codec filter flight.pcap deletes.pcap -w 'vardis.icType == 6' dcp-codec filter flight.mcap start.pcapng --to
-    +30 --other dcp-codec filter flight.pcap odd.pcap -w 'errors.reason or bp.seqno < 9'
+    \b
+    dcp-codec filter flight.pcap deletes.pcap -w 'vardis.icType == 6'
+    dcp-codec filter flight.mcap start.pcapng --to +30 --other
+    dcp-codec filter flight.pcap odd.pcap -w 'errors.reason or bp.seqno < 9'
     """
     if list_fields:
         codec = load_codec("cpp-2.0" if profile == "auto" else profile)

@@ -53,8 +53,11 @@ def command(
 ) -> int:
     """List the built-in wire profiles, show one with all that it inherits, or draft one.
 
-    \b dcp-codec profiles list them dcp-codec profiles cpp-2.0 show the layout dcp-codec profiles mine.toml check a file
-    of your own dcp-codec profiles new mine --from flight.pcap draft mine.toml
+    \b
+    dcp-codec profiles                                  list them
+    dcp-codec profiles cpp-2.0                          show the layout
+    dcp-codec profiles mine.toml                        check a file of your own
+    dcp-codec profiles new mine --from flight.pcap      draft mine.toml
 
     A draft extends the built-in profile that explains the recording best, describes what that one does not explain, and
     is checked against the recording.

@@ -7,9 +7,10 @@ payload is decoded on its own. A fault inside a client payload therefore never c
 The header states the extent of the block list twice, as ``length`` and as ``numPayloads``. Where the two disagree,
 three readings are compared, in this order of preference:
 
-``length`` the list ends where ``length`` says (X02), whatever ``numPayloads`` says; ``whole`` as ``length``, and the
-length of every block counts the header of the block as well; only if exactly ``numPayloads`` blocks then end exactly
-where ``length`` says; ``count`` the list has ``numPayloads`` blocks, whatever ``length`` says.
+``length``   the list ends where ``length`` says (X02), whatever ``numPayloads`` says;
+``whole``    as ``length``, and the length of every block counts the header of the block as well; only if exactly
+             ``numPayloads`` blocks then end exactly where ``length`` says;
+``count``    the list has ``numPayloads`` blocks, whatever ``length`` says.
 
 A reading loses against one in which fewer blocks are cut off, empty or undecodable, and in which the octets after the
 last block are zeros, as the padding of a bearer is. Where every reading cuts a block off, ``length`` is used.

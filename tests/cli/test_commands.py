@@ -220,7 +220,7 @@ def test_an_ether_type_that_is_told_is_looked_for_behind_other_traffic(run, tmp_
 def test_several_versions_in_one_recording_are_named(run, tmp_path):
     new, old = (ETHERNET + bytes.fromhex(VECTORS[name]) for name in ("dcp-2.0", "dcp-1.1"))
     result = run("stats", write(tmp_path / "a.pcap", new, old, new, old, new))
-    assert "3 of 5 sampled frames decode; 2 others decode as dcp-1.1: look at each version with --profile" in result.err
+    assert "3 of 5 sampled frames decode; 2 others decode as dcp-1.1: decode each version with --profile" in result.err
 
 
 def test_damage_is_no_other_version(run, tmp_path, good):

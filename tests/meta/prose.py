@@ -23,12 +23,16 @@ _SUITE = "conformance/dcp_conformance"
 #: Folders and files without any hit, relative to the repository.
 DONE = (
     "spec/dcp_spec",
+    "dcp_codec/analysis",
     "dcp_codec/capture",
     "dcp_codec/cli",
     "dcp_codec/common",
+    "dcp_codec/foxglove",
     "dcp_codec/framing",
     "dcp_codec/impairment",
     "dcp_codec/network",
+    "dcp_codec/plan",
+    "dcp_codec/ros2",
     "dcp_codec/views",
     "dcp_codec/__init__.py",
     "dcp_codec/codec.py",

@@ -180,8 +180,8 @@ class McapReader(CaptureReader):
         if expected and expected != actual:
             self._log.add(
                 "bad-crc",
-                f"the {what} that ends at octet {offset} does not match its checksum: something in it is not as "
-                f"it was written; {self._so_far()}.",
+                f"the {what} that ends at octet {offset} does not match its checksum: some of its "
+                f"octets are damaged; {self._so_far()}.",
                 offset,
                 frame=self._number,
             )
