@@ -15,7 +15,7 @@ unexport PYTEST_ADDOPTS PYTEST_PLUGINS PYTHONPATH PYTHONHOME PYTHONOPTIMIZE PYTH
 unexport HYPOTHESIS_PROFILE DCP_EXAMPLES
 export PYTHONHASHSEED := 0
 
-.PHONY: docs man demo test test-fresh test-repeat lint unit bench bench-columns bench-fuzz matrix selftest-doc clean
+.PHONY: docs man demo test test-versions test-lowest test-fresh test-repeat lint unit bench bench-columns bench-fuzz matrix selftest-doc clean
 
 demo: $(STAMP)
 	@$(BIN)/dcp-conformance run --report-dir demo-report
@@ -43,6 +43,14 @@ test-fresh: $(STAMP) $(KAITAI)
 
 test-repeat:
 	$(PYTHON) tests/meta/repeat.py -n $(N) --load $(LOAD)
+
+# Codec, node and specification with every Python from 3.11 to 3.14 that is on this machine, and with the lowest
+# versions of the dependencies: minutes each.
+test-versions: $(STAMP)
+	$(BIN)/python -m tools.versions
+
+test-lowest: $(STAMP)
+	$(BIN)/python -m tools.versions --lowest
 
 # The Kaitai compiler that a test runs; without npm that test says so and is skipped.
 $(KAITAI): package.json

@@ -12,9 +12,12 @@ epoch of the profile.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any
 
 import msgspec
+from dcp_spec.constants import ICType
 
 Extra = tuple[Any, ...]
 
@@ -112,6 +115,18 @@ class VarReqCreate(msgspec.Struct, frozen=True, gc=False):
 
     var_id: int
 
+
+#: The record of each type of instruction container of the specification.
+RECORD_CLASSES: Mapping[ICType, type[msgspec.Struct]] = MappingProxyType(
+    {
+        ICType.SUMMARIES: VarSumm,
+        ICType.UPDATES: VarUpdate,
+        ICType.REQUEST_VARUPDATES: VarReqUpdate,
+        ICType.REQUEST_VARCREATES: VarReqCreate,
+        ICType.CREATE_VARIABLES: VarCreate,
+        ICType.DELETE_VARIABLES: VarDelete,
+    }
+)
 
 VardisRecord = VarCreate | VarDelete | VarUpdate | VarSumm | VarReqUpdate | VarReqCreate
 

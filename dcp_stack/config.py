@@ -17,6 +17,7 @@ from dcp_codec.codec import Codec
 from dcp_codec.plan.measures import least_size, record
 from dcp_codec.plan.tree import Scalar
 
+from .own_fields import OwnSpecFields
 from .positions.fields import SafetyFields
 from .record_sizes import RecordSizes
 
@@ -93,6 +94,8 @@ class NodeConfig(msgspec.Struct, frozen=True, kw_only=True, dict=True):
     vardis: VardisConfig | None = VardisConfig()
     """None: no VarDis on this node."""
     readings: Mapping[str, str] = msgspec.field(default_factory=dict)
+    instructions: tuple[Callable[[Any], Any], ...] = ()
+    """Classes derived from ``dcp_stack.vardis.instructions.Instruction``, for container types of the profile's own."""
 
     def __post_init__(self) -> None:
         """Raises ``ValueError`` for a node id of the wrong width or a choice that a reading does not have.
@@ -138,6 +141,11 @@ class NodeConfig(msgspec.Struct, frozen=True, kw_only=True, dict=True):
     def safety_fields(self) -> SafetyFields:
         """The safety data of the profile."""
         return SafetyFields(self.profile)
+
+    @functools.cached_property
+    def own_spec_fields(self) -> OwnSpecFields:
+        """The fields that the profile adds to VarSpec."""
+        return OwnSpecFields(self.codec)
 
     @functools.cached_property
     def container_numbers(self) -> Mapping[ICType, int]:

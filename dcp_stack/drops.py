@@ -20,6 +20,7 @@ DROPS: Final[dict[str, tuple[str, str]]] = {
     "wrong-length": ("SRP-RX-01", "the payload is not exactly one state report"),
     "table-full": ("SRP-RX-03", "the neighbour table has no room for another node, a limit of this node (X53)"),
     "vardis-inactive": ("VD-MGT-03", "VarDis is not active"),
+    "unhandled-container": ("VD-RX-05", "the node has no instruction for this container type of the profile's own"),
     "not-newer-create": ("VD-PC-01", "the variable is known from the same or a later creation"),
     "creation-ahead": ("VD-PC-01", "the creation time is further in the future than max_creation_ahead_s allows"),
     "own-create": ("VD-PC-03", "the variable is produced by this node"),

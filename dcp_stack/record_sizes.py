@@ -7,17 +7,7 @@ from dcp_spec.constants import ICType, seqno_modulus
 from dcp_codec.codec import Codec
 from dcp_codec.plan.measures import largest, least_size, longest, member, record
 from dcp_codec.plan.tree import Group, Node, Scalar, Text
-from dcp_codec.values import VarCreate, VarSpec, VarUpdate
-
-#: The record class of each type of container.
-_RECORDS = {
-    ICType.SUMMARIES: "VarSumm",
-    ICType.UPDATES: "VarUpdate",
-    ICType.REQUEST_VARUPDATES: "VarReqUpdate",
-    ICType.REQUEST_VARCREATES: "VarReqCreate",
-    ICType.CREATE_VARIABLES: "VarCreate",
-    ICType.DELETE_VARIABLES: "VarDelete",
-}
+from dcp_codec.values import RECORD_CLASSES, Container, OwnRecord, VarCreate, VarSpec, VarUpdate
 
 
 class RecordSizes:
@@ -25,7 +15,7 @@ class RecordSizes:
 
     def __init__(self, codec: Codec) -> None:
         plan = codec.containers_plan
-        layouts = {kind: _record(plan, name) for kind, name in _RECORDS.items()}
+        layouts = {kind: _record(plan, each.__name__) for kind, each in RECORD_CLASSES.items()}
         spec, summary, update = (_record(plan, name) for name in ("VarSpec", "VarSumm", "VarUpdate"))
         self.ic_header = least_size(_record(plan, "Container"))
         self.var_summ = least_size(summary)
@@ -34,8 +24,14 @@ class RecordSizes:
         self.var_update = least_size(update)
         """A VarUpdate without its value."""
         self._create = least_size(layouts[ICType.CREATE_VARIABLES])
-        self.fixed: dict[ICType, int | None] = {kind: layout.size for kind, layout in layouts.items()}
-        """Octets of each record of a type, None for those with a value."""
+        own = codec.profile.vardis.own_containers
+        self.fixed: dict[ICType | str, int | None] = {kind: layout.size for kind, layout in layouts.items()} | {
+            each.name: _record(plan, each.type_name).size for each in own
+        }
+        """Octets of each record by container type (or name of one of the profile's own), None if they vary."""
+        self._codec = codec
+        self._own_numbers = {each.type_name: each.number for each in own}
+        self._own_texts = [place for place, each in enumerate(_own_fields(spec)) if isinstance(each, Text)]
         producer = member(spec, "prodId")
         self._id_varies = isinstance(producer, Text)
         self.node_id_width = producer.size if isinstance(producer, Scalar) else None
@@ -60,12 +56,21 @@ class RecordSizes:
     def create(self, spec: VarSpec, value: bytes) -> int:
         """A VarCreate of a variable with this value."""
         producer = len(spec.prod_id) if self._id_varies else 0
-        return self._create + producer + len(spec.descr) + len(value)
+        size = self._create + producer + len(spec.descr) + len(value)
+        for place in self._own_texts:
+            size += len(spec.extra[place])  # type: ignore[attr-defined]
+        return size
 
-    def record(self, record: VarCreate | VarUpdate) -> int:
+    def own_record(self, number: int, record: OwnRecord) -> int:
+        """A record of a container type of the profile's own, which has this number."""
+        return len(self._codec.encode_containers((Container(number, (record,)),))) - self.ic_header
+
+    def record(self, record: VarCreate | VarUpdate | OwnRecord) -> int:
         """A decoded record of a type whose records have no fixed size."""
         if isinstance(record, VarCreate):
             return self.create(record.spec, record.upd.value)
+        if isinstance(record, OwnRecord):
+            return self.own_record(self._own_numbers[type(record).__name__], record)
         return self.update(record.value)
 
 
@@ -73,6 +78,11 @@ def _record(plan: Node, name: str) -> Group:
     found = record(plan, name)
     assert found is not None, f"the profile has no {name}"
     return found
+
+
+def _own_fields(group: Group) -> list[Node]:
+    """The members that the specification does not have, in wire order."""
+    return [each for each in group.members if isinstance(each, Scalar | Text) and each.role in ("extra", "opaque")]
 
 
 def _scalar(group: Group, name: str) -> Scalar:

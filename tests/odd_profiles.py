@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from dcp_spec.profile.loading import BUILTIN_PROFILES
+from dcp_spec.profile.loading import profile_names
 
 from dcp_codec import Codec, get_codec
 
@@ -131,7 +131,7 @@ ODD_PROFILES: dict[str, str] = {
 }
 
 #: What tests of "every profile" go through.
-NAMES = (*BUILTIN_PROFILES, *ODD_PROFILES)
+NAMES = (*profile_names(), *ODD_PROFILES)
 
 
 def write_profile(name: str, folder: Path) -> Path:

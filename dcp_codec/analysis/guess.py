@@ -17,7 +17,7 @@ from typing import Any
 import msgspec
 from dcp_spec.constants import BP_MAGIC_NO
 from dcp_spec.profile.definition import Link, Profile
-from dcp_spec.profile.loading import BUILTIN_PROFILES
+from dcp_spec.profile.loading import profile_names
 
 from dcp_codec.capture import Frame
 from dcp_codec.codec import Codec, get_codec
@@ -176,7 +176,7 @@ def sample(
 
 def _links(ether_type: int | None) -> list[Link]:
     """Return the EtherTypes and UDP ports of all built-in profiles."""
-    links = {get_codec(name).profile.link: None for name in BUILTIN_PROFILES}
+    links = {get_codec(name).profile.link: None for name in profile_names()}
     if ether_type is not None:
         links |= {with_ether_type(link, ether_type): None for link in links if link.transport == "ethernet"}
     return list(links)
@@ -185,23 +185,23 @@ def _links(ether_type: int | None) -> list[Link]:
 def guess(
     frames: Sequence[Frame],
     *,
-    profiles: Sequence[str | Codec] = BUILTIN_PROFILES,
+    profiles: Sequence[str | Codec] | None = None,
     framed: bool = True,
     ether_type: int | None = None,
 ) -> Guess:
-    """Rank ``profiles`` (names or codecs) for ``frames``.
+    """Rank ``profiles`` (names or codecs; None: the built-in ones) for ``frames``.
 
     ``framed`` false: the frames are bare bearer payloads.
     """
     likely = ether_type if ether_type is not None else _ether_type_of(frames) if framed else None
-    codecs = [each if isinstance(each, Codec) else get_codec(each) for each in profiles]
+    codecs = [each if isinstance(each, Codec) else get_codec(each) for each in profiles or profile_names()]
     candidates = [_judge(codec, frames, framed, likely) for codec in codecs]
     rank = {name: place for place, name in enumerate(_PREFERENCE)}
     candidates.sort(key=lambda c: (-round(c.score, 9), rank.get(c.profile.name, len(rank))))
     return Guess(tuple(candidates))
 
 
-def looks_bare(octets: bytes, profiles: Sequence[str] = BUILTIN_PROFILES) -> bool:
+def looks_bare(octets: bytes, profiles: Sequence[str] | None = None) -> bool:
     """Return whether ``octets`` are more likely a bearer payload than a whole Ethernet frame."""
     frame = Frame(number=1, time_ns=0, data=octets, orig_len=len(octets))
     as_bare = guess([frame], profiles=profiles, framed=False).best.score

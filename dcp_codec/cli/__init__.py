@@ -26,7 +26,7 @@ main = CommandLine(
         "profiles": "List the wire profiles, show one, or draft one from a recording.",
         "verify": "Verify recordings against their manifest.",
     },
-    about="Decode recordings of DCP drone traffic (BP, SRP, VarDis), and locate the octet that is wrong.",
+    about="Decode recordings of DCP (Drone Coordination Protocol), and locate the octet that is wrong.",
     exit_status="0 all good; 1 malformed DCP frames were seen; 2 wrong usage, or input that could not be read "
     "(to its end).",
 )

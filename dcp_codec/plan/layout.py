@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple, cast
 
 import msgspec
-from dcp_spec.profile.definition import Profile, own_fields
+from dcp_spec.profile.definition import OwnField, Profile, own_fields
 
 from dcp_codec.values import VALUE_CLASSES, Extra, OwnRecord, SafetyData
 
@@ -155,14 +155,12 @@ class ValueTypes:
         classes = {**VALUE_CLASSES, "SafetyData": self.safety_data}
         vardis = profile.vardis
         for name, members in (("VarSpec", vardis.var_spec), *vardis.records.by_name().items()):
-            if own_fields(members):
-                classes[name] = msgspec.defstruct(
-                    name, [("extra", Extra, ())], bases=(VALUE_CLASSES[name],), frozen=True, gc=False, module=__name__
-                )
-        own = {container.type_name: container.record for container in vardis.own_containers}
+            if own := own_fields(members):
+                classes[name] = _extended(name, own)
+        records = {container.type_name: container.record for container in vardis.own_containers}
         if profile.srp.record and not profile.srp.is_report:
-            own["OwnReport"] = profile.srp.record
-        for name, members in own.items():
+            records["OwnReport"] = profile.srp.record
+        for name, members in records.items():
             names = [snake(member if isinstance(member, str) else member.name) for member in members]
             classes[name] = _made(name, names, OwnRecord)
         self._classes: Mapping[str, type[msgspec.Struct]] = classes
@@ -193,6 +191,39 @@ class ValueTypes:
         # Fields of SafetyData keep the profile's names.
         name = member.name if group.type_name == "SafetyData" else snake(member.name)
         return name if name in self[group.type_name].__struct_fields__ and name != "extra" else None
+
+
+def _extended(name: str, own: Sequence[OwnField]) -> type[msgspec.Struct]:
+    """The class of a record of the specification with fields of the profile: in ``extra``, and readable by name."""
+    readers = {snake(member.name): property(_Entry(place)) for place, member in enumerate(own)}
+    return msgspec.defstruct(
+        name,
+        [("extra", Extra, tuple(neutral(member) for member in own))],
+        bases=(VALUE_CLASSES[name],),
+        namespace=readers,
+        frozen=True,
+        gc=False,
+        module=__name__,
+    )
+
+
+class _Entry:
+    """Reads one entry of ``extra``."""
+
+    def __init__(self, place: int) -> None:
+        self._place = place
+
+    def __call__(self, record: Any) -> Any:
+        return record.extra[self._place]
+
+
+def neutral(member: OwnField) -> int | float | bytes:
+    """What a field of the profile's own holds if nobody gives a value: zero, zero octets, or no octets."""
+    if member.opaque is not None:
+        return bytes(member.opaque)
+    if member.real is not None:
+        return 0.0
+    return b"" if member.block is not None else 0
 
 
 def _made(name: str, fields: Sequence[str], base: type[msgspec.Struct]) -> type[msgspec.Struct]:

@@ -16,6 +16,7 @@ from dcp_codec.errors import EncodeError
 from dcp_codec.plan.layout import ValueTypes, joins, packing, walk
 from dcp_codec.plan.source import Source
 from dcp_codec.plan.tree import Exact, Fill, Group, Many, Node, Region, Rest, Scalar, Select, Text
+from dcp_codec.values import VALUE_CLASSES
 
 from .encode_diagnosis import explain, measured, zero
 
@@ -23,6 +24,11 @@ Encode = Callable[[Any], bytes]
 
 #: Exceptions that packing a wrong value can raise; any other is a fault of the encoder and must be visible.
 _PACKING_ERRORS = (struct.error, TypeError, ValueError, AttributeError, OverflowError)
+
+
+def _has_extra(group: Group) -> bool:
+    """Return whether every value of a record has ``extra``, independently of the profile."""
+    return "extra" in VALUE_CLASSES[group.type_name].__struct_fields__ if group.type_name in VALUE_CLASSES else False
 
 
 class _Out:
@@ -119,7 +125,9 @@ class _Generator:
         if foreign:
             zeros = source.constant("zeros", tuple(zero(member) for member in foreign))
             targets = "".join(f"{value}_{index}, " for index in range(len(foreign)))
-            source.add(f"{targets}= {value}.extra or {zeros}")
+            # A plain record of the specification has no ``extra``: its additional fields were not given.
+            given = f"{value}.extra" if _has_extra(group) else f"getattr({value}, 'extra', ())"
+            source.add(f"{targets}= {given} or {zeros}")
         # Refuse values that the layout cannot carry; they must not be lost silently.
         lost = [
             f"{value}.extra" if name == "extra" else f"{value}.{name} is not None"

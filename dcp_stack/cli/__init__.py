@@ -24,7 +24,7 @@ main = CommandLine(
         "simulate": "Run a network of nodes in virtual time.",
         "testbed": "Run nodes in network namespaces on a virtual Ethernet.",
     },
-    about="Run a DCP node (BP, SRP, VarDis), and talk to one that runs.",
+    about="Run a DCP node (Drone Coordination Protocol), and talk to one that runs.",
     exit_status="0 OK; 1 a service answered with a status other than OK; 2 wrong usage, or a configuration, link or "
     "request that cannot be used; 3 no node could be reached.",
 )

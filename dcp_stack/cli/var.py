@@ -57,6 +57,13 @@ def command() -> None:
     help="In how many beacons each change is sent.  [default: 3, or less if profile or parameter say so]",
 )
 @click.option("--timeout", type=int, default=0, metavar="MS", help="Deleted when not updated for so long; 0: never.")
+@click.option(
+    "--field",
+    "fields",
+    multiple=True,
+    metavar="NAME=VALUE",
+    help="A field that the profile adds to VarSpec: a number, or octets in hexadecimal digits after 0x.  [default: 0]",
+)
 @node_options
 def create(
     var_id: int,
@@ -65,6 +72,7 @@ def create(
     descr: str,
     repcnt: int | None,
     timeout: int,
+    fields: tuple[str, ...],
     control: str,
     as_json: bool,
 ) -> int:
@@ -72,6 +80,8 @@ def create(
     params: dict[str, Any] = {"varId": var_id, "descr": descr, "value": octets_given("--value", octets, text)}
     if timeout:
         params["timeout"] = timeout
+    if fields:
+        params["ownFields"] = dict(map(_field, fields))
     with connect(control) as client:
         params["repCnt"] = _repetitions(client) if repcnt is None else repcnt
         result = client.call("RTDB-Create", **params)
@@ -79,6 +89,24 @@ def create(
             for warning in _ignored_by_others(client, descr, repcnt):
                 note(f"warning: {warning}")
     return finish("RTDB-Create", result, as_json)
+
+
+def _field(given: str) -> tuple[str, int | float | str]:
+    """Name and value of a field that the profile adds to VarSpec."""
+    name, equals, value = given.partition("=")
+    if not name or not equals:
+        raise click.BadParameter(f"needs NAME=VALUE, such as priority=3, not {given!r}", param_hint="--field")
+    if value.startswith("0x"):
+        return name, value[2:]
+    try:
+        return name, int(value)
+    except ValueError:
+        pass
+    try:
+        return name, float(value)
+    except ValueError:
+        message = f"needs a number, or octets as 0x and hexadecimal digits, after {name}=, not {value!r}"
+        raise click.BadParameter(message, param_hint="--field") from None
 
 
 def _repetitions(client: ControlClient) -> int:

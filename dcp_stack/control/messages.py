@@ -27,6 +27,10 @@ ProtId = Annotated[int, Meta(description="Identifier of a client protocol of BP.
 VarId = Annotated[int, Meta(description="Identifier of a variable.")]
 WallNs = Annotated[int, Meta(description="ns since 1970-01-01T00:00:00Z.")]
 Millis = Annotated[int, Meta(description="Milliseconds.")]
+OwnFields = Annotated[
+    dict[str, int | float | str],
+    Meta(description="Fields that the profile adds to VarSpec, by name; octets in hexadecimal digits."),
+]
 UTStatus = Annotated[str, Meta(pattern="^UT-STATUS-OK$")]
 
 
@@ -214,6 +218,7 @@ class Create(Params, frozen=True):
     value: Octets
     timeout: Millis = 0
     prod_id: NodeId | UnsetType = UNSET
+    own_fields: OwnFields | UnsetType = UNSET
 
 
 class Update(Params, frozen=True):
@@ -245,6 +250,7 @@ class Variable(Result, frozen=True):
     descr_hex: Octets | UnsetType = UNSET
     creation_time: int | UnsetType = UNSET
     timeout: Millis | UnsetType = UNSET
+    own_fields: OwnFields | UnsetType = UNSET
     is_deleted: bool | UnsetType = UNSET
     t_stamp: WallNs | UnsetType = UNSET
     value: Octets | UnsetType = UNSET

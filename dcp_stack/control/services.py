@@ -253,6 +253,7 @@ def _create(node: Node, params: m.Create, times: Times) -> m.Result:
         params.descr.encode(),
         octets_of(params.value),
         params.timeout,
+        own_fields=None if params.own_fields is UNSET else node.config.own_spec_fields.parsed(params.own_fields),
         now=times.now,
         wall=times.wall,
     )
@@ -280,7 +281,8 @@ def _read(node: Node, params: m.ForVariable, _times: Times) -> m.Result:
 def _describe_database(node: Node, _params: m.Nothing, _times: Times) -> m.Result:
     confirm = _vardis(node).describe_database()
     listed = tuple(
-        m.Variable(**_spec(each.spec), is_deleted=each.is_deleted, t_stamp=each.t_stamp) for each in confirm.variables
+        m.Variable(**_spec(node, each.spec), is_deleted=each.is_deleted, t_stamp=each.t_stamp)
+        for each in confirm.variables
     )
     return m.DescribeDatabaseConfirm(status=confirm.status, variables=listed)
 
@@ -291,7 +293,7 @@ def _describe_variable(node: Node, params: m.ForVariable, _times: Times) -> m.Re
     if entry is None:
         return m.DescribeVariableConfirm(status=confirm.status)
     variable = m.Variable(
-        **_spec(entry.spec),
+        **_spec(node, entry.spec),
         is_deleted=entry.is_deleted,
         t_stamp=entry.t_stamp,
         value=entry.value.hex(),
@@ -303,7 +305,7 @@ def _describe_variable(node: Node, params: m.ForVariable, _times: Times) -> m.Re
     return m.DescribeVariableConfirm(status=confirm.status, variable=variable)
 
 
-def _spec(spec: VarSpec) -> dict[str, Any]:
+def _spec(node: Node, spec: VarSpec) -> dict[str, Any]:
     """The members of a Variable that come from its VarSpec."""
     shown: dict[str, Any] = {"var_id": spec.var_id, "prod_id": spec.prod_id.hex(":"), "rep_cnt": spec.rep_cnt}
     try:
@@ -314,6 +316,8 @@ def _spec(spec: VarSpec) -> dict[str, Any]:
         shown["creation_time"] = spec.creation_time
     if spec.timeout is not None:
         shown["timeout"] = spec.timeout
+    if own := node.config.own_spec_fields.shown(spec):
+        shown["own_fields"] = own
     return shown
 
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from itertools import islice
 
 from dcp_spec.constants import IC_MAX_RECORDS, ICType
 
 from dcp_codec.values import (
     Container,
+    OwnRecord,
     VarCreate,
     VarDelete,
     VardisRecord,
@@ -20,18 +21,22 @@ from dcp_codec.values import (
 
 from .core import Core
 from .database import DBEntry, IdQueue
+from .instructions import Instruction
+from .wire import ContainerType
 
 
 class Composer:
     """Fills payloads from the queues of a database, and counts down what it has filled in."""
 
-    def __init__(self, core: Core) -> None:
+    def __init__(self, core: Core, instructions: Mapping[str, Instruction] | None = None) -> None:
+        """``instructions`` are those for container types of the profile's own, by the name of the type."""
+        self._instructions = instructions or {}
         config = core.config
         self._database = core.database
         self._parameters = core.parameters
         self._sizes = core.sizes
         database = core.database
-        self._queues = {
+        self._queues: dict[ContainerType, IdQueue] = {
             ICType.CREATE_VARIABLES: database.create_q,
             ICType.DELETE_VARIABLES: database.delete_q,
             ICType.REQUEST_VARCREATES: database.req_create_q,
@@ -41,9 +46,15 @@ class Composer:
         }
         ##= VD-PAY-07
         ##= VD-PAY-01
-        self._order = tuple([(kind, self._queues[kind]) for kind in config.features.container_order])
+        own = {name: each.queue for name, each in self._instructions.items()}
+        self._order: tuple[tuple[ContainerType, IdQueue], ...] = (
+            *((kind, self._queues[kind]) for kind in config.features.container_order),
+            *own.items(),
+        )
         ##= VD-IC-02
-        self._numbers = config.container_numbers
+        self._numbers: dict[ContainerType, int] = {name: each.number for name, each in self._instructions.items()}
+        for kind, number in config.container_numbers.items():
+            self._numbers[kind] = number
         ##= VD-IC-04
         self._several = (
             config.features.several_containers_per_type and config.profile.behaviour.containers_per_type == "several"
@@ -75,7 +86,7 @@ class Composer:
                 containers.append(Container(ic_type=self._numbers[kind], records=group))
         return tuple(containers)
 
-    def _fitting(self, kind: ICType, queue: IdQueue, room: int, largest: int) -> tuple[list[int], int]:
+    def _fitting(self, kind: ContainerType, queue: IdQueue, room: int, largest: int) -> tuple[list[int], int]:
         """``numberFittingRecords``: the identifiers whose records fit into ``room`` octets, and how many these take.
 
         The queue is looked at once, from its head, until a record does not fit, so no variable comes twice into a
@@ -110,26 +121,30 @@ class Composer:
             used += size
         return chosen, used
 
-    def _record_size(self, kind: ICType, var_id: int) -> int:
+    def _record_size(self, kind: ContainerType, var_id: int) -> int:
         if kind is ICType.CREATE_VARIABLES:
             entry = self._entry(var_id)
             return self._sizes.create(entry.spec, entry.value)
         if kind is ICType.UPDATES:
             return self._sizes.update(self._entry(var_id).value)
         size = self._sizes.fixed[kind]
-        assert size is not None
-        return size
+        if size is not None:
+            return size
+        own = self._instructions[str(kind)]
+        return own.size(own.record(var_id))
 
     def _entry(self, var_id: int) -> DBEntry:
         return self._database.entries[var_id]
 
-    def _take(self, kind: ICType, var_id: int) -> VardisRecord:
+    def _take(self, kind: ContainerType, var_id: int) -> VardisRecord | OwnRecord:
         """The record of a variable, which from now on counts as sent."""
         database = self._database
         if kind is ICType.REQUEST_VARCREATES:
             ##= VD-CMP-12
             database.req_create_q.remove(var_id)
             return VarReqCreate(var_id)
+        if not isinstance(kind, ICType):
+            return self._take_own(self._instructions[kind], var_id)
         entry = self._entry(var_id)
         if kind is ICType.CREATE_VARIABLES:
             ##= VD-CMP-06
@@ -161,6 +176,12 @@ class Composer:
         database.summary_q.rotate(var_id)
         ##= VD-CMP-04
         return VarSumm(var_id, entry.seqno)
+
+    @staticmethod
+    def _take_own(instruction: Instruction, var_id: int) -> OwnRecord:
+        record = instruction.record(var_id)
+        instruction.sent(var_id)
+        return record
 
 
 def _rotate_or_leave(queue: IdQueue, var_id: int, remaining: int) -> None:

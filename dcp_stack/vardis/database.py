@@ -82,7 +82,7 @@ class Database:
             "reqUpdQ": self.req_upd_q,
             "reqCreateQ": self.req_create_q,
         }
-        """The queues under the specification's names."""
+        """The queues under the specification's names, and those of container types of the profile's own."""
 
     def __len__(self) -> int:
         return len(self.entries)
@@ -175,8 +175,9 @@ class Database:
             entry.count_create = entry.count_update = entry.count_delete = 0
             if entry.is_deleted and self.remove_deleted:
                 del self.entries[entry.spec.var_id]
-        for queue in (self.create_q, self.delete_q, self.update_q, self.req_upd_q, self.req_create_q):
-            queue.clear()
+        for queue in self.queues.values():
+            if queue is not self.summary_q:
+                queue.clear()
 
     def purge(self) -> None:
         """Take identifiers of missing and deleted variables out of the queues that need them alive (up to 1.2)."""
@@ -190,12 +191,8 @@ class Database:
                 self.delete_q.remove(var_id)
 
     def _remove_from_queues(self, var_id: int) -> None:
-        self.create_q.remove(var_id)
-        self.delete_q.remove(var_id)
-        self.update_q.remove(var_id)
-        self.summary_q.remove(var_id)
-        self.req_upd_q.remove(var_id)
-        self.req_create_q.remove(var_id)
+        for queue in self.queues.values():
+            queue.remove(var_id)
 
     # -- looking at it ------------------------------------------------------------------------------------------
 

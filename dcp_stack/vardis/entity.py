@@ -24,6 +24,7 @@ from .confirms import Confirm
 from .core import Core
 from .database import DBEntry
 from .delivery import Obstacle
+from .known_instructions import instructions_of
 from .receive import Receiver
 from .services import VariableServices
 from .state_table import Action, Event
@@ -47,9 +48,11 @@ class Vardis(VariableServices):
         super().__init__(core, bp)
         self._parameters = core.parameters
         self._database = core.database
-        self._composer = Composer(core)
+        self.instructions = instructions = {each.container: each for each in instructions_of(core)}
+        """Those for container types of the profile's own, by the name of the type."""
+        self._composer = Composer(core, instructions)
         self._extractor = Extractor(config, core.sizes)
-        self._receiver = Receiver(core)
+        self._receiver = Receiver(core, instructions)
         self._has_scrubbing = core.features.creation_time
         self._timed_out_at_timeout = config.reading("X27") == "at-least"
         self._scrubbing_pauses = config.reading("X36") == "pauses-while-inactive"

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 from dcp_spec.constants import ICType
 
 from dcp_codec.values import VarCreate, VarDelete, VarReqCreate, VarReqUpdate, VarSumm, VarUpdate
@@ -10,6 +13,7 @@ from dcp_stack.effects import Dropped
 
 from .core import Core
 from .database import DBEntry
+from .instructions import Instruction
 from .state_table import Action, Cell, Event
 from .wire import Extracted
 
@@ -21,7 +25,10 @@ _REQUIREMENTS = {reason: requirement for reason, (requirement, _) in DROPS.items
 class Receiver:
     """Executes the instructions of a payload, in the order of the specification."""
 
-    def __init__(self, core: Core) -> None:
+    def __init__(self, core: Core, instructions: Mapping[str, Instruction] | None = None) -> None:
+        """``instructions`` are those for container types of the profile's own, by the name of the type."""
+        self._instructions = instructions or {}
+        self._own_types = [each.name for each in core.config.profile.vardis.own_containers]
         self._core = core
         self._database = core.database
         self._parameters = core.parameters
@@ -51,6 +58,9 @@ class Receiver:
             self._request_create(record, offset)
         for offset, record in records[ICType.REQUEST_VARUPDATES]:
             self._request_update(record, offset)
+        for name in self._own_types:
+            for offset, record in records.get(name, ()):
+                self._own(name, record, offset, now, wall)
 
     # -- one record of each type --------------------------------------------------------------------------------
 
@@ -179,6 +189,13 @@ class Receiver:
     def _request_create(self, record: VarReqCreate, offset: int) -> None:
         entry = self._database.lookup(record.var_id)
         self._answer(self._core.cell(Event.RX_REQUEST_CREATE, entry), entry, record.var_id, offset)
+
+    def _own(self, name: str, record: Any, offset: int, now: int, wall: int) -> None:
+        """A record of a container type of the profile's own."""
+        instruction = self._instructions.get(name)
+        reason = "unhandled-container" if instruction is None else instruction.receive(record, now, wall)
+        if reason is not None:
+            self._emit(Dropped("vardis", reason, _REQUIREMENTS[reason], offset))
 
     # -- what cells ask for -------------------------------------------------------------------------------------
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from copy import copy
+from typing import Any
 
 from dcp_spec.constants import BP_PROTID_VARDIS
 from dcp_spec.status import VardisStatus
@@ -50,10 +52,13 @@ class VariableServices:
         value: bytes,
         timeout_ms: int = 0,
         *,
+        own_fields: Mapping[str, Any] | None = None,
         now: int,
         wall: int,
     ) -> Confirm:
         """``RTDB-Create``. ``descr`` is UTF-8; ``timeout_ms`` 0 is never (always, before 2.0).
+
+        ``own_fields`` are values of fields that the profile adds to VarSpec, by name; others are zero or empty.
 
         Beyond the specification: VALUE-TOO-LONG (DESCRIPTION-TOO-LONG where no value helps) for a variable whose
         VarCreate fits into no payload, and INACTIVE, the only status that says "not now", for one variable more than
@@ -81,7 +86,7 @@ class VariableServices:
             return self._confirm(VardisStatus.ILLEGAL_REPCOUNT)
         creation_time = self._later_than_heard(var_id, self._creation_time(entry, wall))
         ##= VD-TYP-05
-        spec = VarSpec(
+        spec = self._core.config.codec.var_spec_type(
             var_id=var_id,
             ##= VD-CRE-08
             prod_id=self._producer(prod_id),
@@ -91,6 +96,8 @@ class VariableServices:
             ##= VD-TYP-04
             timeout=timeout_ms if self._core.features.creation_time else None,
         )
+        if own_fields:
+            spec = self._core.config.own_spec_fields.replaced(spec, own_fields)
         ##= VD-CRE-04 | exception: a description is too long as well if the VarCreate fits into no payload (X42)
         ##= VD-CRE-05 | exception: as above, for the value
         if status := self._refused_size(spec, value):

@@ -14,11 +14,16 @@ from dcp_codec.values import Container
 from dcp_stack.config import NodeConfig
 from dcp_stack.record_sizes import RecordSizes
 
+#: A type of the specification, or the name of one of the profile's own.
+ContainerType = ICType | str
+#: Records by container type, each with its offset in the payload.
+Records = dict[ContainerType, list[tuple[int, Any]]]
+
 
 class Extracted(msgspec.Struct, frozen=True):
     """A payload taken apart: records of each type in the order of the payload, each with its offset there."""
 
-    records: dict[ICType, list[tuple[int, Any]]]
+    records: Records
     problems: tuple[Problem, ...] = ()
 
 
@@ -29,11 +34,12 @@ class Extractor:
         self._codec: Codec = config.codec
         self._sizes = sizes
         self._policy = _receive_error_policy(config)
-        self._kinds = {number: kind for kind, number in config.container_numbers.items()}
+        self._kinds: dict[int, ContainerType] = {number: kind for kind, number in config.container_numbers.items()}
+        self._kinds |= {each.number: each.name for each in config.profile.vardis.own_containers}
 
     def extract(self, payload: bytes) -> Extracted:
         """The records to process. Never raises; what is not a record is in ``problems``."""
-        records: dict[ICType, list[tuple[int, Any]]] = {kind: [] for kind in ICType}
+        records: Records = {kind: [] for kind in self._kinds.values()}
         try:
             containers = self._codec.decode_containers(payload)
         except DecodeError as error:
@@ -42,7 +48,7 @@ class Extractor:
         self._collect(containers, 0, records)
         return Extracted(records)
 
-    def _salvage(self, payload: bytes, error: DecodeError, records: dict[ICType, list[tuple[int, Any]]]) -> Extracted:
+    def _salvage(self, payload: bytes, error: DecodeError, records: Records) -> Extracted:
         """What the policy keeps of a payload with an error in it."""
         problems: list[Problem] = []
         start = 0
@@ -79,7 +85,7 @@ class Extractor:
         self,
         containers: tuple[Container, ...],
         offset: int,
-        records: dict[ICType, list[tuple[int, Any]]],
+        records: Records,
     ) -> int:
         """Sort the records of ``containers`` that start at ``offset``; returns the offset behind them."""
         sizes = self._sizes

@@ -5,6 +5,7 @@ dcp-vardis.md#vardis-definitions-instruction-containers; the differences between
 the tagged texts v1.0.0 to v1.3.0 and from the draft of 2.0. Layouts of records are in the profiles, not here.
 """
 
+import functools
 from collections.abc import Mapping
 from enum import IntEnum, StrEnum
 from types import MappingProxyType
@@ -56,9 +57,11 @@ ETHERTYPES: Final[Mapping[str, int]] = MappingProxyType(
 
 
 class SpecVersion(StrEnum):
-    """A published version of the specification, or the draft 2.0.
+    """A published version of the specification, or the draft 2.0, oldest first.
 
-    The members compare in the order of publication with <, <=, > and >=, as their strings do.
+    The members compare by their numbers with <, <=, > and >=, also with a plain string such as "1.10". A string that is
+    no version raises ValueError. A new version is one line here; what it has beyond the one before it is in `features`
+    and in its profile.
     """
 
     V1_0 = "1.0"
@@ -66,6 +69,31 @@ class SpecVersion(StrEnum):
     V1_2 = "1.2"
     V1_3 = "1.3"
     V2_0 = "2.0"
+
+    def __lt__(self, other: str) -> bool:
+        return _version_numbers(self) < _version_numbers(other)
+
+    def __le__(self, other: str) -> bool:
+        return _version_numbers(self) <= _version_numbers(other)
+
+    def __gt__(self, other: str) -> bool:
+        return _version_numbers(self) > _version_numbers(other)
+
+    def __ge__(self, other: str) -> bool:
+        return _version_numbers(self) >= _version_numbers(other)
+
+    def is_within(self, since: str, until: str | None = None) -> bool:
+        """Whether this version is neither before `since` nor after `until` (None: there is no last version)."""
+        return since <= self and (until is None or self <= until)
+
+
+@functools.cache
+def _version_numbers(version: str) -> tuple[int, ...]:
+    """The numbers of a version, such as (1, 3)."""
+    try:
+        return tuple(int(number) for number in version.split("."))
+    except ValueError:
+        raise ValueError(f"{version!r} is no version of the specification; a version is numbers such as 1.3") from None
 
 
 class ProtocolId(IntEnum):
@@ -276,11 +304,16 @@ _V1_0: Final = msgspec.structs.replace(
     max_repetitions_bound=15,
 )
 
-_FEATURES: Final[Mapping[SpecVersion, Features]] = MappingProxyType(
-    {features.version: features for features in (_V1_0, _V1_1, _V1_2, _V1_3, _V2_0)}
-)
+#: Oldest first. A version without an entry has what the one before it has.
+_FEATURES: Final = (_V1_0, _V1_1, _V1_2, _V1_3, _V2_0)
 
 
 def features(version: SpecVersion | str) -> Features:
     """Return what `version` of the specification has. Raises ValueError for a version that does not exist."""
-    return _FEATURES[SpecVersion(version)]
+    return _features(SpecVersion(version))
+
+
+@functools.cache
+def _features(version: SpecVersion) -> Features:
+    newest = [each for each in _FEATURES if each.version <= version][-1]
+    return newest if newest.version == version else msgspec.structs.replace(newest, version=version)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dcp_spec.profile.loading import BUILTIN_PROFILES
+from dcp_spec.profile.loading import profile_names
 
 from dcp_codec import Beacon, BPHeader, Container, Payload, VarSumm, get_codec
 from dcp_codec.analysis.guess import guess
@@ -16,7 +16,7 @@ PATTERN = bytes(range(0x20, 0x20 + 40))
 #: A profile with the layout of that release but for the state report, of which it expects 42 octets.
 CODEC = get_codec("dcp-1.2")
 #: Without the profile that knows the pattern: implementations that nobody has described send others.
-OTHERS = [name for name in BUILTIN_PROFILES if name != "cpp-1.2"]
+OTHERS = [name for name in profile_names() if name != "cpp-1.2"]
 
 
 def recording(count: int = 30, *, reports: int = 1) -> list[Frame]:

@@ -23,7 +23,7 @@ def profile(tmp_path: Path) -> Path:
 
 
 def test_the_suite_refuses_it(profile: Path) -> None:
-    with pytest.raises(UsageError, match=r"bp\.header: has hops, load.*vardis\.own_containers: has GEO-FENCE, Ping"):
+    with pytest.raises(UsageError, match=r"bp\.header: has hops, load.*vardis\.records\.VarSumm: has age"):
         describe(TargetOptions(in_process=True, profile=str(profile)))
 
 

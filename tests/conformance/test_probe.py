@@ -26,7 +26,7 @@ from dcp_conformance.selftest.mutants import all_mutants
 from dcp_conformance.selftest.runner import PROFILES
 from dcp_conformance.test_system.bench import Session
 from dcp_conformance.upper_tester import Answer
-from dcp_spec.profile.loading import BUILTIN_PROFILES
+from dcp_spec.profile.loading import profile_names
 
 from dcp_codec import Codec
 from dcp_codec.values import Beacon, BPHeader, VarSumm
@@ -38,7 +38,7 @@ def codec(name: str) -> Codec:
     return Codec(name)
 
 
-CANDIDATES = [codec(name) for name in BUILTIN_PROFILES]
+CANDIDATES = [codec(name) for name in profile_names()]
 #: Without the profile whose SRP payloads are the pattern of the mutant: for whoever sends one that no profile knows.
 WITHOUT_PATTERN = [each for each in CANDIDATES if each.profile.name != "cpp-1.2"]
 
@@ -230,7 +230,7 @@ def test_parameters_that_make_no_sense():
     assert any("SRP-GetParameters is answered with" in each for each in remarks)
 
 
-@pytest.mark.parametrize("profile", BUILTIN_PROFILES)
+@pytest.mark.parametrize("profile", profile_names())
 def test_which_profile_frames_look_like(profile):
     sut = node(profile)
     busy(sut)

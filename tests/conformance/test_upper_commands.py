@@ -114,7 +114,7 @@ def test_what_a_command_cannot_say(tools):
         upper.call("RTDB-Create", create)
     with pytest.raises(UpperTesterError, match="cannot hold the octet 0, which valueText has"):
         upper.call("RTDB-Create", {**create, "value": "00"})
-    with pytest.raises(UpperTesterError, match="can be told prodId not at all, and not '02'"):
+    with pytest.raises(UpperTesterError, match="accepts prodId not at all, and not '02'"):
         upper.call("RTDB-Create", {**create, "value": "31", "prodId": "02"})
     with pytest.raises(UpperTesterError, match="the command needs descr, which was not given"):
         upper.call("RTDB-Create", {"varId": 7, "repCnt": 2, "value": "31"})

@@ -11,13 +11,13 @@ from dcp_conformance.interconnection.probe import draft
 from dcp_conformance.model.case import SANITY, all_cases
 from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, VirtualLowerTester
-from dcp_spec.profile.loading import BUILTIN_PROFILES
+from dcp_spec.profile.loading import profile_names
 
 from dcp_codec import Codec
 
 from .test_sanity import deaf, failed, node, runner_for, sanity
 
-CANDIDATES = [Codec(name) for name in BUILTIN_PROFILES]
+CANDIDATES = [Codec(name) for name in profile_names()]
 
 
 def silent_with(**about: Any) -> Any:

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from dcp_spec.profile.loading import BUILTIN_PROFILES, ProfileError
+from dcp_spec.profile.loading import ProfileError, profile_names
 from scapy.config import conf
 from scapy.fields import RawVal
 from scapy.layers.inet import IP, UDP
@@ -70,7 +70,7 @@ def test_test_vectors(name: str) -> None:
     assert bytes(vector(name)) == bytes.fromhex(VECTORS[name])
 
 
-@pytest.mark.parametrize("name", BUILTIN_PROFILES)
+@pytest.mark.parametrize("name", profile_names())
 def test_all_records_in_every_profile(name: str) -> None:
     codec = use_profile(name)
     beacon = DCPBeacon(seqno=41) if codec.profile.bp.header else DCPBeacon()

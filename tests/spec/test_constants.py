@@ -3,7 +3,16 @@ import itertools
 import pytest
 from dcp_spec import constants
 from dcp_spec.catalogue.requirements import requirement
-from dcp_spec.constants import Features, ICType, ProtocolId, QueueingMode, SpecVersion, features, seqno_modulus
+from dcp_spec.constants import (
+    Features,
+    ICType,
+    ProtocolId,
+    QueueingMode,
+    SpecVersion,
+    _version_numbers,
+    features,
+    seqno_modulus,
+)
 from dcp_spec.status import CPP_ONLY_STATUSES, BPStatus, SRPStatus, VardisStatus
 
 VERSIONS = list(SpecVersion)
@@ -45,6 +54,29 @@ def test_container_types_have_the_numbers_and_names_of_the_specification():
 def test_versions_compare_in_the_order_of_publication():
     assert VERSIONS == ["1.0", "1.1", "1.2", "1.3", "2.0"]
     assert all(a < b and not b < a for a, b in itertools.pairwise(VERSIONS))
+
+
+@pytest.mark.parametrize(("older", "newer"), [("1.3", "1.10"), ("2.0", "2.1"), ("2.0", "10.0")])
+def test_versions_compare_by_numbers_also_with_strings(older: str, newer: str):
+    assert _version_numbers(older) < _version_numbers(newer)
+    known = SpecVersion(older)
+    assert known < newer
+    assert known <= newer
+    assert newer > known
+    assert not known > newer
+    assert not known >= newer
+
+
+def test_a_version_without_a_last_one_is_followed_by_any():
+    assert SpecVersion.V2_0.is_within("1.0")
+    assert SpecVersion.V1_3.is_within("1.3", "1.3")
+    assert not SpecVersion.V2_0.is_within("1.0", "1.3")
+    assert not SpecVersion.V1_0.is_within("1.1")
+
+
+def test_what_is_no_version_cannot_be_compared():
+    with pytest.raises(ValueError, match="'new' is no version of the specification"):
+        _ = SpecVersion.V2_0 < "new"
 
 
 @pytest.mark.req("BP-QM-06")

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import msgspec
 from dcp_spec.profile.definition import Profile
-from dcp_spec.profile.loading import ProfileError
-from dcp_spec.profile.usability import RECORD_KEYS, unusable_keys
+from dcp_spec.profile.loading import ProfileError, load_profile
+from dcp_spec.profile.usability import unusable_keys
 
 from dcp_codec.analysis.guess import Guess, guess, sample
 from dcp_codec.capture import CaptureError, open_capture
@@ -169,7 +169,10 @@ def _codec(profile: str, ether_type: str | None) -> tuple[Codec, list[str]]:
 def _refuse_own_records(profile: Profile) -> None:
     """Rules speak of the records of the specification: raise :class:`UsageError` for a profile with others."""
     keys = unusable_keys(profile)
-    own = {key: reason for key, reason in keys.items() if key in RECORD_KEYS or key.startswith("vardis.records.")}
+    own = {key: reason for key, reason in keys.items() if key.startswith("vardis.records.")}
+    standard = load_profile(f"dcp-{profile.spec_version}").vardis.own_containers
+    if names := ", ".join(each.name for each in profile.vardis.own_containers if each not in standard):
+        own["vardis.own_containers"] = f"has {names}"
     if own:
         told = ", ".join(f"{key} {reason.partition(';')[0]}" for key, reason in own.items())
         raise UsageError(

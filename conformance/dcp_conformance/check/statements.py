@@ -48,8 +48,8 @@ def parts_of(heard: ReceivedBeacon) -> list[Part]:
     parts: list[Part] = []
     for container in heard.containers:
         records = container.records
-        if records:
-            kind = KIND_OF[type(records[0])]
+        # No rule speaks of the records of a container type of the profile's own.
+        if records and (kind := KIND_OF.get(type(records[0]))) is not None:
             ids = [each.spec.var_id for each in records] if kind is CREATE else [each.var_id for each in records]
             parts.append(Part(kind, records, ids))
     return parts

@@ -24,7 +24,7 @@ main = CommandLine(
         "selftest": "Test the suite with mutants of our own node.",
         "provenance": "Compare the catalogue with another version of the specification.",
     },
-    about="Test implementations of DCP (BP, SRP, VarDis), live or from recordings.",
+    about="Test implementations of DCP (Drone Coordination Protocol), live or from recordings.",
     exit_status="0 everything as expected; 1 an unexpected fail or pass; 2 wrong usage, or nothing to run; 3 nothing "
     "unexpected, but something inconclusive; 4 the tester's own trouble; 130 interrupted.",
     failures=_FAILURES,

@@ -22,7 +22,9 @@ if TYPE_CHECKING:
 @click.argument("captures", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option("--profile", metavar="NAME|FILE", help="Wire profile.  [default: guessed for each recording]")
 @click.option("--ether-type", metavar="HEX", help="Another EtherType than the profile's.")
-@click.option("--pics", type=click.Path(path_type=Path), metavar="FILE", help="PICS and PIXIT (TOML).")
+@click.option(
+    "--pics", type=click.Path(path_type=Path), metavar="FILE", help="Claims (PICS) and facts for testing (PIXIT), TOML."
+)
 @click.option(
     "--beacon-period",
     type=Factor(1e6),

@@ -43,7 +43,7 @@ def command(**options: Any) -> int:
                 "expectation": case.expect,
                 "window": case.window,
                 "since": str(case.needs.since),
-                "until": str(case.needs.until),
+                "until": None if case.needs.until is None else str(case.needs.until),
                 "upperTester": list(case.needs.ut),
                 "entities": list(case.needs.entities),
                 "pics": list(case.needs.pics),

@@ -71,7 +71,12 @@ def target_options(function: F) -> F:
             click.option(
                 "--ut", metavar="HOW", help="Upper tester: unix:PATH, tcp:HOST:PORT, exec:COMMAND, commands:FILE."
             ),
-            click.option("--pics", type=click.Path(path_type=Path), metavar="FILE", help="PICS and PIXIT (TOML)."),
+            click.option(
+                "--pics",
+                type=click.Path(path_type=Path),
+                metavar="FILE",
+                help="Claims (PICS) and facts for testing (PIXIT), TOML.",
+            ),
             click.option("--start", metavar="COMMAND", help="Starts the implementation."),
             click.option("--stop", metavar="COMMAND", help="Stops it."),
             click.option("--restart", metavar="COMMAND", help="Restarts it, after it was found dead."),

@@ -31,7 +31,7 @@ def command(*, seconds: float, passive: bool, output: Path | None, **options: An
 
     What was seen or told is filled in, with the reason; everything else is a comment with a question for you.
     """
-    from dcp_spec.profile.loading import BUILTIN_PROFILES
+    from dcp_spec.profile.loading import profile_names
 
     from dcp_codec.codec import Codec
     from dcp_conformance.execution.target import describe, open_lower
@@ -45,7 +45,7 @@ def command(*, seconds: float, passive: bool, output: Path | None, **options: An
         raise UsageError("which implementation? --interface IF for Ethernet, --link udp[:GROUP:PORT] for UDP")
     codec, _ = describe(target)
     chosen = target.profile is not None or target.pics is not None
-    candidates = [codec, *(Codec(name) for name in BUILTIN_PROFILES if name != codec.profile.name)]
+    candidates = [codec, *(Codec(name) for name in profile_names() if name != codec.profile.name)]
     # An implementation is not sent frames of other layouts if its user says which one it speaks.
     asking = [codec] if chosen else None
     lower = open_lower(target, codec)

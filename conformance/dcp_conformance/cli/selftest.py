@@ -14,10 +14,12 @@ from dcp_conformance.errors import UsageError
 if TYPE_CHECKING:
     from dcp_conformance.selftest.citations.campaign import CitationsResult
     from dcp_conformance.selftest.generated.campaign import GeneratedResult
+    from dcp_conformance.selftest.mutants.mutant import Mutant
     from dcp_conformance.selftest.recordings import CleanResult, FaultyResult
     from dcp_conformance.selftest.runner import Baseline, SelftestResult, Trial
     from dcp_conformance.selftest.side_by_side import Comparisons
     from dcp_conformance.selftest.variants.campaign import Judged, VariantsResult
+    from dcp_conformance.selftest.variants.variant import Variant
 
 EXIT_STATUS = (
     "Exit status: 0 our node passes and every mutant is killed by a case that names its requirement; 1 not so; "
@@ -144,7 +146,7 @@ def command(mutants: tuple[str, ...], **options: Any) -> int:
     picked = chosen(mutants)
     if options["listing"]:
         for each in picked:
-            say(f"{each.id:<44}  {each.what}  [{', '.join(each.requirements)}; {each.since} to {each.until}]")
+            say(f"{each.id:<44}  {each.what}  [{', '.join(each.requirements)}; {_versions(each)}]")
         return 0
     with progress_bar(quiet=options["quiet"]) as progress:
         task = progress.add_task("mutants", total=None)
@@ -320,6 +322,11 @@ def _citations(patterns: tuple[str, ...], options: dict[str, Any]) -> int:
     return 1 if result.unproved or result.outdated else 0
 
 
+def _versions(each: Mutant | Variant) -> str:
+    """The versions of the specification that a mutant or variant concerns."""
+    return f"since {each.since}" if each.until is None else f"{each.since} to {each.until}"
+
+
 def _variants(patterns: tuple[str, ...], options: dict[str, Any]) -> int:
     """Permitted variants; the exit status."""
     from dcp_conformance.selftest.variants import chosen
@@ -332,7 +339,7 @@ def _variants(patterns: tuple[str, ...], options: dict[str, Any]) -> int:
     picked = chosen(patterns)
     if options["listing"]:
         for each in picked:
-            say(f"{each.id:<36}  {each.what}  [{each.why}; {each.since} to {each.until}]")
+            say(f"{each.id:<36}  {each.what}  [{each.why}; {_versions(each)}]")
         return 0
     with progress_bar(quiet=options["quiet"]) as progress:
         task = progress.add_task("variants", total=None)

@@ -11,27 +11,15 @@ from dcp_spec.constants import ICType
 from dcp_codec.codec import Codec
 from dcp_codec.errors import Problem
 from dcp_codec.values import (
+    RECORD_CLASSES,
     Beacon,
     Container,
     ExtendedSafetyData,
-    VarCreate,
-    VarDelete,
-    VarReqCreate,
-    VarReqUpdate,
-    VarSumm,
-    VarUpdate,
 )
 from dcp_codec.views.salvage import Salvaged
 
-KIND_OF: Final[Mapping[type, ICType]] = {
-    VarSumm: ICType.SUMMARIES,
-    VarUpdate: ICType.UPDATES,
-    VarReqUpdate: ICType.REQUEST_VARUPDATES,
-    VarReqCreate: ICType.REQUEST_VARCREATES,
-    VarCreate: ICType.CREATE_VARIABLES,
-    VarDelete: ICType.DELETE_VARIABLES,
-}
-"""The container that a record stands in, whatever numbers a profile has for containers."""
+KIND_OF: Final[Mapping[type, ICType]] = {record: kind for kind, record in RECORD_CLASSES.items()}
+"""The container of each record of the specification, whatever numbers a profile has for containers."""
 
 
 #: The path of a problem inside of a client payload.
@@ -98,7 +86,8 @@ class ReceivedBeacon:
     def _taken_apart(self) -> Iterator[Instruction]:
         for number, container in enumerate(self.containers):
             for position, record in enumerate(container.records):
-                yield Instruction(self, number, position, KIND_OF[type(record)], record)
+                if (kind := KIND_OF.get(type(record))) is not None:
+                    yield Instruction(self, number, position, kind, record)
 
     def _sender(self, codec: Codec) -> bytes | None:
         if self.beacon is not None:

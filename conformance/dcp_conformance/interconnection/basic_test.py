@@ -42,7 +42,7 @@ def make_contact(bench: Bench) -> Contact:
     test = _Test(bench)
     contact = test.run()
     explained = contact.good or contact.mistaken or contact.inactive
-    # What began to speak during the test may not have been there when the first questions were asked.
+    # An implementation that began to send during the test may have missed the first questions.
     return _Test(bench).run() if test.began_late and not explained else contact
 
 
@@ -166,7 +166,7 @@ class _Test:
             self._answered.add("variable")
 
     def _update_state(self) -> None:
-        """Safety data that are handed down come in a beacon."""
+        """Check that submitted safety data are sent in a beacon."""
         bench = self._bench
         layout = bench.profile.srp.safety_data
         if any(each.type == "opaque" for each in layout):
@@ -178,7 +178,7 @@ class _Test:
             self._answered.add("state")
 
     def _activated(self) -> bool:
-        """Whether BP answers as soon as it is activated. What was found before stays as it is."""
+        """Check whether BP answers after its activation. Earlier results do not change."""
         bench, upper = self._bench, self._bench.session.upper
         if self._trouble or upper is None or ACTIVATE not in upper.methods:
             return False
@@ -219,7 +219,7 @@ class _Test:
 
 
 def _broken_rules(bench: Bench, *, vardis: bool) -> Iterable[BrokenRule]:
-    """What frames of the implementation break, each requirement once.
+    """Return the rules that frames of the implementation violate, each requirement once.
 
     What is wrong in client payloads is for cases to find, except in those of VarDis if ``vardis``.
     """
@@ -242,7 +242,7 @@ def _violations(bench: Bench) -> Iterator[tuple[ReceivedBeacon, Violation]]:
         heard, block = renumbered
         right = f"{BP_PROTID_VARDIS:#06x} for VarDis"
         yield heard, _at(bench, heard, f"payloads[{block}].protocolId", "BP-HDR-11", right)
-        # What stands in blocks with the wrong number breaks the rules of another protocol.
+        # The content of blocks with a wrong protocol identifier violates rules of another protocol.
         return
     if (turned := _swapped_number(bench)) is not None:
         heard, block, number = turned

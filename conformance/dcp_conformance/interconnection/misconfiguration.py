@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import Final
 
-from dcp_spec.profile.loading import BUILTIN_PROFILES
+from dcp_spec.profile.loading import profile_names
 
 from dcp_codec.codec import get_codec
 from dcp_conformance.frames.received import ReceivedBeacon
@@ -66,7 +66,7 @@ def _other_network(bench: Bench) -> str:
 
 
 def _other_node(bench: Bench, frames: Sequence[Event]) -> str:
-    """Others were heard, but nobody with the identifier of the implementation."""
+    """Explain silence if beacons were received, but none with the identifier of the implementation."""
     if bench.heard or not bench.others or bench.session.sut_id is None or misnamed(bench) is not None:
         return ""
     senders = Counter(each.who for each in frames)
@@ -97,18 +97,18 @@ def _told_by_hello(bench: Bench) -> str:
 def _other_version(bench: Bench, told: object) -> str:
     """UT-Hello names a version of the specification for which there are other profiles."""
     version = ".".join(told.split(".")[:2]) if isinstance(told, str) else ""
-    fitting = [name for name in BUILTIN_PROFILES if str(get_codec(name).profile.spec_version) == version]
+    fitting = [name for name in profile_names() if str(get_codec(name).profile.spec_version) == version]
     if not fitting or bench.profile.spec_version == version:
         return ""
     return (
-        f"UT-Hello says that it follows specification {told}, the tester's profile {bench.profile.name} is of "
+        f"UT-Hello reports specification {told}, the tester's profile {bench.profile.name} is of "
         f"{bench.profile.spec_version}: try --profile {' or '.join(fitting)}"
     )
 
 
 def _asked_otherwise(bench: Bench) -> str:
     """Ask in every built-in profile, then for other networks."""
-    for number, name in enumerate(BUILTIN_PROFILES):
+    for number, name in enumerate(profile_names()):
         codec = get_codec(name)
         if name != bench.profile.name:
             bench.transmit(question(codec, number), bench.peer().address)
@@ -127,7 +127,7 @@ def _in_other_ether_type(bench: Bench) -> str:
 
 
 def first_suspects(bench: Bench) -> str:
-    """What to compare first if an upper tester answers and nothing is heard: what both sides must have in common."""
+    """List the settings to compare first if an upper tester answers and no frame is received."""
     upper, profile = bench.session.upper, bench.profile
     about = upper.about if upper is not None else {}
     told = bench.session.parameters.get("BPPAR_NETWORK_ID")

@@ -1,11 +1,11 @@
-"""Settings that an implementation may have in the place of those that the tester was told: how to ask by them."""
+"""Other settings that an implementation may have than the tester, and questions with these settings."""
 
 from __future__ import annotations
 
 from collections import Counter
 from typing import Final
 
-from dcp_spec.profile.loading import BUILTIN_PROFILES
+from dcp_spec.profile.loading import profile_names
 
 from dcp_codec.codec import Codec, get_codec
 from dcp_codec.errors import DecodeError
@@ -13,7 +13,7 @@ from dcp_codec.values import VarSumm
 from dcp_conformance.frames.builder import FrameBuilder
 from dcp_conformance.lower_tester import HearsEveryType, LowerTester
 
-#: The address and identifier that questions on the air come from.
+#: Source address and sender identifier of questions.
 ASKER = bytes.fromhex("02dc90000001")
 #: Network identifiers that are tried when nothing is heard, beside those of the built-in profiles.
 _NETWORKS: Final = (0, 1, 2, 3, 0x00FF, 0x0100, 0x1111, 0x1234, 0xFFFF)
@@ -43,7 +43,7 @@ def network_ids(codec: Codec, without: int | None) -> list[int]:
     if not codec.profile.has_header_field("networkId"):
         return []
     top = 1 << (8 * codec.profile.types.network_id.width)
-    known = (get_codec(name).profile.bp.network_id for name in BUILTIN_PROFILES)
+    known = (get_codec(name).profile.bp.network_id for name in profile_names())
     numbers = dict.fromkeys((*(each for each in known if each is not None), *_NETWORKS))
     return [each for each in numbers if each < top and each != without]
 
@@ -55,7 +55,7 @@ def other_ether_type(lower: LowerTester, codec: Codec, source: bytes, duration: 
     """
     if not isinstance(lower, HearsEveryType):
         return ""
-    known = (get_codec(name).profile.link.ether_type for name in BUILTIN_PROFILES)
+    known = (get_codec(name).profile.link.ether_type for name in profile_names())
     numbers = dict.fromkeys((*(each for each in known if each is not None), *_ETHER_TYPES))
     octets = question(codec, 0)
     asked = [b"\xff" * 6 + source + each.to_bytes(2, "big") + octets for each in numbers if each != lower.ether_type]
@@ -74,7 +74,7 @@ def other_ether_type(lower: LowerTester, codec: Codec, source: bytes, duration: 
 
 def _is_beacon(codec: Codec, octets: bytes) -> bool:
     """Whether octets are a beacon of the profile, or of another one."""
-    for each in (codec, *map(get_codec, BUILTIN_PROFILES)):
+    for each in (codec, *map(get_codec, profile_names())):
         if each.profile.bp.header:
             try:
                 each.decode(octets)

@@ -36,13 +36,13 @@ __all__ = ["Period", "draft", "measured_period", "question", "write_pics"]
 
 #: ns for which other EtherTypes are listened to.
 _OVERHEAR = 2_000_000_000
-#: ns between questions on the air.
+#: ns between questions in beacons.
 _ASK_EVERY = 10_000_000
-#: Intervals that a mean period is believed of, and the missing sequence numbers that are taken for losses.
+#: Least number of intervals for a mean period, and most missing sequence numbers that count as losses.
 _ENOUGH, _MOST_LOST = 10, 5
 #: Beacons that are closer together, in ms, do not come by a beacon period.
 _LEAST_PERIOD = 1.0
-#: Standard deviation of intervals, as a fraction of their mean, from which it is taken for intended.
+#: Standard deviation of intervals, as a fraction of their mean, above which jitter is assumed to be intended.
 _JITTER = 0.02
 #: Frames that are judged octet by octet.
 _LOOKED_AT = 100
@@ -70,7 +70,7 @@ class Period(NamedTuple):
     mean: float
     deviation: float
     intervals: int
-    """How many were looked at."""
+    """The number of intervals."""
 
     @property
     def margin(self) -> float:
@@ -85,7 +85,7 @@ class Period(NamedTuple):
 
 
 class Draft(msgspec.Struct):
-    """What is known so far. ``remarks`` that begin with a key of the file say where its value comes from."""
+    """The PICS so far. ``remarks`` that begin with a key of the file give the source of its value."""
 
     sut: dict[str, Any] = {}
     pics: dict[str, Any] = {}
@@ -93,7 +93,7 @@ class Draft(msgspec.Struct):
     remarks: list[str] = []
 
     def set(self, table: str, key: str, value: Any, why: str) -> None:
-        """State something, unless it has been stated before by someone who knows better."""
+        """Set a key, unless a better source has set it."""
         if key not in getattr(self, table):
             getattr(self, table)[key] = value
             self.remarks.append(f"{table}.{key}: {why}")
@@ -113,14 +113,14 @@ def draft(
     asked_for: str | None = None,
     asking: Sequence[Codec] | None = None,
 ) -> tuple[Pics, list[str]]:
-    """Listen for so many seconds, and ask the upper tester if there is one.
+    """Receive frames for this number of seconds, and query the upper tester if there is one.
 
-    ``codec_candidates`` are the profiles that the implementation may speak. ``asked_for`` is the one that is taken
-    where several explain equally well what is heard (None: nobody has asked for one). If none explains it, the nearest
-    is proposed by headers and block lists alone; if none has these either, the profile of the draft is
-    :data:`UNKNOWN_PROFILE`, which no run takes. ``asking``: the profiles of questions on the air, all candidates unless
-    given. ``ask``: if no VarDis payload is heard in the first quarter of the time, it is asked for variables on the air
-    (summaries of ones that nobody has), so that it has something to say.
+    ``codec_candidates`` are the profiles that the implementation may speak. ``asked_for`` is chosen if several explain
+    the received frames equally well (None: no preference). If none explains them, the nearest is proposed by headers
+    and block lists alone. If none has these either, the profile of the draft is :data:`UNKNOWN_PROFILE`, which no run
+    accepts. ``asking``: the profiles of questions in beacons, by default all candidates. ``ask``: if no VarDis payload
+    is received in the first quarter of the time, the tester sends summaries of unknown variables, so that the
+    implementation has a reason to send.
 
     Raises ``LowerTesterError`` and ``UpperTesterError``.
     """
@@ -145,7 +145,7 @@ def draft(
 
 
 def _introduce(found: Draft, upper: UpperTester | None) -> bytes | None:
-    """What the implementation tells of itself; its node identifier."""
+    """Take what UT-Hello reports. Return the node identifier."""
     if upper is None:
         found.remarks.append("there is no upper tester: what can only be asked stays open")
         return None
@@ -205,14 +205,14 @@ def _listen(lower: LowerTester, codecs: Sequence[Codec], seconds: float, ask: bo
             arrivals.append(arrival)
         return arrivals
     what = "no VarDis payload was heard, and it" if arrivals else "it was silent, and"
-    found.remarks.append(f"{what} has been asked for variables on the air to hear {'one' if arrivals else 'it at all'}")
-    # Whoever is heard is not asked in layouts that are not its own.
+    found.remarks.append(f"{what} has been asked for variables in beacons to hear {'one' if arrivals else 'it at all'}")
+    # An implementation that sends is asked in its own layout only.
     codecs = [each for each in codecs if arrivals and 2 * sound(each, arrivals) > len(arrivals)] or codecs
     number, elsewhere = 0, False
     while lower.now() < end:
         for codec in codecs:
             lower.send(question(codec, number), ASKER)
-        # Who has not answered for half of the time may be in another network.
+        # An implementation that has not answered for half of the time may be in another network.
         elsewhere = elsewhere or (not arrivals and 2 * lower.now() > begun + end)
         for codec in codecs if elsewhere else ():
             networks = network_ids(codec, codec.profile.bp.network_id)
@@ -290,7 +290,7 @@ def _unexplained(
 
 
 def _look_at(found: Draft, codec: Codec, arrivals: Sequence[Arrival], node_id: bytes | None) -> None:
-    """What the beacons of the implementation show."""
+    """Derive settings from the beacons of the implementation."""
     senders: dict[bytes, list[tuple[Arrival, Beacon]]] = {}
     broken: list[Arrival] = []
     for arrival in arrivals:
@@ -323,7 +323,7 @@ def _look_at(found: Draft, codec: Codec, arrivals: Sequence[Arrival], node_id: b
         found.set("pixit", "node_id", node_id.hex(":"), "the only sender that was heard")
     if node_id is None or not codec.profile.bp.header:
         if len(senders) > 1:
-            found.remarks.append("which of the senders is the implementation? Say so in pixit.node_id, and probe again")
+            found.remarks.append("which of the senders is the implementation? Set pixit.node_id, and probe again")
             return
         node_id = next(iter(senders))
     if node_id not in senders:
@@ -339,13 +339,13 @@ def _how_fast(found: Draft, codec: Codec, lower: LowerTester, upper: UpperTester
     if session.pics.pixit.node_id is not None:
         session.sut_id = node_id_octets(session.pics.pixit.node_id)
     elif codec.profile.bp.header:
-        # Whose answers would count is not known.
+        # It is unknown which sender's answers count.
         return
     reaction = prepare(session)
     if reaction is not None and reaction.samples:
-        found.remarks.append(f"reactions are waited for {reaction}; each run measures this anew")
+        found.remarks.append(f"reactions are waited for {reaction}; each run measures this again")
     elif reaction is not None:
-        found.remarks.append("it answers no question on the air, from which its reaction time would be measured")
+        found.remarks.append("it answers no question in beacons, from which its reaction time would be measured")
 
 
 def _what_is_seen(found: Draft, beacons: Sequence[Beacon]) -> None:
@@ -355,7 +355,7 @@ def _what_is_seen(found: Draft, beacons: Sequence[Beacon]) -> None:
         if beacon.bp is not None and beacon.bp.network_id is not None:
             networks[beacon.bp.network_id] += 1
         protocols = Counter(payload.protocol_id for payload in beacon.payloads)
-        # What a profile knows to be no report is no sign of SRP.
+        # A pattern that the profile declares not to be a report does not indicate SRP.
         seen["srp"] += any(each.protocol_id == BP_PROTID_SRP and each.own_report is None for each in beacon.payloads)
         seen["vardis"] += BP_PROTID_VARDIS in protocols
         seen["multiple_payloads"] += max(protocols.values(), default=0) > 1

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import Final
 
-from dcp_spec.profile.loading import BUILTIN_PROFILES
+from dcp_spec.profile.loading import profile_names
 
 from dcp_codec.analysis.guess import SAMPLE, Guess, guess
 from dcp_codec.capture import Frame
@@ -25,7 +25,7 @@ def ranked_by(codecs: Sequence[Codec], frames: Iterable[tuple[int, bytes]]) -> G
 
 def ranked_with(codec: Codec, frames: Iterable[tuple[int, bytes]]) -> Guess:
     """As :func:`ranked_by`, of all built-in profiles and that of ``codec``."""
-    others = [get_codec(name) for name in BUILTIN_PROFILES if name != codec.profile.name]
+    others = [get_codec(name) for name in profile_names() if name != codec.profile.name]
     return ranked_by([codec, *others], frames)
 
 

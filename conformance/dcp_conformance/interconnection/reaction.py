@@ -1,6 +1,6 @@
 """Measure how fast an implementation reacts at the start of a run, so that slow but legal ones are waited for.
 
-An implementation may look at its buffer every few hundred milliseconds only, compose a payload well before it is sent,
+An implementation may process its buffer every few hundred milliseconds only, compose a payload well before it is sent,
 or take one received payload each time it polls. The specification sets no bound, so the tester measures: it asks a few
 questions one by one, then several at once, and adds a margin to the worst answer.
 """
@@ -25,7 +25,7 @@ _SINGLE, _BURST = 5, 10
 _PATIENCE = (25, 5_000_000_000)
 #: Factor for the slowest sample, and margin added to it, in beacon periods.
 _FACTOR, _MARGIN = 1.5, 1.0
-#: Answers to a burst within so many periods came together: a payload was composed while the burst was arriving.
+#: Answers to a burst within this number of periods belong together: a payload was composed during the burst.
 _TOGETHER = 1.5
 _CHECK_PERIOD = "VARDISPAR_BUFFER_CHECK_PERIOD"
 #: A bench needs a case; this one is not part of the suite.
@@ -62,10 +62,11 @@ def prepare(session: Session) -> Reaction | None:
 
 
 def measure(bench: Bench) -> Reaction:
-    """Ask an implementation a few questions (summaries of unknown variables) and time the requests that they bring.
+    """Ask an implementation a few questions (summaries of unknown variables) and measure the time to its requests.
 
-    Takes about eight beacon periods, or up to ``_PATIENCE`` if nothing is answered. Leaves no variables behind. What
-    is heard meanwhile belongs to ``bench``, which should not be that of a case. Raises ``LowerTesterError``.
+    Takes about eight beacon periods, or up to ``_PATIENCE`` if nothing is answered. Leaves no variables.
+    Frames that are received during this time belong to ``bench``, which must not be that of a case. Raises
+    ``LowerTesterError``.
     """
     samples: list[float] = []
     for number in range(_SINGLE):

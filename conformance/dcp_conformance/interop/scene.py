@@ -435,7 +435,9 @@ class Scene:
         )
 
     def expect_talking(self) -> None:
-        """Check that every place that is on still sends: it has something to say in every network test."""
+        """Check that every place that is on still sends: with variables it has summaries to say."""
+        if not self.limits.summaries:
+            return
         quiet = 20 * self.limits.beacon_period_ms * MS
         silent = [
             f"place {place} ({self.name(place)})"

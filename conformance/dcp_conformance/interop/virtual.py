@@ -83,7 +83,9 @@ class VirtualWorld:
                     setup.pics,
                     setup.upper,
                     setup.can_restart,
-                    setup.application,
+                    # Applications use one variable identifier: two of them would be two producers of one variable,
+                    # which the specification leaves to the user to avoid (VD-TYP-01).
+                    None if any(each.application is not None for each in self._setups) else setup.application,
                     setup.clock,
                 )
             )

@@ -1,4 +1,4 @@
-"""Lower testers: ways to the air around an implementation."""
+"""Lower testers: send frames to the SUT and receive its frames."""
 
 from .base import Arrival, HearsEveryType, Impairs, Incident, LinkHealth, LowerTester, OnThisMachine
 from .ethernet import open_ethernet

@@ -22,32 +22,32 @@ class Arrival(NamedTuple):
 
 
 class Incident(NamedTuple):
-    """What an impaired link did to one frame."""
+    """The effect of an impaired link on one frame."""
 
     to: bool
     """The frame was on its way to the implementation, otherwise to the tester."""
     what: Literal["lost", "down", "corrupted", "duplicated", "reordered", "late"]
     """``down``: lost in an outage; ``reordered``: held back; ``late``: with a delay that is not the usual one."""
     octets: bytes
-    """As they were sent: a bearer payload, or what was sent as a whole frame."""
+    """The sent octets: a bearer payload, or a whole frame."""
 
     @property
     def misleads(self) -> bool:
-        """Whether what is received afterwards may be wrong because of it, and not only missing.
+        """Whether later received data may be wrong because of it, and not only missing.
 
-        Beacons that the tester does not get are only missing. Of a stimulus that was lost it is not known what a case
-        takes for granted that has sent it.
+        Beacons that the tester does not receive are only missing. After a lost stimulus, any assumption of a case about
+        the implementation may be wrong.
         """
         return self.to or self.what in ("reordered", "late")
 
 
 class LinkHealth(NamedTuple):
-    """What the tester has to hold against itself."""
+    """Faults of the tester or of its link."""
 
     dropped: int = 0
     """Frames that the kernel dropped since the last time this was asked."""
     incidents: tuple[Incident, ...] = ()
-    """What an impaired link did since then, in order; those of a frame that is sent come with its transmission."""
+    """Effects of an impaired link since the last call, in order. Those on a sent frame come with its transmission."""
 
 
 class LowerTester(Protocol):
@@ -64,18 +64,18 @@ class LowerTester(Protocol):
         ...
 
     def framed(self, octets: bytes, source: bytes) -> bytes:
-        """The whole frame in which :meth:`send` puts a bearer payload on the air."""
+        """Return the whole frame in which :meth:`send` transmits a bearer payload."""
         ...
 
     def send(self, octets: bytes, source: bytes) -> bytes:
-        """Put a bearer payload on the air as from the station ``source``; the whole frame is returned.
+        """Transmit a bearer payload with the source address ``source``. Return the whole frame.
 
         Raises ``LowerTesterError``.
         """
         ...
 
     def send_frame(self, frame: bytes) -> None:
-        """Put a whole link-layer frame on the air as it is. Raises ``LowerTesterError``."""
+        """Transmit a whole link-layer frame unchanged. Raises ``LowerTesterError``."""
         ...
 
     def receive(self, until: int, also: Sequence[int] = ()) -> Arrival | None:
@@ -95,7 +95,7 @@ class LowerTester(Protocol):
         ...
 
     def health(self) -> LinkHealth:
-        """What was lost since the last call."""
+        """Return the losses since the last call."""
         ...
 
     def close(self) -> None:
@@ -131,7 +131,7 @@ class HearsEveryType(Protocol):
 
 @runtime_checkable
 class Impairs(Protocol):
-    """A lower tester behind a link that is made bad on purpose (:mod:`dcp_conformance.impairment`)."""
+    """A lower tester with an impaired link (:mod:`dcp_conformance.impairment`)."""
 
     def engaged(self) -> AbstractContextManager[None]:
         """A context in which the link is bad; outside of it, it only delays."""
@@ -147,5 +147,5 @@ class Impairs(Protocol):
         ...
 
     def summary(self) -> str:
-        """What the link did in this run, in words."""
+        """Describe the effects of the link in this run."""
         ...

@@ -26,9 +26,8 @@ _MOST_OVERHEARD = 1000
 def open_ethernet(interface: str, link: Link, *, ether_type: int | None = None) -> EthernetLowerTester:
     """A lower tester on ``interface``, for frames with the EtherType of ``link``, or another one.
 
-    The interface is switched to promiscuous mode, so that frames that an implementation sends to a station instead of
-    to all are seen, too. Frames of a VLAN are ignored, as far as
-    the kernel lets them be told.
+    The interface is in promiscuous mode, so that frames to single stations are received, too. Frames of a VLAN are
+    ignored as far as the kernel marks them.
 
     Raises ``UsageError`` (no such interface, no EtherType) and ``LowerTesterError`` (it is down or not Ethernet, no
     privilege, no scapy).
@@ -68,7 +67,7 @@ class EthernetLowerTester(SocketLowerTester):
         return frame
 
     def send_frame(self, frame: bytes) -> None:
-        """Send a frame as it is, from the destination address on."""
+        """Send a frame unchanged; it begins with the destination address."""
         to = self._ready()
         ethernet = self._ethernet
         assert ethernet is not None
@@ -142,7 +141,7 @@ class EthernetLowerTester(SocketLowerTester):
         if kind == OTHERHOST and (frame[0] & 1 or frame[:6] == self._address):
             return None
         if flags & CUT_OFF:
-            # Nothing can be said of what was not read.
+            # A frame that was not read counts as dropped.
             self._dropped += 1
             return None
         if self._echoes is not None and self._echoes.is_one(frame, self.now()):

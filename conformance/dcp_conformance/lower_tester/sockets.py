@@ -1,4 +1,4 @@
-"""What lower testers over sockets share: waiting, the kernel's time stamps, and what they hold against themselves."""
+"""The common part of lower testers over sockets: waiting, time stamps of the kernel, and faults of the tester."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from .base import Arrival, LinkHealth
 
 #: ns that a send may wait for room in the interface's queue.
 _PATIENCE = 1_000_000_000
-#: Frames that are kept in memory before somebody asks for them; more wait in the kernel.
+#: Frames that are kept in memory until a case reads them; more wait in the kernel.
 _MOST_HELD = 100_000
-#: ms until a full queue of an interface, which nothing tells to have room again, is tried anew.
+#: ms until the tester tries again to send to a full queue of an interface: there is no event for free space.
 _PAUSE = 5
 #: Load for each processor from which what runs must wait for its turn for milliseconds.
 _OVERLOAD = 3
@@ -64,14 +64,14 @@ class SocketLowerTester:
         raise NotImplementedError
 
     def _kernel_drops(self) -> int:
-        """What the kernel dropped since the last call. Raises ``OSError``."""
+        """Return the number of frames that the kernel dropped since the last call. Raises ``OSError``."""
         raise NotImplementedError
 
     def _attached(self, source: socket.socket) -> None:
-        """Raises ``OSError`` if the socket no longer hears what it was opened for, and does not say so when read."""
+        """Raise ``OSError`` if the socket no longer receives its group or interface although reading does not fail."""
 
     def _gone(self, error: OSError) -> LowerTesterError:
-        """What it means that the socket cannot be used."""
+        """Explain why the socket cannot be used."""
         raise NotImplementedError
 
     # -- the contract of a lower tester ------------------------------------------------------------------------
@@ -88,7 +88,7 @@ class SocketLowerTester:
         """The next frame before ``until``; None then, or when a descriptor of ``also`` is readable."""
         source = self._ready()
         while True:
-            # Before reading: if this process is held up after it, what arrived meanwhile is still read.
+            # Before reading: frames that arrive during a later delay of this process are still read.
             now = time.monotonic_ns()
             arrival = self._held.popleft() if self._held else self._next(source)
             if arrival is not None:
@@ -193,7 +193,7 @@ class SocketLowerTester:
             try:
                 self._dropped += self._kernel_drops()
             except OSError:
-                # The interface is going away; the next attempt to use it says so.
+                # The interface disappears; the next attempt to use it fails.
                 return
 
     def _discard(self) -> None:
@@ -208,7 +208,7 @@ class SocketLowerTester:
 
 
 class Echoes:
-    """Tells own datagrams that come back from those of others, where nothing but their octets does.
+    """Recognises own datagrams that come back, where only their octets identify them.
 
     What was sent is remembered for two seconds and recognised once.
     """
@@ -227,7 +227,7 @@ class Echoes:
             self._forget(self._order.popleft()[1])
 
     def is_one(self, octets: bytes, now: int) -> bool:
-        """Whether this is the echo of something sent; the next time it is not."""
+        """Return whether this is the echo of a sent datagram; each echo is recognised once."""
         while self._order and self._order[0][0] < now - self._HORIZON:
             self._forget(self._order.popleft()[1])
         if not self._count[octets]:

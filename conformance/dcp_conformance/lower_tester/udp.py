@@ -1,8 +1,8 @@
-"""UDP as a lower tester: multicast as ``dcp-node run --link udp`` has it, and broadcast or unicast with a fixed port.
+"""UDP as a lower tester: multicast as in ``dcp-node run --link udp``, and broadcast or unicast with a fixed port.
 
-All virtual peers share one socket; an implementation tells them apart by the identifier in their beacons. To a group
-the tester sends from a port of its own, by which it knows its own datagrams. Where beacons are told by a UDP port
-(student-2024) they also have to come *from* that port; there it knows its own datagrams by their octets.
+All virtual peers share one socket; their beacons have different identifiers. The tester sends to a group from a port
+of its own, which identifies its own datagrams. Where a UDP port identifies beacons (student-2024), the source port must
+be the same; there the tester identifies its own datagrams by their octets.
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ class UDPLowerTester(SocketLowerTester):
         return self.framed(octets, source)
 
     def send_frame(self, frame: bytes) -> None:
-        """Send what is in the frame. One that is no beacon to this link (another EtherType) cannot be sent at all."""
+        """Send the payload of the frame. A frame of another EtherType cannot be sent over UDP."""
         place = locate(frame, self._link)
         if isinstance(place, Framing) and frame[:6] == b"\xff" * 6:
             self._transmit(frame[place.start : place.end])
@@ -107,7 +107,7 @@ class UDPLowerTester(SocketLowerTester):
             if error.errno == errno.EMSGSIZE:
                 raise LowerTesterError(f"{self.name}: {len(octets)} octets do not fit into a datagram") from None
             if error.errno == errno.ECONNREFUSED:
-                # What a station said of an earlier datagram: nobody listens there. That shows as silence.
+                # An ICMP error for an earlier datagram: the port is closed. The case sees silence.
                 return
             self._discard()
             raise self._gone(error) from None

@@ -16,7 +16,7 @@ def why_not(bench: Bench, case: Case) -> str:
     version = bench.profile.spec_version
     if version < needs.since:
         return f"the specification has this since {needs.since}; the profile {bench.profile.name} follows {version}"
-    if version > needs.until:
+    if needs.until is not None and version > needs.until:
         return f"the specification has this until {needs.until}; the profile {bench.profile.name} follows {version}"
     for entity in needs.entities:
         if getattr(bench.pics, entity) is False:

@@ -60,11 +60,11 @@ class Kind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Needs:
-    """What must hold for a case to apply. What is missing makes it not applicable, with the reason said."""
+    """Conditions for a case to apply. A missing one makes the case not applicable, with a reason."""
 
     since: SpecVersion = SpecVersion.V1_0
-    until: SpecVersion = SpecVersion.V2_0
-    """First and last version of the specification (of the profile) that the case is about."""
+    until: SpecVersion | None = None
+    """First and last version of the specification (of the profile) that the case is about; None: no last one."""
     ut: tuple[str, ...] = ()
     """Methods of the upper tester interface that the case calls."""
     entities: tuple[str, ...] = ("vardis",)
@@ -108,7 +108,7 @@ class Case:
     """Takes more than about 20 s at a beacon period of 100 ms: belongs to the long plan only."""
     line: int = 0
     options: tuple[str, ...] = ()
-    """What a command needs beside the identifier to know the case."""
+    """Options that a command needs beside the identifier to find the case."""
 
     @property
     def smoke(self) -> bool:
@@ -202,7 +202,7 @@ def case(
             definition.cases.append(build("", body))
         for name, value in (variants or {}).items():
             if not _VARIANT.fullmatch(name):
-                raise ValueError(f"{identifier}: {name!r} is no name for a variant")
+                raise ValueError(f"{identifier}: {name!r} cannot be the name of a variant")
             own = value if isinstance(value, Variant) else Variant(value)
 
             def bound(bench: Bench, value: Any = own.value) -> None:
@@ -225,7 +225,7 @@ def _ids(identifier: str, requirements: str) -> tuple[str, ...]:
 
 
 def cases_of(module: ModuleType) -> Iterator[Case]:
-    """The cases of a module, in the order in which they stand there."""
+    """Return the cases of a module, in the order of their definition."""
     for value in vars(module).values():
         definition = getattr(value, _ATTRIBUTE, None)
         if isinstance(definition, _Definition) and value.__module__ == module.__name__:
@@ -252,6 +252,6 @@ def all_cases() -> dict[str, Case]:
     for name in modules():
         for each in cases_of(importlib.import_module(name)):
             if each.id in found:
-                raise ValueError(f"{each.id} stands in {found[each.id].module} and in {each.module}")
+                raise ValueError(f"{each.id} is defined in {found[each.id].module} and in {each.module}")
             found[each.id] = each
     return found

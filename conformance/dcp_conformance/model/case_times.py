@@ -15,7 +15,7 @@ _USUAL: Final = 1.0
 
 
 class Times(msgspec.Struct, frozen=True, kw_only=True):
-    """What ``case-times.json`` holds."""
+    """The content of ``case-times.json``."""
 
     about: str = _ABOUT
     smoke: dict[str, int]

@@ -34,7 +34,7 @@ _MANDATORY: Final[Mapping[str, tuple[tuple[str, ...], str]]] = {
     "transmit_payload_confirm": (("BP-TXP-11",), "there is no BP-TransmitPayload.confirm"),
     "runtime_parameters": (("BP-PAR-01", "BP-PAR-12"), "parameters cannot be set while running"),
 }
-#: Those of them that a profile answers where the PICS is silent.
+#: Capabilities that a profile declares where the PICS does not.
 _ALSO_IN_PROFILES: Final = ("payload_transmitted_indication", "transmit_payload_confirm")
 
 

@@ -8,7 +8,7 @@ _HEX = re.compile(r"[0-9A-Fa-f]{2}(:?[0-9A-Fa-f]{2})*")
 
 
 def node_id_octets(text: str) -> bytes:
-    """The octets of an identifier in hex, with or without colons, as on the air.
+    """The octets of an identifier in hexadecimal, with or without colons, in the order of transmission.
 
     Raises ``ValueError`` whose message says what is wrong, and what a right one looks like.
     """

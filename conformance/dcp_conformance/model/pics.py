@@ -1,7 +1,7 @@
-"""What an implementation claims (PICS) and what testing it takes (PIXIT), as one typed TOML file.
+"""PICS (capabilities that an implementation claims) and PIXIT (information for testing it) as one TOML file.
 
-A capability has three states: claimed, denied, and not said. What is not said is not denied: a case that needs it is
-not applicable for want of a statement, and the report says so.
+A capability has three states: claimed, denied, and not stated. Not stated is not denied: a case that needs the
+capability is not applicable, and the report gives this as the reason.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from .node_id import node_id_octets
 REACTION_FLOOR: Final = 4.0
 
 DEFAULT_PROFILE: Final = "dcp-2.0"
-"""The wire profile where nobody names one."""
+"""The wire profile if the user names none."""
 UNKNOWN_PROFILE: Final = "unknown"
-"""What ``probe`` writes as ``pixit.profile`` if no profile explains what it heard."""
+"""The ``pixit.profile`` that ``probe`` writes if no profile explains the received frames."""
 
 _Positive = Annotated[float, msgspec.Meta(gt=0, le=1e9)]
 _Count = Annotated[int, msgspec.Meta(ge=0)]
@@ -41,7 +41,7 @@ class Capabilities(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     transmit_payload_confirm: bool | None = None
     """BP-TransmitPayload is confirmed (BP-TXP-08)."""
     payload_transmitted_indication: bool | None = None
-    """BP tells clients when a payload was transmitted (BP-PTI-01)."""
+    """BP indicates the transmission of a payload to its client (BP-PTI-01)."""
     triggered_beacons: bool | None = None
     """A new payload may bring the next beacon forward (BP-TXP-07)."""
     jitter: bool | None = None
@@ -72,7 +72,7 @@ class Target(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
 
 class Testing(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """What the tester must know or assume (PIXIT). Values left out are those of the profile, or are asked for."""
+    """Information that the tester needs (PIXIT). Missing values come from the profile or from the implementation."""
 
     profile: str | None = None
     """The wire profile: a built-in name or a path."""
@@ -84,9 +84,9 @@ class Testing(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     reaction_periods: _Positive | None = None
     """How long a reaction may take to appear in a beacon; None: measured at the start, and 4.0 at least."""
     least_patience_ms: _Positive = 300.0
-    """What is waited for is waited for at least so long, however short the period: machines are busy at times."""
+    """Minimum wait for any reaction, whatever the beacon period: a machine may be busy."""
     quiet_beacons: Annotated[int, msgspec.Meta(ge=1)] = 3
-    """So many beacons without an instruction mean that no more are to come."""
+    """Number of beacons without an instruction after which no more are expected."""
     period_tolerance: _Positive = 0.05
     """How far the mean interval may be from the period, as a fraction of it (BP-TX-01)."""
     clock_tolerance_ms: _Positive = 1000.0
@@ -103,7 +103,7 @@ class Testing(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     max_repetitions: _Count | None = None
     max_summaries: _Count | None = None
     neighbour_timeout_ms: _Positive | None = None
-    """3000 is assumed unless it is told; the same holds for the next two, with 1000 and 50."""
+    """Default if unknown: 3000; for the next two parameters 1000 and 50."""
     scrubbing_period_ms: _Positive | None = None
     buffer_check_period_ms: _Positive | None = None
     link_down: str | None = None

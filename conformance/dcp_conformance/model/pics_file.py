@@ -1,4 +1,4 @@
-"""PICS files for people to fill in: every key stands there, with where its value comes from or with a question."""
+"""PICS files to be filled in: each key has the source of its value, or a question."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from dcp_conformance.errors import UsageError
 
 from .pics import Pics
 
-#: What to ask about a key that nobody has set.
+#: Questions about keys that are not set.
 QUESTIONS: Final[dict[str, str]] = {
     "sut.name": "What is the implementation called?",
     "sut.version": "Which version or commit of it is this?",
@@ -39,7 +39,7 @@ QUESTIONS: Final[dict[str, str]] = {
     "pixit.node_id": "What is its node identifier? Without it, that of the first beacon that is heard.",
     "pixit.network_id": "Which network identifier do its beacons have, where they have one?",
     "pixit.beacon_period_ms": "What is BPPAR_BEACON_PERIOD? All time windows are multiples of it.",
-    "pixit.reaction_periods": "In how many beacon periods does a reaction show on the air? Measured if not set.",
+    "pixit.reaction_periods": "After how many beacon periods is a reaction in a beacon? Measured if not set.",
     "pixit.least_patience_ms": "How long does it need for anything, however short the beacon period?",
     "pixit.quiet_beacons": "After how many beacons without a record will there be no more of it?",
     "pixit.period_tolerance": "How far may the mean interval be from the period, as a fraction of it?",
@@ -61,8 +61,8 @@ QUESTIONS: Final[dict[str, str]] = {
 }
 _TITLES = {
     "sut": "Which implementation this is about.",
-    "pics": "What it claims. What is not set is not denied: cases that need it are not applicable, and say so.",
-    "pixit": "What the tester must know or assume. What is not set is that of the profile, or as shown.",
+    "pics": "Capabilities that it claims. A key that is not set denies nothing: cases that need it are not applicable.",
+    "pixit": "Information that the tester needs. A key that is not set has the value of the profile, or the one shown.",
 }
 
 

@@ -27,7 +27,7 @@ class Mark(msgspec.Struct, frozen=True, omit_defaults=True):
 
 
 class Check(msgspec.Struct, frozen=True, omit_defaults=True):
-    """One thing that a case looked at."""
+    """One check of a case."""
 
     verdict: Verdict
     requirements: tuple[str, ...]
@@ -54,7 +54,7 @@ class EventRecord(msgspec.Struct, frozen=True, omit_defaults=True):
 
 
 class CaseResult(msgspec.Struct, frozen=True, kw_only=True):
-    """What came of one case."""
+    """The result of one case."""
 
     id: str
     purpose: str
@@ -74,7 +74,7 @@ class CaseResult(msgspec.Struct, frozen=True, kw_only=True):
     occasions: dict[str, int] = {}
     """Of a recording: by requirement, how often it gave an occasion to break it."""
     consequence: str = ""
-    """What follows from the findings for the network, in a sentence."""
+    """The consequence of the findings for the network, in a sentence."""
     show: str = ""
     """The command that shows the frame of the first finding."""
     readings: dict[str, str] = {}
@@ -86,7 +86,7 @@ class CaseResult(msgspec.Struct, frozen=True, kw_only=True):
     rerun: str = ""
     """The command that runs this case again."""
     killed: bool = False
-    """The implementation died of this case, or fell silent."""
+    """The implementation ended or fell silent because of this case."""
     death: str = ""
     """How it died, without numbers that differ from time to time: equal for deaths that look alike."""
     counted: bool = True
@@ -110,11 +110,11 @@ class Probable(msgspec.Struct, frozen=True, kw_only=True):
     """Its identifier in the dictionary."""
     requirements: tuple[str, ...]
     what: str
-    """What the implementation seems to do: a sentence without its subject."""
+    """The probable behaviour of the implementation: a sentence without its subject."""
     explains: tuple[str, ...]
     """The failed cases that it accounts for."""
     alone: tuple[str, ...]
-    """Those that no other probable fault accounts for."""
+    """Cases that no other probable fault explains."""
     share: float
     """The share of all failed cases that it accounts for."""
     missing: tuple[str, ...]
@@ -122,7 +122,7 @@ class Probable(msgspec.Struct, frozen=True, kw_only=True):
     expected: int
     """The number of decided cases that should fail with this fault."""
     alternatives: tuple[str, ...] = ()
-    """What the implementation may do instead: faults with the same consequences in this run."""
+    """Other faults with the same consequences in this run."""
     case: str = ""
     """The case that shows it best."""
     check: Check | None = None
@@ -134,7 +134,7 @@ class Probable(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Diagnosis(msgspec.Struct, frozen=True, kw_only=True):
-    """What explains the failures of a run."""
+    """The explanation of the failures of a run."""
 
     faults: tuple[Probable, ...] = ()
     """The one that accounts for most failures first."""
@@ -145,7 +145,7 @@ class Diagnosis(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Sut(msgspec.Struct, frozen=True, kw_only=True):
-    """The implementation under test, as it called itself and as it was reached."""
+    """The implementation under test: its name, and how it was reached."""
 
     name: str = ""
     version: str = ""
@@ -209,11 +209,11 @@ class RunResult(msgspec.Struct, frozen=True, kw_only=True):
     diagnosis: Diagnosis | None = None
     """Which faults explain the failed cases; None if none failed, or where no diagnosis is made."""
     notes: tuple[str, ...] = ()
-    """What the reader should know of the run as a whole: losses of the tester, restarts, a fallback of the link."""
+    """Notes about the whole run: losses of the tester, restarts, a fallback of the link."""
 
 
 def requirement_verdicts(cases: tuple[CaseResult, ...]) -> dict[str, Verdict]:
-    """What the cases say of each requirement.
+    """Return the verdict of each requirement from the checks of the cases.
 
     A failed case says it of the requirements that its failed checks name, and nothing of its others; a requirement
     that only cases without a verdict about it mention is inconclusive.

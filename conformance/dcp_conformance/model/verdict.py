@@ -11,7 +11,7 @@ from enum import StrEnum
 
 
 class Verdict(StrEnum):
-    """What a case, or a requirement, comes to; from the best that can be said to the worst."""
+    """The verdict of a case or requirement, from best to worst."""
 
     NOT_APPLICABLE = "not-applicable"
     """The case does not concern this implementation; the reason is given."""

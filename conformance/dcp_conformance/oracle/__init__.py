@@ -1,4 +1,4 @@
-"""An independent model of what a node may, must and must not say of variables."""
+"""An independent model of the instructions that a node may, must and must not send about variables."""
 
 from .knowledge import Complaint, Limits, Owed, Variable, Version
 from .vardis import Oracle

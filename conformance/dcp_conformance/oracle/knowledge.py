@@ -1,4 +1,4 @@
-"""What the model of a node knows of variables, and what it says."""
+"""Data of the model: the knowledge about variables, and the findings."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class Limits:
 
 
 class Version(NamedTuple):
-    """What a variable was from a time on."""
+    """A state of a variable from a time on."""
 
     since: int
     state: State
@@ -62,7 +62,7 @@ _UNKNOWN = Version(EVER, "unknown", None, 0, b"")
 
 
 class Variable(msgspec.Struct):
-    """What the node holds of one variable, and held before."""
+    """The present and earlier states of one variable at the node."""
 
     versions: deque[Version] = msgspec.field(default_factory=lambda: deque((_UNKNOWN,), VERSIONS))
     repetitions: Repetitions = msgspec.field(default_factory=Repetitions)
@@ -78,7 +78,7 @@ class Variable(msgspec.Struct):
 
     @property
     def now(self) -> Version:
-        """What it is."""
+        """The present state."""
         return self.versions[-1]
 
 

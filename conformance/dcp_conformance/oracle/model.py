@@ -1,11 +1,11 @@
-"""What a node holds of its variables, and what it has to say of them, after what it has heard.
+"""The variables that a node holds, and the instructions that it owes, after all that it has received.
 
 This is the table of variable states (protocol reference C.5; dcp-vardis.md: Receive Path) as it looks from outside.
 
 Octets that are no VarDis payload, and what the specification leaves open, make the variables concerned *uncertain*
 until something happens after which there is one state whatever it was before. That is a creation by the node itself, a
-creation later than all that it may have heard of, and the deletion of what is surely the variable of somebody else; and
-for a variable whose timeout has passed, the end of the next scrubbing.
+creation later than all that it may have received, and the deletion of a variable that certainly has another producer;
+and for a variable whose timeout has passed, the end of the next scrubbing.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def _place(record: VardisRecord) -> int:
 
 
 class Model:
-    """The variables of one node. Times are ns of any clock, as long as it is always the same."""
+    """The variables of one node. Times are ns of one clock."""
 
     def __init__(
         self,
@@ -89,7 +89,7 @@ class Model:
         variable.latest = max(variable.latest, creation)
 
     def adopt(self, var_id: int, version: Version) -> None:
-        """The node was asked what it has of a variable: that is certain, and what is to be said of it is not known."""
+        """Note the answer of a service: the state of a variable is certain, but not which instructions are owed."""
         variable = self.variables[var_id] = Variable()
         self._become(variable, version)
         variable.latest = _creation(version)
@@ -144,7 +144,7 @@ class Model:
             if self._circle.newer(record.seqno, known.seqno):
                 self._become(variable, Version(time, "alive", known.spec, record.seqno, record.value))
                 self._settle(_UPDATE_REQUESTS, record.var_id)
-                # Older numbers need not be said any more, also those that look newer once the circle has moved on.
+                # Older numbers are not owed any more, also those that seem newer after the number has wrapped.
                 self._settle(_UPDATES, record.var_id)
                 self._arm(_UPDATES, record.var_id, time, frame, "VD-PU-07")
             elif self._circle.newer(known.seqno, record.seqno):
@@ -218,12 +218,12 @@ class Model:
         self._arm(_DELETES, var_id, time, 0, "VD-DEL-05")
 
     def _own_alive(self, var_id: int, time: int) -> Variable:
-        """A variable that the node has just shown to be alive and its own, so that nobody else has changed it."""
+        """Return a variable that the node produces and that is alive: no other node can have changed it."""
         variable = self._variable(var_id)
         known = variable.now
         if known.state == "alive" and self._own(known):
             if variable.uncertain and known.spec is not None:
-                # It may have been requested meanwhile.
+                # It may have been requested since then.
                 variable.repetitions.clear()
                 variable.repetitions.arm((_CREATES, 0), known.spec.rep_cnt, time)
             self._regain(variable, time)
@@ -278,7 +278,7 @@ class Model:
         variable.repetitions.arm(DELETION, known.spec.rep_cnt if known.spec is not None else 0, gone)
 
     def _arm(self, kind: ICType, var_id: int, time: int, frame: int, requirement: str) -> None:
-        """The counter of an instruction is set: it may stand in repCnt beacons from now on, and must in one."""
+        """The counter of an instruction is set: up to repCnt beacons may contain it from now on, and one must."""
         variable = self.variables[var_id]
         known = variable.versions[-1]
         spec, seqno = known.spec, known.seqno
@@ -288,7 +288,7 @@ class Model:
             self._owe(kind, var_id, seqno, time, frame, requirement)
 
     def _ask(self, kind: ICType, var_id: int, time: int, frame: int, requirement: str) -> None:
-        """The node has a reason to ask: it may once more, and must if it is certain that the reason holds."""
+        """The node has a reason for a request: it may send another one, and must if the reason is certain."""
         variable = self.variables[var_id]
         variable.repetitions.arm((kind, 0), 1, time)
         known = variable.versions[-1]
@@ -313,7 +313,7 @@ class Model:
         owing.append(Owed(time + self._window, kind, var_id, seqno, requirement, frame))
 
     def _settle(self, kind: ICType, var_id: int, seqno: int | None = None) -> None:
-        """Something was said, or need not be any more. Of updates a newer number does for an older one."""
+        """Settle an owed instruction: it was sent, or is obsolete. A newer update also settles an older one."""
         owing = self._owed.get(var_id)
         if not owing:
             return
@@ -329,11 +329,11 @@ class Model:
         return False
 
     def _forget(self, var_id: int) -> None:
-        """A creation or deletion: everything that was to be said of the variable is dropped (VD-PC-08, VD-PD-04)."""
+        """Drop everything owed about the variable after a creation or deletion (VD-PC-08, VD-PD-04)."""
         self._owed.pop(var_id, None)
 
     def _perhaps_gone(self, variable: Variable) -> bool:
-        """Before 2.0: whether the last telling of a deletion may be composed already, and not be on the air yet."""
+        """Return whether the last VarDelete may be composed but not yet sent (before 2.0)."""
         if not self._features.removed_after_deletion:
             return False
         told = variable.repetitions.counted(DELETION)

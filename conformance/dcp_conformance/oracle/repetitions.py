@@ -1,8 +1,8 @@
-"""How often a node may say the instructions about one variable (VD-SCP-01, VD-SCP-02).
+"""Count how often a node may send the instructions about one variable (VD-SCP-01, VD-SCP-02).
 
-A counter of a node is never above repCnt, so however many reasons there were until a moment, behind it come at most
-repCnt beacons and what was composed already. And a payload without the instruction, composed behind the last reason,
-shows that its queue was empty: from then on it may not come at all.
+A counter of a node is at most repCnt. After any moment, at most repCnt beacons and the payloads that were already
+composed contain the instruction, however many reasons there were before. A payload without the instruction that was
+composed after the last reason shows that the queue was empty: after it, the instruction must not be sent.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from dcp_spec.constants import ICType
 Key = tuple[ICType, int]
 """Kind of an instruction, and for updates the sequence number."""
 
-#: Payloads that can have been composed before a moment and be on the air after it, within the latency.
+#: Payloads that can be composed before a moment and sent after it, within the latency.
 IN_FLIGHT = 2
 #: Keys that are remembered of one variable; there are far fewer that are no updates.
 _MOST = 128
@@ -27,7 +27,7 @@ class _Instruction(msgspec.Struct):
     since: int | None = None
     """When there was a reason to say it, the last time."""
     behind: int = 0
-    """In how many beacons it stood that were certainly composed behind that."""
+    """The number of beacons with it that were certainly composed after that."""
 
 
 class Repetitions(dict[Key, _Instruction]):
@@ -38,12 +38,12 @@ class Repetitions(dict[Key, _Instruction]):
     def __missing__(self, key: Key) -> _Instruction:
         one = self[key] = _Instruction()
         if len(self) > _MOST:
-            # There is one key for each number of an update, and the oldest of them are said no more.
+            # Each number of an update has a key; the oldest ones are not sent any more.
             del self[next(each for each in self if each[0] is ICType.UPDATES)]
         return one
 
     def arm(self, key: Key, times: int, time: int) -> None:
-        """There is a reason to say it in so many beacons."""
+        """Allow it in this number of beacons."""
         one = self[key]
         if key[0] is ICType.UPDATES:
             # The last of them; numbers come again.
@@ -63,7 +63,7 @@ class Repetitions(dict[Key, _Instruction]):
         return 0 if one is None else one.counted
 
     def count(self, key: Key) -> tuple[int, int]:
-        """It stands in a beacon, and is about what the variable is now.
+        """Count a beacon that contains it, about the present state of the variable.
 
         In how many it stood by then, and in how many it may stand.
         """
@@ -72,10 +72,10 @@ class Repetitions(dict[Key, _Instruction]):
         return one.counted, one.allowed
 
     def stands(self, key: Key, composed: int) -> tuple[int, int] | None:
-        """It stands in a beacon that was composed at this time or later.
+        """Count a beacon that contains it and was composed at this time or later.
 
-        When there was a reason, the last time, and in how many beacons from behind that it stood before; None if this
-        one is not certainly from behind that.
+        Return the time of the last reason, and the number of beacons after it that contained the instruction before;
+        None if this beacon may be older than the reason.
         """
         one = self.get(key)
         if one is None or one.since is None or composed <= one.since:

@@ -1,9 +1,8 @@
-"""VarDis as it looks from outside: what a node has heard decides what it has to say.
+"""VarDis seen from outside: the received payloads of a node decide which instructions it owes.
 
-The model knows nothing of queues. It says three things of the node that hears all frames given to it: what it holds,
-what it owes, and whether something it says is covered. A payload may have been composed a while before it is seen on
-the air; everything that was true within ``latency`` before counts as true. Of variables that are in doubt nothing is
-said.
+The model has no queues. For a node that receives all given frames it computes: the variables that it holds, the
+instructions that it owes, and whether an instruction that it sends has a reason. A payload may be composed a while
+before it is sent: any state within ``latency`` before counts. Variables in doubt are not judged.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ from .repetitions import Key
 _CREATES, _DELETES, _UPDATES = ICType.CREATE_VARIABLES, ICType.DELETE_VARIABLES, ICType.UPDATES
 _SUMMARIES, _CREATE_REQUESTS = ICType.SUMMARIES, ICType.REQUEST_VARCREATES
 _UPDATE_REQUESTS = ICType.REQUEST_VARUPDATES
-#: What a node counts down, by the requirements that it then keeps or breaks.
+#: Instructions with a repetition counter.
 _REPEATED: Final = frozenset({_CREATES, _DELETES, _UPDATES})
 _ABOUT: Final = {
     _SUMMARIES: ("VD-CMP-04", "VD-CMP-05"),
@@ -54,9 +53,9 @@ class Oracle(Model):
         roomy: bool = False,
         waited: int = 0,
     ) -> list[Complaint]:
-        """Judge a payload of the node; what it owed and says is settled.
+        """Judge a payload of the node; owed instructions in it are settled.
 
-        ``roomy``: any other instruction would have fitted, so that those that are missing were not to be said.
+        ``roomy``: any other instruction would have fitted, so that missing ones were not queued.
         ``waited``: so much longer than usual it may be since the payload was composed (:class:`~.waiting.Waiting`).
         """
         complaints: list[Complaint] = []
@@ -89,7 +88,7 @@ class Oracle(Model):
         return complaints
 
     def overdue(self, time: int) -> list[Owed]:
-        """What should have been said by now and was not; each is told once."""
+        """Return owed instructions that are late; each is returned once."""
         late: list[Owed] = []
         for var_id in list(self._owed):
             owing = self._owed.pop(var_id)
@@ -100,7 +99,7 @@ class Oracle(Model):
         return [owed for owed in late if not self._variable(owed.var_id).uncertain]
 
     def certain(self, var_id: int, time: int | None = None) -> Version | None:
-        """What the node holds of a variable at ``time`` (None: now); None if that is not certain or never asked."""
+        """Return the state of a variable at ``time`` (None: now); None if it is uncertain or was never queried."""
         variable = self.variables.get(var_id)
         if variable is None:
             return None
@@ -129,7 +128,7 @@ class Oracle(Model):
     ) -> Iterator[Complaint]:
         versions = self._since(variable, composed)
         if len(versions) == VERSIONS:
-            # What it was when the payload was composed may be forgotten.
+            # The state at the time of composition may be forgotten.
             return
         if kind is _CREATE_REQUESTS or kind is _UPDATE_REQUESTS:
             yield from self._judge_request(kind, variable, var_id, seqno, versions, frame)
@@ -158,7 +157,7 @@ class Oracle(Model):
             yield from self._judge_content(record, var_id, meant, frame)
             fitting = meant
         if kind is not _SUMMARIES and len(fitting) == 1 and fitting[0] is versions[-1]:
-            # What is, or may be, of an earlier creation or of a moment ago is counted no more.
+            # An instruction of an earlier creation, or of a moment ago, is not counted.
             yield from self._counted(kind, variable, var_id, seqno, frame, exhausted)
 
     def _occur(self, kind: ICType) -> None:
@@ -168,7 +167,7 @@ class Oracle(Model):
     def _judge_content(
         self, record: VardisRecord, var_id: int, meant: list[Version], frame: int
     ) -> Iterator[Complaint]:
-        """What an instruction says beside the number, where the variable has it."""
+        """Return the content of an instruction beside its number."""
         value = record.upd.value if isinstance(record, VarCreate) else getattr(record, "value", None)
         if value is not None and value not in {version.value for version in meant}:
             shown = " or ".join({version.value.hex(): None for version in meant})
@@ -176,7 +175,7 @@ class Oracle(Model):
             yield Complaint("VD-PU-07", var_id, expected, value.hex(), frame)
 
     def _other_creation(self, record: VarCreate, var_id: int, fitting: list[Version], frame: int) -> Complaint | None:
-        """What is wrong with a VarCreate of another creation than the node has; its number and value say no more."""
+        """Return the fault of a VarCreate of another creation than the node's; its number and value prove nothing."""
         if self._own(fitting[-1]):
             # The producer's own creation time is its own clock's: only it knows.
             return None
@@ -229,7 +228,7 @@ class Oracle(Model):
             yield Complaint("VD-SCP-02", var_id, expected, "it is there again, without a reason", frame)
 
     def _exhausted(self, variable: Variable, key: Key, composed: int) -> bool:
-        """An instruction stands in a payload: whether an earlier one has shown that it was not to be said any more."""
+        """Count an instruction in a payload. Return whether it exceeds its repetitions."""
         stood = variable.repetitions.stands(key, composed)
         if stood is None:
             return False
@@ -237,7 +236,7 @@ class Oracle(Model):
         return len(self._roomy) - bisect_right(self._roomy, armed + self._latency) > behind
 
     def _since(self, variable: Variable, since: int) -> list[Version]:
-        """What the variable was at any time since then, in order."""
+        """Return the states of the variable since then, in order."""
         versions = variable.versions
         found = [versions[-1]]
         place = len(versions) - 1
@@ -248,7 +247,7 @@ class Oracle(Model):
         return found
 
     def _remove_when_told(self, variable: Variable, time: int) -> None:
-        """Before 2.0 a variable is gone once its deletion was told often enough."""
+        """Remove a variable after the last VarDelete (before 2.0)."""
         if variable.repetitions.counted(DELETION) >= max(variable.repetitions.allowed(DELETION), 1):
             variable.repetitions.clear()
             self._become(variable, Version(time, "unknown", None, 0, b""))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 
 class Waiting:
-    """What the beacons of one node show of how long its VarDis payloads waited for room in one."""
+    """Estimate from the beacons of one node how long its VarDis payloads waited for room."""
 
     def __init__(self, period: int, most: int) -> None:
         """``period``: of beacons, ns; ``most``: octets of the largest beacon."""
@@ -14,7 +14,7 @@ class Waiting:
         self._before: int | None = None
 
     def of(self, octets: int, *, vardis: bool) -> int:
-        """A beacon of so many octets, with a VarDis payload or without: how much longer the payload may have waited.
+        """Note a beacon of this size in octets. Return how much longer the payload may have waited.
 
         In ns; more than 0 if the beacon before had none, and no room for this one.
         """

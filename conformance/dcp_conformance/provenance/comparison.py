@@ -31,7 +31,7 @@ class Pair:
 
     @property
     def change(self) -> Change:
-        """What happened to it. ``moved``: same wording, other section; ``renumbered``: same section, other step."""
+        """The kind of the change. ``moved``: same wording, other section; ``renumbered``: same section, other step."""
         if self.old is None:
             return "new"
         if self.new is None:
@@ -154,7 +154,7 @@ class _Alignment:
                 continue  # Its partner is not in this section, or out of order: no boundary.
             self._match_gap(run, [each for each in right[gap_start:end] if each not in self._taken])
             run, gap_start = [], end
-        # What order has kept apart.
+        # Statements that changed their order.
         self._match_gap([each for each in left if each not in self._partner],
                         [each for each in right if each not in self._taken])  # fmt: skip
 

@@ -25,7 +25,7 @@ DATA: Final = "spec/dcp_spec/data"
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """The generated files, and what a person should look at."""
+    """The generated files, and the statements to be reviewed."""
 
     files: dict[str, str]
     """Content by name in the folder of data."""
@@ -69,7 +69,7 @@ def record(repository: Path, anchors: Anchors) -> Recording:
 
 
 Partners = dict[tuple[SpecVersion, SpecVersion], dict[str, Statement]]
-"""What a statement of the one version is in the other, by its reference."""
+"""The corresponding statement in the other version, by reference."""
 
 
 def _follow(

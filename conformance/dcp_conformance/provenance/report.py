@@ -1,4 +1,4 @@
-"""What another version of the specification changes for the catalogue, the cases and the node."""
+"""Report the effect of another version of the specification on the catalogue, the cases and the node."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ ORDER: Final[tuple[Change, ...]] = ("gone", "changed", "new", "moved", "renumber
 
 
 class Place(msgspec.Struct, frozen=True):
-    """Where a statement stands in one version."""
+    """The place of a statement in one version."""
 
     file: str
     line: int
@@ -67,7 +67,7 @@ class StatementChange(msgspec.Struct, frozen=True, rename="camel"):
 
     @property
     def matters(self) -> bool:
-        """Whether somebody has to look at it."""
+        """Whether it must be reviewed."""
         if self.requirements:
             return self.change != "unchanged"
         return self.normative and self.change in ("gone", "changed", "new")
@@ -89,7 +89,7 @@ class RequirementChange(msgspec.Struct, frozen=True, rename="camel"):
 
 
 class ProvenanceResult(msgspec.Struct, frozen=True, kw_only=True, rename="camel"):
-    """What ``dcp-conformance provenance --json`` writes."""
+    """The content of ``dcp-conformance provenance --json``."""
 
     schema: str = SCHEMA
     tool: str = f"dcp-conformance {__version__}"
@@ -100,17 +100,17 @@ class ProvenanceResult(msgspec.Struct, frozen=True, kw_only=True, rename="camel"
     counts: dict[str, int]
     """Statements by change."""
     statements: tuple[StatementChange, ...]
-    """All statements that did not stay as they were, in the order of the specification."""
+    """All changed statements, in the order of the specification."""
     requirements: tuple[RequirementChange, ...]
     """All requirements, in the order of the catalogue."""
 
     @property
     def touched(self) -> tuple[RequirementChange, ...]:
-        """Requirements that somebody has to look at."""
+        """Requirements that must be reviewed."""
         return tuple(each for each in self.requirements if each.change != "unchanged")
 
     def exit_status(self) -> int:
-        """0: the catalogue holds for the checkout as it is; 1: something has to be looked at."""
+        """0: the catalogue is valid for the checkout; 1: statements must be reviewed."""
         return 1 if any(each.matters for each in self.statements) else 0
 
 

@@ -86,7 +86,7 @@ def fingerprint(text: str) -> str:
 
 
 def sketch(text: str) -> str:
-    """Simhash (64 bits, hexadecimal) of the words and pairs of words of a normalised text."""
+    """Simhash (64 bits, hexadecimal) of single words and word pairs in a normalised text."""
     words = re.findall(r"[^\W_]+|[^\w\s-]+", text)
     features = [*words, *(f"{left} {right}" for left, right in pairwise(words))]
     sums = [0] * 64

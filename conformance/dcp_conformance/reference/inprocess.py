@@ -31,7 +31,7 @@ MakeNode = Callable[[NodeConfig, random.Random, int, int], Any]
 
 
 def plain_node(config: NodeConfig, rng: random.Random, now: int, wall: int) -> Node:
-    """The node as it is."""
+    """Make the unchanged node."""
     return Node(config, rng=rng, now=now, wall=wall)
 
 
@@ -49,7 +49,7 @@ class InProcess:
         self._sessions: list[VirtualUpperTester] = []
         self.arrivals: deque[Arrival] = deque()
         self.died = ""
-        """What the node raised; it is dead then."""
+        """The exception of the node, which ended it."""
         self.linked = True
         """Whether the node's link is up."""
         self._start()
@@ -114,7 +114,7 @@ class InProcess:
             pass
 
     def elapse(self, duration: int) -> None:
-        """Let this time (ns) pass, whatever arrives at the tester meanwhile."""
+        """Let this time (ns) pass. Frames that arrive at the tester are kept."""
         until = self.now + duration
         while self._step(until):
             pass
@@ -131,7 +131,7 @@ class InProcess:
         return due
 
     def _step(self, until: int) -> bool:
-        """Go on to the node's next timer, or to ``until``; whether that was a timer."""
+        """Continue to the next timer of the node, or to ``until``. Return whether it was a timer."""
         due = self._due()
         if due is None or due > until:
             self.now = max(self.now, until)
@@ -154,7 +154,7 @@ class InProcess:
         return not self.died
 
     def why_dead(self) -> str:
-        """What it raised."""
+        """The exception that ended it."""
         return self.died
 
     def switch_link(self, up: bool) -> None:
@@ -187,7 +187,7 @@ class InProcess:
 
 
 class VirtualLowerTester:
-    """The air around a node in process: no loss, no delay."""
+    """A lower tester for a node in process: no loss, no delay."""
 
     name = "in process"
 
@@ -237,7 +237,7 @@ class VirtualUpperTester:
     """A connection to the services of a node in process: the same messages as over a socket."""
 
     def __init__(self, sut: InProcess, *, greet: bool = True) -> None:
-        """``greet``: ask at once what it can be asked for; otherwise nobody knows."""
+        """``greet``: call UT-Hello at once; otherwise the methods are unknown."""
         self.name = "in process"
         self._sut = sut
         self._last_id = 0
@@ -285,7 +285,7 @@ class VirtualUpperTester:
         return taken
 
     def filenos(self) -> tuple[int, ...]:
-        """There are none."""
+        """Return no descriptors: nothing is received from outside."""
         return ()
 
     def another(self) -> VirtualUpperTester:

@@ -1,4 +1,4 @@
-"""A network of its own for one run: a namespace with a virtual cable, which is gone when nobody holds it any more.
+"""A network namespace with a virtual Ethernet for one run. It disappears with the last process that uses it.
 
 Root makes it beside the own one and enters it for moments only. Others need a user namespace for it, from which there
 is no way back: for them the rest of the run is in there. Linux only; nothing on the machine is changed.
@@ -86,7 +86,7 @@ class Namespace:
 
     @contextlib.contextmanager
     def entered(self) -> Iterator[None]:
-        """Be in the namespace: what is opened or started meanwhile stays in it."""
+        """Enter the namespace: sockets and processes that are made inside the block stay in it."""
         if self._outside < 0:
             yield
             return

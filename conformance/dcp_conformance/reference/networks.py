@@ -1,7 +1,7 @@
-"""Simulated networks of our nodes as recordings: what judges recordings is tried on them.
+"""Simulated networks of our nodes as recordings, to test the judge of recordings.
 
 Applications on all nodes create, update, delete and create again at random. Any node may be another one than ours (a
-mutant or a permitted variant). The recorder hears everybody unless it is told to lose frames.
+mutant or a permitted variant). The recorder receives all nodes, unless the situation has losses.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _VARIABLES = 12
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class VariableState:
+class NetworkSituation:
     """A network and what happens in it. The same for the same values."""
 
     profile: str = "dcp-2.0"
@@ -120,7 +120,7 @@ class MixedNetwork(Network):
 @cache
 def _clocked_class(base: type) -> type:
     class Clocked(base):  # type: ignore[misc]
-        """The same node, by a clock that somebody has set."""
+        """The same node with a clock that is set during the recording."""
 
         offset: Callable[[], int]
 
@@ -143,7 +143,7 @@ def _clocked(base: type, node: Any, offset: Callable[[], int]) -> Any:
 
 
 def record(
-    situation: VariableState, others: Mapping[int, Other] | None = None, *, codec: Codec | None = None
+    situation: NetworkSituation, others: Mapping[int, Other] | None = None, *, codec: Codec | None = None
 ) -> list[Frame]:
     """The recording of a network. ``codec``: instead of that of the profile, for layouts that vary.
 
@@ -182,8 +182,8 @@ def _codec(profile: str) -> Codec:
     return Codec(profile)
 
 
-def _topology(situation: VariableState) -> tuple[Topology, list[tuple[int, Callable[[], None]]]]:
-    """Who hears whom, and when that changes."""
+def _topology(situation: NetworkSituation) -> tuple[Topology, list[tuple[int, Callable[[], None]]]]:
+    """Return the connections between nodes, and the times of their changes."""
     match situation.shape:
         case "bus":
             return Full(), []
@@ -195,7 +195,7 @@ def _topology(situation: VariableState) -> tuple[Topology, list[tuple[int, Calla
             return _moving(situation)
 
 
-def _moving(situation: VariableState) -> tuple[Topology, list[tuple[int, Callable[[], None]]]]:
+def _moving(situation: NetworkSituation) -> tuple[Topology, list[tuple[int, Callable[[], None]]]]:
     """Links come and go at random: about half of them are there at any time."""
     rng = random.Random(f"links/{situation.seed}")  # noqa: S311
     nodes = range(situation.nodes)
@@ -217,7 +217,7 @@ def _moving(situation: VariableState) -> tuple[Topology, list[tuple[int, Callabl
     return topology, moves
 
 
-def _applications(network: MixedNetwork, index: int, rng: random.Random, situation: VariableState, end: int) -> None:
+def _applications(network: MixedNetwork, index: int, rng: random.Random, situation: NetworkSituation, end: int) -> None:
     time = 0
     while (time := time + round(rng.expovariate(situation.busy) * SECOND)) < end - 3 * SECOND:
         network.at(time, lambda: _something(network, index, rng, situation.deletes))
@@ -251,7 +251,7 @@ def _move(network: MixedNetwork, index: int, rng: random.Random, end: int) -> No
         network.at(network.now + 100 * MS, lambda: _move(network, index, rng, end))
 
 
-def _disturb(network: MixedNetwork, situation: VariableState, rng: random.Random, end: int) -> None:
+def _disturb(network: MixedNetwork, situation: NetworkSituation, rng: random.Random, end: int) -> None:
     """Restarts, and clocks that are set."""
     for number in range(3 if situation.restarts else 0):
         time, index = round((4 + 5 * number) * SECOND), rng.randrange(situation.nodes)
@@ -266,8 +266,8 @@ def _disturb(network: MixedNetwork, situation: VariableState, rng: random.Random
         network.at(rng.randrange(end), set_clock)
 
 
-def _as_recorded(frames: Iterable[Frame], situation: VariableState) -> list[Frame]:
-    """What the recorder has of them."""
+def _as_recorded(frames: Iterable[Frame], situation: NetworkSituation) -> list[Frame]:
+    """Return the frames that the recorder receives."""
     rng = random.Random(f"recorder/{situation.seed}")  # noqa: S311
     kept = [frame for frame in frames if rng.random() >= situation.recorder_loss]
     if situation.recorder_clock and kept:

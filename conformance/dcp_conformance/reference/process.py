@@ -59,9 +59,9 @@ def reference_process(
     options: Sequence[str] = (),
     patience: float = 5.0,
 ) -> Iterator[ReferenceProcess]:
-    """Start our node, and end it with all that was made for it: also on Ctrl-C and SIGTERM.
+    """Start our node. At the end, also after Ctrl-C and SIGTERM, remove everything that was made for it.
 
-    ``link``: ``auto`` is Ethernet, with a fall-back to UDP whose reason stands in ``about``. ``profile`` is the name or
+    ``link``: ``auto`` is Ethernet, with a fall-back to UDP; ``about`` has the reason. ``profile`` is the name or
     path of the profile, by default the name in ``codec``. ``options`` are further ones of ``dcp-node run``.
     ``patience`` is what the upper tester has, in s.
 
@@ -93,10 +93,10 @@ def reference_process(
 
 
 def _settings(beacon_period_ms: float) -> str:
-    """Timers of VarDis in the proportion that they have to the beacon period by default, and the limits of the profile.
+    """Return timers of VarDis in their default proportion to the beacon period, and the limits of the profile.
 
-    With a short beacon period and the usual timers, most of a run would be waiting for VarDis to look at its buffer.
-    What a profile recommends among its implementations is less than what is to be tested.
+    With a short beacon period and the usual timers, most of a run would be spent waiting for VarDis to process
+    its buffer. Recommended limits of a profile are lower than those to be tested.
     """
     scale, usual = beacon_period_ms / BPConfig().beacon_period_ms, VardisConfig()
     timers = {name: getattr(usual, name) for name in ("buffer_check_period_ms", "scrubbing_period_ms")}
@@ -197,7 +197,7 @@ def _open_link(
 
 
 def free_port() -> int:
-    """A port on which nobody hears the group: those of other runs have theirs for as long as they last."""
+    """Return an unused UDP port: other runs keep theirs until they end."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as trial:
         trial.bind((DEFAULT_GROUP, 0))
         port: int = trial.getsockname()[1]
@@ -206,7 +206,7 @@ def free_port() -> int:
 
 @contextlib.contextmanager
 def _ended_by_sigterm() -> Iterator[None]:
-    """Let SIGTERM unwind the stack, unless somebody else takes care of it."""
+    """Let SIGTERM unwind the stack, unless another handler is installed."""
     ours = threading.current_thread() is threading.main_thread() and signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
     if ours:
         signal.signal(signal.SIGTERM, _terminated)

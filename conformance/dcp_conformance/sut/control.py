@@ -6,7 +6,7 @@ from typing import Protocol, runtime_checkable
 
 
 class SutControl(Protocol):
-    """What the tester can do to the implementation besides talking to it."""
+    """Control of the implementation as a process: is it alive, restart it."""
 
     can_restart: bool
 
@@ -29,7 +29,7 @@ class SutControl(Protocol):
 
 @runtime_checkable
 class SeesSockets(Protocol):
-    """Control of an implementation whose sockets can be looked at: it runs on the tester's machine."""
+    """Control of an implementation on the tester's machine, whose sockets are visible."""
 
     def on_link(self) -> bool:
         """Whether one of its processes has a socket open for the link: it is ready to receive.

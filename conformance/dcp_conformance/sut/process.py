@@ -26,7 +26,7 @@ SETTLE = 0.5
 _MARK = "DCP_CONFORMANCE_STARTED"
 #: Seconds that a process has to end after SIGTERM.
 END_PATIENCE = 3.0
-#: Octets of output that are kept on disk; when there is more, it begins anew.
+#: Octets of output that are kept on disk; then the file starts again.
 _MOST_OUTPUT = 1024 * 1024
 _KEPT_OUTPUT = 64 * 1024
 #: Unit of ``st_blocks``, in octets.
@@ -64,7 +64,7 @@ class ProcessControl:
         settle: float = SETTLE,
         udp_port: int | None = None,
     ) -> None:
-        """``around`` is entered while a process is made; ``ends_with_tester``: not even SIGKILL leaves it behind.
+        """``around`` is entered while a process is made. ``ends_with_tester``: end it with the tester, also on SIGKILL.
 
         ``udp_port``: that of the link; None for Ethernet.
 
@@ -224,7 +224,7 @@ class ProcessControl:
             except subprocess.TimeoutExpired:
                 raise ConformanceError(f"{name}: the command did not end within {PATIENCE:g} s") from None
             finally:
-                # End the command itself; processes that it started go on.
+                # End the command itself; processes that it started continue.
                 if process.poll() is None:
                     process.kill()
                     process.wait()
@@ -303,7 +303,7 @@ def has_link_socket(process: Path, udp_port: int | None) -> bool:
     owned: set[str] = set()
     try:
         for link in (process / "fd").iterdir():
-            # Closed meanwhile.
+            # Closed in the meantime by another thread.
             with contextlib.suppress(OSError):
                 owned.add(str(link.readlink()))
         if udp_port is None:

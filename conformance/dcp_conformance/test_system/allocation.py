@@ -344,7 +344,7 @@ class Allocation(Checks):
         """
         names = self.profile.vardis.var_spec
         self.require_timeout(timeout)
-        return VarSpec(
+        return self.codec.var_spec_type(
             var_id,
             producer,
             rep_cnt,

@@ -182,7 +182,9 @@ def stimuli(
                 yield "payload", None
             for container in payload.vardis or ():
                 for record in container.records:
-                    kind, var_id = KIND_OF[type(record)], var_id_of(record)
+                    if (kind := KIND_OF.get(type(record))) is None:
+                        continue
+                    var_id = var_id_of(record)
                     if kind is ICType.CREATE_VARIABLES:
                         yield "create", var_id
                     elif kind is ICType.REQUEST_VARCREATES:

@@ -229,8 +229,9 @@ def _may_be_missing(bench: Bench, name: str) -> bool:
 def check_registered_name(bench: Bench, shown: object, title: str) -> None:
     """Check the name of a registered protocol: ``title`` and a version, which is reported."""
     match = re.fullmatch(re.escape(title) + r" V(\d+\.\d+)", str(shown))
-    known = match is not None and "1.0" <= match[1] <= "2.0"
-    bench.check(known, f"the name '{title} Vx.y', V1.0 to V2.0", repr(str(shown)), shown=True)
+    first, last = min(SpecVersion), max(SpecVersion)
+    known = match is not None and first <= match[1] <= last
+    bench.check(known, f"the name '{title} Vx.y', V{first} to V{last}", repr(str(shown)), shown=True)
     if match is not None:
         bench.info("Which version does the name of the protocol have? (X31)", f"V{match[1]}")
 

@@ -29,7 +29,7 @@ def known_status(status: str) -> bool:
 
 
 class Answer(msgspec.Struct, frozen=True):
-    """What came back: a result with its status, or a JSON-RPC error (``code`` is then not None)."""
+    """The answer to a call: a result with its status, or a JSON-RPC error (then ``code`` is not None)."""
 
     status: str = ""
     """The status in the spelling of the implementation, also one that the specification lacks; empty for an error."""
@@ -76,9 +76,9 @@ class UpperTester(Protocol):
 
     name: str
     methods: frozenset[str]
-    """What UT-Hello lists; also what a file of commands offers."""
+    """The methods that UT-Hello lists, or that a file of commands has."""
     about: dict[str, Any]
-    """The answer to UT-Hello: name, version, specVersion, nodeId, profile, as far as they are there."""
+    """Members of the answer to UT-Hello: name, version, specVersion, nodeId, profile; each may be missing."""
 
     def call(self, method: str, params: dict[str, Any]) -> Answer:
         """Call a method and wait for its answer. Raises ``UpperTesterError`` if there is none or it makes no sense."""

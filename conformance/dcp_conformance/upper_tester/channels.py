@@ -27,7 +27,7 @@ LONGEST_LINE = 16 * 1024 * 1024
 LAST_LINES, LAST_OCTETS = 10, 500
 #: Seconds that an attempt to connect gets at least: over a network an answer takes its time.
 _ATTEMPT = 2.0
-#: Seconds between attempts to connect, and those that a program has to end once it is told to.
+#: Seconds between attempts to connect, and seconds in which a program must end after a signal.
 _RETRY, _END = 0.02, 2.0
 #: Seconds that what was killed may take to be gone.
 _GONE = 0.5
@@ -48,7 +48,7 @@ class Channel:
         raise NotImplementedError
 
     def _read(self) -> bytes | None:
-        """What there is; ``b""`` at the end, None if there is nothing now. Raises ``OSError``."""
+        """Return received octets; ``b""`` at the end of the stream, None if none are there now. Raises ``OSError``."""
         raise NotImplementedError
 
     def _write(self, octets: memoryview) -> int:
@@ -259,7 +259,7 @@ class LastLines:
         self._rest = rest[:LAST_OCTETS]
 
     def shown(self) -> str:
-        """They, as the end of a message."""
+        """Return the last lines of output, as the end of an error message."""
         lines = [*self._lines, self._rest] if self._rest.strip() else [*self._lines]
         text = b"\n".join(lines[-LAST_LINES:]).decode(errors="replace").strip()
         return f"; it said: {printable(text)}" if text else "; it said nothing"
@@ -271,7 +271,7 @@ def printable(text: str) -> str:
 
 
 def split(name: str, command: str) -> list[str]:
-    """The words of a command as a shell has them; with a shell around it if it uses more of one than quoting.
+    """Split a command into words as a shell does; run it in a shell if it uses more than quoting.
 
     Raises ``UsageError``.
     """
@@ -297,9 +297,9 @@ def ending(status: int) -> str:
 
 
 def end_group(process: subprocess.Popen[bytes], *, patience: float, ask_first: bool = True) -> None:
-    """End a process that leads a session, and all others of its group: SIGTERM, and after ``patience`` s SIGKILL.
+    """End a process that leads a session, and its process group: SIGTERM, then SIGKILL after ``patience`` s.
 
-    Without ``ask_first`` it is first waited for, as it has been told to end in another way.
+    Without ``ask_first``, wait first: the process has got another request to end.
     """
     if not ask_first:
         with contextlib.suppress(subprocess.TimeoutExpired):
@@ -307,7 +307,7 @@ def end_group(process: subprocess.Popen[bytes], *, patience: float, ask_first: b
     _signal_group(process, signal.SIGTERM)
     with contextlib.suppress(subprocess.TimeoutExpired):
         process.wait(patience)
-    # Also those that it left behind. They are somebody else's children, and may take a moment to go.
+    # Orphans of the group, too. Another process reaps them, which may take a moment.
     deadline = time.monotonic() + min(patience, _GONE)
     while _signal_group(process, signal.SIGKILL) and time.monotonic() < deadline:
         process.poll()
@@ -317,7 +317,7 @@ def end_group(process: subprocess.Popen[bytes], *, patience: float, ask_first: b
 
 
 def _signal_group(process: subprocess.Popen[bytes], number: signal.Signals) -> bool:
-    """Signal a group; whether there was anybody in it."""
+    """Send a signal to a process group. Return whether it had members."""
     try:
         os.killpg(process.pid, number)
     except (ProcessLookupError, PermissionError):
@@ -362,7 +362,7 @@ def _why_not(error: OSError, patience: float) -> str:
     if isinstance(error, FileNotFoundError):
         return f"there is no such socket{after}; is the implementation running, with this path?"
     if isinstance(error, ConnectionRefusedError):
-        return f"nobody listens there{after}; is the implementation or its adapter running?"
+        return f"no process listens there{after}; is the implementation or its adapter running?"
     if isinstance(error, TimeoutError | BlockingIOError):
         return f"no connection within {max(patience, _ATTEMPT):g} s"
     if isinstance(error, PermissionError):

@@ -20,14 +20,14 @@ from .base import METHOD_NOT_FOUND, Answer, Notification
 from .channels import end_group, ending, printable
 from .commands_file import Adapter, Method, Reading, converted, load_adapter, placeholders, status_of_success
 
-#: Octets of output of a command that are looked at.
+#: Octets of output of a command that are read.
 MOST_OUTPUT = 1024 * 1024
 #: Seconds that output may still come in after a command has ended.
 _GRACE = 0.2
 
 
 def open_commands(spec: str, patience: float) -> CommandUpperTester:
-    """The upper tester of a file, or of a built-in adapter, with settings behind it: ``FILE.toml,bin=/opt/dcp/``.
+    """Open the upper tester of a file or built-in adapter; settings follow its name: ``FILE.toml,bin=/opt/dcp/``.
 
     ``patience``: s that a command may take, where the file does not say. Raises ``UsageError`` for a file that makes no
     sense, and for programs that are not there.
@@ -51,7 +51,7 @@ class CommandUpperTester:
         self._adapter = adapter
         self._settings = settings
         self._patience = adapter.timeout or patience
-        # Without UT-Hello: what is said of the implementation here is no sign that it lives.
+        # Without UT-Hello: the file describes the implementation, which is not a sign of life.
         self.methods = frozenset(adapter.methods) - {"UT-Hello"}
         self.about: dict[str, Any] = {
             "status": "UT-STATUS-OK",
@@ -67,7 +67,7 @@ class CommandUpperTester:
         self.reconnect()
 
     def reconnect(self) -> None:
-        """Ask again who is there, if a command can tell. Raises ``UpperTesterError``."""
+        """Identify the implementation again, if there is a command for it. Raises ``UpperTesterError``."""
         method = self._adapter.methods.get("UT-Hello")
         if method is not None:
             answer = self._carry_out("UT-Hello", method, {})
@@ -85,11 +85,11 @@ class CommandUpperTester:
         return Answer(code=METHOD_NOT_FOUND, message=f"the adapter has no command for {method}")
 
     def poll(self) -> list[Notification]:
-        """There are none."""
+        """Return an empty list: commands cannot notify."""
         return []
 
     def filenos(self) -> tuple[int, ...]:
-        """There are none."""
+        """Return no descriptors: a command runs for each call."""
         return ()
 
     def another(self) -> None:
@@ -104,13 +104,13 @@ class CommandUpperTester:
     def _carry_out(self, name: str, method: Method, params: dict[str, Any]) -> Answer:
         where = f"{self.name}: {name}"
         values = {**method.defaults, **_texts(where, method, params)}
-        # What the command has no place for may be left out only if it says what then happens anyway.
+        # A parameter without a place in the command may be left out only if the command has it fixed to this value.
         for parameter, value in params.items():
             used = {parameter, f"{parameter}Text"} & placeholders(method)
             if not used and _text(value) != method.fixed.get(parameter):
                 fixed = method.fixed.get(parameter)
                 says = f"only with {fixed}" if fixed is not None else "not at all"
-                raise CouldNotAskError(f"{where}: the command can be told {parameter} {says}, and not {value!r}")
+                raise CouldNotAskError(f"{where}: the command accepts {parameter} {says}, and not {value!r}")
         words = [self._filled(where, each, values) for each in method.command]
         given = self._filled(where, method.stdin, values).encode()
         status, output = _run(where, words, given, method.timeout or self._patience)
@@ -174,12 +174,12 @@ class CommandUpperTester:
             hint = f"; settings: {', '.join(f'{key}={value}' for key, value in self._settings.items())}"
             raise UsageError(
                 f"{self.name}: there is no program {program}{hint if self._settings else ''}; name its folder in the "
-                "adapter file, or behind its name (commands:FILE.toml,bin=/path/to/)"
+                "adapter file, or after its name (commands:FILE.toml,bin=/path/to/)"
             )
 
 
 def _texts(where: str, method: Method, params: dict[str, Any]) -> dict[str, str]:
-    """Parameters as they stand in commands: as in JSON, and octets under ``...Text`` as the text that they are."""
+    """Return parameters as arguments of commands: as in JSON, and octets of a text as text under ``...Text``."""
     values: dict[str, str] = {}
     for name, value in params.items():
         text = _text(value)
@@ -196,7 +196,7 @@ def _texts(where: str, method: Method, params: dict[str, Any]) -> dict[str, str]
 
 
 def _text(value: Any) -> str:
-    """A parameter as it stands in JSON, without quotes."""
+    """Return a parameter as in JSON, without quotes."""
     return str(value).lower() if isinstance(value, bool) else str(value)
 
 

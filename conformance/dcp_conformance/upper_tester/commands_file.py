@@ -29,7 +29,7 @@ class Reading(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     member: str = ""
     """The member of the result that holds what is read; empty: the result itself."""
     types: Mapping[str, Kind] = msgspec.field(default_factory=dict)
-    """What the text of a group is, where it is not just text."""
+    """The type of the text of a group; by default text."""
     complete: bool = False
     """Whether all of the output must match, so that output of another form is no empty list."""
 
@@ -43,13 +43,13 @@ class Method(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     timeout: _Positive | None = None
     """Seconds that the command may take."""
     defaults: Mapping[str, str] = msgspec.field(default_factory=dict)
-    """What stands for parameters that are not given."""
+    """Values of parameters that a call does not have."""
     fixed: Mapping[str, str] = msgspec.field(default_factory=dict)
     """Parameters that the command has no place for, and the value that they have then."""
     status: str | None = None
     """Finds the status: a regular expression with the group ``status``."""
     success: str | None = None
-    """What is found in the output of a success; left out, exit status 0 is one."""
+    """A pattern in the output of a successful command; without it, exit status 0 is a success."""
     ok: str | None = None
     """The status of a success; left out, the one of the protocol."""
     exits: Mapping[str, str] = msgspec.field(default_factory=dict)
@@ -83,7 +83,7 @@ class Adapter(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 def load_adapter(name: str) -> Adapter:
     """Read a built-in adapter by its name, or a file: its path, with a ``/`` or a suffix such as ``.toml``.
 
-    The file names programs that are executed, so one that somebody else can change is refused. Raises ``UsageError``.
+    The file names programs that are executed. A file that another user can change is refused. Raises ``UsageError``.
     """
     path = Path(name)
     built_in = resources.files("dcp_conformance").joinpath("adapters")
@@ -110,7 +110,7 @@ def load_adapter(name: str) -> Adapter:
 
 
 def _problems(adapter: Adapter) -> list[str]:
-    """What is wrong with a file beyond its types."""
+    """Return the faults of a file beyond the types of its keys."""
     found: list[str] = []
     if adapter.status is not None:
         found += _pattern_problems("status", adapter.status, "status")
@@ -171,7 +171,7 @@ def _pattern_problems(key: str, pattern: str, group: str) -> list[str]:
 
 
 def placeholders(method: Method) -> frozenset[str]:
-    """The names that stand in braces in a command."""
+    """Return the names in braces in a command."""
     return frozenset(re.findall(r"\{(\w+)\}", " ".join((*method.command, method.stdin))))
 
 

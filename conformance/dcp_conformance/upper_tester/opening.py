@@ -12,7 +12,7 @@ from .base import Reconnecting
 from .channels import ProcessChannel, SocketChannel
 from .stream import StreamUpperTester
 
-#: What :func:`open_upper` understands, for help texts.
+#: The forms that :func:`open_upper` accepts, for help texts.
 FORMS = {
     "unix:PATH": "JSON-RPC lines over a Unix socket",
     "tcp:HOST:PORT": "the same over TCP",
@@ -24,10 +24,10 @@ _LONGEST_PATH = 107
 
 
 def open_upper(spec: str, patience: float = 5.0, *, starting: bool = True) -> Reconnecting:
-    """Open the upper tester that ``spec`` names (:data:`FORMS`); ``patience``: s that anything may take.
+    """Open the upper tester that ``spec`` names (:data:`FORMS`); ``patience``: timeout of each answer, s.
 
-    ``starting`` False: nobody is about to start it, so that a socket where nobody listens is refused at once. When it
-    was there and is gone, it is waited for in any case.
+    ``starting`` False: no process is about to open the socket, so that a refused connection is an error at once. After
+    a connection was lost, the tester waits in any case.
 
     Raises ``UsageError`` for a text that names none, ``UpperTesterError`` if it cannot be reached or does not keep to
     the contract.
@@ -41,7 +41,7 @@ def open_upper(spec: str, patience: float = 5.0, *, starting: bool = True) -> Re
 
         return open_commands(rest, patience)
     if kind == "exec":
-        # The patience is for answers: a program is there at once, or it is not.
+        # The timeout is for answers: a program starts at once, or not at all.
         return StreamUpperTester(spec, lambda _: ProcessChannel(spec, rest), patience, several=False)
     address = _tcp_address(spec, rest) if kind == "tcp" else _path(spec, rest)
     connect = functools.partial(SocketChannel, spec, address)

@@ -26,7 +26,7 @@ MOST_NOTIFICATIONS = 10_000
 DROPPED = "TESTER-NotificationsDropped"
 #: Seconds that taking notifications may last.
 _POLL = 0.5
-#: What UT-Hello must tell beside its status.
+#: Members that the result of UT-Hello must have beside its status.
 _HELLO = {"name": str, "version": str, "specVersion": str, "methods": list}
 
 
@@ -92,7 +92,7 @@ class StreamUpperTester:
         return taken
 
     def filenos(self) -> tuple[int, ...]:
-        """The descriptors of the channel, as long as it is open."""
+        """The descriptors of the channel while it is open."""
         return self._channel.filenos() if self._channel is not None else ()
 
     def another(self) -> StreamUpperTester | None:
@@ -107,7 +107,7 @@ class StreamUpperTester:
     # -- connecting --------------------------------------------------------------------------------------------
 
     def reconnect(self) -> None:
-        """Open the channel, again after the implementation was restarted, and see who is there.
+        """Open the channel, also after a restart of the implementation, and identify the peer.
 
         Raises ``UpperTesterError`` and ``UsageError``.
         """
@@ -124,7 +124,7 @@ class StreamUpperTester:
             raise
 
     def _ask_nonsense(self) -> None:
-        """Who answers anything with OK says nothing about methods that exist."""
+        """Check that an unknown method is refused: a peer that answers OK to any method proves nothing."""
         method = f"UT-NoSuchMethod-{secrets.token_hex(4)}"
         answer = self._call(method, {})
         if answer.code != METHOD_NOT_FOUND:
@@ -166,7 +166,7 @@ class StreamUpperTester:
             self._drop()
             raise
         while True:
-            # Who talks without end does not get more time by that.
+            # Notifications without end do not extend the timeout.
             message = self._message(channel, deadline) if time.monotonic() < deadline else None
             if message is None:
                 self._given_up.add(self._last_id)
@@ -179,7 +179,7 @@ class StreamUpperTester:
             try:
                 answer = answer_of(message)
                 if method.startswith("UT-") and answer.code is None and not answer.known:
-                    # Those are the contract's own methods, which an adapter answers.
+                    # Methods of the contract itself, which an adapter answers.
                     raise UpperTesterError(f"answers with the status {answer.status!r}; UT-STATUS-OK is the only one")
             except UpperTesterError as error:
                 raise UpperTesterError(f"{self.name}: {method}: {error}") from None

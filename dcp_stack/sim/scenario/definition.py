@@ -161,6 +161,8 @@ class Create(Content, tag="create", kw_only=True, frozen=True):
     descr: str | None = None
     repetitions: int = 1
     timeout_ms: int = 0
+    own_fields: dict[str, int | float | str] = {}
+    """Fields that the profile adds to VarSpec, by name; octets in hexadecimal digits. Others are zero."""
 
     @property
     def description(self) -> str:

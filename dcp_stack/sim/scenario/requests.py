@@ -30,6 +30,7 @@ def request(event: ServiceEvent, n: int) -> tuple[str, dict[str, Any]]:
                 "descr": event.description,
                 "value": event.octets(n).hex(),
                 "timeout": event.timeout_ms,
+                **({"ownFields": event.own_fields} if event.own_fields else {}),
             }
         case Update():
             return "RTDB-Update", {"varId": event.variable, "value": event.octets(n).hex()}

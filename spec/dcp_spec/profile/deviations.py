@@ -11,7 +11,7 @@ from typing import Final
 
 from dcp_spec.catalogue.requirements import requirements
 
-from .definition import RECORD_MEMBERS, IntType, Members, Profile, TextType, own_fields, standard_fields
+from .definition import IntType, Members, Profile, TextType, own_fields, standard_fields
 from .loading import load_profile
 
 #: The requirement that demands a field of the header.
@@ -154,9 +154,9 @@ def _records(profile: Profile) -> Iterator[tuple[str, str]]:
     if vardis.var_spec != wanted.vardis.var_spec:
         yield "VD-TYP-05", f"a VarSpec is {_names(vardis.var_spec)}"
     for name, members in vardis.records.by_name().items():
-        if members != RECORD_MEMBERS[name]:
+        if members != wanted.vardis.records.by_name()[name]:
             yield "VD-TYP-07", f"a {name} is {_names(members)}"
-    for container in vardis.own_containers:
+    for container in [each for each in vardis.own_containers if each not in wanted.vardis.own_containers]:
         yield "VD-IC-02", f"container type {container.number} is {container.name}"
     extra = [each.name for each in vardis.container_extra]
     if vardis.list_length is not None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import functools
 import importlib.resources
+import re
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
@@ -17,20 +18,6 @@ from dcp_spec.constants import SpecVersion
 from .definition import Profile
 from .rules import contradictions as contradictions
 
-BUILTIN_PROFILES: tuple[str, ...] = (
-    "dcp-1.0",
-    "dcp-1.1",
-    "dcp-1.2",
-    "dcp-1.3",
-    "dcp-2.0",
-    "cpp-1.2",
-    "cpp-1.3",
-    "cpp-2.0",
-    "sim-1.0",
-    "sim-2.0",
-    "student-2024",
-)
-
 _MAX_DEPTH = 8
 
 
@@ -38,9 +25,18 @@ class ProfileError(ValueError):
     """A profile cannot be used. The message names the profile or file, the key, and what to change."""
 
 
+@functools.cache
 def profile_names() -> tuple[str, ...]:
-    """The names of the built-in profiles, oldest specification first."""
-    return BUILTIN_PROFILES
+    """The names of the built-in profiles: those of the specification first, then the others, each oldest first."""
+    folder = importlib.resources.files("dcp_spec").joinpath("profiles")
+    names = [each.name.removesuffix(".toml") for each in folder.iterdir() if each.name.endswith(".toml")]
+    return tuple(sorted(names, key=_place))
+
+
+def _place(name: str) -> tuple[bool, str, list[int], str]:
+    """Where a profile is listed: its family (the specification's is the first), and its version by numbers."""
+    family, _, version = name.partition("-")
+    return family != "dcp", family, [int(number) for number in re.findall("[0-9]+", version)], name
 
 
 def load_profile(name_or_path: str | Path) -> Profile:
@@ -50,12 +46,12 @@ def load_profile(name_or_path: str | Path) -> Profile:
     contradicts itself.
     """
     text = str(name_or_path)
-    if text in BUILTIN_PROFILES:
+    if text in profile_names():
         return _load_builtin(text)
     path = Path(text)
     if path.suffix != ".toml" and not _exists(path):
-        near = difflib.get_close_matches(text, BUILTIN_PROFILES, n=3, cutoff=0.4)
-        hint = f"did you mean {' or '.join(near)}?" if near else "the built-in ones are: " + ", ".join(BUILTIN_PROFILES)
+        near = difflib.get_close_matches(text, profile_names(), n=3, cutoff=0.4)
+        hint = f"did you mean {' or '.join(near)}?" if near else "the built-in ones are: " + ", ".join(profile_names())
         raise ProfileError(
             f"unknown profile {text!r}: {hint} (a profile of your own is given as a path to a .toml file)"
         )
@@ -111,13 +107,13 @@ def _resolve(raw: dict[str, Any], where: str, folder: Path | None, depth: int = 
         raise ProfileError(f"{where}: extends must be the name of a profile or the path of a file, not {base_name!r}")
     if depth >= _MAX_DEPTH:
         raise ProfileError(f"{where}: extends goes round in a circle or deeper than {_MAX_DEPTH} files")
-    if base_name in BUILTIN_PROFILES:
+    if base_name in profile_names():
         base = _resolve(_read_builtin(base_name), base_name, None, depth + 1)
     elif folder is not None and base_name.endswith(".toml"):
         path = folder / base_name
         base = _resolve(_read(path), str(path), path.parent, depth + 1)
     else:
-        known = ", ".join(BUILTIN_PROFILES)
+        known = ", ".join(profile_names())
         raise ProfileError(f"{where}: extends = {base_name!r} is no built-in profile ({known}) and no .toml file")
     return _merge(base, raw)
 

@@ -15,7 +15,7 @@ import msgspec
 from msgspec import inspect as ms
 
 from .definition import Profile
-from .loading import BUILTIN_PROFILES, load_profile
+from .loading import load_profile, profile_names
 
 #: Heading of a section of the page, and a complete profile that shows its keys; each example is loaded by a test.
 EXAMPLES: dict[str, tuple[str, str]] = {
@@ -103,7 +103,7 @@ Built-in profiles:
 
 def reference() -> str:
     """The page as Markdown."""
-    out = [_HEAD + "\n".join(f"`{name}`: {load_profile(name).title}.  " for name in BUILTIN_PROFILES).rstrip()]
+    out = [_HEAD + "\n".join(f"`{name}`: {load_profile(name).title}.  " for name in profile_names()).rstrip()]
     shared: dict[str, ms.StructType] = {}
     top = ms.type_info(Profile)
     assert isinstance(top, ms.StructType)

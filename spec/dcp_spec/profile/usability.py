@@ -3,17 +3,17 @@
 The codec reads and writes whatever a profile describes. Programs that take part in a network also have to give a
 meaning to each field: what they should send in a field of the implementation's own, and what follows when they receive
 it, no profile says. Octets without a meaning (``opaque``) are sent as zeros and ignored.
+
+A field that the profile adds to VarSpec is no obstacle: it belongs to the variable, so nodes store it and send it on.
+The application that creates the variable gives its value; it is zero by default. Container types of the profile's
+own are no obstacle either: a node ignores those that it has no instruction for.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Final
 
 from .definition import OwnField, Profile, own_fields
-
-#: Keys among these that add records, or fields to records, of VarDis; ``vardis.records.NAME`` are others.
-RECORD_KEYS: Final = frozenset({"vardis.var_spec", "vardis.own_containers"})
 
 
 def unusable_keys(profile: Profile) -> dict[str, str]:
@@ -41,16 +41,11 @@ def _unusable(profile: Profile) -> Iterator[tuple[str, str]]:
     for key, members in (("bp.payload_header", bp.payload_header), ("srp.record", srp.record if srp.is_report else ())):
         if own := [each for each in own_fields(members) if each.opaque is None]:
             yield key, f"has {_names(own)}; {meaning}"
-    if own := own_fields(vardis.var_spec):
-        yield "vardis.var_spec", f"has {_names(own)}; {meaning}, and a node could not forward it"
     for name, members in vardis.records.by_name().items():
         if own := own_fields(members):
             yield f"vardis.records.{name}", f"has {_names(own)}; {meaning}, and a node could not forward it"
     if own := [each for each in vardis.container_extra if each.extra is None]:
         yield "vardis.container_extra", f"has {_names(own)}; only integers can be sent, as zeros"
-    if vardis.own_containers:
-        names = ", ".join(each.name for each in vardis.own_containers)
-        yield "vardis.own_containers", f"has {names}; nothing says when to send them or what they mean"
 
 
 def _names(own: list[OwnField]) -> str:

@@ -11,6 +11,8 @@ from typing import Any
 
 import pytest
 from dcp_conformance.check.judge import Judge
+from dcp_conformance.check.reception import reception_of
+from dcp_conformance.check.reception.observer import _EVENTS, MOST_OPEN
 from dcp_conformance.model.pics import Pics
 from dcp_conformance.model.verdict import Verdict
 
@@ -94,3 +96,16 @@ def test_memory_does_not_grow_with_the_recording(flights):
     tracemalloc.stop()
     # The frames themselves, which may be shown with a finding, and little more.
     assert kept / 2_000 < 2_000
+
+
+def test_a_flood_of_forged_records_opens_no_more_occasions_than_are_followed(flights):
+    codec = get_codec("dcp-2.0")
+    judge = Judge(codec, Pics(), period_known=False)
+    observer = reception_of(judge._context).observer
+    most = 0
+    for frame in flights.Attack(codec, 8, 12).frames(400):
+        judge.feed(frame)
+        most = max(most, *(len(station.open) for station in observer.stations.values()))
+        assert len(observer._log) <= _EVENTS
+    # More than 200 variables are forged; without a limit there would be that many.
+    assert most == MOST_OPEN

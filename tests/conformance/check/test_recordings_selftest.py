@@ -6,7 +6,7 @@ from typing import Literal
 
 import pytest
 from dcp_conformance.reference.inprocess import plain_node
-from dcp_conformance.reference.networks import Other, VariableState, identifier, record
+from dcp_conformance.reference.networks import NetworkSituation, Other, identifier, record
 from dcp_conformance.selftest.mutants import all_mutants
 from dcp_conformance.selftest.recordings import clean, faulty, situation
 from dcp_conformance.selftest.recordings.table import document
@@ -25,12 +25,12 @@ def test_nothing_is_found_in_networks_without_a_fault():
 
 
 def test_the_same_network_is_the_same_recording():
-    case = VariableState(seconds=5.0, restarts=True, clocks=True, shape="moving")
+    case = NetworkSituation(seconds=5.0, restarts=True, clocks=True, shape="moving")
     assert record(case) == record(case)
 
 
 def test_links_of_a_line_are_those_of_neighbours():
-    run = judged(record(VariableState(shape="line", seconds=40.0, busy=1.0, seed=3)), "dcp-2.0")
+    run = judged(record(NetworkSituation(shape="line", seconds=40.0, busy=1.0, seed=3)), "dcp-2.0")
     assert findings(run) == []
     told = [each.observed for each in case_of(run, "CK_NET_HEARS").checks if " hears " in each.observed]
     names = [identifier("dcp-2.0", index).hex(":") for index in range(5)]
@@ -71,6 +71,6 @@ def test_a_faulty_node_that_is_not_found_has_its_reason(name: str, shape: Litera
 
 
 def test_a_node_of_ours_in_place_of_a_mutant_is_the_same():
-    case = VariableState(seconds=4.0)
+    case = NetworkSituation(seconds=4.0)
     assert record(case, {2: Other(plain_node)}) == record(case)
     assert record(case, {2: Other(all_mutants()["M-BP-FMT-01-checksum-in-length"].make)}) != record(case)

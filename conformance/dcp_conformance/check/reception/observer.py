@@ -53,7 +53,7 @@ class Observer:
     def __init__(self, context: Context, outcome: Callable[[Trial], None]) -> None:
         self._context = context
         self._outcome = outcome
-        self._sizes = RecordSizes(context.profile)
+        self._sizes = RecordSizes(context.codec)
         self.circle = Circle(context.profile.types.var_seqno.width)
         self.stations: dict[bytes, Station] = {}
         self.by_bit: dict[int, Station] = {}
@@ -449,38 +449,35 @@ class Observer:
         """Open the occasions that a node has had since its last beacon."""
         log, bit, beacons, opened_of = self._log, station.bit, station.beacons, station.open
         said, oldest = station.said, max(station.gap, beacons - _FRESH)
+        waiting = station.waiting
         for event in log[station.cursor - self._dropped :]:
-            if not event.whom & bit:
+            if not event[0] & bit:
                 continue
-            kind, var_id = event.kind, event.var_id
+            _, kind, var_id, cause, speaker, late_half, length, time = event
+            opened = opened_of.get(var_id)
+            if opened is None and len(opened_of) >= MOST_OPEN:
+                continue
             if kind in _ABSENT:
-                if var_id not in opened_of and len(opened_of) >= MOST_OPEN:
-                    continue
-                station.waiting[var_id] = None
-            elif said[var_id] < oldest or (var_id not in opened_of and len(opened_of) >= MOST_OPEN):
+                waiting[var_id] = None
+            elif said[var_id] < oldest:
                 # It has not stated the number lately, or beacons of it are missing since.
                 continue
-            intervals = opened_of.setdefault(var_id, {}).setdefault(kind, [])
-            if not intervals or intervals[-1].begin != beacons:
-                intervals.append(
-                    Interval(
-                        beacons,
-                        event.time,
-                        event.cause,
-                        event.speaker,
-                        event.late_half,
-                        event.length,
-                        event.cause.frame,
-                    )
-                )
+            if opened is None:
+                opened = opened_of[var_id] = {}
+            intervals = opened.get(kind)
+            if intervals is None:
+                opened[kind] = [Interval(beacons, time, cause, speaker, late_half, length, cause.frame)]
+                continue
+            last = intervals[-1]
+            if last.begin != beacons:
+                intervals.append(Interval(beacons, time, cause, speaker, late_half, length, cause.frame))
                 if len(intervals) > _OPEN:
                     intervals.pop(0)
                 continue
-            last = intervals[-1]
-            last.speakers |= event.speaker
-            last.late_half = last.late_half and event.late_half
-            last.length = min(last.length, event.length)
-            if event.cause.frame != last.frame:
+            last.speakers |= speaker
+            last.late_half = last.late_half and late_half
+            last.length = min(last.length, length)
+            if cause.frame != last.frame:
                 last.beacons += 1
-                last.frame = event.cause.frame
+                last.frame = cause.frame
         station.cursor = self._dropped + len(log)

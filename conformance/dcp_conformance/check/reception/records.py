@@ -6,35 +6,32 @@ from collections.abc import Sequence
 from typing import Any
 
 from dcp_spec.constants import ICType
-from dcp_spec.profile.definition import Profile
 
+from dcp_codec.codec import Codec
+from dcp_codec.plan.measures import least_size
+from dcp_codec.plan.measures import record as layout_of
+from dcp_codec.values import RECORD_CLASSES
 from dcp_conformance.check.statements import CREATE, UPDATE, Part
-
-#: icType and icNumRecords.
-_CONTAINER = 2
 
 
 class RecordSizes:
-    """Sizes in octets by the widths of a profile; fields that only the profile has are not counted."""
+    """Sizes in octets by the plan of a profile; node identifiers and own fields of varying length are not counted."""
 
-    def __init__(self, profile: Profile) -> None:
-        types = profile.types
-        number, identifier = types.var_seqno.width, types.var_id.width
-        self._summary = identifier + number
-        self._identifier = identifier
-        self._spec = identifier + types.node_id.width + types.var_rep_cnt.width
-        if profile.spec_version >= "2.0":
-            self._spec += types.timestamp.width + types.var_timeout.width
+    def __init__(self, codec: Codec) -> None:
+        def least(name: str) -> int:
+            layout = layout_of(codec.containers_plan, name)
+            assert layout is not None, f"every profile has {name}"
+            return least_size(layout)
+
+        self._least = {kind: least(RECORD_CLASSES[kind].__name__) for kind in ICType}
+        self._header = least("Container")
 
     def of(self, kind: ICType, record: Any) -> int:
         """The size of a record."""
-        if kind is ICType.CREATE_VARIABLES:
-            return self._spec + 2 + len(record.spec.descr) + self._summary + len(record.upd.value)
-        if kind is ICType.UPDATES:
-            return self._summary + 1 + len(record.value)
-        if kind in (ICType.SUMMARIES, ICType.REQUEST_VARUPDATES):
-            return self._summary
-        return self._identifier
+        least = self._least[kind]
+        if kind is CREATE:
+            return least + len(record.spec.descr) + len(record.upd.value)
+        return least + len(record.value) if kind is UPDATE else least
 
     def starts(self, parts: Sequence[Part]) -> tuple[list[range | list[int]], int]:
         """Where each record starts, in octets from the start of the VarDis payload; and the size of the payload."""
@@ -42,7 +39,7 @@ class RecordSizes:
         starts: list[range | list[int]] = []
         for kind, records, _ in parts:
             if kind is not before:
-                position += _CONTAINER
+                position += self._header
                 before = kind
             if kind is CREATE or kind is UPDATE:
                 begins = []

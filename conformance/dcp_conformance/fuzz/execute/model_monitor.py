@@ -284,7 +284,8 @@ class Observer:
         said: list[tuple[ICType, VardisRecord]] = []
         for container in containers:
             # One type of records each.
-            kind = KIND_OF[type(container.records[0])]
+            if (kind := KIND_OF.get(type(container.records[0]))) is None:
+                continue
             said += [(kind, record) for record in container.records]
             if kind is ICType.REQUEST_VARCREATES:
                 self.requested.update([record.var_id for record in container.records])

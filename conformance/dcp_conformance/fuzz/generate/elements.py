@@ -19,7 +19,6 @@ from dcp_codec.values import (
     Payload,
     VarCreate,
     VardisRecord,
-    VarSpec,
     VarUpdate,
 )
 from dcp_conformance.frames.received import KIND_OF
@@ -107,7 +106,7 @@ class Parts:
     ) -> VarCreate:
         """A VarCreate that is most often acceptable."""
         rep_cnt, descr, value = self._attributes()
-        spec = VarSpec(
+        spec = self.codec.var_spec_type(
             var_id,
             self.node(peer) if producer is None else producer,
             rep_cnt,
@@ -136,7 +135,7 @@ class Parts:
         """A VarCreate that every node has to take; ``timeout`` in ms."""
         # Draws as much as create() does: what a seed has shown is still what it shows.
         self._attributes()
-        spec = VarSpec(
+        spec = self.codec.var_spec_type(
             var_id,
             self.node(peer) if producer is None else producer,
             2,

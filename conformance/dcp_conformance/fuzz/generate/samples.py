@@ -19,7 +19,6 @@ from dcp_codec.values import (
     VardisRecord,
     VarReqCreate,
     VarReqUpdate,
-    VarSpec,
     VarSumm,
     VarUpdate,
 )
@@ -62,7 +61,7 @@ class Samples:
                 return VarDelete(var_id)
         fields = self.codec.profile.vardis.var_spec
         creation = 1 if "creationTime" in fields else None
-        spec = VarSpec(var_id, self.node(), 1, TEXT, creation, 0 if "timeout" in fields else None)
+        spec = self.codec.var_spec_type(var_id, self.node(), 1, TEXT, creation, 0 if "timeout" in fields else None)
         return VarCreate(spec, VarUpdate(var_id, 0, TEXT))
 
     def container(self, kind: ICType, count: int = 1) -> Container:

@@ -14,7 +14,7 @@ from dcp_spec.constants import ICType
 
 from dcp_codec.codec import Codec
 from dcp_codec.errors import DecodeError, EncodeError
-from dcp_codec.values import Container, Payload, VarCreate, VardisRecord, VarSpec, VarUpdate
+from dcp_codec.values import Container, Payload, VarCreate, VardisRecord, VarUpdate
 from dcp_conformance.frames.received import var_id_of
 from dcp_conformance.fuzz.execute.model_monitor import Observer
 from dcp_conformance.fuzz.steps import Call, Effect, Frame, Step, Wait
@@ -262,7 +262,8 @@ def _follow(observer: Observer, call: Call, now: int) -> None:
         case "RTDB-Create" if value is not None:
             timed = observer.compares_creations
             repetitions = call.params.get("repCnt", 1)
-            spec = VarSpec(var_id, observer.own_id, repetitions, b"", now if timed else None, 0 if timed else None)
+            made = observer.codec.var_spec_type
+            spec = made(var_id, observer.own_id, repetitions, b"", now if timed else None, 0 if timed else None)
             observer.created(spec, value, now)
         case "RTDB-Update" if value is not None:
             observer.oracle.updated(var_id, value, now)

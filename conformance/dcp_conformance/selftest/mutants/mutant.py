@@ -78,8 +78,8 @@ class Mutant:
     """The fault, as a sentence whose subject is the node: ``sends version 0x02``."""
     make: MakeNode
     since: SpecVersion = SpecVersion.V1_0
-    until: SpecVersion = SpecVersion.V2_0
-    """First and last version of the specification in which this is a fault."""
+    until: SpecVersion | None = None
+    """First and last version of the specification in which this is a fault; None: no last one."""
     unseen: Mapping[SpecVersion, str] = field(default_factory=dict)
     """By version: why this is not a fault although the version has the requirement, or cannot be observed."""
     part: type | None = None
@@ -107,7 +107,7 @@ class Mutant:
 
     def exists_in(self, version: SpecVersion) -> bool:
         """Return whether this is an observable fault in a version."""
-        return self.since <= version <= self.until and version not in self.unseen
+        return version.is_within(self.since, self.until) and version not in self.unseen
 
 
 def mutant(
@@ -131,10 +131,10 @@ def mutant(
     for each in also:
         requirement(each)
     begin = requirement(first).since if since is None else since
-    end = until or requirement(first).until or SpecVersion.V2_0
+    end = until or requirement(first).until
     excused = {SpecVersion(each): why for names, why in (unseen or {}).items() for each in names.split()}
     for version in SpecVersion:
-        if requirement(first).holds_in(version) and not begin <= version <= end and version not in excused:
+        if requirement(first).holds_in(version) and not version.is_within(begin, end) and version not in excused:
             raise ValueError(f"M-{first}-{fault} is not tried on {version}, which has {first}: give a reason in unseen")
 
     def decorate(part: Part) -> Part:

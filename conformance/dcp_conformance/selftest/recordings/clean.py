@@ -12,7 +12,7 @@ import msgspec
 
 from dcp_codec.codec import Codec
 from dcp_conformance.model.verdict import Verdict
-from dcp_conformance.reference.networks import Other, VariableState, record
+from dcp_conformance.reference.networks import NetworkSituation, Other, record
 from dcp_conformance.selftest.runner import process_pool
 from dcp_conformance.selftest.variants import all_variants
 from dcp_conformance.selftest.variants.variant import Variant
@@ -46,10 +46,10 @@ class CleanResult(msgspec.Struct, frozen=True, kw_only=True):
     """Processor time."""
 
 
-def situation(number: int) -> VariableState:
+def situation(number: int) -> NetworkSituation:
     """The network of a number, the same every time: all versions, shapes, losses, restarts, clocks."""
     rng = random.Random(f"clean/{number}")  # noqa: S311 - to be repeatable is the point
-    return VariableState(
+    return NetworkSituation(
         profile=PROFILES[number % len(PROFILES)],
         nodes=rng.choice([3, 5, 5, 7]),
         shape=rng.choice(["bus", "line", "grid", "moving"]),

@@ -13,7 +13,7 @@ import msgspec
 from dcp_codec.capture.frame import Frame
 from dcp_codec.codec import Codec
 from dcp_conformance.model.verdict import Verdict
-from dcp_conformance.reference.networks import Other, VariableState, record
+from dcp_conformance.reference.networks import NetworkSituation, Other, record
 from dcp_conformance.selftest.mutants import Mutant, all_mutants
 from dcp_conformance.selftest.runner import process_pool
 
@@ -58,8 +58,8 @@ class FaultyResult(msgspec.Struct, frozen=True, kw_only=True):
 
 
 @cache
-def _situation(profile: str, shape: Literal["bus", "line"]) -> VariableState:
-    return VariableState(
+def _situation(profile: str, shape: Literal["bus", "line"]) -> NetworkSituation:
+    return NetworkSituation(
         profile=profile, shape=shape, nodes=5, seconds=30.0, busy=2.0, deletes=0.25, restarts=True, late=True, seed=7
     )
 

@@ -11,21 +11,21 @@ from .variant import Setup, Variant, anywhere, has_srp, setup
 
 _V = SpecVersion
 
-#: Versions in which a reading has something to choose, where these are not all.
-_VERSIONS = {
-    "X02": (_V.V1_2, _V.V2_0),  # there is a length field since 1.2
-    "X03": (_V.V1_1, _V.V2_0),  # 1.0 begins with 1 anyway
-    "X05": (_V.V1_1, _V.V2_0),
-    "X20": (_V.V2_0, _V.V2_0),
-    "X26": (_V.V2_0, _V.V2_0),
-    "X27": (_V.V2_0, _V.V2_0),
-    "X30": (_V.V1_2, _V.V2_0),  # 1.0 and 1.1 demand an answer
-    "X34": (_V.V1_2, _V.V2_0),  # 1.0 and 1.1 say what is to be done
-    "X36": (_V.V2_0, _V.V2_0),
-    "X37": (_V.V1_2, _V.V2_0),
-    "X38": (_V.V2_0, _V.V2_0),
-    "X31": (_V.V2_0, _V.V2_0),  # before, the number in the text is that of the version
-    "X44": (_V.V1_1, _V.V2_0),  # 1.0 never puts several payloads of a client into a beacon
+#: First and last version (None: no last one) in which a reading has something to choose, where these are not all.
+_VERSIONS: dict[str, tuple[SpecVersion, SpecVersion | None]] = {
+    "X02": (_V.V1_2, None),  # there is a length field since 1.2
+    "X03": (_V.V1_1, None),  # 1.0 begins with 1 anyway
+    "X05": (_V.V1_1, None),
+    "X20": (_V.V2_0, None),
+    "X26": (_V.V2_0, None),
+    "X27": (_V.V2_0, None),
+    "X30": (_V.V1_2, None),  # 1.0 and 1.1 demand an answer
+    "X34": (_V.V1_2, None),  # 1.0 and 1.1 say what is to be done
+    "X36": (_V.V2_0, None),
+    "X37": (_V.V1_2, None),
+    "X38": (_V.V2_0, None),
+    "X31": (_V.V2_0, None),  # before, the number in the text is that of the version
+    "X44": (_V.V1_1, None),  # 1.0 never puts several payloads of a client into a beacon
     "X47": (_V.V1_0, _V.V1_1),  # later there is a length field
 }
 #: Inconclusive verdicts that follow from the alternative.
@@ -34,7 +34,7 @@ _EXPLAINS: dict[str, tuple[str, ...]] = {}
 
 def _variants() -> Iterator[Variant]:
     for reading in readings().values():
-        since, until = _VERSIONS.get(reading.id, (_V.V1_0, _V.V2_0))
+        since, until = _VERSIONS.get(reading.id, (_V.V1_0, None))
         for alternative in reading.alternatives[1:]:
             yield Variant(
                 f"V-{reading.id}-{alternative.name}",
@@ -67,8 +67,8 @@ def _every_other(profile: str) -> Setup:
     version = setup(profile).config.features.version
     chosen = {}
     for reading in readings().values():
-        since, until = _VERSIONS.get(reading.id, (_V.V1_0, _V.V2_0))
-        if reading.alternatives and since <= version <= until:
+        since, until = _VERSIONS.get(reading.id, (_V.V1_0, None))
+        if reading.alternatives and version.is_within(since, until):
             chosen[reading.id] = reading.alternatives[1].name
     return setup(profile, readings=chosen)
 

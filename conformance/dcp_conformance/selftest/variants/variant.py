@@ -98,8 +98,8 @@ class Variant:
     build: Callable[[str], Setup]
     """Makes the node for the profile of a name."""
     since: SpecVersion = SpecVersion.V1_0
-    until: SpecVersion = SpecVersion.V2_0
-    """First and last version of the specification that permits it."""
+    until: SpecVersion | None = None
+    """First and last version of the specification that permits it; None: no last one."""
     explains: tuple[str, ...] = ()
     """Regular expressions, searched for in ``<case>: <reason>`` of an inconclusive verdict that cannot be avoided."""
     where: Callable[[Profile], bool] = field(default=anywhere)
@@ -108,7 +108,7 @@ class Variant:
     def applies_to(self, profile: str) -> bool:
         """Whether the freedom exists on the profile of this name."""
         loaded = codec_of(profile).profile
-        return self.since <= loaded.spec_version <= self.until and self.where(loaded)
+        return loaded.spec_version.is_within(self.since, self.until) and self.where(loaded)
 
     def explanation(self, case: str, reason: str) -> str:
         """The expression that explains an inconclusive verdict; empty if it is not explained."""

@@ -18,6 +18,7 @@ from dcp_conformance.selftest.mutants.mutant import mutant
 from dcp_stack.vardis.compose import Composer
 from dcp_stack.vardis.database import IdQueue
 from dcp_stack.vardis.entity import Vardis
+from dcp_stack.vardis.wire import ContainerType
 
 C, D, U = ICType.CREATE_VARIABLES, ICType.DELETE_VARIABLES, ICType.UPDATES
 S, RC, RU = ICType.SUMMARIES, ICType.REQUEST_VARCREATES, ICType.REQUEST_VARUPDATES
@@ -28,7 +29,7 @@ S, RC, RU = ICType.SUMMARIES, ICType.REQUEST_VARCREATES, ICType.REQUEST_VARUPDAT
 
 @mutant("one-more", "VD-CMP-02", "sends one summary more than VARDISPAR_MAX_SUMMARIES")
 class SummaryMore(Composer):
-    def _fitting(self, kind: ICType, queue: IdQueue, room: int, largest: int) -> tuple[list[int], int]:
+    def _fitting(self, kind: ContainerType, queue: IdQueue, room: int, largest: int) -> tuple[list[int], int]:
         chosen, used = super()._fitting(kind, queue, room, largest)
         if kind is S and len(chosen) == self._parameters.max_summaries:
             more = [each for each in queue if each not in chosen][:1]
@@ -42,7 +43,7 @@ class SummaryMore(Composer):
     "sends all summaries that fit, whatever the value of VARDISPAR_MAX_SUMMARIES",
 )
 class SummariesUnlimited(Composer):
-    def _fitting(self, kind: ICType, queue: IdQueue, room: int, largest: int) -> tuple[list[int], int]:
+    def _fitting(self, kind: ContainerType, queue: IdQueue, room: int, largest: int) -> tuple[list[int], int]:
         if kind is not S:
             return super()._fitting(kind, queue, room, largest)
         chosen = list(queue)[: max((room - self._sizes.ic_header) // self._sizes.var_summ, 0)]
@@ -51,7 +52,7 @@ class SummariesUnlimited(Composer):
 
 @mutant("zero-is-all", "VD-CMP-01 VD-PAR-06", "sends all summaries when VARDISPAR_MAX_SUMMARIES is 0")
 class ZeroIsAll(SummariesUnlimited):
-    def _fitting(self, kind: ICType, queue: IdQueue, room: int, largest: int) -> tuple[list[int], int]:
+    def _fitting(self, kind: ContainerType, queue: IdQueue, room: int, largest: int) -> tuple[list[int], int]:
         if kind is S and not self._parameters.max_summaries:
             return super()._fitting(kind, queue, room, largest)
         return Composer._fitting(self, kind, queue, room, largest)
@@ -59,7 +60,7 @@ class ZeroIsAll(SummariesUnlimited):
 
 @mutant("stays", "VD-CMP-03", "summarises the same variables in every payload")
 class SummariesStay(Composer):
-    def _take(self, kind: ICType, var_id: int) -> Any:
+    def _take(self, kind: ContainerType, var_id: int) -> Any:
         before = list(self._database.summary_q)
         record = super()._take(kind, var_id)
         if kind is S:
@@ -70,7 +71,7 @@ class SummariesStay(Composer):
 
 @mutant("half-turn", "VD-CMP-03", "moves a summarised variable to the middle of summaryQ")
 class HalfTurn(Composer):
-    def _take(self, kind: ICType, var_id: int) -> Any:
+    def _take(self, kind: ContainerType, var_id: int) -> Any:
         record = super()._take(kind, var_id)
         if kind is S:
             others = [each for each in self._database.summary_q if each != var_id]
@@ -123,44 +124,44 @@ class SummariesMissing(Composer):
 class Fitting(Composer):
     """Changes the selection of records."""
 
-    def _fitting(self, kind: ICType, queue: IdQueue, room: int, largest: int) -> tuple[list[int], int]:
+    def _fitting(self, kind: ContainerType, queue: IdQueue, room: int, largest: int) -> tuple[list[int], int]:
         chosen, _ = super()._fitting(kind, queue, room, largest)
         chosen = self.chosen(chosen, kind)
         size = sum(self._record_size(kind, each) for each in chosen)
         return chosen, size + self._sizes.ic_header * (-(-len(chosen) // 255))
 
-    def chosen(self, chosen: list[int], kind: ICType) -> list[int]:  # noqa: ARG002 - used by overrides
+    def chosen(self, chosen: list[int], kind: ContainerType) -> list[int]:  # noqa: ARG002 - used by overrides
         """Return the variables whose records are sent."""
         return chosen
 
 
 @mutant("one-record", "VD-PAY-02", "sends only one record in each container")
 class OneRecord(Fitting):
-    def chosen(self, chosen: list[int], kind: ICType) -> list[int]:  # noqa: ARG002 - as above
+    def chosen(self, chosen: list[int], kind: ContainerType) -> list[int]:  # noqa: ARG002 - as above
         return chosen[:1]
 
 
 @mutant("five-records", "VD-PAY-02", "sends at most five records in each container")
 class FiveRecords(Fitting):
-    def chosen(self, chosen: list[int], kind: ICType) -> list[int]:
+    def chosen(self, chosen: list[int], kind: ContainerType) -> list[int]:
         return chosen if kind is S else chosen[:5]
 
 
 @mutant("one-request", "VD-PAY-02", "sends one request of each type in a payload")
 class OneRequest(Fitting):
-    def chosen(self, chosen: list[int], kind: ICType) -> list[int]:
+    def chosen(self, chosen: list[int], kind: ContainerType) -> list[int]:
         return chosen[:1] if kind in (RC, RU) else chosen
 
 
 @mutant("sorted", "VD-PAY-06", "sends records in the order of their identifiers")
 class SortedRecords(Fitting):
-    def chosen(self, chosen: list[int], kind: ICType) -> list[int]:  # noqa: ARG002 - as above
+    def chosen(self, chosen: list[int], kind: ContainerType) -> list[int]:  # noqa: ARG002 - as above
         return sorted(chosen, reverse=True)
 
 
 @mutant("skips", "VD-PAY-06 VD-CMP-08", "continues with the next record after one that does not fit")
 class Skips(Composer):
-    def _fitting(self, kind: ICType, queue: IdQueue, room: int, largest: int) -> tuple[list[int], int]:
+    def _fitting(self, kind: ContainerType, queue: IdQueue, room: int, largest: int) -> tuple[list[int], int]:
         if kind is S:
             return super()._fitting(kind, queue, room, largest)
         chosen: list[int] = []
@@ -175,7 +176,7 @@ class Skips(Composer):
 
 @mutant("stops", "VD-CMP-08", "sends no further container after one whose first record does not fit")
 class Stops(Composer):
-    def _fitting(self, kind: ICType, queue: IdQueue, room: int, largest: int) -> tuple[list[int], int]:
+    def _fitting(self, kind: ContainerType, queue: IdQueue, room: int, largest: int) -> tuple[list[int], int]:
         chosen, used = super()._fitting(kind, queue, room, largest)
         return (chosen, used) if chosen or kind is S else (chosen, room)
 

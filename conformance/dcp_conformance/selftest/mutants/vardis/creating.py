@@ -41,15 +41,13 @@ class Creates(Vardis):
         descr: bytes,
         value: bytes,
         timeout_ms: int = 0,
-        *,
-        now: int,
-        wall: int,
+        **more: Any,
     ) -> Confirm:
         early = self.early(var_id, rep_cnt, descr, value)
         if early is not None and self.active:
             return Confirm(early)
         rep_cnt, descr, value = self.changed(rep_cnt, descr, value)
-        return super().create(var_id, prod_id, rep_cnt, descr, value, timeout_ms, now=now, wall=wall)
+        return super().create(var_id, prod_id, rep_cnt, descr, value, timeout_ms, **more)
 
     def early(self, var_id: int, rep_cnt: int, descr: bytes, value: bytes) -> VardisStatus | None:  # noqa: ARG002
         """Return a status to be confirmed before any check; None to continue."""

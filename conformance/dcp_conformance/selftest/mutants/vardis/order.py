@@ -62,9 +62,9 @@ class Hasty(Vardis):
         descr: bytes,
         value: bytes,
         timeout_ms: int = 0,
-        **times: int,
+        **more: Any,
     ) -> Confirm:
-        confirm = super().create(var_id, prod_id, rep_cnt, descr, value, timeout_ms, **times)
+        confirm = super().create(var_id, prod_id, rep_cnt, descr, value, timeout_ms, **more)
         return Confirm(self._hasty("create", confirm, var_id, value, descr, rep_cnt))
 
     def update(self, var_id: int, value: bytes, **times: int) -> Confirm:

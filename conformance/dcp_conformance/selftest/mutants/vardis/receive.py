@@ -12,7 +12,7 @@ from dcp_codec.errors import DecodeError
 from dcp_codec.values import Container, VarCreate
 from dcp_conformance.selftest.mutants.mutant import mutant
 from dcp_stack.vardis.receive import Receiver
-from dcp_stack.vardis.wire import Extracted, Extractor
+from dcp_stack.vardis.wire import Extracted, Extractor, Records
 
 C, D, U = ICType.CREATE_VARIABLES, ICType.DELETE_VARIABLES, ICType.UPDATES
 S, RC, RU = ICType.SUMMARIES, ICType.REQUEST_VARCREATES, ICType.REQUEST_VARUPDATES
@@ -24,9 +24,7 @@ S, RC, RU = ICType.SUMMARIES, ICType.REQUEST_VARCREATES, ICType.REQUEST_VARUPDAT
 class Containers(Extractor):
     """Changes the containers extracted from a payload."""
 
-    def _collect(
-        self, containers: tuple[Container, ...], offset: int, records: dict[ICType, list[tuple[int, Any]]]
-    ) -> int:
+    def _collect(self, containers: tuple[Container, ...], offset: int, records: Records) -> int:
         super()._collect(tuple(self.chosen(containers)), offset, records)
         return offset + sum(map(self._octets, containers))
 
@@ -193,7 +191,7 @@ class Order(Receiver):
 
     def process(self, extracted: Extracted, *, now: int, wall: int) -> None:
         for kind in self.order:
-            records = {each: extracted.records[each] if each is kind else [] for each in ICType}
+            records: Records = {each: extracted.records[each] if each is kind else [] for each in ICType}
             super().process(Extracted(records), now=now, wall=wall)
 
 
@@ -202,7 +200,7 @@ class PayloadOrder(Receiver):
     def process(self, extracted: Extracted, *, now: int, wall: int) -> None:
         listed = [(offset, kind, record) for kind, each in extracted.records.items() for offset, record in each]
         for offset, kind, record in sorted(listed, key=lambda each: each[0]):
-            records = {each: [(offset, record)] if each is kind else [] for each in ICType}
+            records: Records = {each: [(offset, record)] if each is kind else [] for each in ICType}
             super().process(Extracted(records), now=now, wall=wall)
 
 

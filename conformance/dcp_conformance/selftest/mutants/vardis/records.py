@@ -23,6 +23,7 @@ from dcp_conformance.selftest.mutants.mutant import mutant
 from dcp_conformance.selftest.mutants.unseen import NO_TIMES
 from dcp_stack.vardis.compose import Composer
 from dcp_stack.vardis.database import Database, DBEntry
+from dcp_stack.vardis.wire import ContainerType
 
 C = ICType.CREATE_VARIABLES
 S, RC, RU = ICType.SUMMARIES, ICType.REQUEST_VARCREATES, ICType.REQUEST_VARUPDATES
@@ -102,7 +103,7 @@ class NotRestarted(Database):
 
 @mutant("no-rotation", "VD-CMP-06 VD-PAY-06", "sends all repetitions of one VarCreate before it sends the next")
 class NoRotation(Composer):
-    def _take(self, kind: ICType, var_id: int) -> Any:
+    def _take(self, kind: ContainerType, var_id: int) -> Any:
         record = super()._take(kind, var_id)
         queue = self._database.create_q
         if kind is C and var_id in queue:
@@ -121,7 +122,7 @@ VarSpecKey = tuple[int, int | None]
 class Records(Composer):
     """Changes records to be sent."""
 
-    def _take(self, kind: ICType, var_id: int) -> Any:
+    def _take(self, kind: ContainerType, var_id: int) -> Any:
         return self.record(super()._take(kind, var_id), self._database.lookup(var_id))
 
     def record(self, record: Any, entry: DBEntry | None) -> Any:  # noqa: ARG002 - used by overrides
@@ -243,7 +244,7 @@ class RequestsVariablesTwice(Again):
 
 @mutant("until-answered", "VD-CMP-12", "requests a variable in every payload until it has it")
 class UntilAnswered(Composer):
-    def _take(self, kind: ICType, var_id: int) -> Any:
+    def _take(self, kind: ContainerType, var_id: int) -> Any:
         record = super()._take(kind, var_id)
         if isinstance(record, VarReqCreate):
             self._database.req_create_q.append(var_id)
@@ -252,7 +253,7 @@ class UntilAnswered(Composer):
 
 @mutant("update-until-answered", "VD-CMP-11", "requests an update in every payload until it has it")
 class UpdateUntilAnswered(Composer):
-    def _take(self, kind: ICType, var_id: int) -> Any:
+    def _take(self, kind: ContainerType, var_id: int) -> Any:
         record = super()._take(kind, var_id)
         if isinstance(record, VarReqUpdate):
             self._database.req_upd_q.append(var_id)

@@ -10,6 +10,7 @@ from dcp_conformance.selftest.mutants.mutant import mutant
 from dcp_stack.vardis.compose import Composer
 from dcp_stack.vardis.database import IdQueue
 from dcp_stack.vardis.entity import Vardis
+from dcp_stack.vardis.wire import ContainerType
 
 
 class Loses(Composer):
@@ -17,7 +18,7 @@ class Loses(Composer):
 
     kind: ClassVar[ICType]
 
-    def _fitting(self, kind: ICType, queue: IdQueue, room: int, largest: int) -> tuple[list[int], int]:
+    def _fitting(self, kind: ContainerType, queue: IdQueue, room: int, largest: int) -> tuple[list[int], int]:
         chosen, used = super()._fitting(kind, queue, room, largest)
         if kind is self.kind:
             for var_id in [each for each in queue if each not in chosen]:
@@ -31,7 +32,7 @@ class Loses(Composer):
 class LosesAllOrNone(Loses):
     """Removes records only if no record of the kind fits; the rest of a partial container stays queued."""
 
-    def _fitting(self, kind: ICType, queue: IdQueue, room: int, largest: int) -> tuple[list[int], int]:
+    def _fitting(self, kind: ContainerType, queue: IdQueue, room: int, largest: int) -> tuple[list[int], int]:
         chosen, used = Composer._fitting(self, kind, queue, room, largest)
         if kind is self.kind and not chosen:
             for var_id in list(queue):
@@ -100,7 +101,7 @@ class LosesRestOfUpdateRequests(Loses):
 
 @mutant("exact-fit-skipped", "VD-PAY-02", "skips single records that exactly fill a payload")
 class SkipsExactFit(Composer):
-    def _fitting(self, kind: ICType, queue: IdQueue, room: int, largest: int) -> tuple[list[int], int]:
+    def _fitting(self, kind: ContainerType, queue: IdQueue, room: int, largest: int) -> tuple[list[int], int]:
         return super()._fitting(kind, queue, room, largest - 1)
 
 
@@ -116,6 +117,6 @@ class RefusesExactFit(Vardis):
 
 @mutant("small-records-too-large", "VD-PAY-02", "assumes one octet too many for each VarDelete and VarReqCreate")
 class WidensSmallRecords(Composer):
-    def _record_size(self, kind: ICType, var_id: int) -> int:
+    def _record_size(self, kind: ContainerType, var_id: int) -> int:
         small = kind in (ICType.DELETE_VARIABLES, ICType.REQUEST_VARCREATES)
         return super()._record_size(kind, var_id) + small
