@@ -133,7 +133,7 @@ class Codec:
 
     @property
     def var_spec_type(self) -> type[VarSpec]:
-        """The class of a VarSpec: with ``extra``, of neutral values by default, if the profile adds fields to it."""
+        """Return the class of a VarSpec; if the profile adds fields, with ``extra`` and zero as their default."""
         return cast("type[VarSpec]", self.types["VarSpec"])
 
     # -- beacons ----------------------------------------------------------------------------------------------

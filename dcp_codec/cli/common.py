@@ -63,7 +63,7 @@ def profile_options(function: F) -> F:
 
 
 def load_codec(profile: str) -> Codec:
-    """The codec of a named profile or profile file."""
+    """Return the codec of a named profile or profile file."""
     try:
         return get_codec(profile)
     except ProfileError as error:

@@ -194,7 +194,7 @@ class ValueTypes:
 
 
 def _extended(name: str, own: Sequence[OwnField]) -> type[msgspec.Struct]:
-    """The class of a record of the specification with fields of the profile: in ``extra``, and readable by name."""
+    """Create the class of a specified record with fields of the profile, kept in ``extra`` and readable by name."""
     readers = {snake(member.name): property(_Entry(place)) for place, member in enumerate(own)}
     return msgspec.defstruct(
         name,
@@ -208,7 +208,7 @@ def _extended(name: str, own: Sequence[OwnField]) -> type[msgspec.Struct]:
 
 
 class _Entry:
-    """Reads one entry of ``extra``."""
+    """Descriptor that reads one entry of ``extra``."""
 
     def __init__(self, place: int) -> None:
         self._place = place
@@ -218,7 +218,7 @@ class _Entry:
 
 
 def neutral(member: OwnField) -> int | float | bytes:
-    """What a field of the profile's own holds if nobody gives a value: zero, zero octets, or no octets."""
+    """Return the default value of a field that the profile adds: zero, zero octets, or no octets."""
     if member.opaque is not None:
         return bytes(member.opaque)
     if member.real is not None:

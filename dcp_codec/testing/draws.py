@@ -32,7 +32,7 @@ class Draws:
     def below(self, end: int) -> int:
         """Draw a number in 0..``end`` - 1, as ``randrange(end)`` does. Raises ValueError if ``end`` is 0."""
         if end < 1:
-            raise ValueError(f"cannot draw from 0..{end - 1}")
+            raise ValueError(f"cannot draw a number below {end}")
         bits, width = self._bits, end.bit_length()
         number = bits(width)
         while number >= end:
