@@ -268,8 +268,8 @@ def test_ether_type_option(run, tmp_path, codec):
     [
         ((), "give recordings"),
         (("a.pcap", "--hex", "00"), "exactly one"),
-        (("a.pcap", "--frames", "x"), "no frame number"),
-        (("a.pcap", "--from", "yesterday"), "no ISO 8601 time"),
+        (("a.pcap", "--frames", "x"), "is not a frame number"),
+        (("a.pcap", "--from", "yesterday"), "is not an ISO 8601 time"),
         (("a.pcap", "--ether-type", "0x12345"), "not within 0x0600 to 0xffff"),
         (("a.pcap", "--ether-type", "beacon"), "is not an EtherType; write it in hex"),
         (
