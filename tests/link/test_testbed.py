@@ -328,3 +328,38 @@ class TestNodes:
         for process in runs.processes.values():
             assert not namespaces_of(process)
         assert not list(runs.directory.glob("*/*.sock"))
+
+
+def test_two_processes_may_delete_the_same_namespaces(monkeypatch):
+    # Workers of a matrix that start together all sweep what an earlier one has left behind.
+    real = namespaces.run
+
+    def overtaken(command, given=""):
+        if command[:3] == ["ip", "netns", "delete"]:
+            real(command)
+        return real(command, given)
+
+    name = f"{namespaces.own_prefix()}-both"
+    namespaces.create([name])
+    monkeypatch.setattr(namespaces, "run", overtaken)
+    namespaces.delete([name])
+    assert namespaces.existing(namespaces.own_prefix()) == []
+
+
+def test_a_namespace_that_cannot_be_deleted_is_told(monkeypatch):
+    real = namespaces.run
+
+    def refused(command, given=""):
+        if command[:3] == ["ip", "netns", "delete"]:
+            raise namespaces.NamespaceError("ip netns delete: not permitted")
+        return real(command, given)
+
+    name = f"{namespaces.own_prefix()}-kept"
+    namespaces.create([name])
+    try:
+        with monkeypatch.context() as patch:
+            patch.setattr(namespaces, "run", refused)
+            with pytest.raises(namespaces.NamespaceError, match="not permitted"):
+                namespaces.delete([name])
+    finally:
+        namespaces.delete([name])

@@ -76,9 +76,13 @@ def delete(names: Iterable[str]) -> None:
             _kill(pid, number)
         _wait_until_gone(inside, 3.0)
     for name in names:
-        # Somebody else may have done it already.
+        # Another process may delete it as well, also between the look and the command.
         if Path("/run/netns", name).exists():
-            run(["ip", "netns", "delete", name])
+            try:
+                run(["ip", "netns", "delete", name])
+            except NamespaceError:
+                if Path("/run/netns", name).exists():
+                    raise
 
 
 def sweep() -> list[str]:
