@@ -52,7 +52,7 @@ __all__ = [
     "VariableChanged",
 ]
 
-# A client of a running node loads nothing of the node.
+# Lazy imports: a client of a running node must not load the modules of a node.
 __getattr__ = exported(
     __name__,
     {

@@ -1,4 +1,4 @@
-"""The services of BP that SRP and VarDis use, as types: they know nothing else of BP."""
+"""Types of the services of BP that SRP and VarDis use; both depend on no other part of BP."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ class HasStatus(Protocol):
 
 
 class RegisterConfirm(HasStatus, Protocol):
-    """Of BP-RegisterProtocol; ``own_node_identifier`` is None where the version does not tell (1.0)."""
+    """Confirm of BP-RegisterProtocol; ``own_node_identifier`` is None in 1.0, whose confirm lacks it."""
 
     @property
     def own_node_identifier(self) -> bytes | None: ...
 
 
 class NumberConfirm(HasStatus, Protocol):
-    """Of BP-QueryNumberBufferedPayloads; ``number`` is None if the status is not OK."""
+    """Confirm of BP-QueryNumberBufferedPayloads; ``number`` is None if the status is not OK."""
 
     @property
     def number(self) -> int | None: ...
 
 
 class BPPort(Protocol):
-    """BP as one client protocol sees it; ``bp.client_port.ClientPort`` is one. Times are ns."""
+    """Interface of BP to one client protocol; ``bp.client_port.ClientPort`` implements it. Times are ns."""
 
     def register(
         self,
@@ -56,7 +56,7 @@ class BPPort(Protocol):
         """``BP-QueryNumberBufferedPayloads``."""
 
     def next_beacon(self) -> int | None:
-        """When BP prepares its next beacon (monotonic ns); None if it prepares none for this client.
+        """Return when BP prepares its next beacon (monotonic ns); None if it prepares none for this client.
 
         This is ``nextBeaconGenerationEpoch`` of the latest BP-PayloadTransmitted.indication, corrected if the beacon
         was moved since (a changed period, a triggered beacon, a beacon without a payload of this client).

@@ -1,4 +1,4 @@
-"""How a node is set up: identity, profile, parameters under the specification's names, and chosen readings."""
+"""Configuration of a node: identity, profile, parameters by their names in the specification, and readings."""
 
 from __future__ import annotations
 
@@ -51,10 +51,10 @@ class SRPConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     neighbour_table_timeout_ms: int = 3000
     """SRPPAR_NEIGHBOUR_TABLE_TIMEOUT (SRP-PAR-01)."""
     max_neighbours: int | None = None
-    """Entries of the neighbour table, 1 or more; for a further one an old one is given up: nothing received may use up
-    memory. None for the profile's limit, or :data:`MAX_NEIGHBOURS` if it has none."""
+    """Entries of the neighbour table, 1 or more. A full table replaces an old entry, so that received frames cannot use
+    up memory. None for the profile's limit, or :data:`MAX_NEIGHBOURS` if it has none."""
     safety_data: Mapping[str, float | int | str] | None = None
-    """Safety data handed down at start, by the profile's field names; None for none."""
+    """Safety data submitted at start, by the profile's field names; None to submit none."""
 
 
 class VardisConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -68,22 +68,22 @@ class VardisConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     scrubbing_period_ms: int = 1000
     buffer_check_period_ms: int = 50
     compose_lead_ms: float = 0.0
-    """How long before a beacon its payload is composed (X54); 0 is in the same step, which misses nothing."""
+    """Time in ms from the composition of a payload to its beacon (X54). 0 composes it in the step of the beacon."""
     max_variables: int | None = None
-    """Variables beyond this are not taken from others and refused to applications. None for the profile's limit, or
-    :data:`MAX_VARIABLES` if it has none."""
+    """Size of the database. A full one ignores new variables of other nodes and refuses those of applications. None for
+    the profile's limit, or :data:`MAX_VARIABLES` if it has none."""
     max_creation_ahead_s: float | None = None
-    """Ignore a VarCreate whose creation time is further ahead of the own clock than this (s, 0 or more): a forged one
-    in the future keeps the producer from creating its variable again until then. None follows the specification, which
-    has no such bound."""
+    """A VarCreate is ignored if its creation time is later than the own clock by more than this (s, 0 or more).
+    A forged creation time in the future prevents the producer from creating its variable again until then. None
+    follows the specification, which has no such bound."""
     bp_queue_entries: int = 1
-    """maxEntries with which VarDis registers (VD-INI-02): one payload, so that what is sent is fresh."""
+    """maxEntries with which VarDis registers (VD-INI-02): one payload, so that a beacon carries the latest."""
 
 
 class NodeConfig(msgspec.Struct, frozen=True, kw_only=True, dict=True):
-    """A whole node. ``readings`` chooses among the alternatives of disputed text (docs/readings.md) by id.
+    """Configuration of a node. ``readings`` selects alternatives of ambiguous text (docs/readings.md) by id.
 
-    What follows from it alone is found out once, so that many nodes can be made of one configuration.
+    Values derived from it are computed once and shared by all nodes with this configuration.
     """
 
     node_id: bytes
@@ -95,13 +95,14 @@ class NodeConfig(msgspec.Struct, frozen=True, kw_only=True, dict=True):
     """None: no VarDis on this node."""
     readings: Mapping[str, str] = msgspec.field(default_factory=dict)
     instructions: tuple[Callable[[Any], Any], ...] = ()
-    """Classes derived from ``dcp_stack.vardis.instructions.Instruction``, for container types of the profile's own."""
+    """Subclasses of ``dcp_stack.vardis.instructions.Instruction`` for container types that the profile adds."""
 
     def __post_init__(self) -> None:
-        """Raises ``ValueError`` for a node id of the wrong width or a choice that a reading does not have.
+        """Check the values.
 
-        Also for a profile with fields of the implementation's own that a node cannot fill
-        (``dcp_spec.profile.usability``). Raises ``UnknownReadingError`` for an id that is not a reading's.
+        Raises ``ValueError`` for a node id of the wrong width, for an alternative that a reading does not have, and
+        for a profile with additional fields that a node cannot fill (``dcp_spec.profile.usability``). Raises
+        ``UnknownReadingError`` for the id of an unknown reading.
         """
         if (unusable := refusal(self.profile)) is not None:
             raise ValueError(unusable)
@@ -118,7 +119,7 @@ class NodeConfig(msgspec.Struct, frozen=True, kw_only=True, dict=True):
 
     @functools.cached_property
     def features(self) -> Features:
-        """What the specification version of the profile has (C.7)."""
+        """Features of the profile's specification version (C.7)."""
         return features(self.profile.spec_version)
 
     @functools.cached_property
@@ -149,12 +150,12 @@ class NodeConfig(msgspec.Struct, frozen=True, kw_only=True, dict=True):
 
     @functools.cached_property
     def container_numbers(self) -> Mapping[ICType, int]:
-        """How the profile numbers the types of instruction containers (VD-IC-02)."""
+        """The numbers of the instruction container types in the profile (VD-IC-02)."""
         numbers = self.profile.vardis.container_types.by_name()
         return {kind: numbers[kind.label] for kind in ICType}
 
     def once(self, find: Callable[[NodeConfig], Found]) -> Found:
-        """What ``find`` makes of this configuration, the first time it is asked for; nobody may change it."""
+        """Return ``find(self)``, computed at the first call and shared afterwards; callers must not modify it."""
         if find not in self._once:
             self._once[find] = find(self)
         found: Found = self._once[find]
@@ -165,7 +166,7 @@ class NodeConfig(msgspec.Struct, frozen=True, kw_only=True, dict=True):
         return {}
 
     def reading(self, identifier: str) -> str:
-        """The chosen alternative of a disputed text; ours unless ``readings`` says otherwise."""
+        """Return the alternative in ``readings`` for an ambiguous text, or the default of the reading."""
         chosen = self._chosen.get(identifier)
         if chosen is None:
             default = reading(identifier).default
@@ -183,7 +184,7 @@ def _sizes(config: NodeConfig) -> Sizes:
     profile, records, plan = config.profile, config.record_sizes, config.codec.envelope_plan
     header, block = record(plan, "BPHeader"), record(plan, "Payload")
     assert block is not None
-    # Identifiers of varying length are counted as long as the own one.
+    # The size of a variable-length identifier is taken to be that of the own identifier.
     own_id = 0 if records.node_id_width is not None else len(config.node_id)
     return Sizes(
         version=profile.spec_version,

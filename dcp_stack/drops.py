@@ -1,6 +1,6 @@
-"""The named reasons for which received octets and records are ignored, with the requirement that asks for it.
+"""Names of the reasons to ignore received octets and records, with the requirement that demands it.
 
-Reasons of malformed octets come from ``dcp_spec.reasons``; those below are about well-formed ones.
+``dcp_spec.reasons`` has the reasons for malformed octets; the reasons below are for well-formed ones.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What a node does: the outputs of the protocol cores, as values in one ordered queue.
+"""Effects: the outputs of the protocol cores, as values in one ordered queue.
 
 Times are ns: ``now`` monotonic (deadlines), ``wall`` since the Unix epoch (stamps). Octets are ``bytes``.
 """
@@ -32,7 +32,7 @@ class PayloadTransmitted(msgspec.Struct, frozen=True, gc=False):
 
 
 class VariableChanged(msgspec.Struct, frozen=True, gc=False):
-    """A variable was created, updated or deleted here or by others; ``event`` says which of the three."""
+    """A variable was created, updated or deleted (``event``) by this node or another."""
 
     event: str
     var_id: int
@@ -55,10 +55,10 @@ class NeighbourExpired(msgspec.Struct, frozen=True, gc=False):
 
 
 class Dropped(msgspec.Struct, frozen=True, gc=False):
-    """Something received was ignored. ``layer`` is bp, srp or vardis; ``reason`` one of ``dcp_stack.drops``.
+    """Received octets or a record were ignored. ``layer``: bp, srp or vardis; ``reason``: one of ``dcp_stack.drops``.
 
     ``offset`` is the octet in the bearer payload (bp) or client payload (srp, vardis) where the reason lies, -1 if it
-    has none; ``requirement`` the rule that asks to ignore it; ``var_id`` the variable for VarDis records.
+    has none; ``requirement`` the rule that demands it; ``var_id`` the variable for VarDis records.
     """
 
     layer: str

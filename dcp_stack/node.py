@@ -1,8 +1,8 @@
-"""A node: BP with SRP and VarDis as its clients, composed without any input or output of its own.
+"""A node: BP with SRP and VarDis as its clients, without input, output or clock.
 
 Order of calls: :meth:`Node.start` once, then any of the input methods, and after each of them ``take_effects()`` for
-what to do and ``poll_timeout()`` for when to call ``handle_timeout`` next. Applications call the services of ``bp``,
-``srp`` and ``vardis`` directly, and after them the same two.
+the effects to carry out and ``poll_timeout()`` for the time of the next ``handle_timeout``. Applications call the
+services of ``bp``, ``srp`` and ``vardis`` directly, then :meth:`Node.settle` and the same two.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class Node:
         self.vardis = Vardis(config, vardis, emit=emit, now=now, wall=wall) if config.vardis else None
 
     def start(self, now: int, wall: int) -> None:
-        """Let the client protocols register; from here on the node beacons when there is something to say."""
+        """Register the client protocols; from now on the node sends a beacon whenever there are payloads."""
         if self.srp is not None:
             self.srp.start(now, wall)
         if self.vardis is not None:
@@ -50,13 +50,13 @@ class Node:
         self._settle(now, wall)
 
     def handle_frame(self, octets: bytes, *, now: int, wall: int) -> None:
-        """A bearer payload was received. Never raises, whatever the octets are."""
+        """Process a received bearer payload. Never raises, for any octets."""
         self.bp.handle_beacon(octets, now=now, wall=wall)
         self._settle(now, wall)
 
     def handle_timeout(self, now: int, wall: int) -> None:
-        """Time has come, or passed; calling too early does no harm."""
-        # Clients first: what they submit now goes into the beacon of now.
+        """Do everything that is due at ``now``; a call before :meth:`poll_timeout` has no effect."""
+        # Clients first: a payload submitted now goes into a beacon that is due now.
         if self.srp is not None:
             self.srp.handle_timeout(now, wall)
         if self.vardis is not None:
@@ -65,7 +65,7 @@ class Node:
         self._settle(now, wall)
 
     def poll_timeout(self) -> int | None:
-        """When ``handle_timeout`` is due next (monotonic ns), None if nothing is pending."""
+        """Return when ``handle_timeout`` is due next (monotonic ns), None if nothing is pending."""
         due = self.bp.poll_timeout()
         for client in (self.srp, self.vardis):
             when = None if client is None else client.poll_timeout()
@@ -74,11 +74,11 @@ class Node:
         return due
 
     def settle(self, now: int, wall: int) -> None:
-        """Carry on what service calls on ``bp``, ``srp`` or ``vardis`` have set off; call it after them."""
+        """Deliver the indications that service calls on ``bp``, ``srp`` or ``vardis`` caused; call it after them."""
         self._settle(now, wall)
 
     def take_effects(self) -> list[Effect]:
-        """Everything to do since the last call, in order; indications for SRP and VarDis have been handled inside."""
+        """Return the effects since the last call, in order, without the indications that SRP and VarDis handled."""
         taken, self._effects = self._effects, []
         return taken
 
@@ -91,14 +91,14 @@ class Node:
         self._settle(now, wall)
 
     def reset(self, now: int, wall: int) -> None:
-        """Back to the state after :meth:`start`: nothing known or counted, sequence numbers from the start."""
+        """Return to the state after :meth:`start`: empty tables, counters and sequence numbers reset."""
         self._pending.clear()
         self._effects.clear()
         self._build(now, wall)
         self.start(now, wall)
 
     def _settle(self, now: int, wall: int) -> None:
-        """Deliver indications to SRP and VarDis. What they emit in turn is handled in the same order."""
+        """Deliver indications to SRP and VarDis, and the effects that these emit, in order of emission."""
         pending = self._pending
         if not pending:
             return
@@ -113,10 +113,10 @@ class Node:
         pending.clear()
 
     ##= BP-RXP-03
-    # Whoever registered gets it: the numbers of SRP and VarDis may have become those of somebody outside the node.
+    # A client outside the node may have registered under the numbers of SRP and VarDis; it gets their payloads.
 
     def _received(self, effect: PayloadReceived, now: int, wall: int) -> bool:
-        """Deliver a payload inside; False if it is for somebody else."""
+        """Deliver a payload to SRP or VarDis; False if it is for a client outside the node."""
         if effect.protocol_id == BP_PROTID_SRP and self.srp is not None and self._srp_port.holds:
             self.srp.handle_payload(effect.payload, effect.sender_id, now=now, wall=wall)
             return True
@@ -130,11 +130,11 @@ class Node:
         if protocol_id == BP_PROTID_VARDIS and self.vardis is not None and self._vardis_port.holds:
             self.vardis.payload_transmitted(now, wall)
             return True
-        # SRP has no use for it.
+        # SRP ignores this indication.
         return protocol_id == BP_PROTID_SRP and self.srp is not None and self._srp_port.holds
 
     def snapshot(self) -> dict[str, Any]:
-        """The state of all entities as plain data, for displays and comparisons."""
+        """Return the state of all entities as plain data, for displays and comparisons."""
         return {
             name: entity.snapshot()
             for name, entity in (("bp", self.bp), ("srp", self.srp), ("vardis", self.vardis))

@@ -1,4 +1,4 @@
-"""Fields that a profile adds to VarSpec: values that applications give for them."""
+"""Values of the fields that a profile adds to VarSpec."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from dcp_codec.values import Container, VarCreate, VarSpec, VarUpdate
 
 
 class OwnSpecFields:
-    """The fields of a VarSpec that the specification does not have, by their names in the profile."""
+    """The fields that a profile adds to VarSpec, by their names in the profile."""
 
     def __init__(self, codec: Codec) -> None:
         self._codec = codec
@@ -22,15 +22,15 @@ class OwnSpecFields:
         self.names = tuple(each.name for each in own_fields(codec.profile.vardis.var_spec))
 
     def values(self, spec: VarSpec) -> dict[str, Any]:
-        """The values in ``spec`` by name, in wire order; octets as ``bytes``."""
+        """Return the values in ``spec`` by name, in wire order; octets as ``bytes``."""
         return dict(zip(self.names, getattr(spec, "extra", ()), strict=True)) if self.names else {}
 
     def shown(self, spec: VarSpec) -> dict[str, int | float | str]:
-        """As :meth:`values`, with octets in hexadecimal digits: as control interface and scenarios have them."""
+        """Return :meth:`values` with octets as hexadecimal digits, for the control interface and scenarios."""
         return {name: value.hex() if isinstance(value, bytes) else value for name, value in self.values(spec).items()}
 
     def parsed(self, given: Mapping[str, int | float | str]) -> dict[str, Any]:
-        """Values as :meth:`shown` has them, with octets as ``bytes``. Raises ValueError for wrong digits."""
+        """Convert values of the form of :meth:`shown` to octets. Raises ValueError for invalid digits."""
         found: dict[str, Any] = dict(given)
         for name, value in given.items():
             if isinstance(value, str):

@@ -1,4 +1,4 @@
-"""Sizes of VarDis records on the wire and ranges of their fields, as the plan of the codec has them (DATA-02)."""
+"""Sizes of VarDis records on the wire and ranges of their fields, from the plan of the codec (DATA-02)."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ class RecordSizes:
         self.ic_header = least_size(_record(plan, "Container"))
         self.var_summ = least_size(summary)
         self.var_spec = least_size(spec)
-        """A VarSpec without description, and without the octets of an identifier of varying length."""
+        """Octets of a VarSpec without description, and without an identifier of variable length."""
         self.var_update = least_size(update)
-        """A VarUpdate without its value."""
+        """Octets of a VarUpdate without its value."""
         self._create = least_size(layouts[ICType.CREATE_VARIABLES])
         own = codec.profile.vardis.own_containers
         self.fixed: dict[ICType | str, int | None] = {kind: layout.size for kind, layout in layouts.items()} | {
             each.name: _record(plan, each.type_name).size for each in own
         }
-        """Octets of each record by container type (or name of one of the profile's own), None if they vary."""
+        """Octets of each record by container type (by name for types that the profile adds), None if variable."""
         self._codec = codec
         self._own_numbers = {each.type_name: each.number for each in own}
         self._own_texts = [place for place, each in enumerate(_own_fields(spec)) if isinstance(each, Text)]
@@ -37,7 +37,7 @@ class RecordSizes:
         self.node_id_width = producer.size if isinstance(producer, Scalar) else None
         self.highest_var_id = largest(_scalar(summary, "varId"))
         self.highest_rep_cnt = largest(_scalar(spec, "repCnt"))
-        # Layouts before 2.0 have neither.
+        # Layouts before 2.0 have neither field.
         self.highest_timeout = largest(_scalar(spec, "timeout")) if member(spec, "timeout") else 0
         self.highest_stamp = largest(_scalar(spec, "creationTime")) if member(spec, "creationTime") else 0
         description, value = member(spec, "descr"), member(update, "value")
@@ -50,11 +50,11 @@ class RecordSizes:
         self.seqno_modulus = seqno_modulus(_scalar(summary, "seqno").size)
 
     def update(self, value: bytes) -> int:
-        """A VarUpdate with this value."""
+        """Return the octets of a VarUpdate with this value."""
         return self.var_update + len(value)
 
     def create(self, spec: VarSpec, value: bytes) -> int:
-        """A VarCreate of a variable with this value."""
+        """Return the octets of a VarCreate with this value."""
         producer = len(spec.prod_id) if self._id_varies else 0
         size = self._create + producer + len(spec.descr) + len(value)
         for place in self._own_texts:
@@ -62,11 +62,11 @@ class RecordSizes:
         return size
 
     def own_record(self, number: int, record: OwnRecord) -> int:
-        """A record of a container type of the profile's own, which has this number."""
+        """Return the octets of a record of an added container type with this number."""
         return len(self._codec.encode_containers((Container(number, (record,)),))) - self.ic_header
 
     def record(self, record: VarCreate | VarUpdate | OwnRecord) -> int:
-        """A decoded record of a type whose records have no fixed size."""
+        """Return the octets of a decoded record whose type has no fixed size."""
         if isinstance(record, VarCreate):
             return self.create(record.spec, record.upd.value)
         if isinstance(record, OwnRecord):
@@ -81,7 +81,7 @@ def _record(plan: Node, name: str) -> Group:
 
 
 def _own_fields(group: Group) -> list[Node]:
-    """The members that the specification does not have, in wire order."""
+    """Return the members that the profile adds to the specification's, in wire order."""
     return [each for each in group.members if isinstance(each, Scalar | Text) and each.role in ("extra", "opaque")]
 
 

@@ -1,7 +1,7 @@
-"""BP as one client protocol of a node sees it.
+"""Interface of BP to one client protocol of a node.
 
-Clients outside the node may deregister SRP or VarDis and register under the same number. BP cannot tell its clients
-apart, and neither protocol is told; the port knows which registration it made, and whether that one still stands.
+Clients outside the node may deregister SRP or VarDis and register under the same number. BP cannot distinguish its
+clients and does not indicate this. The port therefore keeps its own registration and compares it with BP's.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ class ClientPort:
 
     @property
     def holds(self) -> bool:
-        """Whether what BP has for the number belongs to the protocol behind this port."""
+        """True if BP's registration under the number was made by this port."""
         return self._client is not None and self._client.stands
 
     def register(
@@ -47,21 +47,21 @@ class ClientPort:
         return confirm
 
     def deregister(self, prot_id: int) -> StatusConfirm:
-        """``BP-DeregisterProtocol``, whoever registered: a protocol that starts again takes its number back."""
+        """``BP-DeregisterProtocol``, also of another client's registration: a restarted protocol needs its number."""
         return self._bp.deregister(prot_id)
 
     def transmit_payload(self, prot_id: int, payload: bytes, *, now: int) -> StatusConfirm:
-        """``BP-TransmitPayload``; who does not hold the number is no client and has no payloads."""
+        """``BP-TransmitPayload``; if another client holds the number, answered as for an unregistered one."""
         if not self.holds:
             return StatusConfirm(BPStatus.UNKNOWN_PROTOCOL)
         return self._bp.transmit_payload(prot_id, payload, now=now)
 
     def query_number_buffered(self, prot_id: int) -> NumberConfirm:
-        """``BP-QueryNumberBufferedPayloads``, in the same way."""
+        """``BP-QueryNumberBufferedPayloads``, with the same check of the registration."""
         if not self.holds:
             return NumberConfirm(BPStatus.UNKNOWN_PROTOCOL, None)
         return self._bp.query_number_buffered(prot_id)
 
     def next_beacon(self) -> int | None:
-        """When BP prepares its next beacon (monotonic ns); None if it does not, or not for the client of this port."""
+        """Return when BP prepares its next beacon (monotonic ns); None if none, or if another client has the number."""
         return self._bp.poll_timeout() if self.holds else None

@@ -1,9 +1,9 @@
-"""The client protocols of BP, and whose payloads go into the next beacon (dcp-bp.md#bp-transmit-path).
+"""The client protocols of BP and the selection of payloads for a beacon (dcp-bp.md#bp-transmit-path).
 
-Clients are served longest-unserved first: who is put into a beacon goes behind all others, in the order of serving. A
-client that found no room is therefore further in front in the next beacon, and after at most as many beacons as there
-are clients before it, it is the first one, for which the whole beacon is free. Only when every client had its turn,
-those with allowMultiplePayloads have another one, again in this order, until nothing fits.
+The client that has waited longest is served first: a served client moves to the end of the order. A client whose
+payload did not fit therefore moves forward, and is first, with the whole beacon free, after at most as many beacons
+as there were clients before it. After each client had its turn, clients with allowMultiplePayloads have further
+turns in the same order, until nothing fits.
 """
 
 from __future__ import annotations
@@ -29,20 +29,20 @@ class ClientList:
         return protocol_id in self._clients
 
     def __iter__(self) -> Iterator[Client]:
-        """In the order of registration."""
+        """Iterate over the clients in the order of registration."""
         return iter(self._clients.values())
 
     def get(self, protocol_id: int) -> Client | None:
-        """The client that is registered under an identifier."""
+        """Return the client that is registered under an identifier."""
         return self._clients.get(protocol_id)
 
     def insert(self, client: Client) -> None:
-        """Take a client that is not in the list."""
+        """Add a client whose identifier is not registered."""
         self._clients[client.protocol_id] = client
         self._order.append(client)
 
     def remove(self, protocol_id: int) -> None:
-        """Forget a client and its payloads."""
+        """Remove a client and its payloads."""
         ##= DATA-13
         ##= BP-DRG-04
         client = self._clients.pop(protocol_id)
@@ -69,7 +69,7 @@ class ClientList:
                 taken = size(payload)
                 ##= BP-TX-06
                 if taken > room:
-                    # Its other payloads wait behind this one; there will be no more room in this beacon.
+                    # Payloads of a client keep their order, so this client has no further turn in this beacon.
                     continue
                 room -= taken
                 chosen.append((client.protocol_id, payload))

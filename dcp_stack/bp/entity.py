@@ -5,8 +5,8 @@ Order of calls: any service request, :meth:`BeaconingProtocol.handle_beacon` or
 ``emit`` while a call runs, in order: ``SendBeacon``, then its ``PayloadTransmitted`` in the order of the blocks;
 ``PayloadReceived`` and ``Dropped`` in the order of the octets. ``now`` is monotonic ns, ``wall`` ns since 1970.
 
-Service requests are methods that return their confirm. Two freedoms of profiles are about other implementations and
-not used here: the confirm of BP-TransmitPayload and BP-PayloadTransmitted.indication always exist.
+Service requests are methods that return their confirm. Two options of profiles describe other implementations and
+are not used here: the confirm of BP-TransmitPayload and BP-PayloadTransmitted.indication always exist.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ __all__ = [
 ]
 
 
-# What any node can count, whoever is registered and whatever it hears.
+# Counters that exist from the start, independent of registrations and received frames.
 _COUNTED = (
     "beacons-left-out",
     "beacons-received",
@@ -75,7 +75,7 @@ class BeaconingProtocol:
         now: int,
         wall: int,  # noqa: ARG002 - the same call for every core
     ) -> None:
-        """``rng`` decides the jitter and nothing else. Raises ValueError for parameters that are out of bounds."""
+        """``rng`` is used for the jitter only. Raises ValueError for parameters that are out of bounds."""
         ##= BP-INI-04
         self._config = config
         self._features = config.features
@@ -155,7 +155,7 @@ class BeaconingProtocol:
     ##= BP-REG-09
     ##= DATA-11
     def _registrable(self, registration: Registration, *, known: bool) -> BPStatus:
-        """The checks of the service, in the order of its steps."""
+        """Check the parameters of the service in the order of its steps."""
         ##= BP-REG-02
         if registration.protocol_id in self._clients:
             return BPStatus.PROTOCOL_ALREADY_REGISTERED
@@ -180,7 +180,7 @@ class BeaconingProtocol:
         ):
             return BPStatus.ILLEGAL_DROPPING_QUEUE_SIZE
         ##= BP-QM-06
-        # The steps have no such check (X06); behind theirs it changes none of their answers.
+        # The steps have no such check (X06); after all of them it changes none of their answers.
         if not known and self._refuses_modes:
             return BPStatus.UNKNOWN_QUEUEING_MODE
         return BPStatus.OK
@@ -196,7 +196,7 @@ class BeaconingProtocol:
         return StatusConfirm(BPStatus.OK)
 
     def list_registered(self) -> ListConfirm:
-        """``BP-ListRegisteredProtocols.request``: what was registered, not what is buffered."""
+        """``BP-ListRegisteredProtocols.request``: the registrations, without the buffered payloads."""
         ##= BP-LST-01
         ##= BP-LST-02
         ##= BP-LST-03
@@ -205,7 +205,7 @@ class BeaconingProtocol:
         return ListConfirm(BPStatus.OK, tuple(client.registration for client in self._clients))
 
     def client(self, prot_id: int) -> Client | None:
-        """Who is registered under an identifier, None if nobody is."""
+        """Return the client that is registered under an identifier, or None."""
         return self._clients.get(prot_id)
 
     # -- payloads ---------------------------------------------------------------------------------------------
@@ -247,7 +247,7 @@ class BeaconingProtocol:
             return BPStatus.UNKNOWN_QUEUEING_MODE
         outcome = queue.submit(payload)
         self._counters.count(f"payloads-{outcome}/{client.protocol_id}")
-        # While inactive this changes nothing: activation starts the schedule anew.
+        # While inactive this changes nothing: activation restarts the schedule.
         if outcome != "discarded" and self._config.bp.triggered:
             self._schedule.trigger(now)
         ##= BP-TXP-09
@@ -308,16 +308,16 @@ class BeaconingProtocol:
         return StatusConfirm(BPStatus.OK)
 
     def parameters(self) -> dict[str, Any]:
-        """All parameters under the specification's names: BPPAR_BEACON_PERIOD in ms, sizes in octets.
+        """Return all parameters by their names in the specification: BPPAR_BEACON_PERIOD in ms, sizes in octets.
 
-        Those that can be set come first; BPPAR_NETWORK_ID is there since 2.0. The others are read-only.
+        Configurable parameters come first, read-only ones follow. BPPAR_NETWORK_ID exists since 2.0.
         """
         return self._parameters.as_dict()
 
     def set_parameter(self, name: str, value: object) -> Violation | None:
-        """Set a parameter from the next beacon on; a violation means that the old value was kept.
+        """Set a parameter from the next beacon on; a returned violation means that the old value was kept.
 
-        Raises ``UnknownParameterError`` for a name that is none of BP's.
+        Raises ``UnknownParameterError`` for a name that is not a parameter of BP.
         """
         violation = self._parameters.set(name, value)
         ##= BP-PAR-02
@@ -327,10 +327,10 @@ class BeaconingProtocol:
 
     ##= BP-MGT-06
     def counters(self) -> dict[str, int]:
-        """What was counted since the start, by name; ``/`` is followed by a protocol identifier or a reason.
+        """Return the counters since the start by name; a protocol identifier or a reason follows a ``/``.
 
-        Those with a ``/`` are there once they count something, the others from the start. ``beacons-left-out`` are
-        slots that passed altogether while nobody called: with those used, they are as many as the time has periods.
+        Counters with a ``/`` exist after their first event, the others from the start. ``beacons-left-out`` counts
+        slots that passed between two calls: used and unused slots together match the elapsed periods.
 
         Submissions by outcome are ``payloads-stored``, ``-displaced`` (kept, and the oldest one was dropped) and
         ``-discarded``.
@@ -338,11 +338,11 @@ class BeaconingProtocol:
         return self._counters.as_dict()
 
     def losses(self) -> tuple[NeighbourLoss, ...]:
-        """Beacon loss by sender, the longest silent first; none where beacons have no header."""
+        """Return the beacon loss by sender, the longest silent first; empty if beacons have no header."""
         return self._losses.entries()
 
     def snapshot(self) -> dict[str, Any]:
-        """The state as plain data."""
+        """Return the state as plain data."""
         parameters = self.parameters()
         return {
             "active": self._active,
@@ -360,15 +360,15 @@ class BeaconingProtocol:
     # -- transmit path ----------------------------------------------------------------------------------------
 
     def poll_timeout(self) -> int | None:
-        """When the next beacon is prepared (monotonic ns), also if there is nothing to send yet; None while inactive.
+        """Return the time of the next slot (monotonic ns), also without payloads; None while inactive.
 
-        The schedule runs on without payloads: were a beacon sent as soon as there is something, all neighbours that
-        react to the same beacon would send at the same moment.
+        The schedule runs without payloads, too. If a new payload caused a beacon at once, all neighbours that react
+        to the same beacon would send at the same time.
         """
         return self._schedule.due if self._active else None
 
     def handle_timeout(self, now: int, wall: int) -> None:  # noqa: ARG002 - the same call for every core
-        """Prepare a beacon if it is time to and there is something to send. At most one, however late the call is."""
+        """Prepare a beacon if a slot is due and there are payloads: at most one, also if several slots are due."""
         ##= BP-TX-07
         ##= BP-MGT-02
         if not self._active or now < self._schedule.due:
@@ -401,10 +401,10 @@ class BeaconingProtocol:
                 self._emit(PayloadTransmitted(protocol_id, self._schedule.due))
 
     def _room(self) -> int:
-        """Octets for blocks in the next beacon (X04)."""
+        """Return the octets that are free for blocks in the next beacon (X04)."""
         header, bearer = self._wire.header_size, self._parameters.uwb_max_packet_size
         counted = header if self._counts_header else 0
-        # Whatever the parameter is taken to count, the bearer counts everything.
+        # The limit of the bearer includes the header under each reading of the parameter.
         ##= UWB-05
         room = min(self._parameters.max_packet_size - counted, bearer - header)
         return room if self._wire.max_blocks is None else min(room, self._wire.max_blocks)
@@ -412,7 +412,7 @@ class BeaconingProtocol:
     # -- receive path -----------------------------------------------------------------------------------------
 
     def handle_beacon(self, octets: bytes, *, now: int, wall: int) -> None:  # noqa: ARG002 - as above
-        """A bearer payload was received. Never raises, whatever the octets are."""
+        """Process a received bearer payload. Never raises, for any octets."""
         ##= UWB-06
         self._counters.count("frames-received")
         self._counters.count("octets-received", len(octets))
@@ -426,7 +426,7 @@ class BeaconingProtocol:
     # -- misuse -----------------------------------------------------------------------------------------------
 
     def _protocol(self, prot_id: int) -> int:
-        """Raise for what no protocol identifier of the profile can be."""
+        """Raise for a value outside the profile's range of protocol identifiers."""
         if isinstance(prot_id, int) and not isinstance(prot_id, bool) and 0 <= prot_id <= self._largest_protocol:
             return prot_id
         _integer("prot_id", prot_id)
@@ -446,7 +446,7 @@ def _integer(name: str, value: object) -> None:
 
 
 def _mode(value: object) -> QueueingMode | str | int:
-    """The mode of this name, or the value itself if it is none (X06)."""
+    """Return the mode of this name, or the value unchanged if there is no such mode (X06)."""
     if isinstance(value, QueueingMode):
         return value
     if isinstance(value, bool) or not isinstance(value, str | int):

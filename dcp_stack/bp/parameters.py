@@ -19,7 +19,7 @@ OWN_NODE: Final = "ownNodeIdentifier"
 PROTOCOL_TYPE: Final = "protocol type"
 
 LONGEST_PERIOD: Final = 1 << 43
-"""ms. Any positive period is valid, but arithmetic with floats has an end somewhere."""
+"""ms. The specification has no upper bound; this one keeps float arithmetic exact enough."""
 
 
 class BPParameters:
@@ -30,7 +30,7 @@ class BPParameters:
         profile = config.profile
         self._sizes = config.sizes
         self._usable_minimum = _has_usable_minimum(config)
-        # Read here, before there is anybody to register, and never assigned again.
+        # Read-only after construction.
         self._fixed: dict[str, int | bytes] = {
             ##= BP-PAR-08
             ##= UWB-03
@@ -40,7 +40,7 @@ class BPParameters:
             OWN_NODE: config.node_id,
         }
         ##= BP-PAR-10
-        # The link puts it into frames; here it can be asked for.
+        # Only the link uses it; the entity keeps it for queries.
         if profile.link.ether_type is not None:
             self._fixed[PROTOCOL_TYPE] = profile.link.ether_type
         self._values = dict(config.once(_initial))
@@ -48,13 +48,13 @@ class BPParameters:
     ##= BP-PAR-01
     ##= BP-PAR-12
     def as_dict(self) -> dict[str, Any]:
-        """All values by name, those that can be set first."""
+        """Return all values by name, configurable ones first."""
         return {**self._values, **self._fixed}
 
     def set(self, name: str, value: object) -> Violation | None:
-        """Set a value; a violation means that it was not.
+        """Set a value; a returned violation means that the old value was kept.
 
-        Raises ``UnknownParameterError`` for a name that is none of BP's.
+        Raises ``UnknownParameterError`` for a name that is not a parameter of BP.
         """
         entry = parameter(name)
         if entry.protocol != "BP":
@@ -72,7 +72,7 @@ class BPParameters:
 
     @property
     def period(self) -> int:
-        """BPPAR_BEACON_PERIOD in ns, at least 1, at most some centuries."""
+        """BPPAR_BEACON_PERIOD in ns, 1 to ``LONGEST_PERIOD``."""
         period: float = self._values[PERIOD]
         return max(round(min(period, LONGEST_PERIOD) * MS), 1)
 
@@ -97,7 +97,7 @@ class BPParameters:
 
 
 def _initial(config: NodeConfig) -> Mapping[str, Any]:
-    """The values that a node begins with."""
+    """The initial values of a node."""
     profile, settings = config.profile, config.bp
     ##= BP-PAR-14 | exception: a profile or a configuration may say that an implementation starts with another size
     max_packet = settings.max_packet_size
@@ -124,7 +124,7 @@ def _has_usable_minimum(config: NodeConfig) -> bool:
 
 
 def _unusable(name: str, value: object, sizes: Sizes, usable_minimum: bool) -> Violation | None:
-    """A violation under the reading X05 ``usable-minimum``: not one octet of payload fits."""
+    """Return a violation under reading X05 ``usable-minimum`` if not one octet of payload fits."""
     least = sizes.bp_header + sizes.bp_payload_header + 1
     if name != MAX_PACKET or not usable_minimum or (isinstance(value, int) and value >= least):
         return None

@@ -1,6 +1,6 @@
 """Queues and buffers of the clients of BP (dcp-bp.md#subsubsec-beaconing-protocol-data-types).
 
-What a queueing mode does stands in :data:`QUEUEING`, a table. A buffer is a queue with one place, so one class
+The table :data:`QUEUEING` describes the queueing modes. A buffer is a queue with one place, so one class
 serves all modes.
 """
 
@@ -19,7 +19,7 @@ from .services import Registration
 
 
 class Places(Enum):
-    """How many payloads a mode keeps."""
+    """Number of payloads that a mode keeps."""
 
     ONE = "one"
     MAX_ENTRIES = "maxEntries"
@@ -29,9 +29,9 @@ class Places(Enum):
 class ModeRule(msgspec.Struct, frozen=True, gc=False):
     """One row of the table.
 
-    ``when_full``: what a new payload does when no place is free. ``when_sent``: what happens to a payload that was
-    put into a beacon. ``several``: whether allowMultiplePayloads has a meaning. ``on_empty``: what the submission of
-    no octets does in versions where it is more than an error (1.0).
+    ``when_full``: effect of a new payload on a full queue. ``when_sent``: whether a payload is kept after it was put
+    into a beacon. ``several``: whether allowMultiplePayloads has an effect. ``on_empty``: effect of an empty payload
+    in versions where it is not only an error (1.0).
     """
 
     places: Places
@@ -41,7 +41,7 @@ class ModeRule(msgspec.Struct, frozen=True, gc=False):
     on_empty: Literal["refuse", "clear"]
 
 
-#: Queueing modes as the specification has them (C.4 of the protocol reference).
+#: The queueing modes of the specification (C.4 of the protocol reference).
 QUEUEING: Final[Mapping[QueueingMode, ModeRule]] = MappingProxyType(
     {
         ##= BP-QM-01
@@ -66,7 +66,7 @@ class PayloadQueue:
     """The payloads of one client that wait for a beacon, oldest first."""
 
     def __init__(self, rule: ModeRule, max_entries: int) -> None:
-        """``max_entries`` counts only for the modes with that many places (BP-QM-09)."""
+        """``max_entries`` is used only by modes with a configurable length (BP-QM-09)."""
         self.rule = rule
         ##= BP-QM-09
         self._places = None if rule.places is Places.UNLIMITED else 1 if rule.places is Places.ONE else max_entries
@@ -74,11 +74,11 @@ class PayloadQueue:
         self._payloads: deque[bytes] = deque()
 
     def __len__(self) -> int:
-        """The payloads that are kept; 0 or 1 for a buffer."""
+        """Return the number of payloads; 0 or 1 for a buffer."""
         return len(self._payloads)
 
     def submit(self, payload: bytes) -> Submission:
-        """Keep a payload by the rule of the mode, and say what became of it or of the oldest one."""
+        """Add a payload by the rule of the mode; return the outcome: stored, oldest displaced or discarded."""
         outcome: Submission = "stored"
         if self._places is not None and len(self._payloads) >= self._places:
             ##= BP-TXP-04
@@ -92,32 +92,32 @@ class PayloadQueue:
         return outcome
 
     def head(self) -> bytes | None:
-        """The payload that is next; None if there is none."""
+        """Return the next payload, or None if the queue is empty."""
         return self._payloads[0] if self._payloads else None
 
     def sent(self) -> None:
-        """The head was put into a beacon."""
+        """Remove or keep the head, by the mode, after it was put into a beacon."""
         ##= BP-TX-05
         if self.rule.when_sent == "remove":
             self._payloads.popleft()
 
     def clear(self) -> None:
-        """Forget everything."""
+        """Remove all payloads."""
         self._payloads.clear()
 
 
 class Client:
-    """A registered client protocol: what it registered with, and its payloads.
+    """A registered client protocol: the parameters of its registration, and its payloads.
 
-    ``queue`` is None for a mode that does not exist (reading X06 ``refuse-at-clear``): nothing can be kept.
+    ``queue`` is None for an unknown mode (reading X06 ``refuse-at-clear``), which keeps no payloads.
     """
 
     def __init__(self, registration: Registration, rule: ModeRule | None, *, several: bool) -> None:
         self.registration = registration
         self.protocol_id = registration.protocol_id
-        """The identifier it is registered under."""
+        """The protocol identifier of the registration."""
         self.stands = True
-        """Whether it is registered still."""
+        """True until the client is deregistered."""
         ##= BP-REG-06
         self.queue = None if rule is None else PayloadQueue(rule, registration.max_entries)
         ##= BP-QM-07

@@ -1,4 +1,4 @@
-"""What BP does with a bearer payload while it is active (dcp-bp.md, "Receive Path"; C.6 of the protocol reference)."""
+"""The receive path of an active BP entity (dcp-bp.md, "Receive Path"; C.6 of the protocol reference)."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .wire import Block, BPWire, Fault
 
 
 class Receiver:
-    """The receive path of one entity. Everything that is ignored is emitted as ``Dropped`` and counted."""
+    """The receive path of one entity. All ignored octets are counted and emitted as ``Dropped``."""
 
     def __init__(
         self,
@@ -29,7 +29,7 @@ class Receiver:
         readings: Callable[[str], str],
         emit: Callable[[Effect], None],
     ) -> None:
-        """``readings`` gives the chosen alternative of a disputed text."""
+        """``readings`` returns the selected alternative of an ambiguous text."""
         self._wire = wire
         self._clients = clients
         self._parameters = parameters
@@ -102,7 +102,7 @@ class Receiver:
         self._emit(PayloadReceived(block.protocol_id, block.payload, sender))
 
     def drop(self, reason: str, offset: int = -1) -> None:
-        """Ignore something well-formed for one of the reasons of ``dcp_stack.drops``."""
+        """Count and emit that well-formed octets are ignored, for a reason of ``dcp_stack.drops``."""
         self._faulty(Fault(reason, DROPS[reason][0], offset))
 
     def _faulty(self, fault: Fault) -> None:

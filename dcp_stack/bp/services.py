@@ -8,20 +8,20 @@ from dcp_spec.status import BPStatus
 
 
 class UnknownServiceError(ValueError):
-    """The version of the specification that the profile follows has no such service."""
+    """The service does not exist in the profile's version of the specification."""
 
     def __init__(self, service: str, since: SpecVersion, version: SpecVersion) -> None:
         super().__init__(f"{service} exists since {since} of the specification; the profile follows {version}")
 
 
 class StatusConfirm(msgspec.Struct, frozen=True, gc=False):
-    """A confirm that carries nothing but its status."""
+    """A confirm with a status only."""
 
     status: BPStatus
 
 
 class RegisterConfirm(msgspec.Struct, frozen=True, gc=False):
-    """``BP-RegisterProtocol.confirm``; ``own_node_identifier`` is None in 1.0, which does not tell (BP-REG-07)."""
+    """``BP-RegisterProtocol.confirm``; ``own_node_identifier`` is None in 1.0, whose confirm lacks it (BP-REG-07)."""
 
     status: BPStatus
     own_node_identifier: bytes | None
@@ -31,8 +31,8 @@ class Registration(msgspec.Struct, frozen=True, rename="camel"):
     """One entry of ``BP-ListRegisteredProtocols.confirm`` (BP-LST-01).
 
     ``msgspec.to_builtins`` gives it under the specification's field names. Sizes in octets,
-    ``time_stamp_registration`` in ns since 1970. ``queue_mode`` is a ``QueueingMode``, unless the reading X06
-    ``refuse-at-clear`` let something else be registered.
+    ``time_stamp_registration`` in ns since 1970. ``queue_mode`` is a ``QueueingMode``, except for an unknown mode
+    that was registered under reading X06 ``refuse-at-clear``.
     """
 
     protocol_id: int
@@ -41,7 +41,7 @@ class Registration(msgspec.Struct, frozen=True, rename="camel"):
     queue_mode: QueueingMode | str | int
     time_stamp_registration: int
     ##= DATA-09
-    # Counts are Python integers, which have no upper end.
+    # Counts are Python integers: no overflow.
     max_entries: int
     allow_multiple_payloads: bool
 

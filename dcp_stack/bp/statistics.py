@@ -1,4 +1,4 @@
-"""What BP counts, and how many beacons of each neighbour were lost (BP-MGT-06, BP-RX-11); bounded memory."""
+"""Counters of BP and the beacon loss of each neighbour (BP-MGT-06, BP-RX-11), in bounded memory."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ import msgspec
 from dcp_spec.constants import BP_SEQNO_MODULUS
 
 MAX_NEIGHBOURS: Final = 4096
-"""Senders beyond this displace the one that was silent for longest."""
+"""Capacity of the loss table; a further sender replaces the one that was silent for longest."""
 SMOOTHING: Final = 0.95
-"""Weight of the past per beacon in the loss estimate: it looks back about 20 beacons."""
+"""Weight of the previous estimate per beacon; the loss estimate covers about the last 20 beacons."""
 
 
 class Counters:
-    """Numbers by name, all from 0; names are of the code and of registered protocols, never of the air."""
+    """Counters by name. Names contain reasons and registered protocols, no received values: bounded memory."""
 
     def __init__(self, *always: str) -> None:
-        """``always`` are there before anything was counted, so that a difference of two looks can be taken at once."""
+        """``always`` names counters that exist from the start with 0, so that differences can be computed."""
         self._numbers: dict[str, int] = dict.fromkeys(always, 0)
 
     def count(self, name: str, by: int = 1) -> None:
@@ -25,12 +25,12 @@ class Counters:
         self._numbers[name] = self._numbers.get(name, 0) + by
 
     def as_dict(self) -> dict[str, int]:
-        """A copy, ordered by name."""
+        """Return a copy, ordered by name."""
         return dict(sorted(self._numbers.items()))
 
 
 class NeighbourLoss(msgspec.Struct, frozen=True, gc=False):
-    """What the sequence numbers of one sender tell; ``heard`` is monotonic ns.
+    """Statistics of the sequence numbers of one sender; ``heard`` is monotonic ns.
 
     ``lost`` counts the numbers left out, ``repeated`` equal ones in a row, ``restarts`` steps back. ``loss`` is the
     share of beacons lost lately, 0..1.
@@ -46,7 +46,7 @@ class NeighbourLoss(msgspec.Struct, frozen=True, gc=False):
     loss: float = 0.0
 
     def after(self, seqno: int, now: int) -> NeighbourLoss:
-        """The same after one more beacon."""
+        """Return the statistics after another beacon, received at ``now``."""
         ahead = (seqno - self.seqno) % BP_SEQNO_MODULUS
         lost, repeated, restarts, loss = self.lost, self.repeated, self.restarts, self.loss
         if ahead == 0:
@@ -70,16 +70,16 @@ class LossTable:
         self._entries: dict[bytes, NeighbourLoss] = {}
 
     def record(self, node_id: bytes, seqno: int, now: int) -> None:
-        """A beacon of ``node_id`` was received."""
+        """Count a received beacon of ``node_id``."""
         known = self._entries.pop(node_id, None)
         if known is None and len(self._entries) >= self._capacity:
             del self._entries[next(iter(self._entries))]
         self._entries[node_id] = NeighbourLoss(node_id, seqno, now) if known is None else known.after(seqno, now)
 
     def entries(self) -> tuple[NeighbourLoss, ...]:
-        """All entries, the longest silent first."""
+        """Return all entries, the longest silent first."""
         return tuple(self._entries.values())
 
     def get(self, node_id: bytes) -> NeighbourLoss | None:
-        """The entry of one sender."""
+        """Return the entry of a sender, or None."""
         return self._entries.get(node_id)

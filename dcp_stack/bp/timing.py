@@ -2,15 +2,15 @@
 
 The specification only asks that the number of beacons in a long time T tends to T / BPPAR_BEACON_PERIOD. Here the
 intervals between the *slots* of a schedule are independent, each the period times a uniform factor in
-1 - jitter .. 1 + jitter, and a slot is planned from the slot before it, not from the moment at which somebody got
-round to it:
+1 - jitter .. 1 + jitter, and a slot is planned from the slot before it, not from the time of the call that used
+it:
 
 * Independent intervals rather than jitter around a fixed grid: the phases of two nodes drift apart like random walks,
-  while on equal grids two nodes that collide once collide for ever with the same probability.
-* A late call delays one beacon and none after it, so the mean stays the period. Slots that have passed altogether are
-  left out instead of being made up for, and two beacons are never closer than a quarter of an interval: no bursts.
-* A triggered beacon is the next slot's, brought forward, at most to the slot before: triggers move beacons and do not
-  add any, so that a client that answers each transmission with a new payload does not send without end.
+  while on equal grids two nodes that collided once keep the same probability of a collision.
+* A late call delays one beacon and none after it, so the mean stays the period. Slots that have passed are left
+  out, and two beacons are never closer than a quarter of an interval: no bursts.
+* A trigger moves the beacon of the next slot forward, at most to the slot before, and adds none. A client that answers
+  each transmission with a new payload therefore cannot cause an endless sequence of beacons.
 """
 
 from __future__ import annotations
@@ -34,16 +34,16 @@ class BeaconSchedule:
         self._period = period
         self._sent_at: int | None = None
         self.due = 0
-        """When the next beacon is to be prepared."""
+        """The time at which the next beacon is due, in monotonic ns."""
         self.restart(now)
 
     def restart(self, now: int) -> None:
-        """Begin anew: the first slot is one interval from ``now``."""
+        """Restart: the first slot is one interval after ``now``."""
         self._anchor = now
         self._plan()
 
     def set_period(self, period: int) -> None:
-        """Change the period; the slot that comes next is moved as if the period had always been this."""
+        """Change the period, and move the next slot as if the period had always been this."""
         ##= BP-PAR-02
         self._period = period
         self._place()
@@ -60,9 +60,9 @@ class BeaconSchedule:
         self.due = self._slot if self._sent_at is None else max(self._slot, self._sent_at + self._gap)
 
     def passed(self, now: int, *, sent: bool) -> int:
-        """The beacon that was due has been prepared at ``now``, or there was nothing to send; plan the next.
+        """Plan the next slot after the due one was used, or had nothing to send, at ``now``.
 
-        Returns how many slots have passed altogether meanwhile.
+        Returns the number of slots that passed unused.
         """
         if sent:
             self._sent_at = now
@@ -78,7 +78,7 @@ class BeaconSchedule:
         return left_out
 
     def trigger(self, now: int) -> None:
-        """Bring the next beacon forward to ``now``, or as near to it as the rules above allow."""
+        """Move the next beacon forward to ``now``, or to the earliest later time that the rules above allow."""
         earliest = max(now, self._anchor)
         if self._sent_at is not None:
             earliest = max(earliest, self._sent_at + self._gap)

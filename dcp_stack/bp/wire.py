@@ -1,5 +1,5 @@
-"""Bearer payloads of a profile as BP sees them: header, blocks, and what is wrong with them (dcp-bp.md, "Packet
-Format" and "Receive Path"). Client payloads stay octets."""
+"""Encoding and decoding of bearer payloads for BP: header, blocks and faults (dcp-bp.md, "Packet Format" and
+"Receive Path"). Client payloads stay octets."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Block(msgspec.Struct, frozen=True, gc=False):
 
 
 class Fault(msgspec.Struct, frozen=True, gc=False):
-    """Why octets were not understood: reason of ``dcp_spec.reasons``, requirement that asks to ignore them, octet."""
+    """A decoding fault: reason of ``dcp_spec.reasons``, requirement to ignore the octets, offset in octets."""
 
     reason: str
     requirement: str
@@ -32,10 +32,10 @@ class Fault(msgspec.Struct, frozen=True, gc=False):
 
 
 class Reception(msgspec.Struct, frozen=True, gc=False):
-    """What was understood of a bearer payload.
+    """The decoded part of a bearer payload.
 
-    ``header`` is None where the profile sends none, and where it was refused: then there is only a ``fault``.
-    ``blocks`` are those in front of the fault. ``count_agrees`` is False if numPayloads is not the number of blocks.
+    ``header`` is None if the profile sends none, or if it was refused: then there is only a ``fault``.
+    ``blocks`` are the blocks before the fault. ``count_agrees`` is False if numPayloads is not the number of blocks.
     """
 
     header: BPHeader | None
@@ -46,7 +46,7 @@ class Reception(msgspec.Struct, frozen=True, gc=False):
 
 
 class BPWire:
-    """Sizes and places of the profile, and octets to values and back."""
+    """Encoder and decoder of bearer payloads of a profile, with sizes and offsets in octets."""
 
     def __init__(self, config: NodeConfig) -> None:
         self._codec = config.codec
@@ -76,32 +76,32 @@ class BPWire:
         self._frame_is_end = self.max_blocks is not None and config.reading("X02") == "frame-size"
         self._count_is_end = announced is not None or config.reading("X47") == "counted-blocks"
         self.count_tells = not self._frame_is_end and self._count_is_end
-        """Whether numPayloads can be compared: not if padding is parsed as blocks (X02, X47)."""
+        """Whether numPayloads is compared with the blocks: not if padding is parsed as blocks (X02, X47)."""
 
     def offset(self, field: str) -> int:
-        """The octet of the bearer payload where a header field starts, -1 if there is no such field."""
+        """Return the offset of a header field in the bearer payload (octets), -1 if there is no such field."""
         place = self._places.get(field)
         return -1 if place is None else place.start
 
     def block_size(self, payload: bytes) -> int:
-        """Octets of the block that carries ``payload``."""
+        """Return the size of the block that carries ``payload``, in octets."""
         return self.block_header_size + (self._area or len(payload))
 
     def build(self, seqno: int, network_id: int | None, blocks: list[tuple[int, bytes]]) -> bytes:
-        """The bearer payload with these blocks (protocol id, client payload), 1 to 255 of them."""
+        """Encode a bearer payload with these 1 to 255 blocks (protocol id, client payload)."""
         ##= BP-HDR-03
         ##= BP-HDR-04
         ##= DATA-04
         header = BPHeader(self._node_id, seqno, network_id) if self._places else None
-        # Everything else in a header follows from what is in the beacon; the schema of the profile has it.
+        # The schema of the profile derives the other header fields from the blocks.
         payloads = tuple(starmap(Payload, blocks))
         return self._codec.encode_envelope(Beacon(header, payloads))
 
     def parse(self, octets: bytes) -> Reception:
-        """Take a bearer payload apart. Never raises, whatever the octets are.
+        """Decode a bearer payload. Never raises, for any octets.
 
-        The checks of the header come in the order of the text. A length that reaches beyond the frame is the last
-        of them (C.6), so the header is there with the fault.
+        The header is checked in the order of the specification. The last check is for a length beyond the end of the
+        frame (C.6), so the result has both header and fault.
         """
         ##= BP-RX-16
         if self._frame_is_end:
@@ -124,7 +124,7 @@ class BPWire:
         blocks = self._blocks(beacon)
         end = blocks[-1].offset + self.block_size(blocks[-1].payload) if blocks else self.header_size
         ##= BP-RX-12
-        # The blocks are there or they are not; what the header says of their number is only counted.
+        # A wrong numPayloads does not affect the blocks; it is only counted.
         if problem.reason == "count-mismatch" or end == len(octets):
             return Reception(beacon.bp, blocks, count_agrees=False)
         ##= BP-RX-09
@@ -135,22 +135,22 @@ class BPWire:
         offset = self.header_size
         for block in beacon.payloads:
             payload = block.content
-            # An envelope leaves every client payload as octets.
+            # An envelope has client payloads as octets.
             assert isinstance(payload, bytes)
             found.append(Block(block.protocol_id, payload, offset))
             offset += self.block_header_size + (self._area or len(payload))
         return tuple(found)
 
     def _refused_header(self, octets: bytes) -> BPHeader:
-        """Sender and network of a header that is there as a whole."""
+        """Decode sender and network of a complete header."""
         network = self._header.get("networkId")
         network_id = None if network is None else read_scalar(network, octets[self._places["networkId"]])
         return BPHeader(octets[self._places["senderId"]], 0, network_id)
 
     def _announcing_frame(self, octets: bytes) -> bytes:
-        """The octets as if the header announced all that the frame holds (reading X02 ``frame-size``)."""
+        """Return the octets with the header's length set to that of the frame (reading X02 ``frame-size``)."""
         place, body = self._places["length"], len(octets) - self.header_size
-        # A length of zero is still a reason to discard the beacon (BP-RX-03).
+        # A length of zero remains a reason to discard the beacon (BP-RX-03).
         if body <= 0 or body > (self.max_blocks or 0) or not any(octets[place]):
             return octets
         return (
@@ -160,9 +160,9 @@ class BPWire:
         )
 
     def _counting_frame(self, octets: bytes) -> bytes:
-        """The octets as if the header counted all blocks of the frame (reading X47 ``whole-frame``)."""
+        """Return the octets with numPayloads set to the blocks of the frame (reading X47 ``whole-frame``)."""
         place, start, count = self._places.get("numPayloads"), self.header_size, 0
-        # No blocks are still a reason to discard the beacon (BP-RX-04).
+        # A count of zero remains a reason to discard the beacon (BP-RX-04).
         if place is None or not any(octets[place]):
             return octets
         length = self._block_length_place
@@ -178,6 +178,6 @@ class BPWire:
 def _fault(problem: Problem, *, in_header: bool) -> Fault:
     requirement = problem.requirement
     if problem.reason == "truncated":
-        # The codec names the field that is cut off; what to do about it is said elsewhere.
+        # The codec reports the requirement of the truncated field; BP needs the one of its reaction.
         requirement = "BP-RX-16" if in_header else "BP-RX-09"
     return Fault(problem.reason, requirement or "BP-RX-16", problem.offset)

@@ -1,7 +1,7 @@
 """The State Reporting Protocol (dcp-srp.md) without input or output.
 
-Order of calls: :meth:`StateReporting.start` once BP is there, then :meth:`~StateReporting.update_safety_data` and
-:meth:`~StateReporting.handle_payload` as things happen, after each of them ``poll_timeout()`` for when
+Order of calls: :meth:`StateReporting.start` once BP exists, then :meth:`~StateReporting.update_safety_data` and
+:meth:`~StateReporting.handle_payload` in any order, after each of them ``poll_timeout()`` for when
 :meth:`~StateReporting.handle_timeout` is due. ``now`` is monotonic ns, ``wall`` ns since 1970.
 """
 
@@ -30,8 +30,8 @@ from .neighbour_table import NeighbourTable, seqno_modulus
 
 TIMEOUT: Final = "SRPPAR_NEIGHBOUR_TABLE_TIMEOUT"
 TRAVERSALS_PER_TIMEOUT: Final = 6
-"""One more than required: a call that comes late may not leave an interval with four (SRP-RUN-01). A call for another
-reason, such as a beacon, traverses from half the interval on, so that the node need not be woken for it."""
+"""One more than required, so that after a late call an interval has enough traversals (SRP-RUN-01). A call for another
+reason, such as a beacon, traverses after half the interval, to save a wake-up of the node."""
 
 
 class UpdateSafetyDataConfirm(msgspec.Struct, frozen=True, gc=False):
@@ -41,14 +41,14 @@ class UpdateSafetyDataConfirm(msgspec.Struct, frozen=True, gc=False):
 
 
 class NotInitializedError(RuntimeError):
-    """The neighbour table was asked for before :meth:`StateReporting.start` succeeded or after the shutdown."""
+    """The neighbour table was read before :meth:`StateReporting.start` succeeded or after the shutdown."""
 
 
 class StateReporting:
     """The SRP entity of one node."""
 
     def __init__(self, config: NodeConfig, bp: BPPort, *, emit: Callable[[Effect], None], now: int, wall: int) -> None:
-        """``emit`` takes the effects in order. ``wall`` is the epoch of stamps where the profile's is no date.
+        """``emit`` takes the effects in order. ``wall`` is the epoch of stamps if the profile's has no date.
 
         Raises ValueError for a profile without octets for state reports, and for a parameter that is out of bounds.
         """
@@ -85,7 +85,7 @@ class StateReporting:
     # -- initialization and shutdown --------------------------------------------------------------------------
 
     def start(self, now: int, wall: int) -> BPStatus:
-        """Register with BP; also after a shutdown or a restart of BP. Returns what BP says.
+        """Register with BP; also after a shutdown or a restart of BP. Returns the status from BP.
 
         Unless it is OK, SRP stays inactive.
         """
@@ -120,7 +120,7 @@ class StateReporting:
         return confirm.status
 
     def shutdown(self) -> None:
-        """Deregister from BP and forget the neighbours, whom nobody would drop from now on."""
+        """Deregister from BP and clear the neighbour table, which is not traversed from now on."""
         ##= SRP-SHD-01
         self._bp.deregister(BP_PROTID_SRP)
         self._registered = self._initialized = False
@@ -129,7 +129,7 @@ class StateReporting:
 
     @property
     def registered(self) -> bool:
-        """Whether SRP is, as far as it knows, a client of BP."""
+        """True from registration until SRP deregisters or detects that BP no longer knows it."""
         return self._registered
 
     @property
@@ -152,7 +152,7 @@ class StateReporting:
         Raises ValueError (FieldError, EncodeError), and changes nothing, for data that do not fit the profile.
         """
         if self._registered and self._bp.query_number_buffered(BP_PROTID_SRP).status is BPStatus.UNKNOWN_PROTOCOL:
-            # BP was restarted below us, or another client has deregistered us: BP tells nobody.
+            # BP was restarted, or another client has deregistered SRP; BP does not indicate either.
             self._registered = False
         if not self._registered:
             if not self._initialized and self._config.reading("X10") == "no-response":
@@ -180,7 +180,7 @@ class StateReporting:
         ##= SRP-SRV-03
         ##= SRP-SRV-04
         ##= SRP-RX-06
-        # The only place where SRP submits anything: nothing received is ever sent on.
+        # The only submission of payloads in SRP: received reports are never forwarded.
         # Its confirm, which need not exist, changes nothing (X11).
         ##= SRP-SRV-05
         self._bp.transmit_payload(BP_PROTID_SRP, payload, now=now)
@@ -188,25 +188,25 @@ class StateReporting:
 
     @property
     def neighbours(self) -> NeighbourTable:
-        """The neighbour table. Raises :class:`NotInitializedError` before the start and after the shutdown."""
+        """Return the neighbour table. Raises :class:`NotInitializedError` before the start and after the shutdown."""
         ##= SRP-INI-07
         if not self._initialized:
             raise NotInitializedError("SRP is not initialized: there is no neighbour table yet")
         return self._table
 
     def own_motion(self) -> Motion | None:
-        """Own place and velocity as last handed down; None without, or where the profile has no position.
+        """Return own position and velocity as last submitted; None without, or if the profile has no position.
 
-        Where the profile has no velocity it is that between the last two hand-downs.
+        Where the profile has no velocity it is that between the last two submissions.
         """
         return self._own.motion()
 
     def parameters(self) -> dict[str, float]:
-        """The configurable parameters under the specification's names."""
+        """Return the configurable parameters by their names in the specification."""
         return {TIMEOUT: self._timeout_ms}
 
     def set_parameter(self, name: str, value: object) -> Violation | None:
-        """Set a parameter from now on; a violation means that nothing was changed.
+        """Set a parameter from now on; a returned violation means that the old value was kept.
 
         Raises ``UnknownParameterError`` for a name that is none of SRP's configurable parameters.
         """
@@ -231,14 +231,14 @@ class StateReporting:
         return max(self._timeout // TRAVERSALS_PER_TIMEOUT, 1)
 
     def poll_timeout(self) -> int | None:
-        """When the table is to be traversed next (monotonic ns); None while it is empty."""
+        """Return when the table is traversed next (monotonic ns); None while it is empty."""
         if not self._table:
             return None
         ##= SRP-RUN-01
         return self._traversed + self._interval
 
     def handle_timeout(self, now: int, wall: int) -> None:
-        """Traverse the neighbour table if it is time to."""
+        """Traverse the neighbour table if the traversal is due."""
         if not self._table or now < self._traversed + self._interval // 2:
             return
         self._traversed = now
@@ -252,7 +252,7 @@ class StateReporting:
     # -- receive path -----------------------------------------------------------------------------------------
 
     def handle_payload(self, payload: bytes, sender_id: bytes, *, now: int, wall: int) -> None:
-        """``BP-ReceivePayload.indication`` for BP_PROTID_SRP. Never raises, whatever the octets are."""
+        """``BP-ReceivePayload.indication`` for BP_PROTID_SRP. Never raises, for any octets."""
         if not self._registered:
             self._drop("inactive")
             return
@@ -260,7 +260,7 @@ class StateReporting:
         try:
             report = self._config.codec.decode_report(payload)
         except DecodeError as error:
-            # All that can be wrong with a report is its length, also where text in it makes the length vary.
+            # A wrong length is the only possible fault of a report, also with text of variable length.
             self._drop("wrong-length", error.problem.offset)
             return
         ##= SRP-RX-02
@@ -269,7 +269,7 @@ class StateReporting:
             self._drop("own-report", self._node_id_offset)
             return
         if not self._table:
-            # Intervals count from when there is something to traverse.
+            # The first interval starts with the first entry.
             self._traversed = now
         outcome = self._table.record(report, sender_id, now=now, wall=wall)
         if self._table.displaced is not None:
@@ -285,7 +285,7 @@ class StateReporting:
         return self._config.codec.safety_data_type(**self._fields.complete(values))
 
     def snapshot(self) -> dict[str, Any]:
-        """The state as plain data."""
+        """Return the state as plain data."""
         own = None if self._own.data is None else self._own.data.as_dict()
         return {
             "registered": self._registered,
@@ -310,7 +310,7 @@ def _record_size(config: NodeConfig) -> int:
 
 
 def _node_id_offset(config: NodeConfig) -> int:
-    """The octet of a state report at which nodeId starts, -1 if a text before it moves it."""
+    """Return the offset of nodeId in a state report (octets), -1 if a text before it makes it vary."""
     plan = config.codec.report_plan
     layout = None if plan is None else record(plan, "ExtendedSafetyData")
     found = None if layout is None else start(layout, "nodeId")

@@ -1,9 +1,9 @@
-"""Questions to the neighbour table: where neighbours are, how they move, how close they come.
+"""Queries of the neighbour table: positions, motions and closest approaches of neighbours.
 
-The specification has no such service; programs on the node use them, and nothing in the protocol depends on them.
-Positions are in m and velocities in m/s, along the axes that the nodes agreed on; times are ns. An entry says where its
-node was when it made the report. Without common clocks the age of a report at its reception is not known: motions count
-from the reception, and a place is late by the delay of the bearer (see :meth:`NeighbourQueries.delay`).
+The specification has no such service; programs on the node use the queries, and the protocol does not depend on them.
+Positions are in m and velocities in m/s, along the axes that the nodes agreed on; times are ns. An entry has the
+position of its node at the time of the report. Without common clocks the age of a report at its reception is unknown:
+motions start at the reception, and positions are late by the delay of the bearer (:meth:`NeighbourQueries.delay`).
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 class Near(msgspec.Struct, frozen=True, gc=False):
-    """A neighbour and its distance in m, from where it last reported to be."""
+    """A neighbour and the distance in m to its last reported position."""
 
     node_id: bytes
     distance: float
@@ -36,11 +36,11 @@ class NeighbourApproach(msgspec.Struct, frozen=True, gc=False):
     node_id: bytes
     approach: Approach
     velocity: Literal["reported", "estimated", "unknown"]
-    """What is known of the neighbour's velocity; ``unknown`` counts as standing."""
+    """Source of the neighbour's velocity; for ``unknown`` the velocity is 0."""
 
 
 class NeighbourQueries:
-    """Questions that a neighbour table answers; the table itself is the subclass."""
+    """Queries of a neighbour table, as the base class of the table."""
 
     fields: SafetyFields
     """The safety data of the profile."""
@@ -53,11 +53,11 @@ class NeighbourQueries:
     # -- one entry --------------------------------------------------------------------------------------------
 
     def position(self, entry: NeighbourTableEntry) -> Vector | None:
-        """Where the node reported to be (m); None if the profile has no position or a coordinate is not finite."""
+        """Return the reported position (m); None if the profile has no position or a coordinate is not finite."""
         return self.fields.position(entry.ext_sd.s_data)
 
     def motion(self, entry: NeighbourTableEntry) -> Motion | None:
-        """Place and velocity of a neighbour as of the (first) reception of its report; None without a position.
+        """Return position and velocity at the (first) reception of a report; None without a position.
 
         The velocity is what the report says, or where the profile has no field for it, that between the last two
         reports of different sequence numbers by the stamps of their node.
@@ -78,7 +78,7 @@ class NeighbourQueries:
         return velocity_between(start, position, elapsed if elapsed > 0 else entry.fresh_at - entry.before_at)
 
     def delay(self, entry: NeighbourTableEntry) -> int | None:
-        """Time in ns between the stamp of a report and its reception: delay of BP and bearer if clocks agree.
+        """Return the ns from the stamp of a report to its reception: delay of BP and bearer if clocks agree.
 
         None where the epoch of stamps is not comparable (simulation, boot).
         """
@@ -89,7 +89,7 @@ class NeighbourQueries:
     # -- all entries ------------------------------------------------------------------------------------------
 
     def nearest(self, point: Vector, *, limit: int | None = None) -> list[Near]:
-        """Neighbours by increasing distance from ``point`` (m), the first ``limit`` of them; no position, no place."""
+        """Return the ``limit`` neighbours nearest to ``point`` (m), by distance, without those with no position."""
         found = [
             Near(entry.node_id, distance(point, position), position)
             for entry in self
@@ -99,11 +99,11 @@ class NeighbourQueries:
         return found[:limit]
 
     def within(self, point: Vector, radius: float) -> list[Near]:
-        """Neighbours at most ``radius`` m from ``point``, by increasing distance."""
+        """Return the neighbours at most ``radius`` m from ``point``, by increasing distance."""
         return [near for near in self.nearest(point) if near.distance <= radius]
 
     def older_than(self, age: int, *, now: int) -> list[NeighbourTableEntry]:
-        """Entries whose report was received more than ``age`` ns before ``now``, the oldest first."""
+        """Return entries whose report was received more than ``age`` ns before ``now``, the oldest first."""
         found = [entry for entry in self if entry.age(now) > age]
         found.sort(key=lambda entry: entry.received_at)
         return found
@@ -111,9 +111,9 @@ class NeighbourQueries:
     def closest_approaches(
         self, own: Motion, *, now: int, horizon: int, limit: int | None = None
     ) -> list[NeighbourApproach]:
-        """How close each neighbour comes to ``own`` within ``horizon`` ns from ``now``, the closest first.
+        """Return the closest approach of each neighbour to ``own`` within ``horizon`` ns from ``now``, closest first.
 
-        Everybody is taken to go on in a straight line at the last known velocity, also since the last report.
+        All nodes are assumed to move in a straight line at the last known velocity, also since the last report.
         Neighbours without a position are left out.
         """
         found = []
@@ -128,7 +128,7 @@ class NeighbourQueries:
         return found[:limit]
 
     def snapshot(self) -> list[dict[str, Any]]:
-        """The entries as plain data, by node id: octets as hex, times in ns."""
+        """Return the entries as plain data, by node id: octets as hex, times in ns."""
         return [self._plain(entry) for entry in sorted(self, key=lambda entry: entry.node_id)]
 
     def _plain(self, entry: NeighbourTableEntry) -> dict[str, Any]:
@@ -159,7 +159,7 @@ class NeighbourQueries:
 
 
 class OwnMotion:
-    """The last two safety data that an application has handed down, with the monotonic times."""
+    """The last two safety data that an application submitted, with the monotonic times."""
 
     def __init__(self, fields: SafetyFields) -> None:
         self._fields = fields
@@ -168,21 +168,21 @@ class OwnMotion:
 
     @property
     def data(self) -> SafetyData | None:
-        """What was handed down last."""
+        """The safety data that were submitted last, or None."""
         return None if self._last is None else self._last[0]
 
     def note(self, data: SafetyData, now: int) -> None:
-        """Safety data were handed down at the monotonic time ``now``."""
+        """Record safety data that were submitted at the monotonic time ``now``."""
         self._before, self._last = self._last, (data, now)
 
     def clear(self) -> None:
-        """Forget what was handed down."""
+        """Remove the recorded safety data."""
         self._last = self._before = None
 
     def motion(self) -> Motion | None:
-        """Place and velocity; None without, or where the profile has no position.
+        """Return position and velocity; None without safety data, or if the profile has no position.
 
-        Where the profile has no velocity it is that between the last two hand-downs.
+        Where the profile has no velocity it is that between the last two submissions.
         """
         if self._last is None:
             return None

@@ -1,6 +1,6 @@
 """The neighbour table of SRP (dcp-srp.md, "The Neighbour Table"); times are ns.
 
-What control loops ask it is in :mod:`dcp_stack.srp.entity.neighbour_queries`, the base class of the table.
+The base class in :mod:`dcp_stack.srp.neighbour_queries` has the queries for control loops.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from dcp_stack.timestamps import StampClock
 from .neighbour_queries import NeighbourQueries
 
 RESTART_GAP: Final = 1 << 16
-"""A step of the sequence number by this or more, or backwards, is a restart of the node and no loss.
+"""A step of the sequence number by this or more, or backwards, counts as a restart of the node, not as loss.
 
 An entry lives for seconds after a report, and no node makes 65536 reports in that time.
 """
@@ -28,7 +28,7 @@ EWMA_ALPHA: Final = 0.95
 
 
 class NeighbourTableEntry(msgspec.Struct, frozen=True, gc=False):
-    """``NeighbourTableEntry``: the last report of a neighbour, and what its reports had in common.
+    """``NeighbourTableEntry``: the last report of a neighbour, and statistics of its reports.
 
     The specification leaves further fields free (SRP-NT-04); those below ``sender_id`` are ours. Counters count since
     the entry was inserted.
@@ -41,21 +41,21 @@ class NeighbourTableEntry(msgspec.Struct, frozen=True, gc=False):
     received_at: int
     """The same moment by the monotonic clock, in ns."""
     sender_id: bytes
-    """Sender of the beacon; another node than ``node_id`` if somebody forwards or forges (SRP-RX-05)."""
+    """Sender of the beacon; differs from ``node_id`` in a forwarded or forged report (SRP-RX-05)."""
     first_seen: int
     """Wall time in ns of the first report."""
     fresh_at: int
-    """When this sequence number was first received (monotonic ns); later than that come repetitions."""
+    """Time of the first reception of this sequence number (monotonic ns); repetitions do not change it."""
     received: int = 1
-    """Reports, repetitions not counted."""
+    """Number of reports without repetitions."""
     repeated: int = 0
-    """Reports with the sequence number of the one before, as in mode REPEAT."""
+    """Number of reports with the sequence number of the one before, as in mode REPEAT."""
     lost: int = 0
-    """Sequence numbers that were left out: reports lost on the air, or replaced by their node before sending."""
+    """Number of missing sequence numbers: reports lost in transmission, or replaced by their node before."""
     restarts: int = 0
-    """Sequence numbers that went backwards or too far ahead (:data:`RESTART_GAP`)."""
+    """Number of steps of the sequence number backwards or by :data:`RESTART_GAP` or more."""
     mean_gap: float = 1.0
-    """EWMA of the steps of the sequence number; 1 when nothing is lost."""
+    """EWMA of the steps of the sequence number; 1 without loss."""
     mean_interval: float | None = None
     """EWMA of the time between two different reports, in ns; None before the second."""
     before: ExtendedSafetyData | None = None
@@ -65,11 +65,11 @@ class NeighbourTableEntry(msgspec.Struct, frozen=True, gc=False):
 
     @property
     def loss_rate(self) -> float:
-        """Lost reports in proportion to all that were made, 0..1."""
+        """Return the share of lost reports, 0..1."""
         return self.lost / (self.lost + self.received)
 
     def age(self, now: int) -> int:
-        """Time in ns since ``ext_sd`` was received, at the monotonic time ``now``."""
+        """Return the time in ns since ``ext_sd`` was received, at the monotonic time ``now``."""
         return now - self.received_at
 
 
@@ -95,10 +95,10 @@ class NeighbourTable(NeighbourQueries):
         self._modulus = seqno_modulus(profile)
         self.stamps = stamps or StampClock(profile.types.timestamp)
         self._entries: dict[bytes, NeighbourTableEntry] = {}
-        # Those with one report only, the oldest first: a flood of forged identifiers consists of them.
+        # Nodes with a single report, the oldest first: replaced first, since a flood of forged identifiers has such.
         self._once: dict[bytes, None] = {}
         self.displaced: bytes | None = None
-        """The node that :meth:`record` gave up last to make room, until somebody takes note of it."""
+        """The node that :meth:`record` replaced last; the caller resets it."""
 
     def __len__(self) -> int:
         return len(self._entries)
@@ -113,12 +113,12 @@ class NeighbourTable(NeighbourQueries):
 
     ##= SRP-NT-01
     def lookup(self, node_id: bytes) -> NeighbourTableEntry | None:
-        """``ntLookup``: the entry of a node, None if there is none."""
+        """``ntLookup``: return the entry of a node, or None."""
         return self._entries.get(node_id)
 
     ##= SRP-NT-02
     def list_all_node_ids(self) -> list[bytes]:
-        """``ntListAllNodeIds``: the nodes in the table, in no order that can be relied upon."""
+        """``ntListAllNodeIds``: return the nodes in the table, in no guaranteed order."""
         return [*self._entries]
 
     # -- maintenance, for SRP itself --------------------------------------------------------------------------
@@ -128,8 +128,8 @@ class NeighbourTable(NeighbourQueries):
     ) -> Literal["new", "replaced", "full"]:
         """Insert a report or replace the entry of its node.
 
-        A full table gives up an entry for a new node: the oldest of those with a single report, otherwise the one that
-        was silent for longest; ``displaced`` names it.
+        A full table replaces an entry: the oldest of those with a single report, otherwise the one that was silent for
+        longest; ``displaced`` names it.
         """
         ##= SRP-RX-05
         node_id = report.node_id
@@ -143,7 +143,7 @@ class NeighbourTable(NeighbourQueries):
             self._once.pop(node_id, None)
         ##= SRP-RX-03
         ##= SRP-RX-04
-        # Also when its sequence number is lower: the node may have been started anew.
+        # Also when its sequence number is lower: the node may have restarted.
         self._entries[node_id] = (
             NeighbourTableEntry(node_id, report, wall, now, sender_id, wall, now)
             if old is None
@@ -152,7 +152,7 @@ class NeighbourTable(NeighbourQueries):
         return "new" if old is None else "replaced"
 
     def expire(self, now: int, timeout: int) -> list[bytes]:
-        """Drop what was received more than ``timeout`` ns before ``now``; returns the nodes that are gone."""
+        """Remove entries received more than ``timeout`` ns before ``now``; return their nodes."""
         ##= SRP-RUN-02
         gone = [node_id for node_id, entry in self._entries.items() if now - entry.received_at > timeout]
         for node_id in gone:
@@ -167,7 +167,7 @@ class NeighbourTable(NeighbourQueries):
         return gone
 
     def clear(self) -> None:
-        """Forget everybody."""
+        """Remove all entries."""
         self._entries.clear()
         self._once.clear()
 
@@ -182,7 +182,7 @@ class NeighbourTable(NeighbourQueries):
 
 
 def seqno_modulus(profile: Profile) -> int:
-    """What sequence numbers count modulo: 2^32, or less where a profile has fewer octets for them."""
+    """Return the modulus of sequence numbers: 2^32, or less if the profile has fewer octets for them."""
     return min(SRP_SEQNO_MODULUS, 1 << (8 * profile.types.srp_seqno.width))
 
 
@@ -190,7 +190,7 @@ def seqno_modulus(profile: Profile) -> int:
 def _succeed(
     old: NeighbourTableEntry, report: ExtendedSafetyData, sender_id: bytes, now: int, wall: int, modulus: int
 ) -> NeighbourTableEntry:
-    """The entry that takes the place of ``old``, with its statistics carried on."""
+    """Return the entry that replaces ``old`` and continues its statistics."""
     gap = (report.seqno - old.ext_sd.seqno) % modulus
     if gap == 0:
         return msgspec.structs.replace(

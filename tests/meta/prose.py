@@ -59,6 +59,17 @@ DONE = (
     f"{_SUITE}/test_system/services.py",
     f"{_SUITE}/test_system/state_reports.py",
     f"{_SUITE}/test_system/waiting.py",
+    "dcp_stack/__init__.py",
+    "dcp_stack/bp_port.py",
+    "dcp_stack/config.py",
+    "dcp_stack/drops.py",
+    "dcp_stack/effects.py",
+    "dcp_stack/node.py",
+    "dcp_stack/own_fields.py",
+    "dcp_stack/record_sizes.py",
+    "dcp_stack/timestamps.py",
+    "dcp_stack/bp",
+    "dcp_stack/srp",
 )
 #: Folders that still have to be revised; their hits are counted.
 TO_DO = (
