@@ -282,7 +282,9 @@ def test_values():
     with pytest.raises(ValueError, match="maybe"):
         converted("bool", "maybe")
     # From the schema of the contract.
-    assert parameters_of_methods()["RTDB-Create"] == {"varId", "repCnt", "descr", "value", "timeout", "prodId"}
+    assert parameters_of_methods()["RTDB-Create"] == {
+        *("varId", "repCnt", "descr", "value", "timeout", "prodId", "ownFields")
+    }
     assert parameters_of_methods()["UT-Reset"] == frozenset()
 
 

@@ -432,17 +432,17 @@ def test_nobody_there(tmp_path):
     path = tmp_path / "dead.sock"
     with socket.socket(socket.AF_UNIX) as once:
         once.bind(str(path))
-    with pytest.raises(UpperTesterError, match="nobody listens there"):
+    with pytest.raises(UpperTesterError, match="no process listens there"):
         open_upper(f"unix:{path}", patience=0.1)
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
-        with pytest.raises(UpperTesterError, match=r"tcp:127.0.0.1:\d+: nobody listens there"):
+        with pytest.raises(UpperTesterError, match=r"tcp:127.0.0.1:\d+: no process listens there"):
             open_upper(f"tcp:127.0.0.1:{free.getsockname()[1]}", patience=0.1)
 
 
 def test_nobody_is_waited_for_whom_nobody_starts(tmp_path):
     for spec in (f"unix:{tmp_path}/nobody.sock", "tcp:127.0.0.1:1"):
-        with pytest.raises(UpperTesterError, match=r"there is no such socket; is|nobody listens there; is"):
+        with pytest.raises(UpperTesterError, match=r"there is no such socket; is|no process listens there; is"):
             open_upper(spec, patience=0.5, starting=False)
 
 

@@ -54,7 +54,7 @@ def test_a_version_that_the_upper_tester_tells_names_the_profiles_of_that_versio
     result, contact = silent_with(profile="", specVersion="1.3")
     assert (result.verdict, contact.mistaken) == (Verdict.INCONCLUSIVE, True)
     assert not failed(result)
-    assert "follows specification 1.3, the tester's profile dcp-2.0 is of 2.0" in contact.suspicion
+    assert "reports specification 1.3, the tester's profile dcp-2.0 is of 2.0" in contact.suspicion
     assert "dcp-1.3" in contact.suspicion
     assert "cpp-1.3" in contact.suspicion
 

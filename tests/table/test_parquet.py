@@ -15,8 +15,10 @@ import pytest
 from pyarrow import parquet
 
 from dcp_codec import open_table
-from dcp_codec.table import TABLES, archive
-from dcp_codec.table.archive import Order, TableError, make
+from dcp_codec.table import TABLES, archive, parquet_output
+from dcp_codec.table.archive import Order, make
+from dcp_codec.table.input import sources
+from dcp_codec.table.job import TableError
 from dcp_codec.table.parquet_output import ParquetTable
 
 CAPTURES = Path(__file__).resolve().parents[2] / "captures"
@@ -26,8 +28,9 @@ A_BUS, B_CRUD = CAPTURES / "a_bus3.mcap", CAPTURES / "b_crud.mcap"
 @pytest.fixture
 def small_groups(monkeypatch):
     """Row groups of some hundred rows, so that a capture has several."""
-    monkeypatch.setattr("dcp_codec.table.parquet_output.GROUP", 300)
-    monkeypatch.setattr("dcp_codec.table.input.sources.FRAMES", 100)
+    # Not by name: a test that imports the package again leaves its own modules as attributes of the package.
+    monkeypatch.setattr(parquet_output, "GROUP", 300)
+    monkeypatch.setattr(sources, "FRAMES", 100)
 
 
 @pytest.fixture(params=[0, 2], ids=["no threads", "two threads"])

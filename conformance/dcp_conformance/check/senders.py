@@ -31,6 +31,8 @@ class Sender:
     unbroken: int = 0
     """Since when none of its beacons is missing."""
     beacons: int = 0
+    in_life: int = 1
+    """Beacons since the last restart, or possible one."""
 
 
 class Senders:
@@ -58,7 +60,9 @@ class Senders:
         missed = 0
         if seqno is not None and sender.seqno is not None:
             step = (seqno - sender.seqno) % BP_SEQNO_MODULUS
-            missed = step - 1 if step else 0
+            # Twice the number of its first beacon: a restart after a single beacon, or a copy of that beacon.
+            again = not step and sender.in_life == 1
+            missed = _LONG_GAP + 1 if again else max(step - 1, 0)
         elif time - sender.time > _PAUSE:
             missed = _LONG_GAP + 1
         if who in self._restarted:
@@ -67,7 +71,10 @@ class Senders:
         if missed:
             self._gaps.append((sender.time, time))
             sender.unbroken = time
-            sender.life += missed > _LONG_GAP
+            if missed > _LONG_GAP:
+                sender.life += 1
+                sender.in_life = 0
+        sender.in_life += 1
         sender.time, sender.seqno = time, seqno if seqno is not None else sender.seqno
 
     def get(self, who: bytes) -> Sender | None:

@@ -9,6 +9,7 @@ from typing import Final
 from dcp_codec.capture.frame import Frame
 from dcp_codec.codec import Codec
 from dcp_conformance.check.judge import Judge
+from dcp_conformance.model.declared import declared_by
 from dcp_conformance.model.pics import Pics, Testing
 from dcp_conformance.model.results import Check
 from dcp_conformance.model.verdict import Verdict
@@ -58,7 +59,9 @@ def rules(
     """Yield the failed rules of ``check`` on everything that the places transmitted, for each version on the air.
 
     Findings that concern nothing but frames of the tester's own station, or one of the ``strangers`` that it plays
-    (node identifiers), are left out. ``restarts``: times (ns) and places that were switched on again.
+    (node identifiers), are left out, and so are requirements that the common profile declares as not met: a layout that
+    all stations share harms none of them, and the report lists it for each implementation.
+    ``restarts``: times (ns) and places that were switched on again.
     """
     played = [each.decode() if b":" in each else each.hex(":") for each in strangers]
     profiles: dict[str, Codec] = {}
@@ -73,6 +76,7 @@ def rules(
         known = len(periods) == 1 and world.patience == 1
         pics = Pics(pixit=Testing(beacon_period_ms=max(periods)))
         judge = Judge(codec, pics, recording="all links", period_known=known)
+        declared = declared_by(codec.profile)
         awaited = deque(sorted(restarts))
         for transmission, frame in zip(wanted, frames_of(world, wanted), strict=True):
             while awaited and awaited[0][0] <= transmission.time:
@@ -84,6 +88,8 @@ def rules(
             for check in case.checks:
                 cited = [wanted[mark.frame - 1].place for mark in check.frames if 0 < mark.frame <= len(wanted)]
                 if check.verdict is not Verdict.FAIL or (cited and not any(each in every for each in cited)):
+                    continue
+                if set(check.requirements) <= declared.keys():
                     continue
                 if not cited and any(text in check.observed for text in played):
                     continue

@@ -15,12 +15,13 @@ import msgspec
 from dcp_spec.version import __version__
 
 from dcp_conformance.errors import ConformanceError, UsageError
+from dcp_conformance.model.declared import declared_by
 from dcp_conformance.model.moment import timestamp
 from dcp_conformance.model.verdict import Verdict
 
 from .cell import Cell, WorldKind, obstacle, run_cell
 from .definition import NetworkTest, all_tests
-from .implementations import Implementation
+from .implementations import Implementation, codec_of
 from .results import CellResult, ImplementationResult, MatrixResult
 
 OnCell = Callable[[CellResult, int, int], None]
@@ -152,9 +153,18 @@ def run_matrix(
         started=started,
         elapsed_s=round(time.monotonic() - began, 2),
         command=command,
-        implementations=tuple(ImplementationResult(name, each.profile, each.what) for name, each in names.items()),
+        implementations=tuple(_described(name, each) for name, each in names.items()),
         cells=tuple(result for result in results if result is not None),
     )
+
+
+def _described(name: str, each: Implementation) -> ImplementationResult:
+    found: dict[str, list[str]] = {}
+    for profile in each.profiles:
+        for identifier, text in declared_by(codec_of(profile).profile).items():
+            found.setdefault(identifier, []).append(f"{profile}: {text}")
+    declared = {identifier: "; ".join(texts) for identifier, texts in found.items()}
+    return ImplementationResult(name, each.profile, each.what, declared)
 
 
 def _executed(

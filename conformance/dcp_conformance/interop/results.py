@@ -87,6 +87,8 @@ class ImplementationResult(msgspec.Struct, frozen=True):
     name: str
     profile: str
     what: str = ""
+    declared: dict[str, str] = {}
+    """Requirement -> how its profiles deviate from the specification: no cell fails because of it."""
 
 
 class MatrixResult(msgspec.Struct, frozen=True, kw_only=True):

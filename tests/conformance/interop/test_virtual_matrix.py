@@ -117,6 +117,26 @@ def test_names_of_cells() -> None:
         parse_only(["ours:IT_VD_CREATE-pair"])
 
 
+@pytest.mark.parametrize("test", ["IT_VD_CREATE-pair", "IT_SRP_DISCOVERY-pair"])
+def test_what_the_common_profile_declares_fails_no_cell(test: str, tmp_path: Path) -> None:
+    # Its byte order and its padding are what both implementations have agreed on; they say nothing about the network.
+    name = "node:cpp-2.0"
+    matrix = run_matrix(cells_of({name: built_in(name)}, [all_tests()[test]]), jobs=1, folder=tmp_path)
+    (cell,) = matrix.cells
+    assert cell.verdict is Verdict.PASS, cell.reason
+    (described,) = matrix.implementations
+    assert {"DATA-01", "DATA-02"} <= set(described.declared)
+    page = write_reports(matrix, tmp_path)
+    for text in (page.read_text(), (tmp_path / "interop.md").read_text()):
+        assert "DATA-01" in text
+        assert "little-endian: timestamp" in text
+
+
+def test_a_profile_that_keeps_to_the_specification_declares_nothing() -> None:
+    matrix = run_matrix(cells_of({NODE: built_in(NODE)}, [all_tests()["IT_VD_CREATE-pair"]]), jobs=1)
+    assert matrix.implementations[0].declared == {}
+
+
 def test_reports_hold_every_cell(tmp_path: Path) -> None:
     fault = "mutant:M-VD-PU-07-ignored"
     found = {name: built_in(name) for name in (NODE, fault)}

@@ -19,6 +19,11 @@ def markdown(matrix: MatrixResult) -> str:
     lines += [f"| A \\ B | {' | '.join(map(_text, columns))} |", f"|---|{'---|' * len(columns)}"]
     for a in rows:
         lines.append(f"| **{_text(a)}** | {' | '.join(_summary(counts.get((a, b))) for b in columns)} |")
+    declared = [(each.name, *item) for each in matrix.implementations for item in each.declared.items()]
+    if declared:
+        lines += ["", "Profiles declare these deviations from the specification; no cell fails because of them.", ""]
+        lines += ["| implementation | requirement | deviation |", "|---|---|---|"]
+        lines += [f"| {_text(name)} | {identifier} | {_text(text)} |" for name, identifier, text in declared]
     bad = [cell for cell in matrix.cells if cell.verdict not in (Verdict.PASS, Verdict.NOT_APPLICABLE)]
     if bad:
         lines += ["", "| A | B | test | verdict | reason |", "|---|---|---|---|---|"]

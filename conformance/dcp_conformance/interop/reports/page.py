@@ -43,6 +43,7 @@ def render(matrix: MatrixResult) -> str:
         tiles=[(str(each), counts[str(each)]) for each in _ORDER if counts[str(each)]],
         headline=_headline(counts),
         tests=list(dict.fromkeys(cell.test for cell in matrix.cells)),
+        declared=[(each.name, *item) for each in matrix.implementations for item in each.declared.items()],
         what={each.name: each for each in matrix.implementations},
     )
 
