@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from .views.fields import Dissection, Field
     from .views.salvage import Damaged, Salvaged
 
-# Commands that only say what they can do load neither schemas nor profiles.
+# Lazy imports: commands that only print their help load neither schemas nor profiles.
 __getattr__ = exported(
     __name__,
     {
@@ -76,7 +76,7 @@ def open_table(
 
     Raises ImportError without the extra ``table``.
     """
-    # Here, so that Numba and Arrow are imported by those who want tables, and nobody else.
+    # Imported here, so that only users of tables load Numba and Arrow.
     from .table.opening import open_table as opened
 
     return opened(path, table, profile=profile, ether_type=ether_type)

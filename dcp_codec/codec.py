@@ -1,4 +1,4 @@
-"""The codec of a profile: strict decoding and encoding for programs, dissection for people."""
+"""The codec of a profile: strict decoding and encoding for programs, dissection for display."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ from .views.salvage import Salvaged, Salvager
 
 
 class Codec:
-    """Octets <-> values for one profile.
+    """Decodes and encodes the messages of one profile.
 
-    Everything is built from the construct schema of the profile when it is first used: ``beacon_plan`` (the layout as
-    a tree), the compiled decoder and encoder, and the dissector. Instances are immutable to their users and can be
-    shared between threads.
+    Everything is built on first use from the construct schema of the profile: ``beacon_plan`` (the layout as a tree),
+    the compiled decoder and encoder, and the dissector. Instances are immutable for their users and can be shared
+    between threads.
     """
 
     def __init__(self, profile: Profile | str | Path) -> None:
@@ -45,32 +45,32 @@ class Codec:
 
     @functools.cached_property
     def schema(self) -> Schema:
-        """The construct schemas of the profile."""
+        """Return the construct schemas of the profile."""
         return build_schema(self.profile)
 
     @functools.cached_property
     def beacon_plan(self) -> Node:
-        """The layout of a whole beacon."""
+        """Return the layout of a whole beacon."""
         return lower(self.schema.beacon)
 
     @functools.cached_property
     def envelope_plan(self) -> Node:
-        """The layout of a beacon whose client payloads stay octets."""
+        """Return the layout of a beacon whose client payloads are not decoded."""
         return lower(self.schema.envelope)
 
     @functools.cached_property
     def containers_plan(self) -> Node:
-        """The layout of a VarDis payload."""
+        """Return the layout of a VarDis payload."""
         return lower(self.schema.containers)
 
     @functools.cached_property
     def srp_plan(self) -> Node | None:
-        """The layout of an SRP payload; None if it is octets of any number."""
+        """Return the layout of an SRP payload; None if the profile defines no structure for it."""
         return None if self.schema.srp is None else lower(self.schema.srp)
 
     @property
     def report_plan(self) -> Node | None:
-        """The layout of a state report; None if what the profile sends over SRP is none."""
+        """Return the layout of a state report; None if the profile's SRP payloads are not state reports."""
         return self.srp_plan if self.profile.srp.is_report else None
 
     @functools.cached_property
@@ -87,7 +87,7 @@ class Codec:
 
     @functools.cached_property
     def _decode_records(self) -> dict[int, Decode]:
-        """By type of container: a decoder of its records up to the end of the octets."""
+        """Decoders of records up to the end of the octets, by container type."""
         plan, types = self.containers_plan, self.types
         select = next(node for node in walk(plan) if isinstance(node, Select) and node.key == "icType")
         lists = {number: replace(case, count=None) for number, case in select.cases.items() if isinstance(case, Many)}
@@ -123,46 +123,45 @@ class Codec:
 
     def _needed_srp_plan(self) -> Node:
         if self.srp_plan is None:
-            raise ValueError(f"profile {self.profile.name} has no octets for a state report (srp.record is empty)")
+            raise ValueError(f"profile {self.profile.name} cannot encode state reports (srp.record is empty)")
         return self.srp_plan
 
     @property
     def safety_data_type(self) -> type[SafetyData]:
-        """The class of ``ExtendedSafetyData.s_data``, with the fields that the profile lists."""
+        """Return the class of ``ExtendedSafetyData.s_data``, with the fields that the profile lists."""
         return self.types.safety_data
 
     @property
     def var_spec_type(self) -> type[VarSpec]:
-        """The class of a VarSpec: with ``extra``, of neutral values by default, if the profile adds fields to it."""
+        """Return the class of a VarSpec; if the profile adds fields, with ``extra`` and zero as their default."""
         return cast("type[VarSpec]", self.types["VarSpec"])
 
     # -- beacons ----------------------------------------------------------------------------------------------
 
     def decode(self, octets: bytes) -> Beacon:
-        """Decode a bearer payload; octets behind the beacon are bearer padding and ignored (BP-RX-14).
+        """Decode a bearer payload; octets after the beacon are bearer padding and ignored (BP-RX-14).
 
-        Raises :class:`~dcp_codec.errors.DecodeError`, and nothing else, for octets that are no beacon.
+        Raises only :class:`~dcp_codec.errors.DecodeError`, if the octets are not a beacon.
         """
         beacon: Beacon = self._decode_beacon(octets, 0, len(octets))[0]
         return beacon
 
     def decode_from(self, octets: bytes, start: int = 0) -> tuple[Beacon, int]:
-        """Decode the beacon at ``octets[start:]``; also returns the offset behind it. Error offsets are absolute."""
+        """Decode the beacon at ``octets[start:]``; also return the offset of its end. Error offsets are absolute."""
         beacon, end = self._decode_beacon(octets, start, len(octets))
         return beacon, end
 
     def decode_envelope(self, octets: bytes, start: int = 0) -> tuple[Beacon, int]:
-        """As :meth:`decode_from` with every client payload left as octets: what BP itself has to understand."""
+        """Decode like :meth:`decode_from`, but leave every client payload as octets; this is what BP itself needs."""
         beacon, end = self._decode_envelope(octets, start, len(octets))
         return beacon, end
 
     def salvage(self, octets: bytes) -> Salvaged:
-        """What can be read of a bearer payload, and everything that is wrong with it. Never raises.
+        """Read what can be read of a bearer payload, and report every problem. Never raises.
 
-        For octets that :meth:`decode` accepts this is its result. Otherwise payloads and containers that are sound in
-        themselves are read, and the header as far as its rules are only broken in value; see
-        :mod:`dcp_codec.views.salvage`
-        for where it stops.
+        If :meth:`decode` accepts the octets, its result is returned. Otherwise the payloads and containers without a
+        fault are returned, and the header unless its structure is damaged; :mod:`dcp_codec.views.salvage` describes
+        where reading stops.
         """
         try:
             beacon, end = self._decode_beacon(octets, 0, len(octets))
@@ -171,7 +170,7 @@ class Codec:
             return self._salvager.salvage(octets)
 
     def salvage_envelope(self, octets: bytes) -> Salvaged:
-        """As :meth:`salvage` with every client payload left as octets, damaged or not."""
+        """Salvage like :meth:`salvage`, but leave every client payload as octets, damaged or not."""
         try:
             beacon, end = self._decode_envelope(octets, 0, len(octets))
             return Salvaged(beacon, end=end)
@@ -179,25 +178,27 @@ class Codec:
             return self._salvager.salvage(octets, envelope=True)
 
     def salvage_tree(self, octets: bytes, found: Salvaged) -> Dissection:
-        """The fields behind what :meth:`salvage` has ``found`` in these octets; offsets count from their first.
+        """Return the fields that belong to ``found``, the result of :meth:`salvage` for these octets.
 
-        Unlike :meth:`dissect` it follows the reading of the block list that was chosen. Layouts are nodes of
-        ``beacon_plan``.
+        Offsets count from the first octet. Unlike :meth:`dissect` this method follows the chosen reading of the block
+        list. Layouts are nodes of ``beacon_plan``.
         """
         return self._salvager.tree(octets, found.reading)
 
     def encode(self, beacon: Beacon) -> bytes:
-        """The bearer payload of ``beacon``. Raises :class:`~dcp_codec.errors.EncodeError` naming the field at fault."""
+        """Encode ``beacon`` as a bearer payload. Raises :class:`~dcp_codec.errors.EncodeError` naming the field at
+        fault.
+        """
         return self._encode_beacon(beacon)
 
     def encode_envelope(self, beacon: Beacon) -> bytes:
-        """As :meth:`encode` for a beacon whose client payloads are all octets."""
+        """Encode like :meth:`encode` a beacon whose client payloads are all octets."""
         return self._encode_envelope(beacon)
 
     def dissect(self, octets: bytes, *, start: int = 0, base: int = 0) -> Dissection:
-        """Take the bearer payload ``octets[start:]`` apart. Never raises.
+        """Dissect the bearer payload ``octets[start:]``. Never raises.
 
-        ``base`` is what the offset of its first octet is called: 14 to count from the start of an Ethernet frame.
+        ``base`` is the offset of its first octet in the result: 14 to count from the start of an Ethernet frame.
         """
         found = self._dissect_beacon(bytes(octets), start, base)
         if found.doubtful:
@@ -209,7 +210,7 @@ class Codec:
     def decode_report(self, payload: bytes) -> ExtendedSafetyData:
         """Decode an SRP payload, which must be exactly one state report (SRP-RX-01).
 
-        Raises DecodeError, and ValueError for a profile whose SRP payloads are no state reports.
+        Raises DecodeError, or ValueError if the profile's SRP payloads are not state reports.
         """
         report = self.decode_srp(payload)
         if not isinstance(report, ExtendedSafetyData):
@@ -217,30 +218,30 @@ class Codec:
         return report
 
     def decode_srp(self, payload: bytes) -> ExtendedSafetyData | OwnRecord:
-        """Decode an SRP payload: a state report, or what the profile sends in its place.
+        """Decode an SRP payload: a state report, or the record that the profile sends instead.
 
-        Raises DecodeError, and ValueError for a profile whose SRP payloads are octets of any number.
+        Raises DecodeError, or ValueError if the profile defines no structure for SRP payloads.
         """
         report: ExtendedSafetyData | OwnRecord
         report, end = self._decode_report(payload, 0, len(payload))
         if end != len(payload):
-            # Only a report without a fixed size can end early.
+            # Only a report of variable size can end before the payload does.
             raise DecodeError(Problem("leftover", "", end, 0, len(payload) - end, "SRP-RX-01"), report)
         return report
 
     def encode_report(self, report: ExtendedSafetyData | OwnRecord) -> bytes:
-        """The SRP payload of a state report, or of what the profile sends in its place. Raises EncodeError."""
+        """Encode a state report, or the record sent instead of it, as an SRP payload. Raises EncodeError."""
         return self._encode_report(report)
 
     def decode_containers(self, payload: bytes) -> tuple[Container, ...]:
-        """Decode a VarDis payload up to its last octet. ``DecodeError.partial``: those before the fault."""
+        """Decode a VarDis payload up to its last octet. ``DecodeError.partial``: the containers before the fault."""
         containers: tuple[Container, ...] = self._decode_containers(payload, 0, len(payload))[0]
         return containers
 
     def decode_leading_records(self, payload: bytes, start: int, most: int) -> Container | None:
-        """The container at ``payload[start:]`` with its first sound records only, at most ``most`` of them.
+        """Decode the container at ``payload[start:]`` up to its first damaged record, at most ``most`` records.
 
-        Its ``extra`` is left empty. None if its header is cut off or its type is unknown.
+        Its ``extra`` is empty. Returns None if the header is cut off or the type is unknown.
         """
         layout = record(self.containers_plan, "Container")
         assert layout is not None
@@ -260,11 +261,11 @@ class Codec:
         return Container(ic_type=kind, records=found[:most])
 
     def encode_containers(self, containers: tuple[Container, ...]) -> bytes:
-        """The VarDis payload of ``containers``. Raises EncodeError."""
+        """Encode ``containers`` as a VarDis payload. Raises EncodeError."""
         return self._encode_containers(containers)
 
 
 @functools.lru_cache(maxsize=32)
 def get_codec(name: str) -> Codec:
-    """The codec of a built-in profile or profile file; later calls return the same one."""
+    """Return the codec of a built-in profile or a profile file; later calls return the same object."""
     return Codec(name)

@@ -1,4 +1,4 @@
-"""Errors of the codec, as data."""
+"""Errors of the codec, with their details as data."""
 
 from __future__ import annotations
 
@@ -9,11 +9,12 @@ from dcp_spec.reasons import REASONS, WARNINGS, quantity
 
 
 class Problem(msgspec.Struct, frozen=True):
-    """One thing that is wrong with octets.
+    """One problem found in octets.
 
-    ``path`` names the field with indices, ``offset`` is the octet where it starts (counted as the caller asked, in
-    the command line tool from the start of the frame), ``needed`` and ``available`` are octets or, for reasons that
-    compare numbers, the two numbers (see ``dcp_spec.reasons``), ``requirement`` is an id of the catalogue.
+    ``path`` names the field with indices. ``offset`` is the octet where the field starts, counted from the caller's
+    base; the command line counts from the start of the frame. ``needed`` and ``available`` are numbers of octets or,
+    for reasons that compare numbers, the two numbers (see ``dcp_spec.reasons``). ``requirement`` is an id of the
+    catalogue.
     """
 
     reason: str
@@ -33,20 +34,21 @@ class Problem(msgspec.Struct, frozen=True):
         return f"{text} [{self.requirement}]" if self.requirement else text
 
     def moved(self, by: int) -> Problem:
-        """The same problem with its offset counted from ``by`` octets earlier."""
+        """Return the same problem with ``by`` added to its offset."""
         return msgspec.structs.replace(self, offset=self.offset + by) if by else self
 
 
 class CodecError(ValueError):
-    """Base of what the codec raises."""
+    """Base class of the codec's exceptions."""
 
 
 class DecodeError(CodecError):
     """Octets are not a message of the profile. ``problem`` says where and why.
 
-    ``partial`` is what was complete before the problem (a Beacon with its first payloads, the first containers), or
-    None; the specification lets receivers use it in some cases (BP-RX-09, VD-RX-05 to VD-RX-07). ``indices`` are the
-    numbers in ``problem.path``: the element of each list that the problem lies in, the outermost list first.
+    ``partial`` is the part that was complete before the problem (a Beacon with its first payloads, the first
+    containers), or None. The specification lets receivers use it in some cases (BP-RX-09, VD-RX-05 to VD-RX-07).
+    ``indices`` are the numbers in ``problem.path``: the index in each list around the problem, the outermost list
+    first.
     """
 
     def __init__(self, problem: Problem, partial: Any = None, indices: tuple[int, ...] = ()) -> None:
@@ -60,7 +62,7 @@ class DecodeError(CodecError):
 
 
 class EncodeError(CodecError):
-    """A value cannot be put on the wire in the profile. ``path`` names the field, ``why`` says what is wrong."""
+    """A value cannot be encoded in the profile. ``path`` names the field, ``why`` says what is wrong."""
 
     def __init__(self, path: str, why: str) -> None:
         super().__init__(path, why)

@@ -1,9 +1,9 @@
-"""Messages as JSON objects, under the specification's field names, and back.
+"""Messages as JSON objects with the specification's field names, and the conversion back.
 
-Octets are lower-case hex, node identifiers ``02:00:00:00:00:01`` (or hex, or text, as the profile represents them;
-octets of a text that are not UTF-8 are written ``\\xff``), time stamps integers in the unit of the profile.
-Descriptions are text; one that is not UTF-8 is given as hex under ``descrHex``. Floats that JSON has no number for are
-the strings ``"NaN"``, ``"Infinity"`` and ``"-Infinity"``.
+Octets are lower-case hex. Node identifiers are ``02:00:00:00:00:01``, hex or text, depending on the profile; octets of
+a text that are not UTF-8 are written ``\xff``. Time stamps are integers in the unit of the profile. Descriptions are
+text; one that is not UTF-8 is given as hex under ``descrHex``. Floats without a JSON number are the strings ``"NaN"``,
+``"Infinity"`` and ``"-Infinity"``.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from .plan.tree import Exact, Fill, Group, Many, Node, Region, Rest, Scalar, Sel
 from .values import Beacon
 from .views.fields import Field
 
-#: What can have a role. (A union would be made anew for each field that is asked about.)
+#: The layouts that can have a role. A tuple, because a union would be built again at each isinstance().
 _ROLES = (Scalar, Text)
 _FLOATS = {"NaN": math.nan, "Infinity": math.inf, "-Infinity": -math.inf}
 
@@ -28,7 +28,7 @@ _FLOATS = {"NaN": math.nan, "Infinity": math.inf, "-Infinity": -math.inf}
 
 
 def field_json(field: Field, representation: str = "mac") -> Any:
-    """The JSON value of a dissected field; what is cut off is null or missing."""
+    """Return the JSON value of a dissected field; parts that are cut off are null or missing."""
     layout = field.layout
     if isinstance(layout, Group):
         return members_json(field, representation)
@@ -38,12 +38,12 @@ def field_json(field: Field, representation: str = "mac") -> Any:
 
 
 def members_json(record: Field, representation: str = "mac") -> dict[str, Any]:
-    """The JSON object of a dissected record."""
+    """Return the JSON object of a dissected record."""
     found: dict[str, Any] = {}
     for child in record.children:
         layout, value = child.layout, child.value
         if isinstance(layout, Scalar):
-            # Most of a message are plain numbers.
+            # Fast path: most fields are plain numbers.
             found[child.name] = value if type(value) is int else scalar_json(layout, value, representation)
             if layout.name_field is not None and child.label is not None:
                 found[layout.name_field] = child.label
@@ -62,7 +62,7 @@ def _is_utf8(octets: bytes | None) -> bool:
 
 
 def scalar_json(layout: Node, value: Any, representation: str) -> Any:
-    """The JSON value of one number, string or run of octets."""
+    """Return the JSON value of one number, string or run of octets."""
     if isinstance(value, float) and not math.isfinite(value):
         return "NaN" if math.isnan(value) else "Infinity" if value > 0 else "-Infinity"
     if not isinstance(value, bytes):
@@ -75,22 +75,22 @@ def scalar_json(layout: Node, value: Any, representation: str) -> Any:
 
 
 def node_id_text(node_id: bytes, representation: str) -> str:
-    """A node identifier as people write it; :func:`node_id_octets` is the way back."""
+    """Format a node identifier; :func:`node_id_octets` is the inverse."""
     if representation == "text":
-        # A backslash that would be read as the start of an escape is one itself.
+        # Escape a backslash that would be read as the start of an escape.
         return re.sub(rb"\\(?=x[0-9a-f]{2})", rb"\\x5c", node_id).decode(errors="backslashreplace")
     return node_id.hex(":") if representation == "mac" else node_id.hex()
 
 
 def node_id_octets(text: str, representation: str) -> bytes:
-    """The node identifier that people write so. Raises ValueError if it is not hex (unless it is to be text)."""
+    """Parse a node identifier. Raises ValueError if it is not hex, unless the representation is text."""
     if representation == "text":
         return re.sub(rb"\\x([0-9a-f]{2})", lambda found: bytes.fromhex(found[1].decode()), text.encode())
     return bytes.fromhex(text.replace(":", ""))
 
 
 def problem_json(problem: Problem) -> dict[str, Any]:
-    """A problem as a JSON object (``reason``, ``path``, ``offset``, ``needed``, ``available``, ``requirement``)."""
+    """Return the JSON object of a problem: reason, path, offset, needed, available, requirement."""
     return {
         "reason": problem.reason,
         "path": problem.path,
@@ -102,12 +102,12 @@ def problem_json(problem: Problem) -> dict[str, Any]:
 
 
 def beacon_json(codec: Codec, root: Field) -> dict[str, Any]:
-    """The members ``bp`` and ``payloads`` of a dissected beacon."""
+    """Return the members ``bp`` and ``payloads`` of a dissected beacon."""
     return members_json(root, codec.profile.types.node_id.representation)
 
 
 def value_json(codec: Codec, beacon: Beacon) -> dict[str, Any]:
-    """A beacon value as the JSON object that ``dcp-codec decode`` prints. Raises EncodeError if it has no encoding."""
+    """Return a beacon as the JSON object that ``dcp-codec decode`` prints. Raises EncodeError if it has no encoding."""
     return beacon_json(codec, codec.dissect(codec.encode(beacon)).root)
 
 
@@ -115,9 +115,9 @@ def value_json(codec: Codec, beacon: Beacon) -> dict[str, Any]:
 
 
 def beacon_from_json(codec: Codec, data: Any) -> Beacon:
-    """The beacon that a JSON object describes (``bp`` and ``payloads``; everything else is ignored).
+    """Return the beacon that a JSON object describes by ``bp`` and ``payloads``; all other members are ignored.
 
-    Derived members (lengths, counts, version, magicNo, icName) may be left out and are not looked at. Raises
+    Derived members (lengths, counts, version, magicNo, icName) are ignored and may be missing. Raises
     :class:`~dcp_codec.errors.EncodeError` naming the member that is missing or has the wrong form.
     """
     beacon: Beacon = _Reader(codec.types, codec.profile.types.node_id.representation).node(
@@ -153,7 +153,7 @@ class _Reader:
                 case = node.cases.get(siblings[node.key], node.default)
                 if case is None:
                     known = ", ".join(str(number) for number in sorted(node.cases))
-                    raise EncodeError(path, f"{node.key} {siblings[node.key]} is none of {known}")
+                    raise EncodeError(path, f"{node.key} {siblings[node.key]} is not one of {known}")
                 return self.node(case, data, path, siblings)
 
     def scalar(self, scalar: Scalar, data: Any, path: str) -> Any:
@@ -175,7 +175,7 @@ class _Reader:
         try:
             return node_id_octets(data, "text") if is_node_id else data.encode()
         except UnicodeEncodeError:
-            raise EncodeError(path, "holds a character that UTF-8 has no octets for") from None
+            raise EncodeError(path, "contains a character that UTF-8 cannot encode") from None
 
     def octets(self, data: Any, path: str) -> bytes:
         if not isinstance(data, str):
@@ -212,7 +212,7 @@ class _Reader:
         return self.types[group.type_name](**values)
 
     def member(self, member: Node, data: dict[str, Any], path: str, siblings: dict[str, Any]) -> Any:
-        """The value of one member; None for an extra field that is not given."""
+        """Return the value of one member; None for an extra field that is not given."""
         name = self.label(member, siblings)
         here = f"{path}.{name}" if path else name
         if f"{name}Hex" in data and isinstance(member, Text):
@@ -227,7 +227,7 @@ class _Reader:
         return self.node(member, data[name], here, siblings)
 
     def label(self, member: Node, siblings: dict[str, Any]) -> str:
-        """What a member is called in JSON: a chosen content goes by the label of the choice."""
+        """Return the JSON name of a member; a chosen content has the label of the choice."""
         content = member.content if isinstance(member, Region) else member
         if not isinstance(content, Select):
             return member.name

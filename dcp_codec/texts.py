@@ -1,4 +1,4 @@
-"""Dissected values as people read them, in a terminal or a report."""
+"""Text form of dissected values, for a terminal or a report."""
 
 from __future__ import annotations
 
@@ -14,13 +14,15 @@ from dcp_codec.plan.tree import Fill, Group, Many, Rest, Scalar, Text
 from .views.fields import Field
 
 PROTOCOLS = {int(BP_PROTID_SRP): "SRP", int(BP_PROTID_VARDIS): "VarDis"}
-# Unions would be made anew for each field that is asked about.
+# Tuples, because a union would be built again for each field that is tested.
 _LISTS, _ANNOUNCED, _ROLES, _REMAINING = (Group, Many), (Scalar, Text, Fill), (Scalar, Text), (Rest, Fill)
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 
 def utc(time_ns: int) -> str:
-    """``2026-11-21 07:25:51.682044000`` (UTC), or the bare number where the calendar ends."""
+    """Format a time as ``2026-11-21 07:25:51.682044000`` (UTC), or as the number of ns if the calendar has no such
+    date.
+    """
     seconds, ns = divmod(time_ns, 10**9)
     try:
         return f"{_EPOCH + timedelta(seconds=seconds):%Y-%m-%d %H:%M:%S}.{ns:09d}"
@@ -29,7 +31,7 @@ def utc(time_ns: int) -> str:
 
 
 def stamp_text(profile: Profile, stamp: int) -> str:
-    """A time stamp of the protocol with its calendar time, where its epoch has one."""
+    """Format a time stamp of the protocol, with its calendar time if its epoch has one."""
     layout = profile.types.timestamp
     if layout.epoch_ns is None or layout.unit == "ps":
         return f"{stamp} {layout.unit}"
@@ -37,20 +39,20 @@ def stamp_text(profile: Profile, stamp: int) -> str:
 
 
 def octets_text(octets: bytes, limit: int = 32) -> str:
-    """Octets as hex, shortened to ``limit`` octets."""
+    """Format octets as hex, shortened to ``limit`` octets."""
     if len(octets) <= limit:
         return octets.hex()
     return f"{octets[:limit].hex()}… ({len(octets)} octets)"
 
 
 def quoted(octets: bytes) -> str:
-    """Text octets in quotes, whatever they hold; nothing in them can move the cursor or change colours."""
+    """Return text octets in quotes; characters that could move the cursor or change colours are escaped."""
     text = octets.decode(errors="backslashreplace")
     return f'"{plain(text)}"'
 
 
 def value_text(profile: Profile, field: Field) -> str:
-    """What a field says; empty for one that only has parts."""
+    """Return the value of a field as text; empty for a field that only has parts."""
     layout, value = field.layout, field.value
     if isinstance(layout, _LISTS):
         return _summary(field)
@@ -83,7 +85,7 @@ def _summary(field: Field) -> str:
 
 
 def payload_name(payload: Field) -> str:
-    """``SRP``, ``VarDis [SUMMARIES 2]``, ``protocol 0x7777 [12]``."""
+    """Return a short name of a payload: ``SRP``, ``VarDis [SUMMARIES 2]``, ``protocol 0x7777 [12]``."""
     protocol = payload.child("protocolId")
     if protocol is None or protocol.value is None:
         return "cut off"
@@ -103,7 +105,7 @@ def payload_name(payload: Field) -> str:
 
 
 def payload_line(payload: Field) -> str:
-    """What a payload block says, in one line."""
+    """Describe a payload block in one line."""
     containers = payload.child("vardis")
     if containers is None:
         report = payload.child("srp")
@@ -120,7 +122,7 @@ def _container_line(container: Field) -> str:
 
 
 def _record_text(record: Field) -> str:
-    """``7:3`` variable and sequence number, ``7"pos":3=41424344`` for a create, ``7:3=4142`` for an update."""
+    """Format ``7:3`` (variable and sequence number), ``7"pos":3=41424344`` for a create, ``7:3=4142`` for an update."""
     spec, update = record.child("spec"), record.child("upd") or record
     var_id = (spec or record).child("varId")
     text = str(var_id.value) if var_id is not None and var_id.value is not None else "?"

@@ -1,12 +1,13 @@
 """Messages as immutable values.
 
-One class per record type of the specification, attributes in snake_case of the specification's field names, in the
-specification's order of meaning. What follows from other fields (lengths, counts, version, magic number) is not
-stored: it cannot be wrong. Fields that a profile adds to a record (opaque regions of an in-memory image, a field of
-the implementation's own) are kept in wire order in ``extra``; left empty, they are encoded as zeros.
+There is one class for each record type of the specification. Its attributes are the specification's field names in
+snake_case, in the order of the specification. Fields that follow from others (lengths, counts, version, magic number)
+are not stored, so they cannot be inconsistent. Fields that a profile adds to a record (opaque regions of an in-memory
+image, an implementation's additional field) are kept in wire order in ``extra``; if ``extra`` is empty, they are
+encoded as zeros.
 
-Integers are plain ``int``, octets ``bytes``; node identifiers are octets as on the wire; time stamps are in the unit
-and from the epoch of the profile.
+Integers are ``int``, octets are ``bytes``. Node identifiers are octets as on the wire; time stamps have the unit and
+epoch of the profile.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ Extra = tuple[Any, ...]
 class BPHeader(msgspec.Struct, frozen=True, gc=False):
     """``BPHeaderT`` (dcp-bp.md, "Data Types"). ``network_id`` is None where the layout has none (before 2.0).
 
-    ``seqno`` is 0..2^32-1; ``sender_id`` as many octets as the profile's node identifier has.
+    ``seqno`` is 0..2^32-1; the length of ``sender_id`` is that of the profile's node identifiers.
     """
 
     sender_id: bytes
@@ -34,22 +35,22 @@ class BPHeader(msgspec.Struct, frozen=True, gc=False):
 
 
 class SafetyData(msgspec.Struct, frozen=True, gc=False):
-    """``SafetyDataT``: base of the class that each profile has for its own fields (``codec.safety_data_type``)."""
+    """``SafetyDataT``: base of each profile's class with its fields (``codec.safety_data_type``)."""
 
     def as_dict(self) -> dict[str, Any]:
-        """The fields by name, in wire order."""
+        """Return the fields by name, in wire order."""
         return {name: getattr(self, name) for name in self.__struct_fields__}
 
 
 class OwnRecord(msgspec.Struct, frozen=True, gc=False):
-    """Base of the classes that a profile has for records that the specification does not have.
+    """Base of a profile's classes for records that the specification does not define.
 
-    These are the records of container types of its own (``codec.types[...]``), and ``OwnReport``, which is what an
-    implementation sends in the place of state reports. Attributes are the names of the fields in snake_case.
+    These are the records of additional container types (``codec.types[...]``), and ``OwnReport``, the record that an
+    implementation sends instead of state reports. Attributes are the field names in snake_case.
     """
 
     def as_dict(self) -> dict[str, Any]:
-        """The fields by attribute, in wire order."""
+        """Return the fields by attribute, in wire order."""
         return {name: getattr(self, name) for name in self.__struct_fields__}
 
 
@@ -131,7 +132,7 @@ VardisRecord = VarCreate | VarDelete | VarUpdate | VarSumm | VarReqUpdate | VarR
 
 
 class Container(msgspec.Struct, frozen=True, gc=False):
-    """An instruction container: 1 to 255 records of the one type that ``ic_type`` stands for in the profile."""
+    """An instruction container: 1 to 255 records of one type, which ``ic_type`` selects in the profile."""
 
     ic_type: int
     records: tuple[Any, ...]
@@ -139,9 +140,9 @@ class Container(msgspec.Struct, frozen=True, gc=False):
 
 
 class Payload(msgspec.Struct, frozen=True, gc=False):
-    """A payload block. ``content`` is a state report, a tuple of containers, or octets of another protocol.
+    """A payload block. ``content`` is a state report, a tuple of containers, or the octets of another protocol.
 
-    For a profile whose SRP payloads are no state reports it is a record of its own (:class:`OwnRecord`).
+    If the profile's SRP payloads are not state reports, ``content`` is an :class:`OwnRecord`.
     """
 
     protocol_id: int
@@ -150,22 +151,22 @@ class Payload(msgspec.Struct, frozen=True, gc=False):
 
     @property
     def srp(self) -> ExtendedSafetyData | None:
-        """The state report, when this is one."""
+        """Return the state report; None if the content is something else."""
         return self.content if isinstance(self.content, ExtendedSafetyData) else None
 
     @property
     def own_report(self) -> OwnRecord | None:
-        """What the implementation sends in the place of a state report, when this is such a payload."""
+        """Return the record that the implementation sends instead of a state report; None for other content."""
         return self.content if isinstance(self.content, OwnRecord) else None
 
     @property
     def vardis(self) -> tuple[Container, ...] | None:
-        """The instruction containers, when this is a VarDis payload."""
+        """Return the instruction containers; None if this is not a VarDis payload."""
         return self.content if isinstance(self.content, tuple) else None
 
     @property
     def data(self) -> bytes | None:
-        """The octets, when the protocol is not known."""
+        """Return the octets of an unknown protocol; None for other content."""
         return self.content if isinstance(self.content, bytes) else None
 
 
@@ -176,7 +177,7 @@ class Beacon(msgspec.Struct, frozen=True, gc=False):
     payloads: tuple[Payload, ...]
 
 
-#: The value class of each record type of the schema; SafetyData is made per profile.
+#: The value class of each record type of the schema; each profile has its own class for SafetyData.
 VALUE_CLASSES: dict[str, type[msgspec.Struct]] = {
     cls.__name__: cls
     for cls in (

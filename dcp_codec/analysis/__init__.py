@@ -1,1 +1,1 @@
-"""What recordings say: profiles, statistics, who holds what, positions, and conditions on frames."""
+"""Analysis of recordings: profiles, statistics, holdings of variables, positions, and conditions on frames."""

@@ -1,4 +1,4 @@
-"""Which fields of safety data are a position in a Cartesian frame of reference, and their scale."""
+"""Find the fields of safety data that are a Cartesian position, and their scale."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ METRES: Mapping[str, float] = {"": 1.0, "m": 1.0, "mm": 0.001, "cm": 0.01, "dm":
 
 
 def cartesian_axes(profile: Profile) -> dict[str, tuple[str, float]]:
-    """Return for each of x, y, z that safety data has the name of its field and the metres in one unit of it.
+    """Return for each of x, y, z the name of its field in safety data and the metres in one unit of it.
 
-    Empty if the profile has no x and y, or gives a coordinate in a unit that is no length.
+    Empty if the profile has no x and y, or a coordinate has a unit that is not a length.
     """
     fields: dict[str, SafetyField] = {member.role: member for member in profile.srp.safety_data}
     found = {axis: fields[f"position.{axis}"] for axis in "xyz" if f"position.{axis}" in fields}

@@ -1,10 +1,10 @@
 """Conditions on frames, in the language of display filters: ``vardis.icType == 6 and bp.seqno > 100``.
 
-Names are those of the Wireshark dissector that ``dcp-codec export lua`` writes, and the ``dcp.`` and ``payloads.`` in
-front of them can be left out. A frame has a field as often as it occurs; a comparison holds if it holds for one of
-them, and ``!=`` if none is equal. A name alone asks whether there is such a field.
+Names are those of the Wireshark dissector that ``dcp-codec export lua`` writes, and their prefixes ``dcp.`` and
+``payloads.`` can be omitted. A field can occur several times in a frame: a comparison holds if it holds for one
+occurrence, and ``!=`` holds if none is equal. A name alone holds if the field occurs.
 
-The text is parsed as a Python expression by :mod:`ast`, and a short list of its nodes is interpreted; nothing of it is
+The text is parsed as a Python expression by :mod:`ast`, and a small set of node types is interpreted; no part of it is
 executed.
 """
 
@@ -23,13 +23,13 @@ from dcp_codec.framing.frames import DissectedFrame
 from dcp_codec.jsonform import scalar_json
 from dcp_codec.plan.tree import Exact, Fill, Group, Many, Node, Region, Rest, Scalar, Select, Text
 
-#: Names besides those of the profile: what the capture and the dissector say of a frame.
+#: Additional names, for properties of the capture and the dissection of a frame.
 FRAME_FIELDS = (
     *("frame.number", "frame.time_ns", "frame.len", "frame.interface", "eth.src", "eth.dst", "eth.type", "padding"),
     *("errors.reason", "errors.path", "errors.requirement"),
     *("warnings.reason", "warnings.path", "warnings.requirement"),
 )
-#: Characters, and parts inside of each other: neither parsing nor testing may exhaust the stack.
+#: Maximum number of characters and of nested parts: neither parsing nor testing may exhaust the stack.
 _LONGEST, _DEEPEST = 4096, 60
 _COMPARE: dict[type[ast.cmpop], Callable[[Any, Any], bool]] = {
     ast.Eq: operator.eq,
@@ -38,7 +38,7 @@ _COMPARE: dict[type[ast.cmpop], Callable[[Any, Any], bool]] = {
     ast.Gt: operator.gt,
     ast.GtE: operator.ge,
 }
-#: What ast does not know as a token: identifiers with colons, the operators of C, and strings, which stay as they are.
+#: Tokens that ast cannot parse: identifiers with colons and the operators of C; strings are left unchanged.
 _TOKENS = re.compile(
     r"""("[^"]*"|'[^']*')|\b((?:[0-9A-Fa-f]{1,2}:){2,}[0-9A-Fa-f]{1,2})\b|(&&)|(\|\|)|(!(?!=))|\b(icName)\b"""
 )
@@ -48,11 +48,13 @@ Test = Callable[[Values], bool]
 
 
 class WhereError(ValueError):
-    """A condition cannot be used. The message says what and where."""
+    """A condition cannot be used. The message says why and where."""
 
 
 class Where:
-    """A condition on the frames of a profile. Raises :class:`WhereError`, also for names that the profile has not."""
+    """A condition on the frames of a profile. Raises :class:`WhereError`, also for names that the profile does not
+    have.
+    """
 
     def __init__(self, text: str, profile: Profile, plan: Node) -> None:
         self._representation = profile.types.node_id.representation
@@ -70,7 +72,7 @@ class Where:
         self._test = self._condition(tree.body)
 
     def __call__(self, frame: DissectedFrame) -> bool:
-        """Whether the condition holds for a frame."""
+        """Return whether the condition holds for a frame."""
         return self._test(self._values(frame))
 
     # -- compiling ---------------------------------------------------------------------------------------------
@@ -206,7 +208,7 @@ def _ordered(compare: Callable[[Any, Any], bool], found: Any, value: int | float
 
 
 def field_names(plan: Node) -> list[str]:
-    """The names that a condition can use for a profile, in wire order, those of the frame first."""
+    """Return the names that a condition can use for a profile, those of the frame first, then in wire order."""
     return list(dict.fromkeys([*FRAME_FIELDS, *_paths(plan, "")]))
 
 

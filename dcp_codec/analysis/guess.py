@@ -1,10 +1,10 @@
-"""Which profile does a recording speak? Rank profiles by how well they explain its frames.
+"""Rank profiles by how well they explain the frames of a recording.
 
-The version octet does not tell the layout, so every profile is tried. A frame counts fully when it decodes and what
-it says is plausible: time stamps near the time of the recording, coordinates that are numbers, readable descriptions.
-A frame of which only some blocks decode counts a little, by their share: an implementation may send one block that no
-profile has. Profiles that explain the frames equally well cannot be told apart by this recording; they are reported as
-one tie.
+The version octet does not determine the layout, so every profile is tried. A frame counts fully if it decodes and its
+values are plausible: time stamps near the time of the recording, coordinates that are numbers, readable descriptions. A
+frame of which only some blocks decode counts a little, by their share: an implementation may send one block that no
+profile has. Profiles that explain the frames equally well cannot be distinguished by this recording; they are reported
+as one tie.
 """
 
 from __future__ import annotations
@@ -27,27 +27,27 @@ from dcp_codec.framing.locate import OtherTraffic, bare, locate
 from dcp_codec.plan.tree import Rest
 from dcp_codec.values import Beacon, ExtendedSafetyData, SafetyData, VarCreate
 
-#: Frames of a recording that are looked at, and among how many they are searched: a recorder may have run for long
-#: before the first beacon.
+#: Number of frames that are examined, and of frames that are searched for them: a recorder may have run for long before
+#: the first beacon.
 SAMPLE = 400
 _SEARCHED = 20_000
-#: Among profiles that explain a recording equally well the first of these is chosen.
+#: Order of preference among profiles that explain a recording equally well.
 _PREFERENCE = ("cpp-2.0", "dcp-2.0", "cpp-1.3", "dcp-1.3", "dcp-1.2", "cpp-1.2", "dcp-1.1", "dcp-1.0", "sim-1.0")
 _MAGIC = BP_MAGIC_NO.to_bytes(2, "big")
 _YEAR = 365 * 86_400
-_EARLIEST = 946_684_800  # 2000: a recording stamped earlier has no clock
-_ERA = 1_735_689_600  # 2025: about when the known implementations were in use, for octets without a recording time
-#: Scores closer than this are the same: they come from equal evidence.
+_EARLIEST = 946_684_800  # 2000: the clock of an older recording was not set
+_ERA = 1_735_689_600  # 2025: about when the known implementations were in use, for octets without a time of recording
+#: Scores that differ by less are equal: they come from equal evidence.
 _SAME = 1e-9
-#: Scores that are farther apart than this leave no doubt.
+#: The best profile is certain if its score exceeds the next one by more than this.
 _CERTAIN = 0.5
 _LIKELY = 0.1
 
 
 class Candidate(msgspec.Struct, frozen=True):
-    """How well one profile explains the frames: ``score`` 0..1, ``decoded`` of ``frames`` without error.
+    """Result for one profile: ``score`` 0..1, ``decoded`` of ``frames`` without error.
 
-    ``which`` are the places of those that decode among the frames looked at, from 0. ``in_part`` counts frames with an
+    ``which`` are the indices, from 0, of the decoded frames among the examined ones. ``in_part`` counts frames with an
     error of which at least one block decodes; it is estimated if more than :data:`LOOKED_AT` have errors.
     """
 
@@ -62,12 +62,12 @@ class Candidate(msgspec.Struct, frozen=True):
 
     @property
     def explained(self) -> float:
-        """The share of frames, 0..1, of which at least one block decodes."""
+        """Return the share of frames, 0..1, of which at least one block decodes."""
         return (self.decoded + self.in_part) / self.frames if self.frames else 0.0
 
     @property
     def counts(self) -> str:
-        """How many frames decode, in words."""
+        """Describe the number of decoded frames."""
         text = f"{self.decoded} of {self.frames} sampled frames decode"
         return f"{text}, {self.in_part} more in part" if self.in_part else text
 
@@ -79,20 +79,21 @@ class Guess(msgspec.Struct, frozen=True):
 
     @property
     def best(self) -> Candidate:
-        """The chosen candidate."""
+        """Return the chosen candidate."""
         return self.candidates[0]
 
     @property
     def tied(self) -> tuple[Candidate, ...]:
-        """The other candidates that have the score of the best by the same frames."""
+        """Return the other candidates that have the score of the best by the same frames."""
         best = self.best
         return tuple(c for c in self.candidates[1:] if best.score - c.score < _SAME and c.which == best.which)
 
     @property
     def besides(self) -> tuple[Candidate, int] | None:
-        """Who decodes most of what the best does not, and how many frames that are: a network of several versions.
+        """Return the candidate that decodes most of the frames that the best does not, and their number.
 
-        None if nobody decodes more than a hundredth of the frames.
+        Such frames indicate a network of several versions. None if no candidate decodes more than a hundredth of the
+        frames.
         """
         best = self.best
         more = [(candidate, len(candidate.which - best.which)) for candidate in self.candidates[1:]]
@@ -101,31 +102,31 @@ class Guess(msgspec.Struct, frozen=True):
 
     @property
     def certain(self) -> bool:
-        """Whether nothing else comes near, and nothing in the recording speaks another version."""
+        """Return whether no other profile comes near, and no frames have another version."""
         return bool(self.best.frames) and not self.tied and self.besides is None and self.certainty > _CERTAIN
 
     @property
     def certainty(self) -> float:
-        """How far the best is ahead of the first that explains the frames less well, 0..1."""
+        """Return the lead of the best over the first candidate that explains the frames less well, 0..1."""
         others = [c.score for c in self.candidates if self.best.score - c.score >= _SAME]
         return self.best.score - others[0] if others else 0.0
 
     @property
     def weak(self) -> bool:
-        """Whether most of the recording stays unexplained, or another layout explains it nearly as well."""
+        """Return whether most of the recording is unexplained, or another layout explains it nearly as well."""
         if not self.best.frames:
             return False
         return self.best.score < 0.5 or (not self.tied and self.certainty <= _LIKELY)
 
     @property
     def warning(self) -> str | None:
-        """One sentence for everyone who goes on with a weak guess; None for a good one."""
+        """Return a warning for commands that continue with a weak guess; None for a good one."""
         if not self.weak:
             return None
-        return f"profile {self.best.profile.name} is a weak guess, and what follows may be wrong ({self.best.counts})"
+        return f"profile {self.best.profile.name} is a weak guess, and the output may be wrong ({self.best.counts})"
 
     def as_json(self) -> dict[str, Any]:
-        """The members ``profile``, ``certain``, ``weak``, ``tied`` and ``text``, for the output of commands."""
+        """Return the members ``profile``, ``certain``, ``weak``, ``tied`` and ``text``, for the output of commands."""
         return {
             "profile": self.best.profile.name,
             "certain": self.certain,
@@ -137,7 +138,7 @@ class Guess(msgspec.Struct, frozen=True):
     def __str__(self) -> str:
         best = self.best
         if not best.frames:
-            return f"{best.profile.name} (a guess: there are no frames to tell it by)"
+            return f"{best.profile.name} (a guess: no frames to decide by)"
         sure = "certain" if self.certainty > _CERTAIN else "likely" if self.certainty > _LIKELY else "a weak guess"
         if self.tied:
             sure = "one of several"
@@ -145,19 +146,20 @@ class Guess(msgspec.Struct, frozen=True):
             sure = "a weak guess"
         text = f"{best.profile.name} ({sure}: {best.counts}"
         if self.tied:
-            text += f"; cannot be told apart here from {', '.join(c.profile.name for c in self.tied)}"
+            text += f"; not distinguishable here from {', '.join(c.profile.name for c in self.tied)}"
         if self.besides:
             other, many = self.besides
-            text += f"; {many} others decode as {other.profile.name}: look at each version with --profile"
+            text += f"; {many} others decode as {other.profile.name}: decode each version with --profile"
         return text + ")"
 
 
 def sample(
     frames: Iterable[Frame], limit: int = SAMPLE, *, ether_type: int | None = None
 ) -> tuple[list[Frame], Iterator[Frame]]:
-    """The first ``limit`` frames that may be DCP, and an iterator over all frames again.
+    """Return the first ``limit`` frames that may be DCP, and an iterator over all frames again.
 
-    Among 20 000 frames without any of them the first ``limit`` are it. ``ether_type`` is that of the beacons, if known.
+    If none of the first 20 000 frames may be DCP, the first ``limit`` frames are returned. ``ether_type`` is that of
+    the beacons, if known.
     """
     iterator = iter(frames)
     links = _links(ether_type)
@@ -173,7 +175,7 @@ def sample(
 
 
 def _links(ether_type: int | None) -> list[Link]:
-    """Where beacons of any built-in profile are found."""
+    """Return the EtherTypes and UDP ports of all built-in profiles."""
     links = {get_codec(name).profile.link: None for name in profile_names()}
     if ether_type is not None:
         links |= {with_ether_type(link, ether_type): None for link in links if link.transport == "ethernet"}
@@ -187,7 +189,7 @@ def guess(
     framed: bool = True,
     ether_type: int | None = None,
 ) -> Guess:
-    """Rank ``profiles`` (names, or codecs of others; None: the built-in ones) for ``frames``.
+    """Rank ``profiles`` (names or codecs; None: the built-in ones) for ``frames``.
 
     ``framed`` false: the frames are bare bearer payloads.
     """
@@ -200,7 +202,7 @@ def guess(
 
 
 def looks_bare(octets: bytes, profiles: Sequence[str] | None = None) -> bool:
-    """Whether ``octets`` are rather a bearer payload than a whole Ethernet frame."""
+    """Return whether ``octets`` are more likely a bearer payload than a whole Ethernet frame."""
     frame = Frame(number=1, time_ns=0, data=octets, orig_len=len(octets))
     as_bare = guess([frame], profiles=profiles, framed=False).best.score
     as_framed = guess([frame], profiles=profiles, framed=True).best.score
@@ -210,13 +212,13 @@ def looks_bare(octets: bytes, profiles: Sequence[str] | None = None) -> bool:
 
 
 def _ether_type_of(frames: Sequence[Frame]) -> int | None:
-    """The EtherType whose frames carry the magic number, if there is exactly one."""
+    """Return the EtherType whose frames carry the magic number, if there is exactly one."""
     found = {frame.data[12] << 8 | frame.data[13] for frame in frames if _has_magic(frame)}
     return found.pop() if len(found) == 1 else None
 
 
 def _has_magic(frame: Frame) -> bool:
-    """Whether the magic number is where a beacon of some version has it, behind any EtherType."""
+    """Return whether the magic number is at the position of some version's beacon, after any EtherType."""
     return _MAGIC in (frame.data[14:16], frame.data[15:17])
 
 
@@ -258,10 +260,10 @@ def _judge(codec: Codec, frames: Sequence[Frame], framed: bool, ether_type: int 
         if found:
             evidence.append(min(weight for weight, _ in found))
             doubts.update(dict.fromkeys(doubt for weight, doubt in found if weight < _DOUBTFUL))
-    # What frames say is weighed apart from whether they decode: most beacons say nothing that could be implausible.
+    # Plausibility is weighed separately from decoding: most beacons have no value that could be implausible.
     plausible = sum(evidence) / len(evidence) if evidence else 1.0
     if not which and not shares:
-        # Resemblance only counts where there is nothing else: it must not break a tie.
+        # Resemblance only counts if nothing else does: it must not break a tie.
         shares = hints
     partly = damaged * sum(shares) / max(1, parts + len(hints))
     score = (len(which) + partly) / total * (0.3 + 0.7 * plausible) if total else 0.0
@@ -269,15 +271,17 @@ def _judge(codec: Codec, frames: Sequence[Frame], framed: bool, ether_type: int 
     return Candidate(codec.profile, link, score, len(which), total, tuple(doubts), frozenset(which), in_part)
 
 
-#: Malformed frames that are looked at in detail, which is slow; the others are taken to be like these.
+#: Malformed frames that are examined in detail, which is slow; the others count as similar to these.
 LOOKED_AT = 40
-#: The most that a frame counts of which no block decodes, and of which some do: much less than one that decodes, since
-#: whoever knows the layout knows all of it. A header that breaks a rule leaves half.
+#: Maximum score of a frame of which no block decodes, and of one of which some do. Both are much below that of a
+#: decoded frame, because the right layout explains all of it. A header that breaks a rule halves the score.
 _HINT, _PART, _BAD_HEADER = 0.1, 0.3, 0.5
 
 
 def _share(codec: Codec, octets: bytes, start: int) -> tuple[float, Beacon | None]:
-    """Which part of a malformed frame the profile explains, 0..1, and what can be read of it if that is a block."""
+    """Return the share of a malformed frame that the profile explains, 0..1, and its readable part if that has a
+    block.
+    """
     found = codec.salvage(octets[start:])
     beacon = found.beacon
     if beacon is None or not found.clear:
@@ -288,14 +292,14 @@ def _share(codec: Codec, octets: bytes, start: int) -> tuple[float, Beacon | Non
     sound = len(beacon.payloads) - len(bad)
     header = any(each.path.startswith("bp.") for each in found.problems)
     if not sound:
-        # All that is known is BP's part; how much of a wrong layout happens to fit says nothing.
+        # Only BP's part is readable; how much of a wrong layout fits by chance is no evidence.
         return _HINT * (_BAD_HEADER if header else 1.0), None
     share = _HINT + (_PART - _HINT) * sound / len(beacon.payloads)
     return share * (_BAD_HEADER if header else 1.0), beacon
 
 
 def _known(codec: Codec, octets: bytes, start: int) -> float:
-    """Which share of a malformed frame still has a meaning: the more, the likelier that it is only damaged."""
+    """Return the share of a malformed frame that still has a meaning; a high share suggests mere damage."""
     found = codec.dissect(octets, start=start)
     named = sum(
         field.length
@@ -305,12 +309,12 @@ def _known(codec: Codec, octets: bytes, start: int) -> float:
     return min(1.0, named / max(1, len(octets) - start))
 
 
-#: Evidence of less weight than this is told to the user.
+#: Evidence with less weight than this is reported to the user.
 _DOUBTFUL = 0.5
 
 
 def _evidence(profile: Profile, beacon: Beacon, time_ns: int) -> Iterator[tuple[float, str]]:
-    """What a beacon says that can be plausible (weight 1) or not (weight 0), and the doubt when it is not."""
+    """Yield the plausibility of each value of a beacon (1 plausible, 0 not), with the doubt to report."""
     for payload in beacon.payloads:
         content = payload.content
         if isinstance(content, ExtendedSafetyData):
@@ -335,7 +339,9 @@ def _create_evidence(profile: Profile, create: VarCreate, time_ns: int) -> Itera
 
 
 def _time_weight(profile: Profile, stamp: int, time_ns: int) -> float:
-    """How plausible a time stamp is: 1 within a day of the recording, less with distance, 0 beyond ten years."""
+    """Return the plausibility of a time stamp: 1 within a day of the recording, less with distance, 0 beyond ten
+    years.
+    """
     layout = profile.types.timestamp
     seconds = stamp / layout.per_second
     if layout.epoch_ns is None:
@@ -345,7 +351,7 @@ def _time_weight(profile: Profile, stamp: int, time_ns: int) -> float:
     days = abs(seconds - (recorded if recorded > _EARLIEST else _ERA)) / 86_400
     if days > 3650:
         return 0.0
-    # Both byte orders of one stamp can be plausible; the nearer one is the likelier.
+    # Both byte orders of one stamp can be plausible; the nearer time is more likely.
     return 1.0 if days <= 1 else 1.0 - 0.05 * math.log10(days)
 
 

@@ -1,12 +1,12 @@
-"""Who holds what: the number of each variable that each node last said it has, over the time of a recording.
+"""Holdings of the nodes over time: the sequence number of each variable that each node last reported.
 
-Every VarDis record says something about the database of the node that sends it (dcp-vardis.md, "Basic Transmissible
-Data Types"): a create, an update, a summary and a request for an update carry the sequence number that the node has, a
-delete says that the node has deleted the variable, a request for a create that it does not know the variable.
+Every VarDis record contains information about the database of its sender (dcp-vardis.md, "Basic Transmissible Data
+Types"): a create, an update, a summary and a request for an update carry the sequence number that the node has, a
+delete means that the node has deleted the variable, a request for a create that it does not know the variable.
 
-:class:`Holdings` follows beacons and yields what changes. :class:`History` keeps the changes for a page, in bounded
-memory. What a node holds is known only from what it says: a value that it has taken shows with its next beacon about
-the variable.
+:class:`Holdings` follows beacons and returns the changes. :class:`History` keeps the changes for a page, in bounded
+memory. Holdings are known only from beacons: a newly accepted value shows with the node's next beacon about the
+variable.
 """
 
 from __future__ import annotations
@@ -18,24 +18,24 @@ from dcp_codec.jsonform import node_id_text
 from dcp_codec.values import Beacon, VarCreate, VarDelete, VarReqCreate
 
 DELETED: Final = -1
-"""In place of a number: the node has deleted the variable."""
+"""In place of a sequence number: the node has deleted the variable."""
 UNKNOWN: Final = -2
-"""In place of a number: the node has asked for the variable's creation, or has never spoken of it."""
+"""In place of a sequence number: the node has asked for the variable's creation, or has sent no record about it."""
 
 Creation = tuple[bytes, int | None]
 """The identity of a creation: prodId, and creationTime (None before 2.0)."""
 
-#: Pairs of node and variable that are followed; others are left out.
+#: Maximum number of tracked pairs of node and variable; others are ignored.
 MOST_PAIRS = 1 << 18
-#: Changes that a history keeps exactly.
+#: Number of changes that a history keeps exactly.
 MOST_CHANGES = 60_000
 
 
 class Held(NamedTuple):
-    """What a node holds of a variable.
+    """The state of a variable at a node.
 
-    ``number`` is its sequence number, or :data:`DELETED` or :data:`UNKNOWN`; ``creation`` what the node last said in a
-    create, None if it never did. ``time`` (ns since 1970) and ``frame`` are those of the beacon that first said so.
+    ``number`` is its sequence number, or :data:`DELETED` or :data:`UNKNOWN`; ``creation`` is from the node's last
+    create, None if it sent none. ``time`` (ns since 1970) and ``frame`` are those of the first beacon with this state.
     """
 
     number: int
@@ -45,39 +45,39 @@ class Held(NamedTuple):
 
 
 class Change(NamedTuple):
-    """A node says something new about a variable."""
+    """A node reports a new state of a variable."""
 
     node: bytes
     var_id: int
     before: Held | None
-    """None: the node had not spoken of it."""
+    """None: the node had sent no record about the variable."""
     now: Held
 
 
 def records_of(beacon: Beacon) -> Iterator[Any]:
-    """All VarDis records of a beacon, in their order."""
+    """Yield all VarDis records of a beacon, in their order."""
     for payload in beacon.payloads:
         for container in payload.vardis or ():
             yield from container.records
 
 
 class Holdings:
-    """Follows the beacons of a recording, in their order."""
+    """Tracks the beacons of a recording, in their order."""
 
     def __init__(self, most: int = MOST_PAIRS) -> None:
-        """``most`` pairs of node and variable are followed."""
+        """``most``: the maximum number of tracked pairs of node and variable."""
         self._most = most
         self._held: dict[bytes, dict[int, Held]] = {}
         self._pairs = 0
         self.producers: dict[int, bytes] = {}
-        """By variable: the prodId of the creation that was said last."""
+        """By variable: the prodId of the most recent creation."""
 
     def feed(self, frame: int, time_ns: int, node: bytes, beacon: Beacon) -> list[Change]:
-        """What the next beacon changes. ``node`` is its sender."""
+        """Process the next beacon, sent by ``node``; return the changes."""
         return self.feed_records(frame, time_ns, node, records_of(beacon))
 
     def feed_records(self, frame: int, time_ns: int, node: bytes, records: Iterable[Any]) -> list[Change]:
-        """As :meth:`feed`, by the VarDis records of the beacon; those that say the same again may be left out."""
+        """Process the VarDis records of a beacon, like :meth:`feed`; records without news may be omitted."""
         changes: list[Change] = []
         held = self._held.get(node)
         if held is None:
@@ -110,20 +110,22 @@ class Holdings:
         changes.append(Change(node, var_id, before, now))
 
     def held(self, node: bytes, var_id: int) -> Held | None:
-        """What a node last said of a variable; None if nothing."""
+        """Return the last reported state of a variable at a node; None if there is no report."""
         return self._held.get(node, {}).get(var_id)
 
     def of(self, node: bytes) -> Mapping[int, Held]:
-        """All that a node last said, by variable."""
+        """Return the last reported states of a node, by variable."""
         return self._held.get(node, {})
 
     @property
     def nodes(self) -> list[bytes]:
-        """All senders, in the order in which they were met."""
+        """Return all senders, in the order of their first beacon."""
         return list(self._held)
 
     def differs(self, node: bytes, var_id: int) -> bool:
-        """Whether a node holds another number than the producer of the variable, as far as both have said."""
+        """Return whether a node reported another number than the producer of the variable; False if either is
+        missing.
+        """
         producer = self.producers.get(var_id)
         mine, its = self.held(node, var_id), None if producer is None else self.held(producer, var_id)
         return mine is not None and its is not None and mine.number != its.number
@@ -132,15 +134,15 @@ class Holdings:
 class History:
     """All changes of a recording, compact enough for a page.
 
-    Beyond ``most`` changes time gets coarser: of each interval only the last state is kept, and the interval doubles
-    whenever there are too many. ``interval`` is its length in ns. A quarter of ``most`` pairs of node and variable are
-    followed.
+    Beyond ``most`` changes the resolution of time decreases: only the last state of each interval is kept, and the
+    interval doubles whenever there are too many changes. ``interval`` is its length in ns. Up to a quarter of ``most``
+    pairs of node and variable are tracked.
     """
 
     def __init__(self, representation: str, most: int = MOST_CHANGES) -> None:
-        """``representation``: how node identifiers are written (``profile.types.node_id.representation``)."""
+        """``representation``: the format of node identifiers (``profile.types.node_id.representation``)."""
         self._representation, self._most = representation, most
-        # Each pair keeps one state at least, however coarse time is.
+        # Each pair keeps at least one state, at any resolution.
         self._holdings = Holdings(most // 4)
         self._nodes: dict[bytes, int] = {}
         self._variables: dict[int, int] = {}
@@ -153,15 +155,15 @@ class History:
 
     @property
     def holdings(self) -> Holdings:
-        """The state after the last beacon."""
+        """Return the state after the last beacon."""
         return self._holdings
 
     def feed(self, frame: int, time_ns: int, node: bytes, beacon: Beacon) -> list[Change]:
-        """Take the next beacon; also what it changes. Times that go back count as no time."""
+        """Process the next beacon; return the changes. A time before that of the last beacon counts as equal to it."""
         return self.feed_records(frame, time_ns, node, records_of(beacon))
 
     def feed_records(self, frame: int, time_ns: int, node: bytes, records: Iterable[Any]) -> list[Change]:
-        """As :meth:`feed`, by the VarDis records of the beacon; those that say the same again may be left out."""
+        """Process the VarDis records of a beacon, like :meth:`feed`; records without news may be omitted."""
         if self._begin is None:
             self._begin = self._end = time_ns
         self._end = max(self._end, time_ns)
@@ -183,15 +185,15 @@ class History:
     def _coarser(self) -> None:
         while len(self._states) > self._most // 2:
             self.interval *= 2
-            # In the order of time, so that the last state of an interval wins.
+            # In the order of time, so that the last state of an interval is kept.
             self._states = {(at // 2, node, each): number for (at, node, each), number in self._states.items()}
             self._producers = {(at // 2, each): node for (at, each), node in self._producers.items()}
 
     def as_json(self) -> dict[str, Any]:
-        """For programs and pages: times in intervals since ``begin``, nodes and variables by index.
+        """Return the history for programs and pages: times in intervals since ``begin``, nodes and variables by index.
 
-        ``changes`` are rows of delta of time, node, variable, number (:data:`DELETED`, :data:`UNKNOWN`);
-        ``producers`` rows of time, variable, node.
+        ``changes`` are rows of time difference, node, variable, number (:data:`DELETED`, :data:`UNKNOWN`);
+        ``producers`` are rows of time, variable, node.
         """
         rows, last = [], 0
         for (at, node, variable), number in sorted(self._states.items(), key=lambda item: item[0][0]):
@@ -208,7 +210,7 @@ class History:
         }
 
     def states(self, time_ns: int) -> Iterator[tuple[str, int, int]]:
-        """Node, variable and number of everything that is held at a moment, to the precision of ``interval``."""
+        """Yield node, variable and number of all holdings at a time, to the precision of ``interval``."""
         told = self.as_json()
         until, at = (time_ns - told["begin_ns"]) // self.interval, 0
         now: dict[tuple[int, int], int] = {}

@@ -1,7 +1,7 @@
-"""Draft a profile from a recording: the nearest built-in one, and lines for what it does not explain.
+"""Draft a profile from a recording: the nearest built-in one, and lines for the unexplained parts.
 
-The draft is checked against the recording, and what it still does not explain is returned with it. Octets tell how long
-something is, seldom what it means: what the draft cannot know it says in comments.
+The draft is checked against the recording, and the parts that it does not explain are returned with it. Octets show the
+length of a field, but seldom its meaning: comments in the draft name what it leaves open.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ from dcp_codec.codec import Codec
 from .guess import Candidate, Guess, guess
 from .shortfall import Shortfall, shortfalls
 
-#: Rounds of drafting: each removes what hid the next shortfall of the same payload.
+#: Rounds of drafting: each removes shortfalls that hid the next one of the same payload.
 _ROUNDS = 8
 
 
 class Draft(msgspec.Struct, frozen=True):
-    """A drafted profile: its ``text`` (TOML with comments) and what came of checking it.
+    """A drafted profile: its ``text`` (TOML with comments) and the result of its check.
 
-    ``decoded`` of ``frames`` decode with it, ``before`` with the profile that it ``extends``; ``left`` is what neither
-    explains.
+    ``decoded`` of ``frames`` decode with it, ``before`` with the profile that it ``extends``; ``left`` lists the
+    shortfalls of both.
     """
 
     name: str
@@ -43,7 +43,7 @@ class Draft(msgspec.Struct, frozen=True):
 def draft_profile(name: str, frames: Sequence[Frame], source: str, *, ether_type: int | None = None) -> Draft:
     """Draft the profile ``name`` from ``frames`` of the recording ``source``.
 
-    Raises ValueError if no frame carries anything like a beacon.
+    Raises ValueError if no frame resembles a beacon.
     """
     found = guess(frames, ether_type=ether_type)
     best = found.best
@@ -75,7 +75,7 @@ def _parsed(name: str, base: str, lines: Sequence[str]) -> Profile:
 
 
 def _quoted(text: str) -> str:
-    """A basic string of TOML, which is written as JSON is."""
+    """Return a basic string of TOML, whose syntax is that of JSON."""
     return msgspec.json.encode(text).decode()
 
 

@@ -1,7 +1,7 @@
-"""Where a profile fails to explain frames, and what to write into a profile of one's own.
+"""Find the parts of frames that a profile does not explain, and draft lines for a user-defined profile.
 
-Every malformed frame is read as far as possible (:mod:`dcp_codec.views.salvage`), and what is wrong is counted by the
-payload it is in. SRP payloads that are wrong in length come with the lines of TOML that describe them.
+Every malformed frame is read as far as possible (:mod:`dcp_codec.views.salvage`), and its problems are counted by
+payload. SRP payloads of a wrong length come with the lines of TOML that describe them.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ from dcp_codec.errors import DecodeError, Problem
 from dcp_codec.framing.locate import OtherTraffic, bare, locate
 
 _CLIENTS = {int(BP_PROTID_SRP): "SRP", int(BP_PROTID_VARDIS): "VarDis"}
-#: Shortfalls that are listed: the first explain most.
+#: Number of listed shortfalls; the first ones explain most.
 _LISTED = 5
 
 
 class Shortfall(msgspec.Struct, frozen=True):
-    """One thing that a profile does not explain: ``count`` of ``of`` payloads or frames have it.
+    """One part of the frames that a profile does not explain: ``count`` of ``of`` payloads or frames have it.
 
-    ``text`` is a sentence, ``advice`` the lines of a profile that would explain it (empty if the octets do not say),
-    ``frame`` the first frame.
+    ``text`` is a sentence, ``advice`` the lines of a profile that would explain it (empty if the octets do not
+    suffice), ``frame`` the first frame.
     """
 
     text: str
@@ -55,7 +55,7 @@ class _Found:
 def shortfalls(
     codec: Codec, frames: Iterable[Frame], link: Link | None = None, *, framed: bool = True
 ) -> list[Shortfall]:
-    """What ``codec`` does not explain of ``frames``, the most frequent first; empty if it decodes all of them."""
+    """Return the shortfalls of ``codec`` for ``frames``, the most frequent first; empty if it decodes all of them."""
     found = _Found()
     for frame in frames:
         place = locate(frame.data, link or codec.profile.link) if framed else bare(frame.data)
@@ -129,7 +129,7 @@ def _wrong_length(profile: Profile, lengths: Counter[int], count: int, of: int, 
 
 
 def opaque_report(size: int | None) -> tuple[str, ...]:
-    """The lines of a profile whose SRP payloads are ``size`` octets without known fields; None: of any number."""
+    """Return the lines of a profile whose SRP payloads are ``size`` octets without known fields; None: of any size."""
     if size is None:
         return ("[srp]", "record = []", "record_size = 0", "safety_data = []")
     return ("[srp]", f'record = [{{ name = "unknown", opaque = {size} }}]', f"record_size = {size}", "safety_data = []")

@@ -1,7 +1,7 @@
-"""What is in a recording: beacons, loss and intervals per sender, containers and records by type, variables.
+"""Statistics of a recording: beacons, loss and intervals per sender, containers and records by type, variables.
 
-A malformed beacon whose blocks can be told apart counts as a beacon, with what can be read of it. Memory is bounded:
-counters per sender and per variable, with an upper limit on both.
+A malformed beacon whose blocks can be separated counts as a beacon, with its readable parts. Memory is bounded: there
+are counters per sender and per variable, with an upper limit on both.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from dcp_codec.framing.locate import Framing, OtherTraffic, mac
 from dcp_codec.jsonform import node_id_text
 from dcp_codec.values import Beacon, Container, ExtendedSafetyData, Payload
 
-#: Senders and variables beyond this many are counted together, not one by one.
+#: Senders and variables beyond this number share one counter.
 MAX_KEYS = 65_536
-#: Malformed frames that are kept for people to look at.
+#: Malformed frames that are kept as examples.
 EXAMPLES = 10
 
 
@@ -62,11 +62,11 @@ class IntervalStats:
 
 
 class SenderStats:
-    """One sender: beacons, sequence numbers, what is missing between them, intervals.
+    """One sender: beacons, sequence numbers, missing numbers between them, intervals.
 
-    ``lost`` counts the numbers that were jumped over. A number that goes back, or forward by 2^31 or more, is a
-    ``restart`` and no loss; the same number again is a ``duplicate`` (C.1 of the protocol reference: only an estimate).
-    ``backwards`` counts the beacons before which the clock of the recorder was set back: they have no interval.
+    ``lost`` counts the skipped numbers. A number that goes back, or forward by 2^31 or more, is a ``restart`` and not a
+    loss; a repeated number is a ``duplicate`` (C.1 of the protocol reference: only an estimate). ``backwards`` counts
+    the beacons before which the clock of the recorder was set back: they have no interval.
     """
 
     __slots__ = (
@@ -109,7 +109,7 @@ class SenderStats:
         self.last_seqno = seqno
 
     def as_json(self) -> dict[str, Any]:
-        """The counters under the names of ``dcp-codec stats --format json``."""
+        """Return the counters under the names of ``dcp-codec stats --format json``."""
         return {
             "beacons": self.beacons,
             "first_seqno": self.first_seqno,
@@ -123,11 +123,11 @@ class SenderStats:
 
 
 class Stats:
-    """Counts the frames of a recording; see :meth:`as_json` for what it knows. ``link`` is that of :meth:`add`."""
+    """Counts the frames of a recording; :meth:`as_json` lists the results. ``link`` is that of :meth:`add`."""
 
     def __init__(self, codec: Codec, link: Link | None = None) -> None:
         self.codec = codec
-        #: Why the profile, which was guessed, may be the wrong one; for the JSON form.
+        #: The reason why a guessed profile may be wrong; for the JSON form.
         self.doubt: str | None = None
         self._link = link or codec.profile.link
         numbers = codec.profile.vardis.container_types.by_name()
@@ -152,11 +152,11 @@ class Stats:
         self.last_values: dict[int, tuple[int, str]] = {}
         self.first_time_ns: int | None = None
         self.last_time_ns: int | None = None
-        #: (frame number, problem) of the first malformed frames, for people to look at.
+        #: (frame number, problem) of the first malformed frames.
         self.examples: list[tuple[int, str]] = []
 
     def add(self, frame: Frame, framing: Framing | OtherTraffic) -> None:
-        """Count one frame that has been located (``dcp_codec.framing.locate.locate``)."""
+        """Count one frame after ``dcp_codec.framing.locate.locate``."""
         self.frames += 1
         if isinstance(framing, OtherTraffic):
             kind = f"0x{framing.ether_type:04x}" if framing.ether_type is not None else framing.reason
@@ -181,7 +181,7 @@ class Stats:
 
     def _count(self, beacon: Beacon, frame: Frame, framing: Framing) -> None:
         self.beacons += 1
-        # Earliest and latest: files may hold frames out of order, and clocks are set.
+        # Minimum and maximum: files may hold frames out of order, and clocks may be set.
         self.first_time_ns = min(frame.time_ns, self.first_time_ns if self.first_time_ns is not None else frame.time_ns)
         self.last_time_ns = max(frame.time_ns, self.last_time_ns if self.last_time_ns is not None else frame.time_ns)
         seqno: int | None = None
@@ -207,7 +207,7 @@ class Stats:
                     self.other_payloads += 1
 
     def _kind(self, payload: Payload) -> str:
-        """Whose payload it is, also if it cannot be read."""
+        """Return the protocol of a payload, also of an unreadable one."""
         if isinstance(payload.content, tuple):
             return "vardis"
         report = payload.protocol_id == BP_PROTID_SRP and self.codec.srp_plan is not None
@@ -228,7 +228,7 @@ class Stats:
                 self.last_values[update.var_id] = (update.seqno, update.value.hex())
 
     def as_json(self) -> dict[str, Any]:
-        """The object that ``dcp-codec stats --format json`` prints; counters by the specification's names."""
+        """Return the object that ``dcp-codec stats --format json`` prints; counters have the specification's names."""
         span = None
         if self.first_time_ns is not None and self.last_time_ns is not None:
             span = (self.last_time_ns - self.first_time_ns) / 1e9

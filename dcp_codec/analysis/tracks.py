@@ -27,11 +27,11 @@ _E2 = _F * (2 - _F)
 
 
 class TrackError(ValueError):
-    """Positions cannot be had, or not written so. The message says why."""
+    """Positions cannot be determined or not be written in this format. The message gives the reason."""
 
 
 class Reference(msgspec.Struct, frozen=True):
-    """The point that local coordinates count from: degrees, and metres above the ellipsoid."""
+    """The origin of local coordinates: degrees, and metres above the ellipsoid."""
 
     latitude: float
     longitude: float
@@ -39,7 +39,7 @@ class Reference(msgspec.Struct, frozen=True):
 
 
 class Position(msgspec.Struct, frozen=True, gc=False):
-    """Where a node said that it was; ``time_ns`` is the time of capture."""
+    """A position that a node reported; ``time_ns`` is the time of capture."""
 
     time_ns: int
     node: str
@@ -50,7 +50,7 @@ class Position(msgspec.Struct, frozen=True, gc=False):
 
 
 def parse_reference(text: str) -> Reference:
-    """``LAT,LON`` or ``LAT,LON,ALT``. Raises ValueError."""
+    """Parse ``LAT,LON`` or ``LAT,LON,ALT`` (degrees, metres). Raises ValueError."""
     try:
         numbers = [float(part) for part in text.split(",")]
     except ValueError:
@@ -58,12 +58,12 @@ def parse_reference(text: str) -> Reference:
     if len(numbers) not in (2, 3) or not all(map(math.isfinite, numbers)):
         raise ValueError(f"{text!r} is not LAT,LON or LAT,LON,ALT, such as -43.52,172.58,20")
     if abs(numbers[0]) > 90 or abs(numbers[1]) > 180:
-        raise ValueError(f"{text!r}: latitude is within -90 to 90 degrees, longitude within -180 to 180")
+        raise ValueError(f"{text!r}: latitude must be within -90 to 90 degrees, longitude within -180 to 180")
     return Reference(*numbers)
 
 
 class Positions:
-    """Reads positions out of frames. Raises :class:`TrackError` for a profile whose state reports have none."""
+    """Extracts positions from frames. Raises :class:`TrackError` for a profile whose state reports have none."""
 
     def __init__(self, profile: Profile) -> None:
         fields = {field.role: field.name for field in profile.srp.safety_data if field.role in _AXES}
@@ -76,7 +76,7 @@ class Positions:
         self._representation = profile.types.node_id.representation
 
     def of(self, frame: DissectedFrame) -> Iterator[Position]:
-        """The positions in one frame; what is damaged or no number is left out."""
+        """Yield the positions in one frame; damaged and non-finite ones are left out."""
         for payload in frame.payloads:
             report = payload.child("srp")
             data = report.child("sData") if report is not None else None
@@ -95,7 +95,7 @@ class Positions:
 
 
 def degrees(position: Position, reference: Reference) -> tuple[float, float, float]:
-    """Latitude and longitude in degrees, and altitude in m, of a local position."""
+    """Return latitude and longitude in degrees, and altitude in m, of a local position."""
     latitude, longitude = math.radians(reference.latitude), math.radians(reference.longitude)
     sin_lat, cos_lat = math.sin(latitude), math.cos(latitude)
     sin_lon, cos_lon = math.sin(longitude), math.cos(longitude)
@@ -118,14 +118,16 @@ def degrees(position: Position, reference: Reference) -> tuple[float, float, flo
 
 
 def write_csv(positions: Iterable[Position], file: IO[str], reference: Reference | None) -> int:
-    """One row for each position; with a reference also latitude, longitude and altitude. Returns how many."""
+    """Write one row for each position; with a reference also latitude, longitude and altitude. Return the number of
+    rows.
+    """
     writer = csv.writer(file, lineterminator="\n")
     more = ("latitude", "longitude", "altitude") if reference is not None else ()
     writer.writerow(("time_ns", "node", "seqno", "x", "y", "z", *more))
     count = 0
     for each in positions:
         found = degrees(each, reference) if reference is not None else ()
-        # Identifiers that are text come from the air: a spreadsheet must not take one for a formula.
+        # Textual identifiers are received from the network; a spreadsheet must not evaluate one as a formula.
         node = safe_cell(each.node)
         rounded = [round(value, 9) for value in found[:2]] + [round(value, 3) for value in found[2:]]
         writer.writerow((each.time_ns, node, each.seqno, each.x, each.y, each.z, *rounded))
@@ -134,7 +136,7 @@ def write_csv(positions: Iterable[Position], file: IO[str], reference: Reference
 
 
 def write_gpx(positions: Iterable[Position], file: IO[bytes], reference: Reference) -> int:
-    """A GPX 1.1 file with one track for each node. Returns the number of positions."""
+    """Write a GPX 1.1 file with one track for each node. Return the number of positions."""
     root = ET.Element("gpx", {"version": "1.1", "creator": "dcp-codec", "xmlns": "http://www.topografix.com/GPX/1/1"})
     count = 0
     for node, track in _by_node(positions).items():
@@ -152,7 +154,7 @@ def write_gpx(positions: Iterable[Position], file: IO[bytes], reference: Referen
 
 
 def write_kml(positions: Iterable[Position], file: IO[bytes], reference: Reference) -> int:
-    """A KML 2.2 file with one timed track for each node. Returns the number of positions."""
+    """Write a KML 2.2 file with one timed track for each node. Return the number of positions."""
     spaces = {"xmlns": "http://www.opengis.net/kml/2.2", "xmlns:gx": "http://www.google.com/kml/ext/2.2"}
     root = ET.Element("kml", spaces)
     document = ET.SubElement(root, "Document")
@@ -175,7 +177,7 @@ def write_kml(positions: Iterable[Position], file: IO[bytes], reference: Referen
 def _by_node(positions: Iterable[Position]) -> dict[str, list[Position]]:
     found: dict[str, list[Position]] = {}
     for each in positions:
-        # XML has no place for control characters, which identifiers that are text can hold.
+        # XML does not allow control characters, which textual identifiers can contain.
         node = "".join(character if character.isprintable() else "?" for character in each.node)
         found.setdefault(node, []).append(each)
     return found

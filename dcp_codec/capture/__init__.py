@@ -1,8 +1,8 @@
 """Captures as streams of link-layer frames: pcap, pcapng and MCAP, read and written.
 
-Nothing here knows what the frames carry. Everything streams: one record, one chunk at most, is in memory. Nothing
-of a file that can be opened makes reading raise; what is wrong with it is a list of problems beside the frames.
-The mcap library is imported when the first MCAP file is opened or created.
+The package does not depend on the payload of the frames. All formats are streamed: at most one record or one chunk is
+in memory. Reading never raises after a file was opened; damage is listed as problems beside the frames. The mcap
+library is imported when the first MCAP file is opened or created.
 """
 
 from .convert import ConvertReport, convert

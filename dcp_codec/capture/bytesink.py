@@ -1,4 +1,4 @@
-"""Output of octets to files and pipes, each octet handed to the system before the call returns."""
+"""Output of octets to files and pipes; each write reaches the system before the call returns."""
 
 from __future__ import annotations
 
@@ -14,14 +14,13 @@ from .frame import CaptureError
 
 
 class ByteSink:
-    """A place for octets that knows how many went there, also where the system can not tell (pipes).
+    """Output that counts its octets, also for pipes, where the system has no position.
 
-    It does not buffer: whoever writes passes on whole records, and so a process that is killed leaves whole
-    records behind.
+    It does not buffer. Callers write whole records, so a process that is killed leaves whole records.
     """
 
     def __init__(self, stream: BinaryIO, name: str, *, owned: bool, place: tuple[Path, Path] | None = None) -> None:
-        """``place``: where the octets are, and the name that the file gets when it is closed."""
+        """``place``: the temporary path of the file, and the path that it gets when it is closed."""
         self._place = place
         self._abandoned = False
         self.name = name
@@ -32,11 +31,11 @@ class ByteSink:
         self._owned = owned
 
     def write(self, octets: bytes | memoryview) -> int:
-        """Write all of `octets`; raises `CaptureError` if the system can not."""
+        """Write all of `octets`. Raises `CaptureError` if that fails."""
         view = memoryview(octets)
         try:
             while view:
-                # Raw files, and pipes above all, may take less than they are given.
+                # Raw files and especially pipes may accept fewer octets than given.
                 taken = self._stream.write(view)
                 if not taken:
                     raise BlockingIOError("the stream is non-blocking and took nothing")
@@ -47,14 +46,14 @@ class ByteSink:
         return len(octets)
 
     def flush(self) -> None:
-        """Have the stream pass on what it may hold itself."""
+        """Flush the buffer of the stream, if it has one."""
         try:
             self._stream.flush()
         except (OSError, ValueError) as error:
             raise self._error(error) from error
 
     def close(self) -> None:
-        """Let go of the stream; one that the caller gave is flushed and stays open. May be called again."""
+        """Close the stream; a stream of the caller is flushed and stays open. May be called again."""
         if self._owned:
             self._owned = False
             try:
@@ -70,20 +69,20 @@ class ByteSink:
             self.flush()
 
     def abandon(self) -> None:
-        """Do not put the file in its place when it is closed; without a place of its own it stays as it is."""
+        """Do not move the file to its final path when it is closed; a file without a temporary path stays unchanged."""
         self._abandoned = True
 
     def _error(self, error: Exception) -> CaptureError:
         self.failed = True
-        return CaptureError(f"{self.name}: can not be written: {explain(error)}")
+        return CaptureError(f"{self.name}: cannot be written: {explain(error)}")
 
 
 def open_sink(target: str | Path | BinaryIO, *, whole: bool = False) -> ByteSink:
-    """A `ByteSink` on a path (emptied if it exists), on ``"-"`` (standard output), or on a binary stream.
+    """Open a `ByteSink` on a path (emptied if it exists), on ``"-"`` (standard output), or on a binary stream.
 
     A path with the suffix of a compression is compressed. ``whole``: a regular file appears when it is complete.
 
-    Raises `CaptureError` if it can not be opened.
+    Raises `CaptureError` if it cannot be opened.
     """
     if isinstance(target, str) and target == "-":
         return ByteSink(sys.stdout.buffer, "standard output", owned=False)
@@ -92,15 +91,15 @@ def open_sink(target: str | Path | BinaryIO, *, whole: bool = False) -> ByteSink
     path, place = Path(target), None
     try:
         if whole and (path.is_file() or not path.exists()):
-            # A link keeps pointing to the file, which gets new contents.
+            # Resolve a symbolic link, so that it keeps pointing to the file with the new contents.
             final = path.resolve()
             path = final.with_name(f".{final.name}.{os.getpid()}.part")
             place = (path, final)
         stream: BinaryIO = path.open("wb", buffering=0)
     except FileNotFoundError as error:
-        raise CaptureError(f"{target}: can not be written: there is no folder {Path(target).parent}") from error
+        raise CaptureError(f"{target}: cannot be written: there is no folder {Path(target).parent}") from error
     except (OSError, ValueError) as error:
-        raise CaptureError(f"{target}: can not be written: {explain(error)}") from error
+        raise CaptureError(f"{target}: cannot be written: {explain(error)}") from error
     compression = compression_of(target)
     if compression is not None:
         stream = compressing(stream, compression)
@@ -108,7 +107,7 @@ def open_sink(target: str | Path | BinaryIO, *, whole: bool = False) -> ByteSink
 
 
 def same_file(source: str | Path | BinaryIO, target: str | Path | BinaryIO) -> bool:
-    """Whether both are one and the same regular file, by whatever names, or as standard input and output."""
+    """Return whether both are the same regular file, by any names, or as standard input and output."""
     first = _identity(source, sys.stdin)
     return first is not None and first == _identity(target, sys.stdout)
 

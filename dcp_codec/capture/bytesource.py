@@ -1,4 +1,4 @@
-"""Input as one sliding window over a stream of octets, from files and pipes alike."""
+"""Input as a sliding window over a stream of octets, for files and pipes."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import BinaryIO
 
 from .frame import CaptureError
 
-#: Octets asked for at once. Pipes give what they have, so this delays nothing.
+#: Octets requested at once. A pipe returns what is available, so this causes no delay.
 READ_SIZE = 1024 * 1024
 
 
@@ -29,28 +29,28 @@ class ByteSource:
 
     def __init__(self, stream: BinaryIO, name: str, size: int | None, *, owned: bool) -> None:
         self.name = name
-        #: Octets in all, or None for what has no end in sight.
+        #: Size in octets, None if unknown.
         self.size = size
         self.buffer = b""
         self.base = 0
-        #: The cursor, an index into `buffer`, for readers that do not keep their own.
+        #: The cursor, an index into `buffer`, for readers without a cursor.
         self.start = 0
         self.failure = ""
         self._stream = stream
         self._owned = owned
-        # read(n) of a buffered pipe waits for all n octets; read1 gives what has arrived. A raw file has only
-        # read, which does the same.
+        # read(n) of a buffered pipe waits for all n octets; read1 returns the available ones. A raw file only has read,
+        # which does the same.
         self._read: Callable[[int], bytes | None] = getattr(stream, "read1", stream.read)
 
     @property
     def position(self) -> int:
-        """Absolute offset of the cursor."""
+        """Return the absolute offset of the cursor."""
         return self.base + self.start
 
     def more(self, start: int, need: int) -> bytes:
-        """Drop the first `start` octets of the window and have at least `need` in it, fewer only at the end.
+        """Drop the first `start` octets of the window and read until it has at least `need`, fewer only at the end.
 
-        Returns the new `buffer`, at whose first octet the cursor then is; indices into the old one are void.
+        Returns the new `buffer`, whose first octet is at the cursor; indices into the old one are invalid.
         """
         pieces = [self.buffer[start:]]
         have = len(pieces[0])
@@ -66,14 +66,14 @@ class ByteSource:
         return self.buffer
 
     def need(self, count: int) -> int:
-        """Have `count` octets or more from the cursor on, fewer only at the end; returns how many."""
+        """Read until at least `count` octets follow the cursor, fewer only at the end; return their number."""
         have = len(self.buffer) - self.start
         if have < count:
             have = len(self.more(self.start, count))
         return have
 
     def skip(self, count: int) -> int:
-        """Move the cursor over `count` octets, keeping none; returns how many of them there were."""
+        """Move the cursor over `count` octets without keeping them; return the number of octets skipped."""
         start, end = self.position, self.position + count
         while self.position < end:
             step = min(end - self.position, len(self.buffer) - self.start)
@@ -88,7 +88,7 @@ class ByteSource:
         return self.position - start
 
     def _jump(self, position: int) -> None:
-        """Go on at `position` of a file, with the window empty."""
+        """Continue at `position` of a file, with an empty window."""
         try:
             self._stream.seek(position)
         except (OSError, ValueError) as error:
@@ -97,7 +97,7 @@ class ByteSource:
         self.buffer, self.start, self.base = b"", 0, position
 
     def take(self, count: int) -> bytes:
-        """The `count` octets at the cursor, fewer only at the end, moving it over them."""
+        """Return the `count` octets at the cursor, fewer only at the end, and move the cursor over them."""
         self.need(count)
         octets = self.buffer[self.start : self.start + count]
         self.start += len(octets)
@@ -117,7 +117,7 @@ class ByteSource:
         return piece
 
     def close(self) -> None:
-        """Let go of the stream; a stream that the caller gave stays open. May be called again."""
+        """Close the stream; a stream of the caller stays open. May be called again."""
         self.buffer = b""
         self.start = 0
         self.failure = self.failure or "it is closed"
@@ -127,7 +127,7 @@ class ByteSource:
 
 
 def open_source(source: str | Path | BinaryIO) -> ByteSource:
-    """A `ByteSource` on a path, on ``"-"`` (standard input), or on a binary stream from where it stands.
+    """Open a `ByteSource` on a path, on ``"-"`` (standard input), or on a binary stream from its current position.
 
     Raises `CaptureError` if there is no such file, it is a directory, or it may not be read.
     """
@@ -144,13 +144,13 @@ def open_source(source: str | Path | BinaryIO) -> ByteSource:
 
 
 def stream_name(stream: BinaryIO) -> str:
-    """What to call a stream in a message."""
+    """Return the name of a stream for messages."""
     name = getattr(stream, "name", None)
     return name if isinstance(name, str) and name else "<stream>"
 
 
 def explain(error: Exception) -> str:
-    """Why a file could not be opened, for people."""
+    """Return the reason why a file could not be opened, for messages."""
     if isinstance(error, FileNotFoundError):
         return "there is no such file"
     if isinstance(error, IsADirectoryError):
@@ -163,7 +163,7 @@ def explain(error: Exception) -> str:
 
 
 def _file_size(stream: BinaryIO | io.FileIO) -> int | None:
-    """Size of a regular file by its descriptor; None for pipes, devices and what has no descriptor."""
+    """Return the size of a regular file by its descriptor; None for pipes, devices and objects without a descriptor."""
     try:
         status = os.fstat(stream.fileno())
     except (OSError, ValueError, AttributeError):
@@ -172,7 +172,7 @@ def _file_size(stream: BinaryIO | io.FileIO) -> int | None:
 
 
 def _stream_size(stream: BinaryIO) -> int | None:
-    """Octets from where the stream stands to its end, None if it can not be asked without reading."""
+    """Return the octets from the position of the stream to its end; None if that is unknown without reading."""
     try:
         here = stream.tell()
         if isinstance(stream, io.BytesIO):

@@ -1,4 +1,4 @@
-"""Captures that are compressed as a whole: gzip and zstd, read and written as streams in bounded memory."""
+"""Compressed captures: gzip and zstd, read and written as streams in bounded memory."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from .bytesource import ByteSource
 #: Suffix after that of the format -> compression.
 COMPRESSED_SUFFIXES = {".gz": "gzip", ".zst": "zstd", ".zstd": "zstd"}
 _GZIP, _ZSTD = b"\x1f\x8b", b"\x28\xb5\x2f\xfd"
-#: Compressed octets that are taken at once; what comes of them is handed on in pieces.
+#: Compressed octets that are read at once; their content is returned in pieces.
 _STEP = 64 * 1024
-#: Compressed octets that zstd gets at once: they become 64 MiB at most.
+#: Compressed octets that zstd gets at once: they expand to 64 MiB at most.
 _ZSTD_STEP = 2048
-#: Decompressed octets that one call makes at most: small input can hold gigabytes.
+#: Decompressed octets per call at most: small input can expand to gigabytes.
 _MOST = 1024 * 1024
 
 
 def decompressed(source: ByteSource) -> ByteSource:
-    """``source`` itself, or what it holds if it is gzip or zstd.
+    """Return ``source``, or its decompressed content if it is gzip or zstd.
 
-    Its size is then unknown, as that of a pipe. What is damaged or cut off ends it, and ``failure`` says why.
+    The size is then unknown, as that of a pipe. Damage or a cut-off ends the content, and ``failure`` gives the reason.
     """
     start = source.more(0, 4)[:4]
     if start.startswith(_GZIP):
@@ -34,17 +34,17 @@ def decompressed(source: ByteSource) -> ByteSource:
 
 
 class _Expanded:
-    """A binary stream as :class:`ByteSource` needs one: the decompressed octets of another source."""
+    """Binary stream for :class:`ByteSource`: the decompressed octets of another source."""
 
     def __init__(self, source: ByteSource) -> None:
         self._source = source
 
     def read(self, size: int) -> bytes:
-        """At least one octet and at most ``size``, none at the end. Raises OSError for damaged data."""
+        """Return at least one octet and at most ``size``, none at the end. Raises OSError for damaged data."""
         raise NotImplementedError
 
     def close(self) -> None:
-        """Let go of the compressed source."""
+        """Close the compressed source."""
         self._source.close()
 
     def _take(self) -> bytes:
@@ -56,7 +56,7 @@ class _Expanded:
 
 
 class _Inflated(_Expanded):
-    """Members of a gzip file, one after the other."""
+    """Decompressed members of a gzip file, in succession."""
 
     def __init__(self, source: ByteSource) -> None:
         super().__init__(source)
@@ -73,7 +73,7 @@ class _Inflated(_Expanded):
                         raise OSError("its gzip data is cut off")
                     return b""
             if self._member is None:
-                # Zeros after the last member are padding, as gzip has it.
+                # Zeros after the last member are padding in gzip.
                 if not self._waiting.strip(b"\0"):
                     self._waiting = b""
                     continue
@@ -91,7 +91,7 @@ class _Inflated(_Expanded):
 
 
 class _Unzstd(_Expanded):
-    """Frames of a zstd file, one after the other."""
+    """Decompressed frames of a zstd file, in succession."""
 
     def __init__(self, source: ByteSource) -> None:
         import zstandard
@@ -112,7 +112,7 @@ class _Unzstd(_Expanded):
                     raise OSError("its zstd data is cut off")
                 return b""
             self._frame = self._frame or self._library.decompressobj()
-            # The library has no bound for what one call makes; four octets can stand for 128 KiB.
+            # The library does not bound the output of one call; four octets can expand to 128 KiB.
             step, self._waiting = self._waiting[:_ZSTD_STEP], self._waiting[_ZSTD_STEP:]
             try:
                 self._expanded = self._frame.decompress(step)
@@ -125,18 +125,18 @@ class _Unzstd(_Expanded):
 
 
 def compression_of(name: str | Path) -> str | None:
-    """The compression that the suffix of a file asks for, None for none."""
+    """Return the compression that the suffix of a file stands for, None for none."""
     return COMPRESSED_SUFFIXES.get(Path(name).suffix.lower())
 
 
 def without_compression(name: str | Path) -> Path:
-    """The name without the suffix of a compression: that of the format is before it."""
+    """Return the name without the suffix of a compression; the suffix of the format precedes it."""
     path = Path(name)
     return path.with_suffix("") if compression_of(path) else path
 
 
 def compressing(stream: BinaryIO, compression: str) -> BinaryIO:
-    """A stream that writes to ``stream`` compressed, and closes it."""
+    """Return a stream that compresses into ``stream`` and closes it at the end."""
     if compression == "gzip":
         return cast(BinaryIO, _Gzip(stream))
     import zstandard

@@ -1,4 +1,4 @@
-"""From one capture format to another."""
+"""Conversion from one capture format to another."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ _STRIDE = 1024
 
 
 class ConvertReport(msgspec.Struct, frozen=True):
-    """What a conversion did."""
+    """Result of a conversion."""
 
-    #: Frames that were read, and all of them written.
+    #: Number of frames that were read and written.
     frames: int
-    #: What was wrong with the source, as in `CaptureReader.problems`.
+    #: Problems of the source, as in `CaptureReader.problems`.
     problems: tuple[CaptureProblem, ...]
     #: "pcap", "pcapng" or "mcap".
     source_format: str
@@ -43,26 +43,26 @@ def convert(
     lossy: bool = False,
     progress: Callable[[int, int | None], object] | None = None,
 ) -> ConvertReport:
-    """Write the frames of `source` to `target` with their times, octets, lengths and interfaces as they are.
+    """Write the frames of `source` to `target` with their times, octets, lengths and interfaces unchanged.
 
-    Options are those of `create_capture`. The metadata of the source goes along as far as the format has a place
-    for it; `metadata` is added and wins. `attach_source` puts the source itself, byte for byte, into an MCAP
-    target. `progress` is called now and then, and at the end, with the octets read and the octets in all, None
-    for pipes.
+    Options are those of `create_capture`. The metadata of the source is copied as far as the format can hold it;
+    `metadata` is added and takes precedence. `attach_source` puts the source itself, byte for byte, into an MCAP
+    target. `progress` is called from time to time and at the end, with the number of octets read and the size in octets
+    (None for pipes).
 
-    A target that is a file appears when it is complete: if a frame can not be written, or the conversion is
-    interrupted, what was there before stays. If the source is cut off or damaged, the target holds the frames
-    before that, and the report has a problem. Raises `CaptureError` also if both are the same file.
+    A target that is a file appears when it is complete: if a frame cannot be written, or the conversion is interrupted,
+    an earlier file stays. If the source is cut off or damaged, the target holds the frames before the damage, and the
+    report has a problem. Raises `CaptureError` also if both are the same file.
     """
     if same_file(source, target):
-        raise CaptureError(f"{target}: is the source itself, and would be lost before it is read")
+        raise CaptureError(f"{target}: source and target are the same file")
     attachment = None
     if attach_source:
         if not isinstance(source, (str, Path)) or source == "-":
-            raise CaptureError("a source that is not a file can not be attached")
+            raise CaptureError("a source that is not a file cannot be attached")
         attachment = Path(source)
     with open_capture(source) as reader:
-        # Looked up as it fills: the source may say things on its way, and at its end.
+        # Looked up while it fills: the source may have metadata anywhere, also at its end.
         about = ChainMap(*(cast("dict[str, Mapping[str, str]]", each) for each in (metadata or {}, reader.metadata)))
         with create_capture(
             target,

@@ -1,4 +1,4 @@
-"""The link types that people run into, and what to do about those that are not Ethernet."""
+"""Common link types, and advice for those that are not Ethernet."""
 
 from __future__ import annotations
 
@@ -45,16 +45,16 @@ _ADVICE = {
 
 
 def link_type_name(link_type: int) -> str:
-    """Name and number, such as ``Linux cooked (113)``."""
+    """Return name and number, such as ``Linux cooked (113)``."""
     return f"{LINK_TYPES.get(link_type, 'unknown link type')} ({link_type})"
 
 
 def link_type_advice(link_type: int) -> str:
-    """What somebody with a capture of this link type can do."""
+    """Return advice for a user with a capture of this link type."""
     return _ADVICE.get(link_type, "record on an Ethernet interface, or convert the frames to Ethernet first")
 
 
 def wrong_link_type(link_type: int, accepted: frozenset[int]) -> str:
-    """The half sentence on a link type that is not among the accepted ones, with advice."""
+    """Return a half sentence about a link type that is not accepted, with advice."""
     wanted = " or ".join(link_type_name(each) for each in sorted(accepted)) or "none"
     return f"link type {link_type_name(link_type)}, not {wanted}: {link_type_advice(link_type)}"

@@ -1,4 +1,6 @@
-"""Opening captures: to read, their first octets decide on the format; to write, the suffix or the caller."""
+"""Opening of captures. The first octets of an input determine its format; the suffix or the caller that of an
+output.
+"""
 
 from __future__ import annotations
 
@@ -21,10 +23,10 @@ PCAPNG_MAGIC = b"\x0a\x0d\x0d\x0a"
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 
 FORMATS = ("pcap", "pcapng", "mcap")
-#: Suffix of a file -> format that is written to it.
+#: Suffix of a file -> format to write.
 SUFFIXES: Mapping[str, str] = {".pcap": "pcap", ".cap": "pcap", ".pcapng": "pcapng", ".mcap": "mcap"}
 
-#: First octets of what people mistake for a capture -> what it is and what to do.
+#: First octets of files that are mistaken for captures -> description and remedy.
 _OTHERS = {
     b"\x1f\x8b": "is gzip-compressed twice: decompress it first (gunzip)",
     b"\x28\xb5\x2f\xfd": "is zstd-compressed twice: decompress it first (unzstd)",
@@ -46,11 +48,11 @@ def open_capture(source: str | Path | BinaryIO, *, link_types: frozenset[int] = 
 
     A file that is compressed as a whole with gzip or zstd is decompressed on the way.
 
-    `source` is a path, ``"-"`` for standard input, or a binary stream, read forward from where it stands and
-    left open. `link_types` are those whose frames are given out.
+    `source` is a path, ``"-"`` for standard input, or a binary stream, which is read from its current position and left
+    open. Frames of other link types than `link_types` are skipped.
 
-    Raises `CaptureError` if it can not be read at all: no such file, not a capture, cut off in its header, no
-    interface or channel with frames of these link types. What is found later is in `CaptureReader.problems`.
+    Raises `CaptureError` if it cannot be read at all: no such file, not a capture, cut off in its header, no interface
+    or channel with frames of these link types. Later problems are in `CaptureReader.problems`.
     """
     octets = open_source(source)
     try:
@@ -75,20 +77,20 @@ def create_capture(
 ) -> CaptureWriter:
     """Create a pcap, pcapng or MCAP file to write frames to.
 
-    `target` is a path, ``"-"`` for standard output, or a binary stream, which is left open; it need not be
-    seekable. A file that exists is only touched when everything else is known to be in order. `format` is "pcap",
-    "pcapng" or "mcap", and may be left out for a path with one of the `SUFFIXES`.
+    `target` is a path, ``"-"`` for standard output, or a binary stream, which is left open; it need not be seekable. An
+    existing file is only touched after all other checks. `format` is "pcap", "pcapng" or "mcap", and may be left out
+    for a path with one of the `SUFFIXES`.
 
-    `resolution` is the unit of the stamps, and `lossy` allows to leave off what the format can not hold (of
-    `Frame`: nanoseconds in microseconds, `interface` in pcap). `metadata` may go on changing: pcapng looks up an
-    interface when it first occurs, MCAP writes what is new at the end. `messages`, `attachment` (a file that is
-    attached byte for byte) and `compression` of the chunks are for MCAP alone.
+    `resolution` is the unit of the stamps, and `lossy` permits the loss of data that the format cannot hold
+    (nanoseconds with the resolution "us", `Frame.interface` in pcap). `metadata` may change while frames are written:
+    pcapng looks up an interface when it first occurs, MCAP writes new entries at the end. `messages`, `attachment` (a
+    file that is attached byte for byte) and `compression` of the chunks are for MCAP only.
 
     A path that ends with ``.gz`` or ``.zst`` is compressed. With `whole` the file appears at `target` when it is
     closed, and not at all if the with-block ends with an exception; without, it grows there.
 
-    Raises `CaptureError` if the file can not be created, the format is not known, or it has no place for what is
-    asked of it.
+    Raises `CaptureError` if the file cannot be created, the format is unknown, or the format does not support an
+    option.
     """
     name = target if isinstance(target, (str, Path)) else getattr(target, "name", "<stream>")
     kind = format or _format_of(target)
@@ -129,7 +131,7 @@ def _create_mcap(
     if compression not in COMPRESSIONS:
         raise ValueError(f"compression {compression!r} is none of {', '.join(COMPRESSIONS)}")
     if attachment is not None and same_file(attachment, target):
-        raise CaptureError(f"{attachment}: can not be attached to itself")
+        raise CaptureError(f"{attachment}: cannot be attached to itself")
     original = None if attachment is None else OpenAttachment(attachment)
     try:
         sink = open_sink(target, whole=whole)
@@ -164,7 +166,7 @@ def _reader(source: ByteSource, link_types: frozenset[int]) -> CaptureReader:
     if start.startswith(PCAPNG_MAGIC):
         return PcapngReader(source, link_types)
     if start.startswith(MCAP_MAGIC):
-        # Here, so that nobody who has no MCAP file pays for importing the library.
+        # Imported here, so that users without MCAP files do not pay for importing the library.
         from .mcap.reader import McapReader
 
         return McapReader(source, link_types)
@@ -172,7 +174,7 @@ def _reader(source: ByteSource, link_types: frozenset[int]) -> CaptureReader:
 
 
 def _what_else(start: bytes) -> str:
-    """What a file is that is no capture, from its first octets."""
+    """Describe a file that is not a capture, by its first octets."""
     if start[:4] in MODIFIED_MAGICS:
         return "is a pcap file of the modified (Kuznetzov) kind: convert it first (editcap -F pcap)"
     for magic, what in _OTHERS.items():

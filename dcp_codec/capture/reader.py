@@ -1,4 +1,4 @@
-"""What the readers of all formats share: iteration, progress, and the list of problems."""
+"""Base of the readers of all formats: iteration, progress, and the list of problems."""
 
 from __future__ import annotations
 
@@ -9,30 +9,30 @@ from typing import Self
 from .bytesource import ByteSource
 from .frame import MAX_TIME_NS, CaptureError, CaptureProblem, Frame, Reason
 
-#: What is wrong with a number of things, as a sentence.
+#: Function that describes a number of equal problems in one sentence.
 Describe = Callable[[int], str]
 
 
 class ProblemLog:
-    """Problems in the order they were found; what happens often is counted in one entry.
+    """Problems in the order of their discovery; repeated problems are counted in one entry.
 
     The list is therefore bounded by the kinds of problems, not by the length of the file.
     """
 
     def __init__(self) -> None:
         self.found: list[CaptureProblem] = []
-        # key -> [index into found, how often]
+        # key -> [index into found, count]
         self._counts: dict[Hashable, list[int]] = {}
         self._describe: dict[Hashable, Describe] = {}
 
     def add(
         self, reason: Reason, message: str, offset: int, *, needed: int = 0, available: int = 0, frame: int = 0
     ) -> None:
-        """Something that happens once."""
+        """Add a problem that occurs once."""
         self.found.append(CaptureProblem(reason, message, offset, needed, available, frame))
 
     def count(self, key: Hashable, reason: Reason, describe: Describe, offset: int, frame: int) -> None:
-        """One more of the kind `key`; the first one gives the place, `describe` the sentence for so many."""
+        """Count a problem of the kind `key`; the first one determines the place, `describe` makes the sentence."""
         entry = self._counts.get(key)
         if entry is not None:
             entry[1] += 1
@@ -42,7 +42,7 @@ class ProblemLog:
         self.add(reason, describe(1), offset, frame=frame)
 
     def settle(self) -> None:
-        """Bring the sentences of counted problems up to date."""
+        """Update the sentences of counted problems."""
         for key, (index, times) in self._counts.items():
             if times > 1:
                 old = self.found[index]
@@ -52,7 +52,7 @@ class ProblemLog:
 class CaptureReader:
     """Frames of one capture, in file order; an iterator and a context manager.
 
-    Iteration never raises: where a file is cut off or damaged it ends, and `problems` says what and where.
+    Iteration never raises: it ends where a file is cut off or damaged, and `problems` describes the damage.
     """
 
     #: "pcap", "pcapng" or "mcap".
@@ -71,7 +71,7 @@ class CaptureReader:
         self._frames = self._iterate()
 
     def _records(self) -> Iterator[Frame]:
-        """The frames; sets `_number`, `_frames_read` and `_position` before each."""
+        """Yield the frames; set `_number`, `_frames_read` and `_position` before each."""
         raise NotImplementedError
 
     def _iterate(self) -> Generator[Frame]:
@@ -81,7 +81,7 @@ class CaptureReader:
         self._log.settle()
 
     def _cut(self, reason: Reason, offset: int, needed: int, available: int, what: str = "", rest: str = "") -> None:
-        """The stream ended where more was needed: because it is shorter, or because reading it failed."""
+        """Note that the stream ended too early: because the file is too short, or because reading failed."""
         if self._source.failure:
             reason, what = "read-error", f"reading stopped at octet {offset} ({self._source.failure})"
         else:
@@ -96,7 +96,7 @@ class CaptureReader:
         )
 
     def _clamped(self, time_ns: int, offset: int) -> int:
-        """The time nearest to `time_ns` that a `Frame` can have."""
+        """Return the time nearest to `time_ns` that a `Frame` can have."""
         self._log.count(
             "time-out-of-range",
             "time-out-of-range",
@@ -110,7 +110,7 @@ class CaptureReader:
         return min(max(time_ns, 0), MAX_TIME_NS)
 
     def _damaged(self, reason: Reason, offset: int, what: str) -> bool:
-        """Something after which the next record can not be found; returns False for the end."""
+        """Note damage after which the next record cannot be found; return False for the end."""
         message = f"there is {what} at octet {offset}, and no way to read on from there; {self._so_far()}."
         self._log.add(reason, message, offset, frame=self._number)
         return False
@@ -123,57 +123,56 @@ class CaptureReader:
 
     @property
     def name(self) -> str:
-        """The file, as the caller called it."""
+        """Return the name of the file, as the caller gave it."""
         return self._source.name
 
     @property
     def resolution(self) -> str:
-        """Unit of the stamps: "s", "ms", "us", "ns", or such as "10^-12 s", "2^-20 s"; "" if not yet known.
+        """Return the unit of the stamps: "s", "ms", "us", "ns", or such as "10^-12 s", "2^-20 s"; "" if not yet known.
 
-        Of the first interface that is read; `Frame.time_ns` is in nanoseconds whatever it is.
+        It is that of the first interface that is read; `Frame.time_ns` is always in nanoseconds.
         """
         return self._stamp
 
     @property
     def problems(self) -> list[CaptureProblem]:
-        """What was wrong so far; complete when the iteration has ended."""
+        """Return the problems found so far; the list is complete when the iteration has ended."""
         return self._log.found
 
     @property
     def position(self) -> int:
-        """Octets of the file that are behind us."""
+        """Return the number of octets of the file that were read."""
         return self._position
 
     @property
     def size(self) -> int | None:
-        """Octets of the file, None for pipes."""
+        """Return the size of the file in octets, None for pipes."""
         return self._source.size
 
     @property
     def metadata(self) -> Mapping[str, Mapping[str, str]]:
-        """Named records of names and values, filled while reading.
+        """Return named records of names and values, filled while reading.
 
-        MCAP: the metadata records of the file. pcapng: ``section`` (hardware, os, userappl) and
-        ``interface.N`` (name, description, linkType, resolution). pcap: ``pcap`` (fcsLength) if frames end
-        in a checksum.
+        MCAP: the metadata records of the file. pcapng: ``section`` (hardware, os, userappl) and ``interface.N`` (name,
+        description, linkType, resolution). pcap: ``pcap`` (fcsLength) if frames end in a checksum.
         """
         return self._metadata
 
     @property
     def dropped(self) -> Mapping[int, int]:
-        """Interface -> frames that the recorder says it lost there; an interface that says nothing is absent.
+        """Return interface -> frames that the recorder lost there; interfaces without this information are missing.
 
-        Only pcapng files say it, and usually at their end.
+        Only pcapng files have it, usually at their end.
         """
         return self._dropped
 
     @property
     def frames_read(self) -> int:
-        """Frames given out so far."""
+        """Return the number of frames yielded so far."""
         return self._frames_read
 
     def __iter__(self) -> Iterator[Frame]:
-        # The generator itself, so that a for loop does not come through __next__ for each frame.
+        # The generator itself, so that a for loop does not call __next__ of this class for each frame.
         return self._frames
 
     def __next__(self) -> Frame:
@@ -188,12 +187,12 @@ class CaptureReader:
         self.close()
 
     def close(self) -> None:
-        """End the iteration and let go of the file. May be called again."""
+        """End the iteration and close the file. May be called again."""
         self._frames.close()
         self._log.settle()
         self._source.close()
 
 
 def counted(number: int, noun: str) -> str:
-    """``1 frame``, ``2 frames``."""
+    """Format ``1 frame``, ``2 frames``."""
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"

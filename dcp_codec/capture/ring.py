@@ -1,4 +1,4 @@
-"""A recording in several files, of which the oldest are deleted: for recorders that run for days."""
+"""A recording in several files whose oldest are deleted, for recorders that run for days."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from .frame import Frame
 from .opening import create_capture
 from .writer import CaptureWriter, Metadata
 
-#: Nanoseconds after which frames are handed to the system at the latest, when the next one comes.
+#: Nanoseconds after which a new frame causes a flush.
 _FLUSH_NS = 1_000_000_000
 
 
 class RingWriter:
     """Writes frames to files of limited size or time; a context manager.
 
-    ``max_octets`` and ``max_ns`` end a file (``None``: never), ``keep`` is how many files stay (None: all). With a
-    limit the files are called ``NAME-00001.SUFFIX`` and so on; without, there is the one file ``path``.
+    ``max_octets`` and ``max_ns`` end a file (``None``: never); ``keep`` is the number of files that are kept (None:
+    all). With a limit the files are named ``NAME-00001.SUFFIX`` and so on; without one there is a single file ``path``.
 
     Raises :class:`~dcp_codec.capture.CaptureError` if a file cannot be created or written.
     """
@@ -40,14 +40,14 @@ class RingWriter:
         self._limited = max_octets is not None or max_ns is not None
         self._writer: CaptureWriter | None = None
         self._began = self._flushed = 0
-        #: Files that are there, the oldest first.
+        #: Existing files, the oldest first.
         self.files: deque[Path] = deque()
-        #: Files and frames that were written, also those that are deleted.
+        #: Number of files and frames written, including deleted ones.
         self.count = self.frames = 0
         self._next()
 
     def write(self, frame: Frame) -> None:
-        """Append a frame, to a new file if the limit of the last one is reached."""
+        """Append a frame, to a new file if the current one has reached its limit."""
         writer = self._writer
         assert writer is not None
         if writer.frames_written == 0:

@@ -1,4 +1,4 @@
-"""What the writers of all formats share: what can be written, and that a file is always finished."""
+"""Base of the writers of all formats: checks of frames, and completion of the file."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from .frame import MAX_FRAME_LENGTH, MAX_TIME_NS, CaptureError, Frame
 #: Named records of names and values.
 Metadata = Mapping[str, Mapping[str, str]]
 
-#: Octets of records that are collected before they are handed to the system.
+#: Octets of records that are collected before they are written.
 BATCH_LENGTH = 64 * 1024
 
 MAX_LENGTH_ON_WIRE = 2**32 - 1
 
 
 class ChannelMessage(msgspec.Struct, frozen=True):
-    """A message for a channel of an MCAP file beside the raw frames, such as a frame decoded."""
+    """A message for a channel of an MCAP file beside the raw frames, such as a decoded frame."""
 
     #: Such as "/dcp/beacons". A topic may carry messages of several schemas.
     topic: str
@@ -39,20 +39,19 @@ class ChannelMessage(msgspec.Struct, frozen=True):
 
 
 class MessageSource(Protocol):
-    """Says which messages go into an MCAP file after each raw frame."""
+    """Supplies the messages that go into an MCAP file after each raw frame."""
 
     def messages(self, frame: Frame) -> Iterable[ChannelMessage]:
-        """The messages that belong to `frame`, in the order they are to have."""
+        """Return the messages that belong to `frame`, in the order of writing."""
         ...
 
 
 class CaptureWriter:
-    """Takes frames for one capture; a context manager.
+    """Writes frames to one capture; a context manager.
 
-    The file is finished by `close`, which leaving the with-block calls also after an exception. pcap and
-    pcapng files grow by whole records, at the latest every `BATCH_LENGTH` octets, MCAP files by whole chunks: a
-    process that is killed leaves a file that can be read up to the last batch. Who records slowly and wants
-    more calls `flush` now and then.
+    `close` finishes the file; leaving the with-block calls it, also after an exception. pcap and pcapng files grow by
+    whole records, at the latest every `BATCH_LENGTH` octets, MCAP files by whole chunks: the file of a killed process
+    can be read up to the last batch. Slow recorders should call `flush` from time to time.
     """
 
     #: "pcap", "pcapng" or "mcap".
@@ -67,24 +66,24 @@ class CaptureWriter:
 
     @property
     def name(self) -> str:
-        """The file, as the caller called it."""
+        """Return the name of the file, as the caller gave it."""
         return self._sink.name
 
     @property
     def frames_written(self) -> int:
-        """Frames taken so far."""
+        """Return the number of frames written so far."""
         return self._written
 
     @property
     def position(self) -> int:
-        """Octets of the file so far, without those not yet handed to the system."""
+        """Return the size of the file in octets, without those that are still buffered."""
         return self._sink.position
 
     def write(self, frame: Frame) -> None:
         """Append one frame.
 
-        Raises `CaptureError` if the format can not hold it, or the file can not be written. After the former
-        the writer can still be used.
+        Raises `CaptureError` if the format cannot hold the frame, or the file cannot be written. In the first case the
+        writer can still be used.
         """
         if self._closed:
             raise ValueError(f"{self.name}: is closed")
@@ -102,7 +101,7 @@ class CaptureWriter:
         raise NotImplementedError
 
     def _append(self, record: bytes) -> None:
-        """Write a whole record with the next batch."""
+        """Add a whole record to the next batch."""
         self._batch.append(record)
         self._batched += len(record)
         if self._batched >= BATCH_LENGTH:
@@ -114,21 +113,21 @@ class CaptureWriter:
             self._sink.write(b"".join(batch))
 
     def _finish(self) -> None:
-        """Write what belongs at the end."""
+        """Write the end of the file."""
         self._hand_over()
 
     def _refuse(self, frame: Frame, why: str) -> CaptureError:
-        return CaptureError(f"{self.name}: frame {frame.number} can not be written: {why}")
+        return CaptureError(f"{self.name}: frame {frame.number} cannot be written: {why}")
 
     def flush(self) -> None:
-        """Hand everything taken so far to the system; in MCAP this ends the chunk, so do it sparingly."""
+        """Write everything that is buffered to the system. In MCAP this ends the chunk, so call it sparingly."""
         self._hand_over()
         self._sink.flush()
 
     def close(self) -> None:
-        """Finish the file and let go of it; a stream that the caller gave stays open. May be called again.
+        """Finish and close the file; a stream of the caller stays open. May be called again.
 
-        Raises `CaptureError` if the end can not be written; not again if writing failed before.
+        Raises `CaptureError` if the end cannot be written, unless writing has failed before.
         """
         if self._closed:
             return
@@ -152,7 +151,7 @@ class CaptureWriter:
         except CaptureError as second:
             if error is None:
                 raise
-            # What happened first is what the user needs to hear of.
+            # The first error is the one that the user needs.
             error.add_note(str(second))
 
 

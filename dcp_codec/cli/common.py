@@ -1,4 +1,4 @@
-"""What the subcommands share: options, opening input, choosing the profile, telling what is wrong."""
+"""Shared parts of the subcommands: options, opening of input, choice of the profile, messages about problems."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 MALFORMED = 1
 
 
-#: Tell something on stderr, where it does not disturb output that is piped on.
+#: Write a message to stderr, so that piped output stays undisturbed.
 note = main.note
 
 
@@ -45,7 +45,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 
 def profile_options(function: F) -> F:
-    """``--profile`` and ``--ether-type``."""
+    """Add the options ``--profile`` and ``--ether-type``."""
     function = click.option(
         "--ether-type",
         callback=ether_type,
@@ -63,7 +63,7 @@ def profile_options(function: F) -> F:
 
 
 def load_codec(profile: str) -> Codec:
-    """The codec of a named profile or profile file."""
+    """Return the codec of a named profile or profile file."""
     try:
         return get_codec(profile)
     except ProfileError as error:
@@ -71,17 +71,17 @@ def load_codec(profile: str) -> Codec:
 
 
 def link_of(codec: Codec, ether_type: int | None) -> Link:
-    """Where beacons are: what the profile says, or the EtherType that the user gave."""
+    """Return the EtherType or UDP port of beacons: the profile's, or the EtherType that the user gave."""
     link = codec.profile.link
     return link if ether_type is None else with_ether_type(link, ether_type)
 
 
 class InputError(ExpectedError):
-    """One input cannot be read; others may."""
+    """One input cannot be read; other inputs may be readable."""
 
 
 def each_file(files: Sequence[str], do: Callable[[str], int]) -> int:
-    """Do something with every file, also behind one that cannot be read; returns the worst exit status."""
+    """Call ``do`` for every file and continue after one that cannot be read; return the worst exit status."""
     status = 0
     for name in files:
         try:
@@ -94,7 +94,7 @@ def each_file(files: Sequence[str], do: Callable[[str], int]) -> int:
 
 @contextmanager
 def open_input(name: str) -> Iterator[CaptureReader]:
-    """A capture file, or standard input for ``-``."""
+    """Open a capture file, or standard input for ``-``."""
     try:
         if name == "-":
             with open_capture(sys.stdin.buffer) as reader:
@@ -107,16 +107,18 @@ def open_input(name: str) -> Iterator[CaptureReader]:
 
 
 def note_guess(name: str, found: Guess) -> None:
-    """Tell which profile was guessed, and that the guess is weak if it is."""
+    """Report which profile was guessed, and whether the guess is weak."""
     note(f"{name}: profile {found}")
     if found.warning is not None:
-        note(f"{name}: {found.warning}: dcp-codec guess {shlex.quote(name)} says what it does not explain")
+        note(f"{name}: {found.warning}: dcp-codec guess {shlex.quote(name)}shows what it does not explain")
 
 
 def choose(
     profile: str, ether_type: int | None, frames: Iterator[Frame], name: str
 ) -> tuple[FrameDissector, Iterator[Frame]]:
-    """The dissector for a recording, and its frames again (some are looked at to find out the profile)."""
+    """Return the dissector for a recording, and an iterator over all its frames (the first ones decide on the
+    profile).
+    """
     if profile != "auto":
         codec = load_codec(profile)
         return FrameDissector(codec, link_of(codec, ether_type)), frames
@@ -129,7 +131,7 @@ def choose(
 
 
 def report_capture_problems(reader: CaptureReader, name: str) -> int:
-    """Tell what is wrong with a capture file itself; returns the exit status it calls for."""
+    """Report the problems of a capture file itself; return the exit status for them."""
     for problem in reader.problems:
         note(f"{name}: {problem.message}")
     return UNUSABLE if reader.problems else 0
@@ -137,7 +139,7 @@ def report_capture_problems(reader: CaptureReader, name: str) -> int:
 
 @contextmanager
 def interruptible(target: str | Path) -> Iterator[None]:
-    """While a whole file is written: end on SIGTERM as on Ctrl-C, so that nothing is left, and say so."""
+    """While a whole file is written, end on SIGTERM as on Ctrl-C: report it, and leave no partial file."""
 
     def stop(_number: int, _frame: object) -> None:
         raise KeyboardInterrupt
@@ -153,18 +155,18 @@ def interruptible(target: str | Path) -> Iterator[None]:
 
 
 def malformed_note(name: str, malformed: int, beacons: int) -> None:
-    """Tell how many of the DCP frames are malformed; nothing but malformed ones speak another version."""
+    """Report the number of malformed DCP frames; if all are malformed, suggest another profile."""
     hint = "" if malformed < beacons else f"; another --profile? dcp-codec guess {shlex.quote(name)} ranks them"
     note(f"{name}: {malformed} of {beacons} DCP frames are malformed{hint}")
 
 
 def no_beacons_note(name: str, frames: int, others: dict[str, int], link: Link) -> None:
-    """Tell that there were ``frames`` but none of them DCP, and what to try; or that there were none.
+    """Report that none of the ``frames`` is DCP and suggest options, or that the file has no frames.
 
-    ``others`` counts them by kind, as far as that is known.
+    ``others`` counts the frames by kind, as far as the kind is known.
     """
     if not frames:
-        note(f"{name}: no DCP frames: there are no frames in it at all")
+        note(f"{name}: no DCP frames: the file has no frames")
         return
     listed = ", ".join(f"{kind} ({count})" for kind, count in list(others.items())[:6]) or f"{frames} other frames"
     wanted = f"UDP port {link.udp_port}" if link.transport == "udp" else f"EtherType 0x{link.ether_type:04x}"
@@ -173,7 +175,7 @@ def no_beacons_note(name: str, frames: int, others: dict[str, int], link: Link) 
 
 @contextmanager
 def progress(reader: CaptureReader, name: str, *, show: bool = True) -> Iterator[Callable[[], None]]:
-    """A progress bar on stderr for long files on a terminal; yields what to call after every frame."""
+    """Show a progress bar on stderr for long files on a terminal; yields the function to call after every frame."""
     size = reader.size
     if not show or not sys.stderr.isatty() or size is None or size < 4_000_000:
         yield lambda: None
@@ -196,14 +198,14 @@ def progress(reader: CaptureReader, name: str, *, show: bool = True) -> Iterator
 
 
 def use_colour(choice: str) -> bool:
-    """Whether to colour standard output: as asked, or on a terminal unless NO_COLOR is set."""
+    """Return whether to colour standard output: as asked, or on a terminal unless NO_COLOR is set."""
     if choice != "auto":
         return choice == "always"
     return sys.stdout.isatty() and not os.environ.get("NO_COLOR")
 
 
 class Output:
-    """Standard output, written in large pieces when it is not a terminal."""
+    """Standard output, written in large pieces if it is not a terminal."""
 
     def __init__(self) -> None:
         self._lines: list[str] = []
@@ -218,7 +220,7 @@ class Output:
             self.flush()
 
     def flush(self) -> None:
-        """Hand everything to the system now."""
+        """Write all buffered output now."""
         if self._lines:
             sys.stdout.write("\n".join(self._lines) + "\n")
             self._lines.clear()

@@ -1,4 +1,4 @@
-"""``dcp-codec convert``: between MCAP, pcap and pcapng."""
+"""``dcp-codec convert``: convert between MCAP, pcap and pcapng."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def command(
 ) -> int:
     """Convert SOURCE to TARGET without losing an octet or a nanosecond. Either may be - for a pipe.
 
-    An MCAP opens in Foxglove: raw frames, decoded messages and positions have channels of their own.
+    An MCAP opens in Foxglove: raw frames, decoded messages and positions have separate channels.
     """
     try:
         if extract:
@@ -115,7 +115,7 @@ def _ros2(source: str, target: str, profile: str, ether_type: int | None) -> int
     if source == "-" and profile == "auto":
         raise ExpectedError("a pipe is read once: name the --profile of its frames")
     if same_file(source, target):
-        raise ExpectedError(f"{target}: is the source itself, and would be lost")
+        raise ExpectedError(f"{target}: source and target are the same file")
     codec, link = _codec(source, profile, ether_type)
     with extras(), _progress(source) as advance:
         stream = sys.stdin.buffer if source == "-" else Path(source)
@@ -123,7 +123,7 @@ def _ros2(source: str, target: str, profile: str, ether_type: int | None) -> int
     for problem in report.problems:
         note(f"{source}: {problem.message}")
     if report.damaged:
-        note(f"{source}: something is wrong with {report.damaged} beacons; what is sound in them was written")
+        note(f"{source}: {report.damaged} beacons are damaged; their undamaged parts were written")
     listed = ", ".join(f"{topic} {number}" for topic, number in sorted(report.messages.items()))
     note(f"{target}: {report.frames} frames, messages on {listed or 'no topic'}")
     return UNUSABLE if report.problems else 0
@@ -149,7 +149,7 @@ def _extract(source: str, target: str) -> int:
     if target == "-":
         raise ExpectedError("an attachment is written to a file: give its name instead of -")
     extract_attachment(Path(source), found[0], Path(target))
-    note(f"{target}: {found[0].name} as it was attached")
+    note(f"{target}: {found[0].name}, byte for byte")
     return 0
 
 

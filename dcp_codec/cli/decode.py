@@ -1,4 +1,4 @@
-"""``dcp-codec decode``: show what was said."""
+"""``dcp-codec decode``: show the decoded beacons."""
 
 from __future__ import annotations
 
@@ -41,11 +41,11 @@ from .filters import Filter, frame_range, parse_time
 from .lines import CsvRenderer, JsonlRenderer, ListRenderer
 from .tree import TreeRenderer
 
-#: Malformed frames that are also named on stderr, where a pipe does not carry them away.
+#: Number of malformed frames that are also listed on stderr, where a pipe does not hide them.
 _NAMED = 5
 
 
-#: What of live traffic decides on the profile: so many beacons, among at most so many frames.
+#: The profile of live traffic is decided by this number of beacons, or after this number of frames.
 _FIRST_BEACONS, _FIRST_FRAMES = 3, 100
 
 
@@ -76,7 +76,7 @@ class _Renderer(Protocol):
 @click.option("--sender", multiple=True, metavar="ID", help="Only beacons of this sender (may be given several times).")
 @click.option("--protocol", multiple=True, metavar="NAME", help="Only beacons with srp, vardis or protocol number N.")
 @click.option("--container", multiple=True, metavar="NAME", help="Only beacons with this container, e.g. UPDATES.")
-@click.option("--variable", multiple=True, type=int, metavar="ID", help="Only beacons that speak of this variable.")
+@click.option("--variable", multiple=True, type=int, metavar="ID", help="Only beacons about this variable.")
 @click.option("--frames", callback=frame_range, metavar="N[-M]", help="Only these frame numbers.")
 @click.option(
     "--from",
@@ -108,9 +108,9 @@ def command(
     ether_type: int | None,
     **options: Any,
 ) -> int:
-    """Show every beacon, state report and variable instruction of recordings, and what is wrong with them.
+    """Show every beacon, state report and variable instruction of recordings, and all errors in them.
 
-    Without --profile the wire profile is found out and said on stderr.
+    Without --profile the wire profile is detected and reported on stderr.
     """
     given = bool(files) + (hex_text is not None) + (interface is not None)
     if given != 1:
@@ -144,7 +144,7 @@ class _Run:
 
     @property
     def enough(self) -> bool:
-        """Whether as many frames were shown as were asked for."""
+        """Return whether --count frames were shown."""
         limit = self.options["count"]
         return limit is not None and self.shown >= limit
 
@@ -171,7 +171,7 @@ class _Run:
         return TreeRenderer(width=width, colour=colour, hexdump=self.options["hexdump"])
 
     def file(self, name: str) -> int:
-        """Decode one recording; returns the exit status that it calls for."""
+        """Decode one recording; return its exit status."""
         with open_input(name) as reader:
             dissector, frames = choose(self.profile, self.ether_type, iter(reader), name)
             show = not sys.stdout.isatty()
@@ -212,18 +212,18 @@ class _Run:
         if not beacons:
             no_beacons_note(name, others.total(), dict(others.most_common()), dissector.link)
         elif self.shown == before:
-            note(f"{name}: none of {beacons} DCP frames is what was asked for")
+            note(f"{name}: none of {beacons} DCP frames matches the options")
         return MALFORMED if malformed else 0
 
     def hex(self, text: str) -> int:
-        """Decode octets given on the command line."""
+        """Decode the octets given on the command line."""
         cleaned = re.sub(r"0x|[\s:,-]", "", text)
         try:
             octets = bytes.fromhex(cleaned)
         except ValueError:
             raise ExpectedError(f"--hex: {text[:60]!r} is not a string of hex octets") from None
         if not octets:
-            raise ExpectedError("--hex: there are no octets to decode")
+            raise ExpectedError("--hex: no octets to decode")
         from dcp_codec.analysis.guess import guess, looks_bare
 
         names = () if self.profile == "auto" else (self.profile,)
@@ -286,7 +286,7 @@ class _Run:
             return self.frames(
                 FrameDissector(codec, link_of(codec, self.ether_type)), iter(reader), interface, _nothing
             )
-        # A live source is not looked ahead into for long: the first beacons decide, behind whatever else is there.
+        # Live traffic cannot be read ahead for long: the first beacons decide, whatever other frames precede them.
         from dcp_codec.analysis.guess import guess
 
         frames = iter(reader)
@@ -305,4 +305,4 @@ class _Run:
 
 
 def _nothing() -> None:
-    """Stands in for the progress of a source that has no end."""
+    """Progress function for a source without an end: does nothing."""

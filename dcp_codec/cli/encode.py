@@ -1,4 +1,4 @@
-"""``dcp-codec encode``: JSON in, beacons out."""
+"""``dcp-codec encode``: encode JSON objects as beacons."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def _open(file: str) -> BinaryIO:
 
 
 def _objects(source: BinaryIO, name: str) -> Iterator[Any]:
-    """The objects of one JSON document, or of JSON lines when the first line is a document of its own."""
+    """Yield the objects of one JSON document, or of JSON lines if the first line is a complete document."""
     first = source.readline()
     try:
         head = json.loads(first)
@@ -80,7 +80,7 @@ def _objects(source: BinaryIO, name: str) -> Iterator[Any]:
         try:
             document = json.loads(rest)
         except (ValueError, RecursionError) as error:
-            raise ExpectedError(f"{name}: this is not JSON: {error}") from None
+            raise ExpectedError(f"{name}: not valid JSON: {error}") from None
         yield from document if isinstance(document, list) else [document]
         return
     except RecursionError:
@@ -99,7 +99,7 @@ def _frame(codec: Codec, data: Any, ether_type: int | None) -> tuple[bytes, int]
     octets = codec.encode(beacon)
     time_ns = data.get("time_ns") or 0
     if isinstance(time_ns, bool) or not isinstance(time_ns, int) or not 0 <= time_ns < 1 << 63:
-        raise EncodeError("time_ns", f"{time_ns!r} is no count of ns since 1970")
+        raise EncodeError("time_ns", f"{time_ns!r} is not a number of ns since 1970")
     if ether_type is None:
         return octets, time_ns
     sender = beacon.bp.sender_id if beacon.bp is not None else b""
@@ -116,7 +116,7 @@ def _mac(data: dict[str, Any], name: str, default: bytes) -> bytes:
     except (ValueError, AttributeError):
         address = b""
     if len(address) != 6:
-        raise EncodeError(name, f"{text!r} is no MAC address")
+        raise EncodeError(name, f"{text!r} is not a MAC address")
     return address
 
 

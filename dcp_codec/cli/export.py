@@ -1,4 +1,4 @@
-"""``dcp-codec export``: the wire format for other tools."""
+"""``dcp-codec export``: write the wire format for other tools."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``dcp-codec filter``: the frames of a recording for which a condition holds, as a recording."""
+"""``dcp-codec filter``: write the frames of a recording that meet a condition to another recording."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def command(
     lossy: bool,
     list_fields: bool,
 ) -> int:
-    """Copy the frames of SOURCE that are wanted to TARGET, octet for octet. Either may be - for a pipe.
+    """Copy the selected frames of SOURCE to TARGET, octet for octet. Either may be - for a pipe.
 
     \b
     dcp-codec filter flight.pcap deletes.pcap -w 'vardis.icType == 6'
@@ -79,7 +79,7 @@ def command(
     if source is None or target is None:
         raise click.UsageError("give SOURCE and TARGET")
     if text is None and other is False and profile == "auto":
-        # Nothing looks into the frames: whatever they are, they are copied.
+        # Without conditions on the content all frames are copied.
         other = True
     with open_input(source) as reader:
         dissector, rest = choose(profile, ether_type, iter(reader), source)

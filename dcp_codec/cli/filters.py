@@ -1,4 +1,4 @@
-"""Which frames the user wants to see."""
+"""Selection of frames by the options of the user."""
 
 from __future__ import annotations
 
@@ -25,50 +25,50 @@ class Moment(msgspec.Struct, frozen=True):
 
 
 def parse_time(_ctx: click.Context, _param: click.Parameter, value: str | None) -> Moment | None:
-    """``+1.5`` (seconds after the first frame), ``1795225151.68`` (epoch seconds) or an ISO 8601 time (UTC)."""
+    """Parse ``+1.5`` (s after the first frame), ``1795225151.68`` (s since 1970) or an ISO 8601 time (UTC)."""
     if value is None:
         return None
     if match := re.fullmatch(r"(\+?)(\d+)(?:\.(\d{1,9}))?", value):
         ns = int(match[2]) * 10**9 + int((match[3] or "").ljust(9, "0"))
         return Moment(ns, relative=bool(match[1]))
-    # Python's ISO parser knows microseconds; recordings know nanoseconds.
+    # Python's ISO parser reads microseconds; recordings have nanoseconds.
     iso, fraction = value, ""
     if match := re.fullmatch(r"(.*:\d\d)\.(\d{1,9})(.*)", value):
         iso, fraction = match[1] + match[3], match[2]
     try:
         moment = datetime.fromisoformat(iso)
     except ValueError:
-        raise click.BadParameter(f"{value!r} is no ISO 8601 time, epoch seconds, or +seconds") from None
+        raise click.BadParameter(f"{value!r} is not an ISO 8601 time, epoch seconds, or +seconds") from None
     if moment.tzinfo is None:
         moment = moment.replace(tzinfo=UTC)
     return Moment(int(moment.timestamp()) * 10**9 + int(fraction.ljust(9, "0")))
 
 
 def frame_range(_ctx: click.Context, _param: click.Parameter, value: str | None) -> tuple[int, int] | None:
-    """``7``, ``7-12`` or ``7-``."""
+    """Parse ``7``, ``7-12`` or ``7-``."""
     if value is None:
         return None
     match = re.fullmatch(r"(\d+)(?:(-)(\d*))?", value)
     if match is None:
-        raise click.BadParameter(f"{value!r} is no frame number or range such as 7, 7-12 or 7-")
+        raise click.BadParameter(f"{value!r} is not a frame number or range such as 7, 7-12 or 7-")
     first = int(match[1])
     last = first if match[2] is None else int(match[3]) if match[3] else 1 << 62
     return first, last
 
 
 def _container(name: str) -> str:
-    """The label of a type of container, or its number as text."""
+    """Return the label of a container type, or its number as text."""
     label = name.upper().replace("_", "-").removeprefix("ICTYPE-")
     known = [each.label for each in ICType]
     if label not in known and not label.isdecimal():
         raise click.BadParameter(
-            f"{name!r} is none of {', '.join(known)}, and no number of a type", param_hint="--container"
+            f"{name!r} is not one of {', '.join(known)} or a type number", param_hint="--container"
         )
     return label
 
 
 class Filter:
-    """All conditions must hold; of several values for one condition any may."""
+    """A filter for frames. All conditions must hold; a condition with several values holds if one value matches."""
 
     def __init__(
         self,
@@ -93,20 +93,20 @@ class Filter:
         self._first: int | None = None
 
     def see(self, frame: Frame) -> None:
-        """Take note of a frame, DCP or not: the first one is where relative times count from."""
+        """Process a frame, DCP or not: relative times count from the first one."""
         if self._first is None:
             self._first = frame.time_ns
 
     @property
     def origin(self) -> int:
-        """The time of the first frame of the recording, in ns; 0 before it was seen."""
+        """Return the time of the first frame of the recording in ns; 0 before it."""
         return self._first or 0
 
     def _ns(self, moment: Moment) -> int:
         return moment.ns + self.origin if moment.relative else moment.ns
 
     def wants(self, found: DissectedFrame) -> bool:
-        """Whether to show this frame."""
+        """Return whether to show this frame."""
         frame = found.frame
         if self.frames is not None and not self.frames[0] <= frame.number <= self.frames[1]:
             return False

@@ -1,4 +1,4 @@
-"""``dcp-codec guess``: which profile does a recording speak?"""
+"""``dcp-codec guess``: rank the profiles for a recording."""
 
 from __future__ import annotations
 
@@ -22,15 +22,21 @@ from .common import ether_type as parse_ether_type
 @click.argument("files", nargs=-1, required=True, metavar="FILE...")
 @click.option("--ether-type", callback=parse_ether_type, metavar="HEX", help="EtherType of the beacons, as in 0x4953.")
 @click.option(
-    "-n", "--sample", "limit", type=click.IntRange(min=1), default=SAMPLE, show_default=True, help="Frames to look at."
+    "-n",
+    "--sample",
+    "limit",
+    type=click.IntRange(min=1),
+    default=SAMPLE,
+    show_default=True,
+    help="Maximum number of frames to examine.",
 )
 @click.option("-f", "--format", "form", type=click.Choice(["text", "json"]), default="text", show_default=True)
 def command(files: tuple[str, ...], ether_type: int | None, limit: int, form: str) -> int:
     """Rank the built-in wire profiles by how well they explain the first frames of a recording.
 
-    The score is 1 when every frame decodes and everything it says is plausible. Profiles that explain the same frames
-    equally well share a rank. If the best one does not explain all frames, the command says which part is not
-    explained and, where the octets tell, which lines of a profile of your own describe it.
+    The score is 1 if every frame decodes and all its values are plausible. Profiles that explain the same frames
+    equally well share a rank. If the best one does not explain all frames, the command shows the unexplained part and,
+    if the octets suffice, the lines for a profile of your own that describe it.
     """
     return each_file(files, lambda name: _guess(name, ether_type, limit, form))
 
@@ -59,7 +65,7 @@ def _missing(best: Candidate, frames: Sequence[Frame]) -> list[Shortfall]:
 
 
 def _ranked(found: Guess) -> list[tuple[str, Candidate]]:
-    """The candidates with their ranks; ``1=`` where several share the first."""
+    """Return the candidates with their ranks; ``1=`` if several share the first."""
     ranks: list[int] = []
     for place, candidate in enumerate(found.candidates):
         before = found.candidates[place - 1] if place else None
@@ -74,7 +80,7 @@ def _ranked(found: Guess) -> list[tuple[str, Candidate]]:
 def _advise(name: str, best: Candidate, missing: Sequence[Shortfall]) -> None:
     if not missing:
         return
-    click.echo(f"\n  What {best.profile.name} does not explain:")
+    click.echo(f"\n  Not explained by {best.profile.name}:")
     for each in missing:
         click.echo(f"    {each.text} (first in frame {each.frame})")
     advised = [each for each in missing if each.advice]

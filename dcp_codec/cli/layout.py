@@ -1,4 +1,4 @@
-"""``dcp-codec layout``: a layout with which Foxglove shows an MCAP file."""
+"""``dcp-codec layout``: write a Foxglove layout for an MCAP file."""
 
 from __future__ import annotations
 
@@ -28,15 +28,15 @@ from .common import note
 )
 @click.option("--force", is_flag=True, help="Replace what is at --out.")
 def command(file: Path, out: Path | None, force: bool) -> int:
-    """Write a Foxglove layout for FILE, an MCAP file that convert wrote.
+    """Write a Foxglove layout for FILE, an MCAP file written by convert.
 
-    It shows the positions of all nodes in space and over time, beacons, instructions, and what is wrong with frames.
+    It shows the positions of all nodes in space and over time, beacons, instructions, and the problems of frames.
     """
     from dcp_codec.foxglove.layouts import layout_of, layout_text
 
     target = out or Path(f"{file.stem}.foxglove.json")
     if str(target) != "-" and target.exists() and not force:
-        raise ExpectedError(f"{target}: is there already; --force replaces it")
+        raise ExpectedError(f"{target}: exists; give --force to replace it")
     try:
         text = layout_text(layout_of(file))
     except CaptureError as error:

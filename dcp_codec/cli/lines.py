@@ -1,4 +1,4 @@
-"""Frames as one line each, as rows of CSV, and as JSON lines."""
+"""Frames as lines of text, rows of CSV, and JSON lines."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from dcp_codec.texts import payload_line, utc
 
 
 class ListRenderer:
-    """One line per frame: number, time, sender, sequence number, what it holds, what is wrong.
+    """One line per frame: number, time, sender, sequence number, content, problems.
 
-    ``time`` is ``utc``, ``epoch`` or ``relative``: seconds since what ``origin`` returns, in ns.
+    ``time`` is ``utc``, ``epoch`` or ``relative``: seconds since the time that ``origin`` returns, in ns.
     """
 
     def __init__(self, *, width: int | None, colour: bool, time: str, origin: Callable[[], int]) -> None:
@@ -32,7 +32,7 @@ class ListRenderer:
         self.origin = origin
 
     def render(self, frame: DissectedFrame) -> str:
-        """The line of one frame; cut at the width of the terminal, never when piped."""
+        """Return the line of one frame, cut at the width of the terminal; piped output is never cut."""
         time_ns = frame.frame.time_ns
         if self.time == "relative":
             when = f"{(time_ns - self.origin()) / 1e9:12.6f}"
@@ -50,7 +50,7 @@ class ListRenderer:
         errors = [f"{p.reason} at {p.offset} ({p.path or 'beacon'}) [{p.requirement}]" for p in frame.dissection.errors]
         wrong = "  ERROR " + "; ".join(errors) if errors else ""
         if self.width is not None and len(text) + len(wrong) > self.width:
-            # What is wrong is worth more than what is right.
+            # Problems have priority over content.
             text = text[: max(self.width - len(wrong) - 1, 20)] + "…"
         return text + (click.style(wrong, fg="red") if self.colour and wrong else wrong)
 
@@ -66,8 +66,8 @@ _ERROR_COLUMNS = ("data", "severity", "reason", "path", "offset", "needed", "ava
 class CsvRenderer:
     """One row per state report, instruction record, unknown payload and problem, under fixed columns.
 
-    ``kind`` says what a row is: ``srp``, the name of a container, ``data`` or ``problem``; a beacon without anything in
-    it has one row of the kind ``beacon``.
+    The column ``kind`` is ``srp``, the name of a container, ``data`` or ``problem``; a beacon without any of these has
+    one row of the kind ``beacon``.
     """
 
     def __init__(self, codec: Codec) -> None:
@@ -83,12 +83,12 @@ class CsvRenderer:
         return text
 
     def heading(self) -> str:
-        """The row of column names."""
+        """Return the row of column names."""
         self._writer.writerow(self.columns)
         return self._taken()
 
     def render(self, frame: DissectedFrame) -> str:
-        """The rows of one frame."""
+        """Return the rows of one frame."""
         data, src = beacon_json(frame.codec, frame.dissection.root), frame.framing.src
         header = data.get("bp") or {}
         common = {
@@ -136,5 +136,5 @@ class JsonlRenderer:
     """One JSON object per frame and line."""
 
     def render(self, frame: DissectedFrame) -> str:
-        """The object of one frame (``DissectedFrame.as_json``)."""
+        """Return the object of one frame (``DissectedFrame.as_json``)."""
         return _encode_json(frame.as_json())

@@ -1,4 +1,4 @@
-"""``dcp-codec merge``: several recordings as one, in the order of time."""
+"""``dcp-codec merge``: merge several recordings into one in the order of time."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ from .common import interruptible, note, open_input, report_capture_problems
 def command(files: tuple[str, ...], out: Path, form: str | None, *, keep_interfaces: bool, lossy: bool) -> int:
     """Merge recordings into one, frame by frame in the order of their time stamps.
 
-    The frames of one FILE keep their order. Recordings may have different formats; each becomes an interface of its
-    own, so that pcapng and MCAP still tell them apart (pcap cannot: use --keep-interfaces or --lossy).
+    The frames of one FILE keep their order. Recordings may have different formats; each becomes a separate interface,
+    so that pcapng and MCAP still distinguish them (pcap cannot: use --keep-interfaces or --lossy).
     """
     if any(out.resolve() == Path(name).resolve() for name in files):
         raise ExpectedError(f"{out} is one of the recordings to merge; give another --out")

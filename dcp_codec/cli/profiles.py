@@ -1,4 +1,4 @@
-"""``dcp-codec profiles``: what the wire profiles are, what one says, and a draft of a new one."""
+"""``dcp-codec profiles``: list the wire profiles, show one, or draft a new one."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from dcp_codec.common.commandline import ExpectedError
 
 from . import main
 
-#: Frames that a draft is made from and checked against.
+#: Number of frames from which a draft is made and against which it is checked.
 _FRAMES = 2000
 
 
 def _ether_type(_ctx: click.Context, _param: click.Parameter, value: str | None) -> int | None:
     if value is None:
         return None
-    # What other commands share imports the codec, which a list of names does not need.
+    # Imported on use: the shared module imports the codec, which a list of names does not need.
     from .common import ether_type
 
     return ether_type(_ctx, _param, value)
@@ -30,7 +30,7 @@ def _ether_type(_ctx: click.Context, _param: click.Parameter, value: str | None)
 @click.command(
     "profiles",
     epilog="Every key of a profile file: docs/profile-reference.md. Exit status of 'profiles new': 0 if the draft "
-    "decodes all frames that were looked at, 1 if it does not.",
+    "decodes all sampled frames, 1 if some fail.",
 )
 @click.argument("name", required=False, metavar="[NAME|FILE|new]")
 @click.argument("new_name", required=False, metavar="[NEW-NAME]")
@@ -51,7 +51,7 @@ def command(
     *,
     force: bool,
 ) -> int:
-    """List the built-in wire profiles, show one with everything it takes over, or draft one.
+    """List the built-in wire profiles, show one with all that it inherits, or draft one.
 
     \b
     dcp-codec profiles                                  list them
@@ -59,8 +59,8 @@ def command(
     dcp-codec profiles mine.toml                        check a file of your own
     dcp-codec profiles new mine --from flight.pcap      draft mine.toml
 
-    A draft extends the built-in profile that explains the recording best, describes what that one does not explain,
-    and is checked against the recording.
+    A draft extends the built-in profile that explains the recording best, describes what that one does not explain, and
+    is checked against the recording.
     """
     if name == "new":
         if new_name is None or recording is None:
@@ -113,7 +113,7 @@ def _new(name: str, recording: str, out: Path, ether_type: int | None, *, force:
     if not name.isprintable() or "/" in name:
         raise ExpectedError(f"{name!r} cannot be the name of a profile: use letters, digits, - and .")
     if out.exists() and not force:
-        raise ExpectedError(f"{out} exists; --force replaces it, --out FILE names another")
+        raise ExpectedError(f"{out} exists: give --force to replace it, or --out FILE for another file")
     with open_input(recording) as reader:
         frames, _ = sample(reader, _FRAMES, ether_type=ether_type)
         status = report_capture_problems(reader, recording)
@@ -129,5 +129,5 @@ def _new(name: str, recording: str, out: Path, ether_type: int | None, *, force:
     click.echo(f"  {draft.decoded} of {draft.frames} frames decode with it, {draft.before} with {draft.extends} itself")
     for each in draft.left:
         click.echo(f"  not explained yet: {each.text} (first in frame {each.frame})")
-    click.echo(f"  look at it, then: dcp-codec decode {recording} --profile {out}")
+    click.echo(f"  next: check the file, then dcp-codec decode {recording} --profile {out}")
     return max(status, int(draft.decoded < draft.frames))

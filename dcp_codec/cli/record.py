@@ -1,4 +1,4 @@
-"""``dcp-codec record``: record an interface without taking part in the network."""
+"""``dcp-codec record``: record an interface passively."""
 
 from __future__ import annotations
 

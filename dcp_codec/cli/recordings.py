@@ -1,4 +1,4 @@
-"""What the subcommands over many recordings share: ``table`` and ``report``."""
+"""Shared parts of the subcommands for many recordings: ``table`` and ``report``."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ if TYPE_CHECKING:
 
 
 def check_input(files: Sequence[str], profile: str) -> None:
-    """Refuse what no recording can make good: standard input among others or twice, an unknown profile."""
+    """Refuse unusable arguments: standard input twice or among other files, an unknown profile."""
     if "-" in files and (len(files) > 1 or profile == "auto"):
         raise ExpectedError("a pipe is read once and alone: give - as the only FILE, and name the --profile of it")
     if profile != "auto":
-        # So that a wrong name is told once, and before anything is done.
+        # Report a wrong name once, and before any work starts.
         load_codec(profile)
 
 
 @contextmanager
 def extras() -> Iterator[None]:
-    """Say which extra to install where a package is missing, and that the decoder is compiled when it is."""
+    """Report which extra to install if a package is missing, and that the decoder is being compiled."""
     try:
         from dcp_codec.table.kernel.jit import announcing
 
@@ -41,14 +41,14 @@ def extras() -> Iterator[None]:
 
 
 def need_duckdb() -> None:
-    """Refuse to begin what DuckDB has to finish if it is not installed: compiling and decoding take their time."""
+    """Refuse early if DuckDB is not installed: it is needed only after compiling and decoding, which take time."""
     with extras():
         if importlib.util.find_spec("duckdb") is None:
             raise ModuleNotFoundError("No module named 'duckdb'", name="duckdb")
 
 
 def tell(outcome: Outcome) -> int:
-    """Tell what there is to be told of one recording; returns the exit status that it calls for."""
+    """Report the messages about one recording; return its exit status."""
     name, status = outcome.path, 0
     if outcome.failure is not None:
         note(outcome.failure)
@@ -68,7 +68,7 @@ def tell(outcome: Outcome) -> int:
 
 @contextmanager
 def octets_progress(recordings: Sequence[str]) -> Iterator[Callable[[int], object]]:
-    """One bar over all recordings, on a terminal."""
+    """Show one progress bar over all recordings, on a terminal."""
     if not sys.stderr.isatty():
         yield lambda _octets: None
         return

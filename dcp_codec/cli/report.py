@@ -1,4 +1,4 @@
-"""``dcp-codec report``: what matters of recordings, as one HTML page with plots and tables."""
+"""``dcp-codec report``: one HTML page with plots and tables about recordings."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from dcp_codec.report.page import Chapter
     from dcp_codec.table.job import Outcome
 
-#: Recordings that one page holds.
+#: Maximum number of recordings on one page.
 _MANY = 20
 
 
@@ -40,10 +40,10 @@ _MANY = 20
 @profile_options
 @click.option("--force", is_flag=True, help="Replace what is at --out.")
 def command(files: tuple[str, ...], out: Path | None, profile: str, ether_type: int | None, force: bool) -> int:
-    """Show who holds what, what got lost or never arrived, and plots to zoom.
+    """Show which node holds which values, losses and missing values, in plots to zoom.
 
-    The page is one file that needs no other and no network, in light and dark. Two recordings stand side by side;
-    each of more is a chapter, and a table compares them.
+    The page is one self-contained file that works offline, in light and dark. Two recordings are shown side by side;
+    three or more get a chapter each and a table that compares them.
     """
     check_input(files, profile)
     with extras():
@@ -55,10 +55,10 @@ def command(files: tuple[str, ...], out: Path | None, profile: str, ether_type: 
         except TableError as error:
             raise ExpectedError(str(error)) from None
         if len(recordings) > _MANY:
-            raise ExpectedError(f"a page holds {_MANY} recordings, and these are {len(recordings)}: name fewer")
+            raise ExpectedError(f"a page holds {_MANY} recordings, and these are {len(recordings)}: give fewer")
         page = out or _default(recordings)
         if page.exists() and not force:
-            raise ExpectedError(f"{page}: is there already; --force replaces it")
+            raise ExpectedError(f"{page}: exists; give --force to replace it")
         try:
             refuse_irregular(page)
         except OSError as error:

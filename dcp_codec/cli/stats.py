@@ -1,4 +1,4 @@
-"""``dcp-codec stats``: what is in recordings, in numbers."""
+"""``dcp-codec stats``: statistics of recordings."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ from .common import (
     report_capture_problems,
 )
 
-#: Characters of the table of senders with one and with two spaces between its columns.
+#: Width in characters of the table of senders with one and with two spaces between its columns.
 _NARROWEST, _ROOMY = 76, 85
 
-#: Kinds of payloads: the keys of their counts, and what people call them.
+#: Kinds of payloads: the keys of their counts, and their names in the output.
 _PAYLOADS = (("srp", "srp", "SRP"), ("vardis", "vardis", "VarDis"), ("other_payloads", "other", "other"))
 
 
@@ -68,7 +68,7 @@ def command(files: tuple[str, ...], profile: str, ether_type: int | None, form: 
 
 
 def _read(name: str, profile: str, ether_type: int | None) -> tuple[Stats, int, bool]:
-    """The statistics, the exit status, and whether it is a recording of all transmissions."""
+    """Return the statistics, the exit status, and whether the recording has all transmissions."""
     with open_input(name) as reader:
         dissector, frames = choose(profile, ether_type, iter(reader), name)
         link = dissector.link
@@ -92,7 +92,7 @@ def _show(name: str, data: dict[str, Any], examples: list[tuple[int, str]]) -> N
     from rich.console import Console
     from rich.table import Table
 
-    # What is narrower than the numbers of a sender breaks lines: better than numbers of which the half is left out.
+    # On a narrower terminal lines wrap; that is better than numbers that are cut off.
     width = max(shutil.get_terminal_size().columns, _NARROWEST) if sys.stdout.isatty() else 120
     console = Console(width=width, highlight=False, emoji=False, markup=False)
     padding = (0, 2 if width >= _ROOMY else 1, 0, 0)

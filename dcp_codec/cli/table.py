@@ -1,4 +1,4 @@
-"""``dcp-codec table``: recordings as tables for DuckDB, Polars, pandas, spreadsheets."""
+"""``dcp-codec table``: convert recordings to tables for DuckDB, Polars, pandas, spreadsheets."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ if TYPE_CHECKING:
     from dcp_codec.table.archive import Order
     from dcp_codec.table.job import Outcome
 
-#: Octets of recordings that one process has decoded by the time that others have started.
+#: Octets of recordings that one process decodes in the time that others need to start.
 _LITTLE = 1 << 26
 
-#: Suffix of --out -> format that is meant.
+#: Suffix of --out -> format.
 _FORMATS = {".parquet": "parquet", ".csv": "csv", ".duckdb": "duckdb", ".db": "duckdb"}
 
 
 def _tables(_ctx: click.Context, _param: click.Parameter, value: tuple[str, ...]) -> tuple[str, ...] | None:
-    """Names of tables, one by one or with commas."""
+    """Parse names of tables, given separately or with commas."""
     return tuple(dict.fromkeys(name.strip() for part in value for name in part.split(","))) or None
 
 
 def _known_tables(names: tuple[str, ...] | None, profile: str) -> None:
-    """Refuse tables that a recording of that profile cannot have; a profile may have record types of its own."""
+    """Refuse tables that no recording of that profile can have; a profile may define record types."""
     from dcp_codec.table.kernel.shape import TABLES, table_names
 
     known = TABLES if profile == "auto" else table_names(load_codec(profile).profile)
@@ -80,7 +80,7 @@ def _known_tables(names: tuple[str, ...] | None, profile: str) -> None:
     help="Processes of this machine, or the workers of a Dask cluster.",
 )
 @click.option(
-    "--scheduler", metavar="ADDRESS", help="The Dask scheduler, such as tcp://host:8786; without, a local one."
+    "--scheduler", metavar="ADDRESS", help="The Dask scheduler, such as tcp://host:8786. [default: a local one]"
 )
 @click.option("--force", is_flag=True, help="Replace what is at --out.")
 def command(
@@ -131,7 +131,7 @@ def command(
 
 
 def workers(recordings: Sequence[str], engine: str) -> int:
-    """How many processes are worth it: one takes longer to start than some megabytes to decode."""
+    """Return the number of worker processes: starting one takes as long as decoding some megabytes."""
     sizes = [path.stat().st_size for path in map(Path, recordings) if path.is_file()]
     if engine == "local" and len(sizes) == len(recordings) and sum(sizes) < _LITTLE:
         return 1

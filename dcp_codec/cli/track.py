@@ -62,7 +62,7 @@ def command(
     every: float,
     form: str | None,
 ) -> int:
-    """Write where the nodes of a recording said that they were, for spreadsheets and maps.
+    """Write the positions that the nodes of a recording reported, for spreadsheets and maps.
 
     State reports have local coordinates: x is taken as metres to the east of the reference point, y to the north, z up.
     Times are those of capture.

@@ -18,9 +18,9 @@ from dcp_codec.views.fields import Dissection, Field
 
 _NARROW = 60
 _VALUE_COLUMN = 34
-# A union would be made anew for each row.
+# A tuple, because a union would be built again for each row.
 _LISTS = (Group, Many)
-#: Octets as a hexdump shows them.
+#: Characters for octets in a hexdump.
 _SHOWN = bytes(octet if 32 <= octet < 127 else ord(".") for octet in range(256))
 
 
@@ -33,11 +33,11 @@ class TreeRenderer:
         self.hexdump = hexdump
 
     def style(self, text: str, **styles: object) -> str:
-        """``text`` in colour, if wanted."""
+        """Return ``text`` with ANSI styles if colour is on."""
         return click.style(text, **styles) if self.colour else text  # type: ignore[arg-type]
 
     def render(self, frame: DissectedFrame) -> str:
-        """All lines of one frame."""
+        """Return all lines of one frame."""
         return "\n".join(self._lines(frame))
 
     def _lines(self, frame: DissectedFrame) -> Iterator[str]:
@@ -50,7 +50,7 @@ class TreeRenderer:
             if problems:
                 for problem in problems.pop(field.path, []):
                     yield from self._problem(problem)
-        # A problem of a field of which nothing is there has no row.
+        # A problem of a field without any octets has no row.
         for left in problems.values():
             for problem in left:
                 yield from self._problem(problem)
@@ -104,7 +104,8 @@ class TreeRenderer:
         text = raw.hex(" ")
         if len(text) > room:
             return ""
-        # One column for the octets, near the values on a wide terminal, further right only where values are long.
+        # The octets have one column; on a wide terminal it is near the values, and only long values move it to the
+        # right.
         return " " * (2 + max(0, min(room - len(text), _VALUE_COLUMN - used))) + self.style(text, dim=True)
 
     def _problem(self, problem: Problem) -> Iterator[str]:
@@ -142,7 +143,7 @@ _Row = tuple[str, Field, int]
 
 
 def _rows(field: Field, depth: int, rows: list[_Row]) -> list[_Row]:
-    """Add the fields to show, with name and depth; the root and the halves of a string have no row of their own."""
+    """Append the rows of a field with name and depth; the root and the halves of a string have no row."""
     for child in field.children:
         if isinstance(child.layout, Many):
             for index, element in enumerate(child.children):
@@ -160,7 +161,7 @@ def _by_path(problems: list[Problem]) -> dict[str, list[Problem]]:
     for problem in problems:
         path = problem.path
         for end in (".length", ".length2", ".data"):
-            # The halves of a string have no row, the string has.
+            # The halves of a string have no row; the string has one.
             if path.endswith(end) and path.removesuffix(end).rsplit(".", 1)[-1] in ("descr", "value", "prodId"):
                 path = path.removesuffix(end)
         found.setdefault(path, []).append(problem)
@@ -168,7 +169,7 @@ def _by_path(problems: list[Problem]) -> dict[str, list[Problem]]:
 
 
 def _faulty(dissection: Dissection, size: int) -> set[int]:
-    """The octets to mark: those of the field at fault, or the last one where octets are missing."""
+    """Return the octets to mark: those of the field at fault, or the last octet if octets are missing."""
     marked: set[int] = set()
     fields = {field.path: field for field in dissection.root.walk()}
     for problem in dissection.errors:

@@ -1,4 +1,4 @@
-"""``dcp-codec verify``: recordings against their manifest."""
+"""``dcp-codec verify``: compare recordings with their manifest."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from dcp_codec.common.commandline import ExpectedError
 
 
 @click.command(
-    "verify", epilog="Exit status: 0 everything is as the manifest says, 1 something is not, 2 unreadable manifest."
+    "verify", epilog="Exit status: 0 all recordings match the manifest, 1 some differ, 2 unreadable manifest."
 )
 @click.argument("manifest", type=click.Path(dir_okay=False, path_type=Path))
 def command(manifest: Path) -> int:

@@ -1,4 +1,4 @@
-"""``dcp-codec wireshark``: put dissectors where Wireshark looks for them."""
+"""``dcp-codec wireshark``: install dissectors in Wireshark's folder of plugins."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from dcp_codec.common.commandline import ExpectedError
 
 from .common import load_codec
 
-#: Seconds in which tshark must say where its folders are.
+#: Seconds that tshark may take to list its folders.
 _PATIENCE = 30
 _USUAL = Path("~/.local/lib/wireshark/plugins")
 
@@ -33,7 +33,7 @@ _USUAL = Path("~/.local/lib/wireshark/plugins")
     "--folder",
     type=click.Path(path_type=Path),
     metavar="DIR",
-    help="The folder of Lua plugins.  [default: the personal one that tshark -G folders names]",
+    help="The folder of Lua plugins.  [default: the personal one of 'tshark -G folders']",
 )
 def command(action: str, profiles: tuple[str, ...], folder: Path | None) -> int:
     """Install dissectors in the folder of personal Lua plugins of Wireshark and tshark.
@@ -68,7 +68,7 @@ def command(action: str, profiles: tuple[str, ...], folder: Path | None) -> int:
 
 
 def plugin_folder() -> Path:
-    """The folder of personal Lua plugins: what tshark says, or the usual one without tshark."""
+    """Return the folder of personal Lua plugins: the one that tshark reports, or the usual one without tshark."""
     tshark = shutil.which("tshark")
     if tshark is not None:
         try:

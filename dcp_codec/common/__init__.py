@@ -1,1 +1,1 @@
-"""What commands and writers share: command lines, atomic writing of files, and text from untrusted sources."""
+"""Helpers for commands and writers: command lines, atomic writing of files, and text from untrusted sources."""

@@ -1,4 +1,4 @@
-"""Files that are there as a whole or not at all, also after the power has failed."""
+"""Atomic writing of files: they appear completely or not at all, also after a power failure."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from pathlib import Path
 
 
 def write_whole(path: Path, octets: bytes) -> None:
-    """Put a file with ``octets`` at ``path``, in one step, with the rights that any new file gets.
+    """Write a file with ``octets`` to ``path`` in one step, with the access rights of any new file.
 
-    A file that is there is replaced; a folder, a device or a pipe is not. Raises OSError, whose filename is ``path``.
+    An existing file is replaced; a folder, a device or a pipe is not. Raises OSError, whose filename is ``path``.
     """
     refuse_irregular(path)
     temporary = path.with_name(f".{path.name}.{secrets.token_hex(8)}")
     try:
-        # The system applies the umask of the process, which a thread cannot ask for without changing it.
+        # The kernel applies the umask of the process; a thread cannot read the umask without changing it.
         handle = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
         try:
             with os.fdopen(handle, "wb") as file:
@@ -28,22 +28,24 @@ def write_whole(path: Path, octets: bytes) -> None:
             temporary.unlink(missing_ok=True)
             raise
     except OSError as error:
-        # The name of the file on the way there means nothing to anybody.
+        # The name of the temporary file means nothing to the user.
         raise OSError(error.errno, error.strerror or str(error), str(path)) from None
 
 
 def rename_durably(made: Path, path: Path) -> None:
-    """Rename ``made``, whose content is on the disk already, to ``path``, and wait until the disk has the new name."""
+    """Rename ``made``, whose content is already on the disk, to ``path``, and wait until the disk has the new name."""
     made.replace(path)
     sync(path.parent)
 
 
 def sync(path: Path) -> None:
-    """Wait until the disk has a file's content or a folder's names. What cannot be synchronised (a pipe) is left."""
+    """Wait until a file's content or a folder's entries are on the disk. A pipe, which cannot be synchronised, is
+    skipped.
+    """
     try:
         fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
     except OSError:
-        # A folder in which names can be made but not listed.
+        # The folder allows the creation of files but not their listing.
         return
     try:
         os.fsync(fd)
@@ -65,6 +67,6 @@ def sync_tree(path: Path) -> None:
 
 
 def refuse_irregular(path: Path) -> None:
-    """Raise OSError if something is there that nobody means to lose by renaming a file onto it, such as a device."""
+    """Raise OSError if ``path`` is, for example, a device, which the user does not mean to replace by a rename."""
     if path.exists() and not path.is_file():
-        raise OSError(errno.EEXIST, "is no regular file, and is not replaced", str(path))
+        raise OSError(errno.EEXIST, "is not a regular file and will not be replaced", str(path))

@@ -1,8 +1,8 @@
-"""What the commands of this project share: subcommands that load when they are called, and how a command ends.
+"""Base of all commands of this project: lazily loaded subcommands, and the exit status of a command.
 
 A command is a :class:`CommandLine` with a table of its subcommands; calling it is its entry point. Each subcommand is a
-module with a click command called ``command``, which returns its exit status (None: 0) or raises
-:class:`ExpectedError`. Nothing here costs more at import than click.
+module with a click command named ``command``, which returns its exit status (None: 0) or raises :class:`ExpectedError`.
+Importing this module costs no more than importing click.
 """
 
 from __future__ import annotations
@@ -24,19 +24,19 @@ from dcp_spec.version import __version__
 from .extras import EXTRAS, advice
 from .printable import plain
 
-#: The status of wrong usage, and of input that cannot be used, in every command.
+#: Exit status for wrong usage and for unusable input, in every command.
 UNUSABLE = 2
-#: The status of a command that was interrupted, as shells give it.
+#: Exit status of an interrupted command, as shells report it.
 _INTERRUPTED = 130
 
 
 def say(text: str, *, err: bool = False, nl: bool = True) -> None:
-    """Write a line to standard output, or standard error; what could control a terminal is shown as an escape."""
+    """Write a line to standard output, or standard error; control characters are escaped."""
     click.echo(plain(text, keep="\t"), err=err, nl=nl)
 
 
 class ExpectedError(Exception):
-    """A failure that the user can do something about: shown as one line, with an exit status."""
+    """A failure that the user can resolve: shown as one line, with an exit status."""
 
     def __init__(self, message: str, status: int = UNUSABLE) -> None:
         super().__init__(message)
@@ -44,9 +44,9 @@ class ExpectedError(Exception):
 
 
 class LazyGroup(click.Group):
-    """A group whose commands are imported when they are called, so that ``--help`` stays quick.
+    """A group whose subcommands are imported when they are called, so that ``--help`` is quick.
 
-    ``table``: subcommand -> one line of help; the module has the name of the subcommand, with ``_`` for ``-``.
+    ``table``: subcommand -> one line of help. The module of a subcommand has its name, with ``_`` for ``-``.
     """
 
     def __init__(self, package: str, table: Mapping[str, str], *, name: str, help: str, epilog: str) -> None:
@@ -65,7 +65,7 @@ class LazyGroup(click.Group):
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002 - as above
-        # Only the table is needed here; importing every module for its help would cost what laziness saves.
+        # The table has all that is needed; importing every module for its help would be slow.
         with formatter.section("Commands"):
             formatter.write_dl(list(self._table.items()))
 
@@ -79,18 +79,18 @@ class LazyGroup(click.Group):
 
 
 class _ReaderGone(Exception):  # noqa: N818 - not an error
-    """Whoever read our output has closed it."""
+    """The reader of our output has closed the pipe."""
 
 
 @contextlib.contextmanager
 def _before_click() -> Iterator[None]:
-    """Take a closed pipe out of click's hands, which would end the process with status 1."""
+    """Handle a closed pipe before click does; click would end the process with status 1."""
     try:
         yield
     except BrokenPipeError as error:
         raise _ReaderGone from error
     except SystemExit as stop:
-        # rich does the same by itself.
+        # rich converts the error in the same way.
         if isinstance(stop.__context__, BrokenPipeError):
             raise _ReaderGone from stop
         raise
@@ -98,38 +98,38 @@ def _before_click() -> Iterator[None]:
 
 @dataclass(frozen=True, kw_only=True)
 class CommandLine:
-    """A command: what ``[project.scripts]`` names, and what ends it."""
+    """A command: the entry point for ``[project.scripts]``, and the handling of its end."""
 
     name: str
-    """As it is typed: ``dcp-codec``."""
+    """Name of the command: ``dcp-codec``."""
     package: str
-    """Where the modules of the subcommands are: ``dcp_codec.cli``."""
+    """Package with the modules of the subcommands: ``dcp_codec.cli``."""
     commands: Mapping[str, str]
     """Subcommand -> one line of help, in the order in which they are shown."""
     about: str
     exit_status: str
-    """What each exit status means, for ``--help``: "0 all good; 1 ..."."""
+    """Meaning of each exit status, for ``--help``: "0 all good; 1 ..."."""
     failures: Mapping[type[Exception], int] = field(default_factory=lambda: MappingProxyType({}))
-    """Exceptions beside :class:`ExpectedError` whose message is for people -> exit status; the first that fits."""
+    """Further exceptions whose message is meant for the user -> exit status; the first match applies."""
     extras: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
-    """Packages that another extra installs for this command than :data:`~dcp_codec.common.extras.EXTRAS` says."""
+    """Package -> extra, where this command's extra differs from :data:`~dcp_codec.common.extras.EXTRAS`."""
     fault_status: int = 1
-    """The status when the command itself is at fault: an exception that nobody expected, shown with its traceback."""
+    """Exit status after an internal error: an unexpected exception, shown with its traceback."""
 
     def group(self) -> click.Group:
-        """The click group of all subcommands."""
-        epilog = f"Exit status: {self.exit_status} '{self.name} COMMAND --help' tells more."
+        """Return the click group of all subcommands."""
+        epilog = f"Exit status: {self.exit_status} '{self.name} COMMAND --help' has the details."
         group = LazyGroup(self.package, self.commands, name=self.name, help=self.about, epilog=epilog)
         return click.version_option(__version__, prog_name=self.name)(group)
 
     def note(self, message: str) -> None:
-        """Tell something on stderr, where it does not disturb output that is piped on."""
+        """Write a message to stderr, so that piped output stays undisturbed."""
         click.echo(plain(f"{self.name}: {message}", keep="\n"), err=True)
 
     def __call__(self, args: Sequence[str] | None = None) -> NoReturn:
-        """Run with ``args`` (None: those of the process), and exit: every failure is one line on stderr and a status.
+        """Run with ``args`` (None: those of the process), and exit. A failure is one line on stderr and an exit status.
 
-        A reader of the output that has seen enough (``| head``) is no failure.
+        A closed output pipe (``| head``) is not a failure.
         """
         _prepare_streams()
         status = self._run(args)
@@ -166,7 +166,7 @@ class CommandLine:
         return status or 0
 
     def _failed(self, error: Exception) -> int:
-        """Show an exception that no subcommand turned into an :class:`ExpectedError`; returns the exit status."""
+        """Report an exception that no subcommand turned into an :class:`ExpectedError`; return the exit status."""
         for kind, status in self.failures.items():
             if isinstance(error, kind):
                 self.note(str(error))
@@ -178,7 +178,7 @@ class CommandLine:
         if not isinstance(error, OSError):
             click.echo(plain("".join(traceback.format_exception(error)), keep="\n"), err=True, nl=False)
             return self.fault_status
-        # What a subcommand did not foresee of the system: most often the place where the output goes is full.
+        # An unexpected error of the system; most often the disk of the output is full.
         self.note(_reason(error))
         try:
             sys.stdout.flush()
@@ -188,29 +188,29 @@ class CommandLine:
 
 
 def _reason(error: OSError) -> str:
-    """What the system did not do, and where."""
-    # Only opening knows a name; what comes later is nearly always that output finds no room.
+    """Return what failed in the system, and for which file."""
+    # Only open() knows a file name; later errors are nearly always those of a full output.
     where = error.filename if error.filename is not None else "output cannot be written"
     return f"{where}: {error.strerror or error}"
 
 
 def _prepare_streams() -> None:
-    """Have standard streams that can be written to, whoever started the process, with whatever characters."""
+    """Make the standard streams writable: replace closed descriptors, and escape characters outside the encoding."""
     for descriptor, name in enumerate(("stdin", "stdout", "stderr")):
         try:
             os.fstat(descriptor)
         except OSError:
-            # Closed by whoever started us; the lowest free number is this one, and no file of ours gets it.
+            # The parent process closed it. The lowest free number is this one; otherwise a file of ours would get it.
             os.open(os.devnull, os.O_RDONLY if descriptor == 0 else os.O_WRONLY)
         if getattr(sys, name) is None:
             setattr(sys, name, os.fdopen(descriptor, "r" if descriptor == 0 else "w", closefd=False))
     if isinstance(sys.stdout, io.TextIOWrapper):
-        # Names of files and descriptions may hold what the encoding of a terminal cannot show.
+        # File names and descriptions may contain characters that the terminal's encoding lacks.
         sys.stdout.reconfigure(errors="backslashreplace")
 
 
 def _discard_output() -> None:
-    """Let what is still buffered go nowhere: Python would try, and fail, to write it when it ends."""
-    # A test's standard output has no descriptor.
+    """Discard buffered output: Python would try to write it at exit, and fail."""
+    # The standard output of a test has no descriptor.
     with contextlib.suppress(OSError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -1,11 +1,11 @@
-"""Which extra of this distribution installs a package that is missing."""
+"""Names of the extras that install optional packages."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from types import MappingProxyType
 
-#: Top-level package as it is imported -> extra of ``dcp-conformance-kit`` that installs it.
+#: Top-level package, as imported -> extra of ``dcp-conformance-kit`` that installs it.
 EXTRAS: Mapping[str, str] = MappingProxyType(
     {
         "scapy": "scapy",
@@ -26,5 +26,5 @@ EXTRAS: Mapping[str, str] = MappingProxyType(
 
 
 def advice(package: str, extra: str | None = None) -> str:
-    """Return the sentence that tells the user what to install; ``extra`` overrides the table."""
+    """Return a sentence that says how to install ``package``; ``extra`` overrides the table."""
     return f"{package} is not installed: pip install 'dcp-conformance-kit[{extra or EXTRAS[package]}]'"

@@ -1,4 +1,4 @@
-"""Lines out of a stream of octets, in bounded memory: what the control interface and its clients speak."""
+"""Splitting a stream of octets into lines in bounded memory, for the control interface and its clients."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ class LineTooLongError(ValueError):
 
 
 class LineBuffer:
-    """Splits octets into lines as they come; keeps nothing of a line of more than ``limit`` octets."""
+    """Splits octets into lines as they arrive; a line of more than ``limit`` octets is discarded."""
 
     def __init__(self, limit: int) -> None:
         self._limit = limit
@@ -23,11 +23,13 @@ class LineBuffer:
         return len(self._octets)
 
     def add(self, data: bytes) -> None:
-        """Take octets."""
+        """Append received octets."""
         self._octets += data
 
     def next(self) -> bytes | None:
-        """The next line without its end; None if no whole line is there. Raises LineTooLongError, once for each."""
+        """Return the next line without its end, None if there is no complete line. Raises LineTooLongError once for
+        each.
+        """
         end = self._octets.find(b"\n", self._searched)
         if end < 0:
             if self._discarding or len(self._octets) > self._limit:
@@ -49,6 +51,6 @@ class LineBuffer:
         return line
 
     def end(self) -> None:
-        """Nothing more will come: what is there is a line, also without its end."""
+        """Mark the end of the input; remaining octets become a line even without a line end."""
         if self._octets and not self._octets.endswith(b"\n"):
             self._octets += b"\n"

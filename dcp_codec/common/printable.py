@@ -1,16 +1,16 @@
-"""Text of others (from the air, a file, an implementation) for a terminal, a page or a message.
+"""Escaping of untrusted text (received, from a file, from an implementation) for a terminal, a page or a message.
 
-Names, descriptions, error messages and last words are data. In a terminal a control sequence in them would move the
-cursor, change colours or the title, and a bidirectional override would reorder the line.
+Names, descriptions, error messages and the output of a crashed process are data. A control sequence in them could move
+the cursor of a terminal or change colours and title; a bidirectional override could reorder the line.
 """
 
 from __future__ import annotations
 
 
 def plain(text: str, *, keep: str = "") -> str:
-    """``text`` with every character that is not printable as an escape (``\\x1b``), except those in ``keep``.
+    """Return ``text`` with all characters that are not printable escaped (``\x1b``), except those in ``keep``.
 
-    Not printable are control characters, line separators, bidirectional marks, and octets that are no text.
+    Not printable are control characters, line separators, bidirectional marks, and octets that are not valid text.
     """
     if text.isprintable():
         return text

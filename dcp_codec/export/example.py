@@ -1,4 +1,4 @@
-"""A small beacon of a profile, and octets written out with the names of their fields."""
+"""A small example beacon of a profile, and octets annotated with the names of their fields."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _OCTETS_A_LINE = 8
 
 
 def example_beacon(codec: Codec) -> Beacon:
-    """A beacon with a state report, if the profile has one, and the creation and summary of a variable."""
+    """Return a beacon with a state report, if the profile has one, and the creation and summary of a variable."""
     profile = codec.profile
     node = b"\x02\x00\x00\x00\x00\x01"
     node_id = node.hex(":").encode() if profile.types.node_id.length is not None else _sized(node, codec)
@@ -52,7 +52,7 @@ def _record(plan: Node) -> Group:
 
 
 def _blank(group: Group, codec: Codec) -> Any:
-    """A record of zeros."""
+    """Return a record of zeros."""
     return codec.types[group.type_name](*(zero(member) for member in group.members))
 
 
@@ -79,7 +79,7 @@ def _report(codec: Codec, node_id: bytes) -> ExtendedSafetyData:
 
 
 def _containers(codec: Codec, node_id: bytes) -> tuple[Container, ...]:
-    # A profile that adds fields to a record has a class of its own for it.
+    # A profile that adds fields to a record has its own class for it.
     types = codec.types
     numbers = codec.profile.vardis.container_types.by_name()
     has = codec.profile.vardis.var_spec
@@ -99,7 +99,7 @@ def _containers(codec: Codec, node_id: bytes) -> tuple[Container, ...]:
 
 
 def annotated(codec: Codec, octets: bytes) -> Iterator[str]:
-    """One line for each field of a beacon: offset, octets in hex, path, value. Never raises."""
+    """Yield one line for each field of a beacon: offset, octets in hex, path, value. Never raises."""
     dissection = codec.dissect(octets)
     leaves = [field for field in dissection.root.walk() if not field.children and field.length]
     names, width = max((len(field.path) for field in leaves), default=0), 3 * _OCTETS_A_LINE - 1

@@ -1,4 +1,4 @@
-"""The JSON Schemas of the records of one plan: what the documents of :mod:`dcp_codec.export.jsonschema` consist of."""
+"""JSON Schemas of the records of one plan, the parts of the documents of :mod:`dcp_codec.export.jsonschema`."""
 
 from __future__ import annotations
 
@@ -17,13 +17,14 @@ _Style = Literal["strict", "partial", "viewer"]
 _HEX = "^(?:[0-9a-f]{2})*$"
 _NOT_FINITE = "^(?:NaN|-?Infinity)$"
 _FLOAT32_MAX = 3.4028234663852886e38
-#: A longer string than this gets no bound of its own: no frame is that long.
+#: The greatest string length that is stated as a bound: no frame is longer.
 _MAX_BOUND = 0xFFFF
 
 
 class ViewerRecord(NamedTuple):
-    """A record for a viewer: its columns, those that are there when the frame has no errors, and what else holds
-    then (``alternatives`` exclude each other; empty for none)."""
+    """A record for a viewer: its columns, the required columns of frames without errors, and further conditions for
+    such frames (``alternatives`` exclude each other; empty for none).
+    """
 
     properties: dict[str, JSONSchema]
     required: list[str]
@@ -33,7 +34,8 @@ class ViewerRecord(NamedTuple):
 class RecordSchemas:
     """Schemas of the nodes of one plan in one style.
 
-    strict: what a well-formed message gives. partial: what is left of any other. viewer: as partial, without null.
+    strict: for well-formed messages. partial: for any message, with null for unreadable parts. viewer: as partial,
+    without null.
     """
 
     def __init__(self, profile: Profile, style: _Style) -> None:
@@ -92,7 +94,7 @@ class RecordSchemas:
     def real(self, scalar: Scalar) -> JSONSchema:
         schema: JSONSchema = {"type": self.types("number")}
         if self.style != "viewer":
-            # A pattern only binds strings, bounds only numbers.
+            # A pattern only applies to strings, bounds only to numbers.
             null = ["null"] if self.style == "partial" else []
             schema = {"type": ["number", "string", *null], "pattern": _NOT_FINITE}
         if scalar.size == 4:
@@ -104,12 +106,12 @@ class RecordSchemas:
         if not text.human:
             return self.string(pattern=_hex_up_to(bound))
         if bound is None or text.role == "node-id":
-            # Octets of an identifier that are not UTF-8 are printed with escapes, which take more characters.
+            # Octets of an identifier that are not UTF-8 are printed as escapes, which take more characters.
             return self.string()
         return self.string(maxLength=bound)
 
     def bounds(self, node: Many, scope: Group) -> JSONSchema:
-        """How many elements a well-formed list has, from the field that counts them."""
+        """Return the bounds on the number of elements of a well-formed list, from its counting field."""
         counter = _find(scope, node.count or node.agrees)
         if self.style != "strict" or counter is None:
             return {"minItems": 1} if self.style == "strict" and node.nonempty else {}
@@ -119,17 +121,17 @@ class RecordSchemas:
     # Records.
 
     def record(self, group: Group) -> JSONSchema:
-        """A record as a part of something else."""
+        """Return the schema of a record inside another one."""
         if self.style == "viewer":
             return self.group(group)
         name = group.type_name if self.style == "strict" else f"Partial{group.type_name}"
         if name not in self.defs:
-            self.defs[name] = {}  # keeps its place: records stand in the order in which they contain each other
+            self.defs[name] = {}  # reserves its position: outer records precede inner ones
             self.defs[name] = self.group(group)
         return {"$ref": f"#/$defs/{name}"}
 
     def group(self, group: Group) -> JSONSchema:
-        """The object of a record."""
+        """Return the object schema of a record."""
         properties: dict[str, JSONSchema] = {}
         required: list[str] = []
         choices: list[list[JSONSchema]] = []
@@ -170,7 +172,7 @@ class RecordSchemas:
         }
 
     def described_in_hex(self, text: Text, properties: dict[str, JSONSchema]) -> list[JSONSchema]:
-        """The member beside a text for octets that are not UTF-8; exactly one of the two is there."""
+        """Add the member for octets of a text that are not UTF-8; return that exactly one of the two is present."""
         other = f"{text.name}Hex"
         properties[other] = self.string(
             pattern=_hex_up_to(_longest(text)), description=f"{meaning(text)}: octets that are not UTF-8"
@@ -178,7 +180,7 @@ class RecordSchemas:
         return [{"required": [text.name]}, {"required": [other]}]
 
     def select(self, select: Select, group: Group, properties: dict[str, JSONSchema], about: str) -> list[JSONSchema]:
-        """Add the members that a choice can lead to; returns the alternatives that exclude each other."""
+        """Add the members of all contents of a choice; return the alternatives that exclude each other."""
         cases = list(select.cases.items())
         contents: dict[str, list[Node]] = {}
         for case in [*(case for _, case in cases), *([select.default] if select.default else [])]:
@@ -198,7 +200,7 @@ class RecordSchemas:
         return alternatives
 
     def union(self, cases: list[Node], group: Group, about: str) -> JSONSchema:
-        """The property that all ``cases`` share."""
+        """Return the property that all ``cases`` share."""
         first = cases[0]
         if len(cases) == 1:
             return {**self.node(first, group), "description": description(first, self.profile)}
@@ -213,7 +215,7 @@ class RecordSchemas:
         return schema
 
     def merged(self, elements: list[Group]) -> JSONSchema:
-        """One object with the members of all ``elements``."""
+        """Return one object with the members of all ``elements``."""
         properties: dict[str, JSONSchema] = {}
         for element in elements:
             for name, schema in self.group(element)["properties"].items():
@@ -231,7 +233,7 @@ class RecordSchemas:
         group: Group,
         number: int | None,
     ) -> JSONSchema:
-        """What holds when the field ``key`` chooses ``case``."""
+        """Return the condition for messages in which the field ``key`` chooses ``case``."""
         properties: dict[str, Any] = {key.name: condition}
         title = case.name
         if key.names is not None and key.name_field is not None and number is not None:
@@ -245,7 +247,7 @@ class RecordSchemas:
         return {"title": title, "properties": properties, "required": [case.name]}
 
     def element_rules(self, case: Node, cases: list[Node], group: Group) -> JSONSchema:
-        """What holds for the elements of the list ``case`` where one property stands for several lists."""
+        """Return the rules for the elements of the list ``case`` if one property is used for several lists."""
         assert isinstance(case, Many)
         if self.style != "viewer":
             return self.node(case, group)
@@ -275,13 +277,13 @@ class RecordSchemas:
 
 
 def int_range(scalar: Scalar) -> tuple[int, int]:
-    """The least and the greatest number that ``scalar`` has octets for."""
+    """Return the least and the greatest number of ``scalar``."""
     bits = 8 * scalar.size
     return (-(1 << bits - 1), (1 << bits - 1) - 1) if scalar.signed else (0, (1 << bits) - 1)
 
 
 def _longest(text: Text) -> int | None:
-    """The most octets that a text can have, its NUL not counted; None if nothing bounds it."""
+    """Return the maximum number of octets of a text without its NUL; None if it is unbounded."""
     if not text.prefixes:
         return None
     bound = min(int_range(prefix)[1] for prefix in text.prefixes) - text.terminated
@@ -293,7 +295,7 @@ def _hex_up_to(octets: int | None) -> str:
 
 
 def _find(scope: Group, reference: str | None) -> Scalar | None:
-    """The scalar that a reference from a member of ``scope`` names."""
+    """Return the scalar to which a reference from a member of ``scope`` refers."""
     found: Node = scope
     for part in reference.split(".") if reference else ():
         members = found.members if isinstance(found, Group) else ()

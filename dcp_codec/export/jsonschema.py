@@ -1,10 +1,10 @@
 """JSON Schemas (draft 2020-12) of the objects that the codec prints, made from the plan of a profile.
 
-:func:`frame_schema` describes every line of ``dcp-codec decode --format jsonl``: where ``errors`` is empty the beacon
-has all of its members and each is within its bounds; where it is not, what could not be read is null or missing. The
-other functions describe well-formed parts. All schemas are self-contained: references stay inside ``$defs``.
+:func:`frame_schema` describes every line of ``dcp-codec decode --format jsonl``: if ``errors`` is empty, the beacon has
+all of its members and each is within its bounds; otherwise unreadable members are null or missing. The other functions
+describe well-formed parts. All schemas are self-contained: references stay inside ``$defs``.
 
-:func:`viewer_record` is for the channels of an MCAP file. Foxglove and its relatives read a JSON Schema as a list of
+:func:`viewer_record` is for the channels of an MCAP file. Foxglove and similar viewers read a JSON Schema as a list of
 typed columns: one single ``type`` for each property, no references, no alternatives below the root.
 """
 
@@ -27,14 +27,16 @@ _MAC = "^[0-9a-f]{2}(?::[0-9a-f]{2}){5}$"
 _MAX_TIME_NS = 2**63 - 1
 
 
-#: Only there if the profile was guessed and the guess is weak.
+#: Only present if the profile was guessed and the guess is weak.
 _DOUBT: dict[str, JSONSchema] = {
     "profileDoubt": {"type": "string", "description": "why the profile, which was guessed, may be the wrong one"}
 }
 
 
 def frame_schema(codec: Codec) -> JSONSchema:
-    """The schema of :meth:`dcp_codec.framing.frames.DissectedFrame.as_json`, well-formed beacons and others."""
+    """Return the schema of :meth:`dcp_codec.framing.frames.DissectedFrame.as_json`, for well-formed and other
+    beacons.
+    """
     strict, partial = RecordSchemas(codec.profile, "strict"), RecordSchemas(codec.profile, "partial")
     beacon = _beacon_group(codec)
     well_formed, remains = strict.group(beacon), partial.group(beacon)
@@ -62,12 +64,12 @@ def frame_schema(codec: Codec) -> JSONSchema:
 
 
 def beacon_schema(codec: Codec) -> JSONSchema:
-    """The schema of a well-formed beacon as a JSON object (``bp`` and ``payloads``)."""
+    """Return the schema of a well-formed beacon as a JSON object (``bp`` and ``payloads``)."""
     return _record_root(codec, _beacon_group(codec), "One well-formed beacon. Octets are lower-case hex.")
 
 
 def report_schema(codec: Codec) -> JSONSchema | None:
-    """The schema of a well-formed state report as a JSON object, None if the profile has no octets for it."""
+    """Return the schema of a well-formed state report as a JSON object, None if the profile cannot encode one."""
     plan = codec.srp_plan
     if plan is None:
         return None
@@ -75,35 +77,35 @@ def report_schema(codec: Codec) -> JSONSchema | None:
 
 
 def container_schema(codec: Codec) -> JSONSchema:
-    """The schema of a well-formed instruction container as a JSON object."""
+    """Return the schema of a well-formed instruction container as a JSON object."""
     return _record_root(
         codec, container_group(codec), "One well-formed instruction container. Octets are lower-case hex."
     )
 
 
 def container_group(codec: Codec) -> Group:
-    """The plan of one instruction container."""
+    """Return the plan of one instruction container."""
     plan = codec.containers_plan
     assert isinstance(plan, Many)
     return plan.element
 
 
 def viewer_record(codec: Codec, group: Group) -> ViewerRecord:
-    """The members of ``group`` for a viewer.
+    """Return the members of ``group`` for a viewer.
 
-    Every property may be missing and has one type. Floats are not ``required``: JSON has no number for those that
-    are not finite, and a message for viewers leaves them out.
+    Every property may be missing and has one type. Floats are not ``required``: JSON has no number for those that are
+    not finite, and a message for viewers leaves them out.
     """
     return RecordSchemas(codec.profile, "viewer").viewer_record(group)
 
 
 def schema_octets(schema: JSONSchema) -> bytes:
-    """A schema as a JSON text, UTF-8, on one line."""
+    """Return a schema as a JSON text, UTF-8, on one line."""
     return json.dumps(schema, separators=(",", ":"), ensure_ascii=False).encode()
 
 
 def record_group(plan: Node) -> Group:
-    """The record that a plan consists of."""
+    """Return the record of a plan."""
     content = plan.content if isinstance(plan, Exact) else plan
     assert isinstance(content, Group)
     return content
@@ -136,7 +138,7 @@ def _integer(about: str, minimum: int, maximum: int | None = None) -> JSONSchema
 
 
 def _frame_members() -> dict[str, JSONSchema]:
-    """What :class:`dcp_codec.framing.frames.DissectedFrame` prints in front of the beacon."""
+    """Return the members that :class:`dcp_codec.framing.frames.DissectedFrame` prints before the beacon."""
     absent = "; null without a link-layer header"
     return {
         "frame": _integer("number of the frame in the recording, from 1", 1),
@@ -153,20 +155,23 @@ def _frame_members() -> dict[str, JSONSchema]:
 
 
 def _findings() -> dict[str, JSONSchema]:
-    """What stands behind the beacon."""
+    """Return the members after the beacon."""
     problems: JSONSchema = {"type": "array", "items": {"$ref": "#/$defs/Problem"}}
     return {
-        "padding": _integer("octets of bearer padding behind the beacon [BP-RX-14]", 0),
-        "errors": {**problems, "description": "what makes the octets no beacon of the profile, in wire order"},
-        "warnings": {**problems, "description": "rules that the well-formed parts break, in wire order"},
+        "padding": _integer("octets of bearer padding after the beacon [BP-RX-14]", 0),
+        "errors": {
+            **problems,
+            "description": "errors because of which the octets are not a beacon of the profile, in wire order",
+        },
+        "warnings": {**problems, "description": "rules broken by well-formed parts, in wire order"},
     }
 
 
 def _problem() -> JSONSchema:
-    """The object of :func:`dcp_codec.jsonform.problem_json`."""
+    """Return the schema of :func:`dcp_codec.jsonform.problem_json`."""
     return {
         "title": "Problem",
-        "description": "One thing that is wrong with the octets.",
+        "description": "One problem of the octets.",
         "type": "object",
         "properties": problem_properties(nullable=True),
         "required": list(problem_properties(nullable=True)),
@@ -175,18 +180,22 @@ def _problem() -> JSONSchema:
 
 
 def problem_properties(*, nullable: bool) -> dict[str, JSONSchema]:
-    """The members of a problem; without ``nullable`` those that do not apply are meant to be left out."""
+    """Return the members of a problem; without ``nullable`` those that do not apply must be left out."""
     integer: Any = ["integer", "null"] if nullable else "integer"
     text: Any = ["string", "null"] if nullable else "string"
     return {
-        "reason": {"type": "string", "enum": [*REASONS, *WARNINGS], "description": "what is wrong, as a fixed word"},
+        "reason": {
+            "type": "string",
+            "enum": [*REASONS, *WARNINGS],
+            "description": "the kind of problem, as a fixed word",
+        },
         "path": {"type": "string", "description": "the field, with indices"},
         "offset": _integer("octet where the field starts, from the first octet of the frame", 0),
-        "needed": {"type": integer, "description": "octets, or the number, that would have been right"},
-        "available": {"type": integer, "description": "octets that there are, or the number that was found"},
+        "needed": {"type": integer, "description": "octets, or the number, that would have been correct"},
+        "available": {"type": integer, "description": "octets that are present, or the number that was found"},
         "requirement": {
             "type": text,
             "pattern": "^[A-Z]+(?:-[A-Z]+)*-[0-9]+$",
-            "description": "the rule that is broken",
+            "description": "the broken rule",
         },
     }

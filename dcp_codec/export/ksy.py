@@ -1,15 +1,15 @@
-"""The wire format of a profile for Kaitai Struct (compiler 0.11), from the plan of the profile.
+"""Export of the wire format of a profile for Kaitai Struct (compiler 0.11), from the plan of the profile.
 
-Kaitai wants names in snake_case; ``-orig-id`` has the specification's own. What the plan knows becomes:
+Kaitai requires names in snake_case; ``-orig-id`` has the name of the specification. The parts of the plan become:
 
-- a record a type, named after the record; a region of known size a substream (``size``);
-- what must hold a ``valid`` check, so that octets that the codec refuses do not parse either. Kaitai checks fields, not
-  the end of a region: where one must be used up, an empty field ``..._end`` carries the check;
-- a string or value its lengths (``len_descr``, ``len_descr_2``) and its octets, for text also ``descr_text``, which is
-  decoded when it is asked for and not before: a bad description does not make a beacon unreadable;
-- an integer of 3, 5, 6 or 7 octets a bit-sized one of 24 to 56 bits, and if it is signed a number of its own beside
-  the raw bits (``..._raw``);
-- the list inside a region a type of its own (``payload_list``), for Kaitai repeats fields, not regions.
+- a record: a type, named after the record; a region of known size: a substream (``size``);
+- a rule: a ``valid`` check, so that octets that the codec refuses do not parse either. Kaitai checks fields, not the
+  end of a region: if a region must be used up, an empty field ``..._end`` has the check;
+- a string or value: its lengths (``len_descr``, ``len_descr_2``) and its octets, for text also ``descr_text``, which is
+  decoded on access only, so that a damaged description does not make a beacon unreadable;
+- an integer of 3, 5, 6 or 7 octets: a bit-sized one of 24 to 56 bits, and if it is signed an instance for the number
+  beside the raw bits (``..._raw``);
+- the list inside a region: a separate type (``payload_list``), because Kaitai repeats fields, not regions.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _Entry = dict[str, Any]
 
 
 def kaitai_struct(codec: Codec) -> str:
-    """The ``.ksy`` of a bearer payload in the profile of ``codec``: YAML, one root type.
+    """Return the ``.ksy`` of a bearer payload in the profile of ``codec``: YAML, one root type.
 
     Raises ``ValueError`` if two members of a record would get the same Kaitai name.
     """
@@ -44,19 +44,19 @@ def kaitai_struct(codec: Codec) -> str:
 
 
 def kaitai_name(name: str) -> str:
-    """The name that a field, record or label of the specification has in Kaitai: ``"BPHeader"`` -> ``"bp_header"``."""
+    """Return the Kaitai name of a field, record or label of the specification: ``"BPHeader"`` -> ``"bp_header"``."""
     words = re.sub(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", "_", name)
     plain = re.sub(r"[^a-z0-9]+", "_", words.lower()).strip("_")
     return plain if plain[:1].isalpha() else f"f_{plain}".rstrip("_")
 
 
 def _reference(reference: str, inside: int = 0) -> str:
-    """A field reference of the plan as a Kaitai expression, ``inside`` types deeper than the plan has it."""
+    """Return a field reference of the plan as a Kaitai expression, ``inside`` types deeper than in the plan."""
     return "_parent." * inside + ".".join(kaitai_name(part) for part in reference.split("."))
 
 
 class _Builder:
-    """Collects the types of one profile. ``types`` grows while fields are made."""
+    """Collects the types of one profile. ``types`` grows while fields are generated."""
 
     def __init__(self, codec: Codec) -> None:
         self.codec = codec
@@ -64,11 +64,11 @@ class _Builder:
         self.enums: dict[str, dict[int, _Entry]] = {}
 
     def document(self) -> _Entry:
-        """The whole file, in the order in which Kaitai's style guide wants its sections."""
+        """Return the whole file, with its sections in the order of Kaitai's style guide."""
         profile, plan = self.codec.profile, self.codec.beacon_plan
         assert isinstance(plan, Group)
         root = self.record(plan)
-        padding = {"id": "padding", "size-eos": True, "doc": "what the link puts behind a short beacon"}
+        padding = {"id": "padding", "size-eos": True, "doc": "padding that the link adds to a short beacon"}
         root["seq"].append(padding)
         notes = textwrap.fill(" ".join(profile.notes.split()), _LINE)
         return {
@@ -89,7 +89,7 @@ class _Builder:
     # -- types ------------------------------------------------------------------------------------------------
 
     def record(self, group: Group) -> _Entry:
-        """The body of a type for ``group``."""
+        """Return the body of a type for ``group``."""
         body: _Entry = {"-orig-id": group.type_name, "seq": [], "instances": {}}
         if group.requirement is not None:
             body["doc-ref"] = f"{requirement(group.requirement).section} ({group.requirement})"
@@ -102,10 +102,10 @@ class _Builder:
         return _ordered(body)
 
     def type_of(self, group: Group, end: str | None = None) -> str:
-        """The name of the type of ``group``, made when first asked for; with ``end``, it must use up its region."""
+        """Return the name of the type of ``group``, generated on first use; with ``end``, it must use up its region."""
         name = kaitai_name(group.type_name)
         if name not in self.types:
-            # Reserve the place: an outer type stands before the types of its members.
+            # Reserve the position: an outer type precedes the types of its members.
             self.types[name] = {}
             body = self.record(group)
             if end is not None:
@@ -114,14 +114,14 @@ class _Builder:
         return name
 
     def list_type(self, name: str, entry: _Entry, checks: list[_Entry]) -> str:
-        """A type that holds nothing but a list."""
+        """Generate a type that contains only a list; return its name."""
         self.types.setdefault(name, {"seq": [entry, *checks]})
         return name
 
     # -- members ----------------------------------------------------------------------------------------------
 
     def member(self, node: Node, body: _Entry) -> None:
-        """Append what ``node`` is to the fields and instances of a type."""
+        """Append the fields and instances of ``node`` to those of a type."""
         seq: list[_Entry] = body["seq"]
         match node:
             case Scalar():
@@ -145,7 +145,7 @@ class _Builder:
                 raise TypeError("a record of fixed size needs a region around it")
 
     def naming(self, node: Node, name: str | None = None) -> _Entry:
-        """What every field says about itself."""
+        """Return the documentation keys that every field has."""
         entry: _Entry = {"id": name or kaitai_name(node.name), "-orig-id": node.name, "doc": meaning(node)}
         if unit := unit_of(node, self.codec.profile):
             entry["-unit"] = unit
@@ -154,7 +154,7 @@ class _Builder:
         return entry
 
     def scalar(self, node: Scalar, name: str, body: _Entry) -> None:
-        """A field of fixed size, and the number that it is if Kaitai cannot read that directly."""
+        """Append a field of fixed size, and an instance for its value if Kaitai cannot read the value directly."""
         entry = self.naming(node, name)
         if node.kind == "bytes":
             body["seq"].append({**entry, "size": node.size})
@@ -186,7 +186,7 @@ class _Builder:
         return name
 
     def text(self, node: Text, body: _Entry) -> None:
-        """Lengths, octets, and a NUL where there is one."""
+        """Append lengths, octets, and a NUL if there is one."""
         name = kaitai_name(node.name)
         lengths = [
             f"len_{name}" if number == 1 else f"len_{name}_{number}" for number in range(1, len(node.prefixes) + 1)
@@ -211,18 +211,18 @@ class _Builder:
     # -- lists and regions ------------------------------------------------------------------------------------
 
     def repeated(self, node: Many, inside: int) -> _Entry:
-        """A list of records of one type."""
+        """Return a list of records of one type."""
         entry = {**self.naming(node), "type": self.type_of(node.element)}
         return {**entry, **self.repetition(node, inside)}
 
     def repetition(self, node: Many, inside: int) -> _Entry:
         if node.count is None:
-            # "until" looks behind an element, so there is at least one.
+            # "until" is tested after an element, so there is at least one.
             return {"repeat": "until", "repeat-until": "_io.eof"} if node.nonempty else {"repeat": "eos"}
         return {"repeat": "expr", "repeat-expr": _reference(node.count, inside)}
 
     def chosen_lists(self, node: Select, inside: int) -> _Entry:
-        """A choice among lists that are counted by the same field: the choice is made for each element."""
+        """Return a choice among lists that are counted by the same field: the choice is made for each element."""
         lists = [case for case in node.cases.values() if isinstance(case, Many)]
         if len(lists) != len(node.cases) or len({case.count for case in lists}) != 1 or node.default is not None:
             raise TypeError("a choice without a size must be one among lists")
@@ -236,7 +236,7 @@ class _Builder:
         return {**self.naming(node), "type": switch, **self.repetition(lists[0], inside)}
 
     def region(self, node: Region) -> _Entry:
-        """A substream and what fills it."""
+        """Return a substream and its content."""
         entry = {**self.naming(node), "size": _reference(node.length)}
         content = node.content
         if isinstance(content, Select) and content.default is not None:
@@ -245,7 +245,7 @@ class _Builder:
         return {**entry, "type": self.filling(content)}
 
     def filling(self, node: Node) -> str:
-        """The type of a content that must use up its region."""
+        """Return the type of a content that must use up its region."""
         match node:
             case Many():
                 checks = []
@@ -266,7 +266,7 @@ class _Builder:
 
 
 def _check(name: str, expression: str, doc: str) -> _Entry:
-    """A field of no octets that only checks."""
+    """Return a field of no octets that only has a check."""
     return {"id": name, "size": 0, "valid": {"expr": expression}, "doc": doc}
 
 

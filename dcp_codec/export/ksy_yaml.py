@@ -1,4 +1,4 @@
-"""YAML as people write ``.ksy`` files: in the given order, with hexadecimal numbers and texts of several lines."""
+"""YAML in the style of ``.ksy`` files: in the given order, with hexadecimal numbers and block texts."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ class Hex(int):
 
 
 class _Dumper(yaml.SafeDumper):
-    """Dumper with the representations below; repeated values are written out again instead of referred to."""
+    """Dumper with the representations below; it repeats equal values instead of using aliases."""
 
     def ignore_aliases(self, data: Any) -> bool:  # noqa: ARG002 - the signature is PyYAML's
         return True
@@ -35,6 +35,6 @@ _Dumper.add_representer(str, _text)
 
 
 def dump(document: dict[str, Any], remark: str) -> str:
-    """The text of a document, behind a comment of one line."""
+    """Return the text of a document, after a comment of one line."""
     text: str = yaml.dump(document, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=120)
     return f"# {' '.join(remark.split())}\n{text}"

@@ -1,6 +1,6 @@
-"""A Wireshark dissector for a profile: Lua for Wireshark and tshark 4.x.
+"""Export of a Wireshark dissector for a profile: Lua for Wireshark and tshark 4.x.
 
-Names for display filters follow one rule: the path of the field in our JSON without indices, behind ``dcp.``::
+Names for display filters follow one rule: the path of the field in our JSON without indices, after ``dcp.``::
 
     bp.senderId                            dcp.bp.senderId
     payloads[1].vardis[0].icType           dcp.payloads.vardis.icType
@@ -9,13 +9,13 @@ Names for display filters follow one rule: the path of the field in our JSON wit
     padding                                dcp.padding (its number of octets)
     errors[0].reason, errors[0].offset     dcp.errors.reason, dcp.errors.offset (from the start of the frame)
 
-A record or an element of a list can be asked for, too (``dcp.payloads.srp``). A string or value is its octets; the
-lengths in front of them are ``....value.length`` (and ``length2``), a final NUL ``....terminator``. A time stamp that
-counts from 1970 stays the integer that it is and has ``....date`` below it. Every problem is also expert information,
+Records and elements of lists have names, too (``dcp.payloads.srp``). A string or value has the name of its octets; the
+lengths before it are ``....value.length`` (and ``length2``), a final NUL is ``....terminator``. A time stamp that
+counts from 1970 is an integer with an additional field ``....date``. Every problem is also expert information,
 ``dcp.expert.`` and its reason.
 
-The script is the layout of the profile as Lua tables, made from its plan, and in front of an interpreter of these
-tables (``lua_walk.lua``, ``lua_show.lua``) that is the same for all profiles.
+The script contains the layout of the profile as Lua tables, generated from its plan, followed by an interpreter of
+these tables (``lua_walk.lua``, ``lua_show.lua``) that is the same for all profiles.
 """
 
 from __future__ import annotations
@@ -39,12 +39,12 @@ _PROTOCOLS = {BP_PROTID_SRP: "SRP", BP_PROTID_VARDIS: "VarDis"}
 
 
 def wireshark_dissector(codec: Codec) -> str:
-    """A self-contained Lua script that registers the protocol ``dcp`` for the profile of ``codec``.
+    """Return a self-contained Lua script that registers the protocol ``dcp`` for the profile of ``codec``.
 
-    It answers to the profile's EtherType or UDP port and is offered for "Decode As" on both. Load it with
-    ``-X lua_script:FILE`` or from the folder of personal Lua plugins. Several can be loaded: a beacon is shown by the
-    one loaded last whose layout it fits without an error, by the first if it fits none.
-    Raises ``ValueError`` if two fields of different type would have the same name.
+    It is registered for the profile's EtherType or UDP port, and for "Decode As" on both. Load it with ``-X
+    lua_script:FILE`` or from the folder of personal Lua plugins. Several can be loaded: a beacon is shown by the last
+    loaded one whose layout fits without an error, or by the first if none fits. Raises ``ValueError`` if two fields of
+    different type would have the same name.
     """
     profile = codec.profile
     layout = _Layout(profile)
@@ -73,7 +73,7 @@ def wireshark_dissector(codec: Codec) -> str:
 
 
 def filter_name(path: str) -> str:
-    """The display filter name of the field at ``path`` (a path of our JSON, with or without indices)."""
+    """Return the display filter name of the field at ``path`` (a path of our JSON, with or without indices)."""
     return "dcp." + re.sub(r"\[\d+\]", "", path)
 
 
@@ -93,12 +93,12 @@ def _profile(profile: Profile) -> dict[str, Any]:
 
 def _generated_fields() -> list[dict[str, Any]]:
     fields: list[dict[str, Any]] = [
-        {"path": "padding", "name": "padding", "type": "UINT32", "base": "DEC", "doc": "octets behind the beacon"}
+        {"path": "padding", "name": "padding", "type": "UINT32", "base": "DEC", "doc": "octets after the beacon"}
     ]
     for kind in ("errors", "warnings"):
         fields.append({"path": kind, "name": kind, "type": "NONE"})
         for name, of_type, doc in (
-            ("reason", "STRING", "what is wrong"),
+            ("reason", "STRING", "kind of problem"),
             ("path", "STRING", "the field at fault, with indices"),
             ("offset", "UINT32", "where the field starts, from the start of the frame"),
             ("needed", "UINT64", "octets or a number, depending on the reason"),
@@ -111,7 +111,7 @@ def _generated_fields() -> list[dict[str, Any]]:
 
 
 class _Layout:
-    """Collects the fields of a plan while it is turned into tables."""
+    """Collects the fields of a plan while it is converted to tables."""
 
     def __init__(self, profile: Profile) -> None:
         self.representation = profile.types.node_id.representation
@@ -119,7 +119,7 @@ class _Layout:
         self.fields: dict[str, dict[str, Any]] = {}
 
     def field(self, path: str, of_type: str, base: str | None = None, **more: Any) -> str:
-        """Register a field; one path can be met several times, as the varId of all kinds of records."""
+        """Register a field; a path may occur several times, as the varId of all record types does."""
         made = {"path": path, "name": path.rsplit(".", 1)[-1], "type": of_type, "base": base, **more}
         known = self.fields.setdefault(path, made)
         if (known["type"], known.get("base")) != (made["type"], made.get("base")):
@@ -127,7 +127,7 @@ class _Layout:
         return path
 
     def node(self, node: Node, path: str) -> dict[str, Any]:
-        """The table of ``node``, whose own path is ``path``."""
+        """Return the table of ``node``, whose own path is ``path``."""
         match node:
             case Scalar():
                 return self.scalar(node, path)
@@ -188,7 +188,7 @@ class _Layout:
         }
 
     def scalar(self, node: Scalar, path: str, of: str = "") -> dict[str, Any]:
-        """``of`` names the string or value that ``node`` is a length of."""
+        """Return the table of a scalar; ``of`` names the string or value of which ``node`` is a length."""
         of_type, base = self.wireshark_type(node)
         values = _PROTOCOLS if node.name == "protocolId" else node.names
         field = self.field(
@@ -216,7 +216,7 @@ class _Layout:
         }
 
     def wireshark_type(self, node: Scalar) -> tuple[str, str | None]:
-        """The type and number base of a ProtoField."""
+        """Return the type and number base of a ProtoField."""
         if node.kind == "float":
             return ("DOUBLE" if node.size == 8 else "FLOAT"), None
         if node.kind == "bytes":

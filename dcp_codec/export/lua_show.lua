@@ -224,7 +224,7 @@ function dcp.dissector(buf, pinfo, tree)
     local root = tree:add(dcp, buf(0, size))
     local s = { buf = buf, pos = 0, size = size, base = buf:offset(), quiet = 0, errors = {}, warnings = {}, root = root }
     local going, beacon = visit[LAYOUT.kind](s, LAYOUT, root, "", size, {})
-    -- Octets behind a message that could not be read to its end are not known to be padding.
+    -- Octets after a message that could not be read to its end need not be padding.
     local ends = going and s.pos or size
     s.sender = beacon.has.bp and text_of(beacon.has.bp, "senderId")
     each_record(beacon, function(record)
@@ -239,7 +239,7 @@ function dcp.dissector(buf, pinfo, tree)
         root:set_len(s.pos)
     end
     if ends < size then
-        root:add(F.padding, buf(ends, size - ends), size - ends):append_text(" octets behind the beacon")
+        root:add(F.padding, buf(ends, size - ends), size - ends):append_text(" octets after the beacon")
     end
     show_problems(s, "errors", s.errors)
     show_problems(s, "warnings", s.warnings)

@@ -11,15 +11,15 @@ _ESCAPES = {'"': '\\"', "\\": "\\\\", "\n": "\\n"}
 
 
 def quoted(text: str) -> str:
-    """A Lua string literal of the UTF-8 octets of ``text``; what is not printable ASCII is escaped by number."""
+    """Return a Lua string literal of the UTF-8 octets of ``text``; all except printable ASCII is escaped by number."""
     octets = text.encode(errors="replace")
     return '"' + "".join(_ESCAPES.get(chr(o), chr(o) if 32 <= o < 127 else f"\\{o:03d}") for o in octets) + '"'
 
 
 def literal(value: Any, depth: int = 0) -> str:
-    """A Lua expression for numbers, booleans, strings, sequences and mappings; members that are None are left out.
+    """Return a Lua expression for numbers, booleans, strings, sequences and mappings, without members that are None.
 
-    Tables that fit go on one line, others take a line for each member, indented by ``depth``.
+    Tables that fit are on one line, others have a line for each member, indented by ``depth``.
     """
     match value:
         case bool():

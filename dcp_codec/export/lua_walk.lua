@@ -111,7 +111,7 @@ end
 -- ------------------------------------------------------------------------------------------------------- walking
 
 -- visit[kind](s, node, tree, path, stop, scope) reads one part at s.pos, which ends at `stop` at the latest, and
--- returns whether to go on behind it, and what was found: for a field {n, text, octets, path, offset, item}, for a
+-- returns whether to continue after it, and the result: for a field {n, text, octets, path, offset, item}, for a
 -- record {type, item, has}, for a list its records.
 local visit = {}
 
@@ -121,7 +121,7 @@ local function resolve(scope, reference)
     return second ~= "" and found[second] or found
 end
 
--- A field that ends behind the region: what is there of it, without a value.
+-- A field that ends after the region: only its present octets, without a value.
 local function cut_off(s, node, tree, path, start, stop, needed, requirement, offset)
     local text = string.format("%s: cut off (%s octets)", node.name, dec(stop - start))
     local item = tree:add(s.buf(start, stop - start), text)

@@ -1,6 +1,6 @@
-"""The wire format of a profile as a Markdown document: tables with bit offsets, limits, and a beacon taken apart.
+"""Export of the wire format as a Markdown document: tables with bit offsets, limits, and an annotated beacon.
 
-GitHub renders it, and it can be read as it stands in a terminal: the columns are padded.
+The document is also readable in a terminal: the columns are padded.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ _WIDTH = 110
 
 
 def format_tables(codec: Codec) -> str:
-    """The document: profile at a glance, constants, one table for each record, limits, an example.
+    """Return the document: profile at a glance, constants, one table for each record, limits, an example.
 
-    Bit offsets count from the first bit of the record; "after F + N" is N bits behind the end of a field F whose
-    length varies.
+    Bit offsets count from the first bit of the record; "after F + N" is N bits after the end of a field F whose length
+    varies.
     """
     profile = codec.profile
     parts = [
@@ -52,7 +52,7 @@ def format_tables(codec: Codec) -> str:
         parts += [
             "## Octets without meaning",
             "Receivers ignore them. They are kept when a beacon is decoded, and are zero in beacons of our own.",
-            _table(("Record", "Field", "Octets", "What they are"), opaque),
+            _table(("Record", "Field", "Octets", "Meaning"), opaque),
         ]
     parts += [
         "## Limits and behaviour",
@@ -91,7 +91,7 @@ def _glance(codec: Codec) -> Iterator[tuple[str, ...]]:
     else:
         yield "state report", _octets(report) if report else "of varying length" if codec.report_plan else "no octets"
     node = profile.types.node_id
-    width = "text behind a length" if node.length is not None else _octets(node.width)
+    width = "text after a length" if node.length is not None else _octets(node.width)
     yield "node identifier", f"{width}, written as {node.representation}"
     stamp = next((node for group in _records(codec) for node in group.members if _is_stamp(node)), None)
     if isinstance(stamp, Scalar):
@@ -156,7 +156,7 @@ def _example(codec: Codec) -> Iterator[str]:
 
 
 def _records(codec: Codec) -> Iterator[Group]:
-    """Each record type once, in the order in which they contain each other."""
+    """Yield each record type once, outer records before inner ones."""
     seen = set()
     for node in walk(codec.beacon_plan):
         if isinstance(node, Group) and node.type_name not in seen:
@@ -174,7 +174,7 @@ def _octets(number: int) -> str:
 
 
 class _Position:
-    """A place in a record: so many bits behind its start, or behind a field whose length varies."""
+    """A position in a record: a number of bits after its start, or after a field whose length varies."""
 
     def __init__(self) -> None:
         self.behind = ""
@@ -186,7 +186,7 @@ class _Position:
         return f"after {self.behind}" + (f" + {self.bits}" if self.bits else "")
 
     def skip(self, octets: int | None, name: str) -> None:
-        """Go behind a field of ``octets``, None for one whose length varies."""
+        """Advance by a field of ``octets``; None if its length varies."""
         if octets is None:
             self.behind, self.bits = name, 0
         else:
@@ -233,7 +233,7 @@ def _varying_bits(node: Node) -> str:
 
 
 def _text(node: Text, position: _Position, tail: tuple[str, str, str]) -> Iterator[tuple[str, ...]]:
-    """A text of varying length: its lengths, its octets, its NUL."""
+    """Yield the rows of a text of varying length: its lengths, its octets, its NUL."""
     unit, about, requirement = tail
     for prefix in node.prefixes:
         order = f"{prefix.order}-endian" if prefix.size > 1 else ""
@@ -252,7 +252,7 @@ def _text(node: Text, position: _Position, tail: tuple[str, str, str]) -> Iterat
 
 
 def _contents(node: Node, group: Group) -> Iterator[tuple[str, str, str, str]]:
-    """Name, type, condition and meaning of everything that can stand in one place."""
+    """Yield name, type, condition and meaning of all alternative contents at one position."""
     match node:
         case Select():
             key = next(member for member in group.members if member.name == node.key)
@@ -284,7 +284,7 @@ def _type(scalar: Scalar) -> str:
 
 
 def _meaning(node: Node) -> str:
-    """Meaning, and what a well-formed beacon has there."""
+    """Return the meaning, and the value in a well-formed beacon if it is fixed."""
     text = meaning(node)
     if isinstance(node, Scalar) and node.rule is not None:
         text += "; not 0" if node.rule.value is None else f"; always 0x{node.rule.value:0{2 * node.size}X}"
@@ -299,7 +299,7 @@ def _link(type_name: str) -> str:
 
 
 def _table(columns: Sequence[str], rows: Any) -> str:
-    """A table whose columns are padded; a last column that is much longer than the others is not."""
+    """Return a table with padded columns; a last column that is much longer than the others is not padded."""
     cells = [[cell.replace("|", "\\|") for cell in row] for row in (columns, *rows)]
     widths = [max(len(row[index]) for row in cells) for index in range(len(columns))]
     if widths[-1] > 60:

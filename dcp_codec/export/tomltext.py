@@ -1,4 +1,4 @@
-"""TOML from plain data. The standard library only reads it, and nothing else here needs a library to write it."""
+"""Writer of TOML for plain data. The standard library only reads TOML."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ _LINE = 110
 
 
 def profile_toml(profile: Profile) -> str:
-    """A profile as a file that ``load_profile`` takes: everything is stated, nothing is taken over from another."""
+    """Return a profile as a file for ``load_profile``, with all keys and without a base profile."""
     return toml_text(msgspec.to_builtins(profile))
 
 
 def toml_text(data: Mapping[str, Any]) -> str:
-    """``data`` as a TOML document that reads back as the same data; None, which TOML has no word for, is left out.
+    """Return ``data`` as a TOML document that reads back as the same data; None is left out, since TOML has no null.
 
-    Tables that contain tables get a heading, others stand on one line. Raises ``TypeError`` for anything but
-    strings, numbers, booleans, lists and dicts with string keys.
+    Tables that contain tables get a heading, others are on one line. Raises ``TypeError`` for anything except strings,
+    numbers, booleans, lists and dicts with string keys.
     """
     return "".join(line + "\n" for line in _table(data, ())).lstrip("\n")
 
@@ -74,7 +74,7 @@ def _value(value: Any, *, spread: bool = False) -> str:
 
 
 def _string(text: str) -> str:
-    # JSON escapes the same characters in the same way, all but one.
+    # JSON has the same escapes except for this character.
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 

@@ -1,4 +1,4 @@
-"""What the exports for people say about a field: one sentence of meaning, unit and requirement."""
+"""Wording of the exports about a field: one sentence of meaning, unit and requirement."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _EPOCHS = {
 
 
 def requirement_of(node: Node) -> str | None:
-    """The requirement that a field or record follows, as far as the schema names one."""
+    """Return the requirement for a field or record, if the schema names one."""
     if not isinstance(node, Scalar | Text) and node.field_requirement is not None:
         return node.field_requirement
     if isinstance(node, Region | Exact):
@@ -24,7 +24,7 @@ def requirement_of(node: Node) -> str | None:
 
 
 def unit_of(node: Node, profile: Profile) -> str:
-    """The unit of a field, for time stamps with the instant they count from; empty without one."""
+    """Return the unit of a field, for time stamps with their epoch; empty without one."""
     unit = (node.unit or "") if isinstance(node, Scalar | Text) else ""
     if isinstance(node, Scalar) and node.role == "timestamp":
         return f"{unit} since {_EPOCHS[profile.types.timestamp.epoch]}"
@@ -32,7 +32,7 @@ def unit_of(node: Node, profile: Profile) -> str:
 
 
 def meaning(node: Node) -> str:
-    """What a field means; never empty."""
+    """Return the meaning of a field; never empty."""
     role = node.role if isinstance(node, Scalar | Text) else None
     if role == "opaque":
         return "no meaning" + (f" ({node.doc})" if node.doc else "")
@@ -63,7 +63,7 @@ def meaning(node: Node) -> str:
 
 
 def description(node: Node, profile: Profile) -> str:
-    """Meaning, unit and requirement in one line."""
+    """Return meaning, unit and requirement in one line."""
     text, unit, requirement = meaning(node), unit_of(node, profile), requirement_of(node)
     if unit:
         text += f", in {unit}"

@@ -47,23 +47,22 @@ from dcp_codec.jsonform import problem_json
 from dcp_codec.plan.layout import walk
 from dcp_codec.plan.tree import Group, Scalar
 
-#: The frame of reference that poses are in: the one that the nodes themselves use.
+#: The frame of reference of poses, which is that of the nodes.
 FRAME_ID = "dcp"
 
-#: Nodes that get a topic for their poses. An MCAP file has at most 65,535 channels, and identifiers that are text
-#: can be anything.
+#: Maximum number of nodes with a pose topic. An MCAP file has at most 65,535 channels, and textual identifiers are
+#: arbitrary.
 MAX_POSE_TOPICS = 1000
 
 _IDENTITY = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
 
 
 class DecodedChannels:
-    """A message source for ``create_capture`` and ``convert``: the DCP frames of one profile, decoded.
+    """A message source for ``create_capture`` and ``convert``: the decoded DCP frames of one profile.
 
-    Frames that are not DCP in the profile have no messages. Nothing in a frame makes it raise: a malformed frame has
-    messages for what could be read, without state reports in which something is wrong, and for each error. ``link``
-    replaces the profile's idea of where beacons are. An instance is for one file: it remembers which nodes have a
-    topic.
+    Frames that are not DCP in the profile have no messages. No frame makes it raise: a malformed frame has messages for
+    its readable parts, except damaged state reports, and one for each error. ``link`` replaces the EtherType or UDP
+    port of the profile. An instance is for one file: it remembers which nodes have a topic.
     """
 
     def __init__(self, codec: Codec, link: Link | None = None) -> None:
@@ -83,11 +82,11 @@ class DecodedChannels:
             if codec.report_plan is None:
                 name, about = ("dcp.OwnReport", "One SRP payload; this profile has no state reports.")
             self._report = _Channel("/dcp/srp", name, about, _BLOCK, columns)
-        self._problem = _Channel("/dcp/errors", "dcp.Problem", "One thing that is wrong with a frame.", _PROBLEM)
+        self._problem = _Channel("/dcp/errors", "dcp.Problem", "One problem of a frame.", _PROBLEM)
         self._poses = _Poses(codec.profile)
 
     def messages(self, frame: Frame) -> Iterator[ChannelMessage]:
-        """The messages of one frame, the beacon first; their time is the time of capture."""
+        """Yield the messages of one frame, the beacon first; their time is the time of capture."""
         dissected = self._dissector.dissect(frame)
         if isinstance(dissected, OtherTraffic):
             return
@@ -109,7 +108,9 @@ class DecodedChannels:
 
     @staticmethod
     def _damage(dissected: DissectedFrame) -> tuple[set[int], bool]:
-        """The indices of the payload blocks whose content is bad, and whether it is clear where the blocks are."""
+        """Return the indices of the payload blocks with damaged content, and whether the positions of the blocks are
+        known.
+        """
         framing = dissected.framing
         found = dissected.codec.salvage(dissected.frame.data[framing.start : framing.end])
         clear = found.beacon is not None and found.clear and found.reading == "length"
@@ -119,7 +120,7 @@ class DecodedChannels:
         self, frame: Frame, payload: dict[str, Any], block: dict[str, Any], *, sound: bool, clear: bool
     ) -> Iterator[ChannelMessage]:
         report = payload.get("srp")
-        # A bad report may say anything: a viewer would plot it, and a position would move the view.
+        # A damaged report may have any value: a viewer would plot it, and a position would move the view.
         if report is not None and self._report is not None and sound:
             yield self._report.message(frame, {**report, **block})
             if clear:
@@ -129,7 +130,7 @@ class DecodedChannels:
 
 
 class _Channel:
-    """One topic and its schema. Our ``own`` columns win over those of ``record`` that a profile calls the same."""
+    """One topic and its schema. The columns in ``own`` take precedence over equally named ones of ``record``."""
 
     def __init__(
         self,
@@ -142,7 +143,7 @@ class _Channel:
         record = record or ViewerRecord({}, [], [])
         self.topic = topic
         self.name = name
-        # Our own first, in place and in effect.
+        # First in position and in precedence.
         self.properties = {**_COMMON, **own, **record.properties, **_COMMON, **own}
         schema: JSONSchema = {
             "$schema": DRAFT,
@@ -165,7 +166,7 @@ class _Channel:
 
 
 def _fit(value: Any, schema: JSONSchema) -> Any:
-    """``value`` with the members that ``schema`` has, in its order, but those that are null or no number there."""
+    """Return the members of ``value`` that ``schema`` has, in its order, except null and invalid numbers."""
     if isinstance(value, list):
         return [_fit(each, schema["items"]) for each in value]
     if not isinstance(value, dict):
@@ -187,7 +188,7 @@ class _Poses:
         self._topics: dict[str, str] = {}
 
     def messages(self, frame: Frame, report: Mapping[str, Any]) -> Iterator[ChannelMessage]:
-        """The pose that a state report gives, unless the profile has none or a coordinate is not finite."""
+        """Yield the pose in a state report, unless the profile has none or a coordinate is not finite."""
         if not self._axes:
             return
         position = {"x": 0.0, "y": 0.0, "z": 0.0}
@@ -210,14 +211,16 @@ class _Poses:
 
 
 def pose_topic(node: str) -> str:
-    """``02:00:00:00:00:01`` -> ``/dcp/pose/02-00-00-00-00-01``: viewers' message paths have other uses for colons."""
+    """Return ``/dcp/pose/02-00-00-00-00-01`` for ``02:00:00:00:00:01``: colons have a meaning in viewers' message
+    paths.
+    """
     return "/dcp/pose/" + (re.sub(r"[^A-Za-z0-9_-]+", "-", node) or "-")
 
 
 def capture_metadata(codec: Codec, recording: Mapping[str, str] | None = None) -> dict[str, dict[str, str]]:
-    """Metadata records with which a capture explains itself: tool, specification, profile with its complete text.
+    """Return metadata records that describe a capture: tool, specification, profile with its complete text.
 
-    ``recording`` becomes a record of its own. The same arguments give the same text at any time.
+    ``recording`` becomes a separate record. The same arguments always give the same text.
     """
     profile = codec.profile
     records = {
@@ -245,7 +248,7 @@ def _time(time_ns: int) -> dict[str, int]:
 
 
 def _beacon_columns(codec: Codec) -> tuple[dict[str, JSONSchema], ViewerRecord]:
-    """The columns of a beacon: those of its header, and of its payload blocks what stands in front of the content."""
+    """Return the columns of a beacon: those of its header, and those of its block headers."""
     beacon = record_group(codec.beacon_plan)
     header = next((member for member in beacon.members if isinstance(member, Group)), None)
     payload = next(node for node in walk(beacon) if isinstance(node, Group) and node.type_name == "Payload")
@@ -260,9 +263,9 @@ def _beacon_columns(codec: Codec) -> tuple[dict[str, JSONSchema], ViewerRecord]:
             "description": "headers of the payload blocks",
             "items": {"type": "object", "title": "Payload", "properties": heading},
         },
-        "padding": _integer("octets of bearer padding behind the beacon [BP-RX-14]"),
+        "padding": _integer("octets of bearer padding after the beacon [BP-RX-14]"),
         **_ERRORS,
-        "warnings": _integer("rules that the well-formed parts of the frame break"),
+        "warnings": _integer("rules broken by well-formed parts of the frame"),
     }
     return own, viewer_record(codec, header) if header is not None else ViewerRecord({}, [], [])
 
@@ -295,8 +298,8 @@ _BLOCK: dict[str, JSONSchema] = {
 }
 
 _PROBLEM: dict[str, JSONSchema] = {
-    "severity": {"type": "string", "enum": ["error", "warning"], "description": "whether a receiver has to notice"},
-    "message": {"type": "string", "description": "all of it as one sentence"},
+    "severity": {"type": "string", "enum": ["error", "warning"], "description": "whether a receiver must detect it"},
+    "message": {"type": "string", "description": "the whole problem as one sentence"},
     **problem_properties(nullable=False),
 }
 
@@ -311,11 +314,11 @@ def _vector(title: str, about: str, axes: str, unit: str) -> JSONSchema:
     }
 
 
-#: Foxglove's schema of that name; viewers go by the name and by the members.
+#: Foxglove's schema of that name; viewers recognise it by the name and the members.
 _POSE_IN_FRAME: JSONSchema = {
     "$schema": DRAFT,
     "title": "foxglove.PoseInFrame",
-    "description": "Where a node says that it is.",
+    "description": "A position reported by a node.",
     "type": "object",
     "properties": {
         "timestamp": _TIME,
@@ -323,7 +326,7 @@ _POSE_IN_FRAME: JSONSchema = {
         "pose": {
             "type": "object",
             "title": "foxglove.Pose",
-            "description": "position, with an orientation that says nothing",
+            "description": "position; the orientation has no meaning",
             "properties": {
                 "position": _vector("foxglove.Vector3", "position from the safety data", "xyz", ", in m"),
                 "orientation": _vector("foxglove.Quaternion", "always the identity", "xyzw", ""),

@@ -1,6 +1,6 @@
-"""Layouts for Foxglove: which panels show an MCAP file of ours, as the JSON that its "Import from file" takes.
+"""Layouts for Foxglove: the panels that show one of our MCAP files, as JSON for its "Import from file".
 
-The layout is made for one file: one plot line and one colour for each node in it, and the camera where the nodes are.
+The layout is made for one file: one plot line and one colour for each node in it, and the camera near the nodes.
 """
 
 from __future__ import annotations
@@ -19,22 +19,22 @@ from dcp_codec.capture import CaptureError
 
 POSES, BEACONS = "/dcp/pose/", "/dcp/bp"
 
-#: Colours that people with any colour vision tell apart (Okabe and Ito), one node after the other.
+#: Colours for successive nodes, distinguishable with any colour vision (Okabe and Ito).
 _COLOURS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#f0e442")
-#: Poses that are looked at to find out where the nodes are.
+#: Number of poses that are read to locate the nodes.
 _LOOKED_AT = 5_000
-#: Nodes that get lines of their own in plots.
+#: Maximum number of nodes with separate lines in plots.
 _MANY = 50
-#: Metres that the camera is away from a single point, at least; and extents of the scene that it is away from it.
+#: Minimum distance of the camera in metres, and its distance in multiples of the extent of the scene.
 _LEAST, _AWAY = 10.0, 1.5
 
 Json = dict[str, Any]
 
 
 def layout_of(path: Path) -> Json:
-    """Make the layout for an MCAP file by `convert`, with decoded messages or for ROS 2.
+    """Return the layout for an MCAP file made by `convert`, with decoded messages or for ROS 2.
 
-    Raises `CaptureError` if it is no MCAP file, has no summary (it was never finished), or no messages to show.
+    Raises `CaptureError` if the file is not MCAP, has no summary (it was never finished), or no messages to show.
     """
     try:
         with path.open("rb") as stream:
@@ -56,7 +56,7 @@ def layout_of(path: Path) -> Json:
 
 
 def _positions(reader: Any, poses: Sequence[str]) -> list[Sequence[float]]:
-    """The first positions in the file."""
+    """Return the first positions in the file."""
     found: list[Sequence[float]] = []
     if not poses:
         return found
@@ -72,7 +72,7 @@ def _positions(reader: Any, poses: Sequence[str]) -> list[Sequence[float]]:
 
 
 def _senders(reader: Any) -> list[str]:
-    """The nodes that the first beacons in the file are from."""
+    """Return the senders of the first beacons in the file."""
     found: set[str] = set()
     for _, _, message in islice(reader.iter_messages(topics=[BEACONS]), _LOOKED_AT):
         sender = msgspec.json.decode(message.data).get("sender")
@@ -103,7 +103,7 @@ def _layout(
             lines = (f"{topic}.pose.position.{axis}" for topic in poses[:_MANY])
             right.append(panel("Plot", f"position-{axis}", f"{axis} in m", _plot(lines, colours.values())))
     if senders:
-        # One line for each sender: theirs are different sequences.
+        # One line for each sender: each has its own sequence.
         lines = (f'{BEACONS}{{sender=="{sender}"}}.seqno' for sender in senders)
         left.append(panel("Plot", "beacons", "Sequence numbers of beacons", _plot(lines, cycle(_COLOURS))))
     if "/dcp/vardis" in topics:
@@ -136,12 +136,12 @@ def _plot(lines: Iterable[str], colours: Iterable[str]) -> Json:
 
 
 def _label(line: str) -> str:
-    """The node that a line is about."""
+    """Return the node of a line."""
     return line.removeprefix(POSES).partition(".")[0] if line.startswith(POSES) else line.split('"')[1]
 
 
 def _stack(parts: Sequence[Any], direction: str) -> Any:
-    """Panels beside or below each other, all of the same size."""
+    """Return panels beside or below each other, all of the same size."""
     if len(parts) == 1:
         return parts[0]
     share = 100 / len(parts)
@@ -150,7 +150,7 @@ def _stack(parts: Sequence[Any], direction: str) -> Any:
 
 
 def _camera(positions: Sequence[Sequence[float]]) -> Json:
-    """A camera above the middle of the nodes that sees all of them."""
+    """Return a camera above the middle of the nodes that shows all of them."""
     axes = list(zip(*positions, strict=True)) or [(0.0,)] * 3
     middle = [(min(axis) + max(axis)) / 2 for axis in axes]
     extent = max(max(axis) - min(axis) for axis in axes)
@@ -170,5 +170,5 @@ def _camera(positions: Sequence[Sequence[float]]) -> Json:
 
 
 def layout_text(layout: Json) -> str:
-    """The layout as the text of its file."""
+    """Return the text of the layout file."""
     return json.dumps(layout, indent=2) + "\n"

@@ -1,4 +1,4 @@
-"""Reading positions back from the pose messages of MCAP files of ours."""
+"""Reading of positions from the pose messages of our MCAP files."""
 
 from __future__ import annotations
 
@@ -6,10 +6,11 @@ import struct
 
 import msgspec
 
-#: A PoseStamped in CDR: octets of encapsulation, the stamp, and the length of `frame_id`, which ends in a zero.
+#: A PoseStamped in CDR: octets of the encapsulation header, of the stamp, and the length of `frame_id`, which ends in a
+#: zero.
 _CDR_HEAD, _STAMP, _LENGTH = 4, 8, struct.Struct("<I")
 _POINT = struct.Struct("<ddd")
-#: Little-endian plain CDR, the only encoding that our bags have.
+#: Little-endian plain CDR, the only encoding in our bags.
 _CDR_LE = b"\x00\x01"
 
 
@@ -28,7 +29,9 @@ class _PoseInFrame(msgspec.Struct):
 
 
 def position_in(encoding: str, schema: str, data: bytes) -> tuple[float, float, float] | None:
-    """Return x, y, z in metres of a ``foxglove.PoseInFrame`` in JSON or a ``PoseStamped`` in CDR; None for others."""
+    """Return x, y, z in metres of a ``foxglove.PoseInFrame`` in JSON or a ``PoseStamped`` in CDR; None for other
+    schemas.
+    """
     try:
         if (encoding, schema) == ("json", "foxglove.PoseInFrame"):
             point = msgspec.json.decode(data, type=_PoseInFrame).pose.position
@@ -36,7 +39,7 @@ def position_in(encoding: str, schema: str, data: bytes) -> tuple[float, float, 
         if (encoding, schema) == ("cdr", "geometry_msgs/msg/PoseStamped") and data[:2] == _CDR_LE:
             (length,) = _LENGTH.unpack_from(data, _CDR_HEAD + _STAMP)
             at = _STAMP + _LENGTH.size + length
-            # Alignment counts from behind the encapsulation.
+            # Alignment counts from the end of the encapsulation header.
             x, y, z = _POINT.unpack_from(data, _CDR_HEAD + at + -at % 8)
             return x, y, z
     except (msgspec.MsgspecError, struct.error):

@@ -1,20 +1,20 @@
-"""EtherTypes as users write them, by one rule for all commands.
+"""Parse EtherTypes that the user gives, by one rule for all commands.
 
-``0x4953`` is hexadecimal. Without ``0x`` a number is accepted only if it can be read in one way: ``88b5`` has letters
-and is hexadecimal, ``18771`` is too long for two octets in hexadecimal and is decimal. ``4953`` could be both (0x4953
-or 0x1359) and is refused.
+``0x4953`` is hexadecimal. A number without ``0x`` is accepted only if it has one possible meaning: ``88b5`` has letters
+and is hexadecimal; ``18771`` has too many digits for two octets in hexadecimal and is decimal. ``4953`` could be 0x4953
+or 0x1359 and is refused.
 """
 
 from __future__ import annotations
 
 import re
 
-#: Smaller numbers in this field of a frame are lengths (IEEE 802.3).
+#: A smaller number in this field is a length (IEEE 802.3).
 LOWEST, HIGHEST = 0x0600, 0xFFFF
 
 
 def parse_ether_type(text: str) -> int:
-    """The EtherType that ``text`` means. Raises ValueError with what to write instead."""
+    """Return the EtherType that ``text`` stands for. Raises ValueError; its message says what to write instead."""
     text = text.strip().lower()
     readings = set()
     if re.fullmatch("0x[0-9a-f]+", text):

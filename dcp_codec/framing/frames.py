@@ -1,4 +1,4 @@
-"""Captured frames taken apart: addresses, beacon, problems and padding of each."""
+"""Dissection of captured frames: addresses, beacon, problems and padding of each frame."""
 
 from __future__ import annotations
 
@@ -32,12 +32,14 @@ class DissectedFrame:
 
     @property
     def header(self) -> Field | None:
-        """The beacon header, None if the profile sends none or nothing of it is there."""
+        """Return the beacon header; None if the profile sends no header or the frame ends before it."""
         return self.dissection.root.child("bp")
 
     @property
     def sender(self) -> str | None:
-        """The sender: the identifier in the beacon, or without one the source address of the frame."""
+        """Return the sender: the identifier in the beacon, or the source address of the frame if there is no
+        identifier.
+        """
         header = self.header
         field = header.child("senderId") if header is not None else None
         if field is not None and field.value is not None:
@@ -49,12 +51,12 @@ class DissectedFrame:
 
     @property
     def payloads(self) -> Sequence[Field]:
-        """The payload blocks."""
+        """Return the payload blocks."""
         payloads = self.dissection.root.child("payloads")
         return payloads.children if payloads is not None else ()
 
     def as_json(self) -> dict[str, Any]:
-        """The object that ``dcp-codec decode --format jsonl`` prints for this frame."""
+        """Return the JSON object that ``dcp-codec decode --format jsonl`` prints for this frame."""
         framing = self.framing
         return {
             "frame": self.frame.number,
@@ -71,23 +73,23 @@ class DissectedFrame:
 
 
 class FrameDissector:
-    """Takes captured frames apart with one codec. ``link`` replaces the profile's idea of where beacons are."""
+    """Dissects captured frames with one codec. ``link`` replaces the EtherType or UDP port of the profile."""
 
     def __init__(self, codec: Codec, link: Link | None = None, doubt: str | None = None) -> None:
-        """``doubt``: why the profile may be the wrong one; it becomes a member of the JSON of every frame."""
+        """``doubt``: the reason why the profile may be wrong; it becomes a member of the JSON object of every frame."""
         self.codec = codec
         self.link = link or codec.profile.link
         self.doubt = doubt
 
     def dissect(self, frame: Frame) -> DissectedFrame | OtherTraffic:
-        """The frame taken apart, or why it is not DCP. Never raises."""
+        """Dissect a frame, or return why it is not DCP. Never raises."""
         framing = locate(frame.data, self.link)
         if isinstance(framing, OtherTraffic):
             return framing
         return self._apart(frame, framing)
 
     def dissect_bare(self, frame: Frame) -> DissectedFrame:
-        """As :meth:`dissect` for octets that are a bearer payload without a link-layer header."""
+        """Dissect octets that are a bearer payload without a link-layer header, like :meth:`dissect`."""
         return self._apart(frame, bare(frame.data))
 
     def _apart(self, frame: Frame, framing: Framing) -> DissectedFrame:
@@ -97,5 +99,5 @@ class FrameDissector:
 
 
 def with_ether_type(link: Link, ether_type: int) -> Link:
-    """``link`` over Ethernet with another EtherType."""
+    """Return ``link`` with another EtherType; the result is always a link over Ethernet."""
     return msgspec.structs.replace(link, transport="ethernet", ether_type=ether_type)

@@ -16,7 +16,7 @@ _IPV4, _IPV6, _UDP = 0x0800, 0x86DD, 17
 
 
 class Framing(msgspec.Struct, frozen=True, gc=False):
-    """Where a bearer payload lies: ``frame[start:end]``, and the addresses in front of it (octets, None if bare)."""
+    """Location of a bearer payload, ``frame[start:end]``, and the addresses before it (octets; None: no header)."""
 
     start: int
     end: int
@@ -33,9 +33,9 @@ class OtherTraffic(msgspec.Struct, frozen=True, gc=False):
 
 
 def locate(frame: bytes, link: Link) -> Framing | OtherTraffic:
-    """Find the bearer payload of ``frame`` as ``link`` says. Never raises.
+    """Find the bearer payload of ``frame`` by the EtherType or UDP port of ``link``. Never raises.
 
-    Up to two VLAN tags are stepped over. For UDP the destination port decides; fragments are other traffic.
+    Up to two VLAN tags are skipped. For UDP the destination port decides; IP fragments are other traffic.
     """
     size = len(frame)
     if size < ETHERNET_HEADER:
@@ -72,10 +72,10 @@ def _udp_payload(frame: bytes, start: int, ether_type: int, port: int | None) ->
 
 
 def bare(octets: bytes) -> Framing:
-    """The framing of octets that are a bearer payload without a link-layer header."""
+    """Return the framing of octets that are a bearer payload without a link-layer header."""
     return Framing(0, len(octets))
 
 
 def mac(address: bytes) -> str:
-    """``b"\\2\\0\\0\\0\\0\\1"`` -> ``"02:00:00:00:00:01"``."""
+    """Format a MAC address: ``b"\2\0\0\0\0\1"`` -> ``"02:00:00:00:00:01"``."""
     return address.hex(":")

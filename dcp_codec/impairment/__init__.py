@@ -1,7 +1,7 @@
-"""Impairment of links: which frames a bad link loses, delays, repeats, reorders or corrupts. No I/O, no clock.
+"""Impairment of links: decide which frames a bad link loses, delays, duplicates, reorders or corrupts.
 
-This package is in ``dcp_codec`` because simulation and tester need the same decisions, and the tester must not import
-the node. Like ``dcp_codec.capture`` it knows nothing of DCP.
+The package does no I/O and reads no clock. It is part of ``dcp_codec`` because simulation and tester need the same
+decisions, and the tester must not import the node. Like ``dcp_codec.capture`` it does not depend on DCP.
 """
 
 from .channel import Channel, Copy, Fate

@@ -1,4 +1,4 @@
-"""One direction of a bad link: decides what becomes of each frame."""
+"""One direction of a bad link: decides the fate of each frame."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from .counters import Counters
 from .parameters import PERFECT, Impairment
 
 Event = Literal["lost", "down", "corrupted", "duplicated", "reordered"]
-#: A number of octets that no link carries.
+#: More octets than any link carries.
 _NEVER: Final = 1e18
 _NOTHING: Final[frozenset[Event]] = frozenset()
 _LOST: Final[frozenset[Event]] = frozenset({"lost"})
@@ -20,31 +20,31 @@ _DOWN: Final[frozenset[Event]] = frozenset({"down"})
 
 
 class Copy(NamedTuple):
-    """A frame that arrives: when (ns), and with which octets."""
+    """A frame that arrives: its time (ns) and its octets."""
 
     time: int
     octets: bytes
 
 
 class Fate(NamedTuple):
-    """What becomes of one frame."""
+    """The decisions about one frame."""
 
     number: int
-    """Of the frame on this channel, from 1."""
+    """Number of the frame on this channel, counted from 1."""
     copies: tuple[Copy, ...]
-    """What arrives, in the order of arrival; empty if it is lost."""
+    """The copies that arrive, in the order of arrival; empty if the frame is lost."""
     events: frozenset[Event]
-    """What the channel did to it, apart from delay."""
+    """The effects on the frame, apart from delay."""
 
 
 class Channel:
     """One direction of a link. Call :meth:`offer` for each frame, in the order of sending.
 
-    Each effect draws from a generator of its own, made from ``seed``, ``name`` and the name of the effect: another
-    delay does not change which frames are lost. For each frame that meets a link that is up the draws are: *loss* one
-    number, or with bursts two (change of state, then loss in the bad state, if ``bad`` is below 1); for a frame that is
-    not lost *corruption* (one number for each inverted bit, and one or two more), *delay* one for each copy if there is
-    jitter, *reordering* one, *duplication* one. An effect that is switched off draws nothing.
+    Each effect has its own random generator, seeded with ``seed``, ``name`` and the name of the effect, so a change of
+    the delay does not change which frames are lost. A frame that is sent while the link is up causes these draws:
+    *loss* one number, or two with bursts (transition of the state, then loss in the bad state if ``bad`` is below 1).
+    If the frame is not lost: *corruption* one number for each inverted bit and one or two more, *delay* one for each
+    copy if there is jitter, *reordering* one, *duplication* one. An effect that is switched off draws nothing.
     """
 
     def __init__(self, impairment: Impairment = PERFECT, seed: int = 1, name: str = "") -> None:
@@ -55,21 +55,21 @@ class Channel:
             _generator(seed, name, effect) for effect in ("loss", "corruption", "delay", "order", "duplication")
         )
         self._bad: bool | None = None
-        """The state of the model of Gilbert and Elliott; None before the first frame."""
+        """The state of the Gilbert-Elliott model (true: bad); None before the first frame."""
         self._losing = False
-        """Whether the last frame was lost by chance."""
+        """Whether the last frame was lost at random."""
         self._last = 0
-        """When the last frame arrives that was not held back."""
+        """The latest time of arrival of a frame that was not held back."""
         self._gap: int | None = None
-        """Octets until the next one that is corrupted; None: not drawn yet."""
+        """Octets before the next corrupted octet; None: not drawn yet."""
 
     @property
     def impairment(self) -> Impairment:
-        """What this channel does to frames."""
+        """Return the current impairment of this channel."""
         return self._impairment
 
     def change(self, impairment: Impairment) -> None:
-        """From now on do this to frames; those under way are not affected."""
+        """Replace the impairment for all later frames; frames under way are not affected."""
         if impairment.corrupt != self._impairment.corrupt:
             self._gap = None
         if impairment.bursts != self._impairment.bursts:
@@ -77,7 +77,8 @@ class Channel:
         self._impairment = impairment
 
     def offer(self, octets: bytes, now: int, start: int = 0) -> Fate:
-        """Decide about a frame that is sent at ``now`` (ns since the start, never less than at the last call).
+        """Decide the fate of a frame that is sent at ``now`` (ns since the start, not before the time of the last
+        call).
 
         Octets before ``start``, such as a header, are not corrupted.
         """
@@ -95,7 +96,7 @@ class Channel:
         if lost:
             return Fate(number, (), _LOST)
         if not (wanted.alters or wanted.delays):
-            # A frame does not overtake those that an earlier, slower quality still delays.
+            # Frames must not overtake those that an earlier impairment with a longer delay still holds.
             self._last = max(self._last, now)
             counters.copies += 1
             counters.delayed += 1
@@ -121,14 +122,14 @@ class Channel:
             return bool(wanted.loss) and self._loss.random() < wanted.loss
         draw = self._loss.random()
         if self._bad is None:
-            # The first frame meets the states with the probabilities that they have in the long run.
+            # Initial state: drawn with the stationary probabilities of the two states.
             self._bad = draw < enter / (enter + leave)
         else:
             self._bad = draw >= leave if self._bad else draw < enter
         return self._bad and (wanted.bad >= 1.0 or self._loss.random() < wanted.bad)
 
     def _arrival(self, now: int, events: set[Event]) -> int:
-        """When a copy arrives; it overtakes none that was not held back."""
+        """Return the time of arrival of a copy; it overtakes no frame except those that are held back."""
         wanted, counters = self._impairment, self.counters
         time = now + wanted.delay
         if wanted.jitter:
@@ -152,7 +153,7 @@ class Channel:
         return round(self._delay.gauss(0.0, jitter))
 
     def _corrupt(self, octets: bytes, start: int) -> bytes | None:
-        """The octets with inverted bits; None if there are none."""
+        """Return the octets with inverted bits; None if no bit is inverted."""
         wanted, size = self._impairment, len(octets) - start
         if size <= 0 or not (wanted.corrupt or wanted.corrupt_frames):
             return None
@@ -171,7 +172,9 @@ class Channel:
         return bytes(found)
 
     def _spread(self, size: int) -> Iterator[int]:
-        """Places of inverted bits in the next ``size`` octets: gaps between corrupted octets are geometric."""
+        """Yield the positions of inverted bits in the next ``size`` octets; the gaps between corrupted octets are
+        geometric.
+        """
         share, draw = self._impairment.corrupt, self._corruption
         if not share:
             return
@@ -185,14 +188,14 @@ class Channel:
 
 
 def _gap(draw: random.Random, share: float) -> int:
-    """Octets that stay unchanged before the next one that does not."""
+    """Draw the number of unchanged octets before the next corrupted one."""
     if share >= 1.0:
         return 0
-    # Bounded, since the quotient of a very small share is infinite.
+    # Bounded because the quotient is infinite for a very small share.
     return int(min(math.log(1.0 - draw.random()) / math.log1p(-share), _NEVER))
 
 
 def _generator(seed: int, name: str, effect: str) -> random.Random:
-    # A hash, since seeds of Random that are alike give first numbers that are alike.
+    # Hashed because similar seeds of Random give similar first numbers.
     digest = hashlib.sha256(f"{seed}/{name}/{effect}".encode()).digest()
     return random.Random(int.from_bytes(digest[:16], "big"))  # noqa: S311 - chance of a simulation

@@ -1,4 +1,4 @@
-"""Several stations and the links between them: who hears whom, through which impairment, and when."""
+"""Several stations and the links between them: which frames arrive where, when, and with which impairment."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .parameters import PERFECT, Impairment, ImpairmentError
 
 
 class Transit(NamedTuple):
-    """A frame arrives at ``receiver``. ``time`` and ``sent`` are ns since the start."""
+    """The arrival of a frame at ``receiver``. ``time`` and ``sent`` are ns since the start."""
 
     time: int
     sender: int
@@ -30,11 +30,11 @@ class _Flight(NamedTuple):
 
 
 class Network:
-    """Stations 0..``ports`` - 1. What one broadcasts reaches those that hear it, each over a channel of its own.
+    """Stations 0..``ports`` - 1. A broadcast reaches all stations in reach of the sender, each over its own channel.
 
     Order of calls: :meth:`broadcast` any number of times, :meth:`poll_timeout` for the time of the next arrival, and
-    :meth:`due` at that time. Each direction has its own seed (``seed`` and ``"SENDER>RECEIVER"``), so that the traffic
-    of one station does not change what becomes of another's frames.
+    :meth:`due` at that time. Each direction has its own seed (``seed`` and ``"SENDER>RECEIVER"``), so the traffic of
+    one station does not change the fate of another station's frames.
 
     Raises ``ImpairmentError`` for stations that do not exist.
     """
@@ -47,7 +47,7 @@ class Network:
         seed: int = 1,
         hears: Iterable[tuple[int, int]] | None = None,
     ) -> None:
-        """``hears``: the pairs (sender, receiver) in reach of each other; None: everybody hears everybody."""
+        """``hears``: the pairs (sender, receiver) in reach of each other; None: every station reaches every other."""
         self.ports = ports
         self._default, self._seed = default, seed
         everybody = ((a, b) for a in range(ports) for b in range(ports) if a != b)
@@ -57,7 +57,7 @@ class Network:
         self._channels = {(a, b): Channel(default, seed, f"{a}>{b}") for a, b in reach}
         self._receivers = {a: [b for each, b in reach if each == a] for a in range(ports)}
         self._own: set[tuple[int, int]] = set()
-        """The directions with a quality of their own."""
+        """Directions whose impairment was set individually."""
         self._member: dict[int, int] | None = None
         self._off: set[int] = set()
         self._flights: list[_Flight] = []
@@ -66,9 +66,9 @@ class Network:
     # -- quality -------------------------------------------------------------------------------------------------------
 
     def set(self, impairment: Impairment, sender: int | None = None, receiver: int | None = None) -> None:
-        """Change the quality of one direction, or (None, None) of all that have none of their own.
+        """Set the impairment of one direction, or with (None, None) of all directions without an individual one.
 
-        With one of the two: of all directions from this sender, or to this receiver.
+        With one of the two given: of all directions from this sender, or to this receiver.
         """
         if sender is None and receiver is None:
             self._default = impairment
@@ -83,7 +83,9 @@ class Network:
             self._channels[each].change(impairment)
 
     def partition(self, groups: Sequence[Iterable[int]]) -> None:
-        """Let frames stay within their groups; stations in no group form one more. No groups: heal."""
+        """Restrict frames to their groups; the stations in no group form another one. Without groups the partition
+        ends.
+        """
         member: dict[int, int] = {}
         for number, group in enumerate(groups, start=1):
             for station in group:
@@ -98,12 +100,12 @@ class Network:
         self._member = None
 
     def port(self, number: int, *, up: bool) -> None:
-        """Connect a station, or disconnect it: it then neither hears nor is heard."""
+        """Connect or disconnect a station; a disconnected station neither sends nor receives."""
         self._known(number)
         (self._off.discard if up else self._off.add)(number)
 
     def connected(self, sender: int, receiver: int) -> bool:
-        """Whether frames of ``sender`` can reach ``receiver`` now, apart from losses."""
+        """Return whether frames of ``sender`` can reach ``receiver`` now, apart from losses."""
         if (sender, receiver) not in self._channels or sender in self._off or receiver in self._off:
             return False
         member = self._member
@@ -112,7 +114,7 @@ class Network:
     # -- frames --------------------------------------------------------------------------------------------------------
 
     def broadcast(self, sender: int, octets: bytes, now: int, start: int = 0) -> None:
-        """``sender`` transmits at ``now`` (ns since the start, never less than at the last call).
+        """Transmit a frame of ``sender`` at ``now`` (ns since the start, not before the time of the last call).
 
         Octets before ``start`` are not corrupted.
         """
@@ -128,13 +130,13 @@ class Network:
                 self._number += 1
 
     def poll_timeout(self) -> int | None:
-        """The time of the next arrival in ns since the start; None if nothing is under way."""
+        """Return the time of the next arrival in ns since the start; None if no frame is under way."""
         return self._flights[0].time if self._flights else None
 
     def due(self, now: int) -> list[Transit]:
-        """What arrives until ``now``, by time, then in the order of sending.
+        """Return the arrivals up to ``now``, by time, then in the order of sending.
 
-        A frame whose receiver has been disconnected in the meantime is lost (``down``).
+        A frame is lost (``down``) if its receiver was disconnected while the frame was under way.
         """
         found = []
         while self._flights and self._flights[0].time <= now:
@@ -148,11 +150,11 @@ class Network:
         return found
 
     def of(self, sender: int, receiver: int) -> Counters:
-        """The counters of one direction."""
+        """Return the counters of one direction."""
         return self._channels[sender, receiver].counters
 
     def counters(self) -> dict[str, Any]:
-        """The counters of all directions by ``"SENDER>RECEIVER"``, as plain data for JSON."""
+        """Return the counters of all directions by ``"SENDER>RECEIVER"``, as plain data for JSON."""
         return {f"{a}>{b}": msgspec.to_builtins(each.counters) for (a, b), each in self._channels.items()}
 
     def _known(self, *stations: int) -> None:

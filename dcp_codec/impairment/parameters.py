@@ -1,4 +1,4 @@
-"""The parameters of a bad link, one direction."""
+"""Parameters of a bad link, for one direction."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ class ImpairmentError(ValueError):
 
 
 class Outage(msgspec.Struct, frozen=True, order=True):
-    """A time in which the link is down, in ns since the start. ``period`` repeats it; 0: once."""
+    """An interval in which the link is down, in ns since the start. ``period`` repeats it; 0: it occurs once."""
 
     start: int
     duration: int
     period: int = 0
 
     def covers(self, time: int) -> bool:
-        """Whether the link is down at ``time`` (ns since the start)."""
+        """Return whether the link is down at ``time`` (ns since the start)."""
         since = time - self.start
         if since < 0:
             return False
@@ -34,26 +34,27 @@ class Outage(msgspec.Struct, frozen=True, order=True):
 
 
 class Impairment(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What a link does to the frames of one direction. Shares are 0..1, times are ns.
+    """The effects of a link on the frames of one direction. Shares are 0..1, times are ns.
 
-    Loss is independent (``loss``), or comes in bursts by the model of Gilbert and Elliott: in the bad state a frame is
-    lost with probability ``bad``, in the good state never. ``p`` and ``r`` are the probabilities, for each frame, of
-    going from good to bad and back; ``loss`` with ``burst`` (mean number of frames in the bad state) gives both.
+    Loss is independent (``loss``), or occurs in bursts (Gilbert-Elliott model): a frame is lost with probability
+    ``bad`` in the bad state and never in the good state. ``p`` and ``r`` are the probabilities per frame of the
+    transitions from good to bad and back; ``loss`` with ``burst`` (mean number of frames in the bad state) determines
+    both.
 
-    A frame takes ``delay`` and a part that ``distribution`` draws: uniform in 0..``jitter``, exponential with the mean
-    ``jitter``, or normal around ``delay`` with the standard deviation ``jitter``, never less than 0. A frame does not
-    overtake an earlier one unless that one is held back for another ``reorder_delay``, which happens to a share
-    ``reorder``. A share ``duplicate`` arrives twice; the second copy has a delay of its own.
+    The delay of a frame is ``delay`` plus a random part with the given ``distribution``: uniform in 0..``jitter``,
+    exponential with the mean ``jitter``, or normal around ``delay`` with the standard deviation ``jitter``, never less
+    than 0. A share ``reorder`` of the frames is held back for another ``reorder_delay``; only such a frame is overtaken
+    by later ones. A share ``duplicate`` arrives twice; the delay of the second copy is drawn separately.
 
-    ``corrupt`` is the probability that one bit of an octet is inverted, for each octet; ``corrupt_frames`` the
-    share of frames in which ``flips`` different bits are inverted.
+    ``corrupt`` is the probability, for each octet, that one of its bits is inverted; ``corrupt_frames`` is the share of
+    frames in which ``flips`` different bits are inverted.
 
-    Raises ``ImpairmentError`` for values out of range or that contradict each other.
+    Raises ``ImpairmentError`` if a value is out of range or two values contradict each other.
     """
 
     loss: float = 0.0
     burst: float = 0.0
-    """Mean number of frames of a burst, at least 1; 0: losses are independent."""
+    """Mean number of frames in a burst, at least 1; 0: losses are independent."""
     p: float = 0.0
     r: float = 0.0
     bad: float = 1.0
@@ -75,7 +76,7 @@ class Impairment(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
                 raise ImpairmentError(f"{name}: {value:g} is not within 0..1")
         for name in _TIMES:
             if getattr(self, name) < 0:
-                raise ImpairmentError(f"{name}: a time is not negative")
+                raise ImpairmentError(f"{name}: a time must not be negative")
         if self.flips < 1:
             raise ImpairmentError(f"flips: {self.flips} is not at least 1")
         for each in self.down:
@@ -112,33 +113,33 @@ class Impairment(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
     @property
     def bursts(self) -> tuple[float, float]:
-        """The probabilities ``p`` and ``r`` of the two states; (0, 0) for independent losses."""
+        """Return the transition probabilities ``p`` and ``r``; (0, 0) for independent losses."""
         if self.p:
             return self.p, self.r
         return (self._entry(), 1.0 / self.burst) if self.burst else (0.0, 0.0)
 
     @property
     def mean_loss(self) -> float:
-        """The share of frames that is lost in the long run, without those of outages."""
+        """Return the share of frames lost in the long run; outages are not counted."""
         return self.bad * self.p / (self.p + self.r) if self.p else self.loss
 
     @property
     def perfect(self) -> bool:
-        """Whether frames pass unchanged and at once."""
+        """Return whether frames pass unchanged and without delay."""
         return not (self.mean_loss or self.down or self.alters or self.delays)
 
     @property
     def alters(self) -> bool:
-        """Whether frames can arrive corrupted, twice or in another order."""
+        """Return whether frames can arrive corrupted, duplicated or in another order."""
         return bool(self.duplicate or self.reorder or self.corrupt or self.corrupt_frames)
 
     @property
     def delays(self) -> bool:
-        """Whether frames take time, apart from those that are held back."""
+        """Return whether frames are delayed, apart from frames that are held back for reordering."""
         return bool(self.delay or self.jitter)
 
     def only_delays(self) -> Impairment:
-        """The same delay and jitter, and nothing else."""
+        """Return an impairment with the same delay and jitter, without all other effects."""
         return Impairment(delay=self.delay, jitter=self.jitter, distribution=self.distribution)
 
 

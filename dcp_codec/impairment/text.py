@@ -1,4 +1,4 @@
-"""The text form of impairment (``loss=0.1,delay=5ms``) and its table form (TOML, JSON), which has the same keys."""
+"""Text form of impairments (``loss=0.1,delay=5ms``), and the table form (TOML, JSON) with the same keys."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ KEYS: Final = (*_NUMBERS, *_TIMES, "distribution", "flips", "down")
 
 
 def parse_impairment(text: str) -> Impairment:
-    """Impairment from ``KEY=VALUE,KEY=VALUE``; the empty text is a perfect link.
+    """Parse ``KEY=VALUE,KEY=VALUE``; the empty text is a perfect link.
 
-    Times have a unit: ``ns``, ``us``, ``ms`` or ``s``. ``down=START+DURATION`` or ``down=START+DURATION/PERIOD`` may
+    Times have a unit: ``ns``, ``us``, ``ms`` or ``s``. ``down=START+DURATION`` and ``down=START+DURATION/PERIOD`` may
     be given several times. Raises ``ImpairmentError`` with the key and the reason.
     """
     found: dict[str, Any] = {}
@@ -32,14 +32,14 @@ def parse_impairment(text: str) -> Impairment:
         if key == "down":
             found.setdefault("down", []).append(value)
         elif key in found:
-            raise ImpairmentError(f"{key}: it is given twice")
+            raise ImpairmentError(f"{key}: the key is given twice")
         else:
             found[key] = value
     return impairment_of(found)
 
 
 def impairment_of(table: Mapping[str, Any]) -> Impairment:
-    """Impairment from a table with the keys of the text form: shares as numbers, times as text with a unit.
+    """Return the impairment of a table with the keys of the text form: shares as numbers, times as text with a unit.
 
     Raises ``ImpairmentError`` with the key and the reason.
     """
@@ -47,7 +47,7 @@ def impairment_of(table: Mapping[str, Any]) -> Impairment:
 
 
 def text_of(impairment: Impairment) -> str:
-    """The text form, without what has its default."""
+    """Return the text form, without keys that have their default value."""
     parts, usual = [], Impairment()
     for key in KEYS:
         value = getattr(impairment, key)
@@ -74,11 +74,11 @@ def _value(key: str, value: Any) -> Any:
     if key == "flips":
         number = _number(key, value)
         if number != int(number):
-            raise ImpairmentError(f"flips: {value} is no whole number")
+            raise ImpairmentError(f"flips: {value} is not an integer")
         return int(number)
     if key == "down":
         return tuple(map(_outage, value if isinstance(value, list | tuple) else [value]))
-    raise ImpairmentError(f"{key}: there is no such key; there are {', '.join(KEYS)}")
+    raise ImpairmentError(f"{key}: unknown key; the keys are {', '.join(KEYS)}")
 
 
 def _number(key: str, value: Any) -> float:
@@ -87,14 +87,14 @@ def _number(key: str, value: Any) -> float:
     except (TypeError, ValueError):
         number = math.nan
     if not math.isfinite(number):
-        raise ImpairmentError(f"{key}: {value!r} is no number")
+        raise ImpairmentError(f"{key}: {value!r} is not a number")
     return number
 
 
 def _time(key: str, value: Any) -> int:
     match = _TIME.fullmatch(value.strip()) if isinstance(value, str) else None
     if match is None:
-        raise ImpairmentError(f"{key}: {value!r} is no time; write a number and its unit, such as 5ms, 300us or 1s")
+        raise ImpairmentError(f"{key}: {value!r} is not a time; write a number and its unit, such as 5ms, 300us or 1s")
     return round(float(match[1]) * _UNITS[match[2]])
 
 
@@ -102,7 +102,7 @@ def _outage(value: Any) -> Outage:
     match = _OUTAGE.fullmatch(value.strip()) if isinstance(value, str) else None
     if match is None:
         form = "START+DURATION or START+DURATION/PERIOD, such as 10s+5s/30s"
-        raise ImpairmentError(f"down: {value!r} is no outage; write {form}")
+        raise ImpairmentError(f"down: {value!r} is not an outage; write {form}")
     period = _time("down", match["period"]) if match["period"] else 0
     return Outage(_time("down", match["start"]), _time("down", match["duration"]), period)
 

@@ -1,1 +1,1 @@
-"""Network interfaces and sockets of Linux: live capture, and what links and testers share."""
+"""Network interfaces and sockets of Linux, for live capture, links and testers."""

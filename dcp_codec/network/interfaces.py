@@ -1,6 +1,6 @@
-"""What the system says of network interfaces: which there are, whether they are up, and what they carry. Linux only.
+"""Properties of network interfaces: names, whether they are up, and their addresses. Linux only.
 
-Can be imported anywhere, so that ``--help`` works anywhere.
+The module can be imported on every system, so that ``--help`` works everywhere.
 """
 
 from __future__ import annotations
@@ -10,19 +10,19 @@ import os
 import socket
 import struct
 
-# Of <linux/sockios.h> and <linux/if.h>; the socket module has none of them.
+# From <linux/sockios.h> and <linux/if.h>; the socket module has none of them.
 _SIOCGIFFLAGS, _SIOCGIFADDR, _SIOCGIFMTU, _SIOCGIFHWADDR = 0x8913, 0x8915, 0x8921, 0x8927
 _IFF_UP = 0x1
 _LONGEST_NAME = 15
 
 
 def names() -> list[str]:
-    """The interfaces there are."""
+    """Return the names of all interfaces."""
     return [name for _, name in socket.if_nameindex()]
 
 
 def is_up(interface: str) -> bool:
-    """Whether the interface is there and switched on (it may still have no carrier)."""
+    """Return whether the interface exists and is switched on (it may still have no carrier)."""
     try:
         flags: int = struct.unpack("H", _ask(interface, _SIOCGIFFLAGS, 2))[0]
     except OSError:
@@ -31,18 +31,18 @@ def is_up(interface: str) -> bool:
 
 
 def mtu(interface: str) -> int:
-    """The longest payload of a frame in octets; raises ``OSError`` if there is no such interface."""
+    """Return the longest payload of a frame in octets. Raises ``OSError`` if there is no such interface."""
     found: int = struct.unpack("i", _ask(interface, _SIOCGIFMTU, 4))[0]
     return found
 
 
 def ipv4_address(interface: str) -> bytes:
-    """The first IPv4 address, 4 octets; raises ``OSError`` if there is none, or no such interface."""
+    """Return the first IPv4 address, 4 octets. Raises ``OSError`` if there is no address or no such interface."""
     return _ask(interface, _SIOCGIFADDR, 8)[4:]
 
 
 def hardware_address(interface: str) -> tuple[int, bytes]:
-    """Hardware type (``ARPHRD_*``) and the first six octets of the address, zeros where there is none.
+    """Return the hardware type (``ARPHRD_*``) and the first six octets of the address, zeros if it has none.
 
     Raises ``OSError`` if there is no such interface.
     """
@@ -52,12 +52,12 @@ def hardware_address(interface: str) -> tuple[int, bytes]:
 
 
 def _ask(interface: str, request: int, length: int) -> bytes:
-    """The answer of the interface to an ioctl, the octets behind its name."""
+    """Return the answer to an ioctl on the interface: the octets after its name."""
     import fcntl  # not on every system
 
     name = os.fsencode(interface)
     if len(name) > _LONGEST_NAME or b"\0" in name:
-        # The system would look at the beginning only, which may be the name of another one.
+        # The system would truncate the name, and the result may be the name of another interface.
         raise OSError(errno.ENODEV, os.strerror(errno.ENODEV), interface)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asking:
         answer = fcntl.ioctl(asking, request, struct.pack("16s24x", name))

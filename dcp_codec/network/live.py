@@ -1,6 +1,6 @@
-"""Frames as they come in on a network interface, in the shape of a capture reader.
+"""Live capture of the frames of a network interface, with the interface of a capture reader.
 
-Frames that this host sends are seen, too. Linux only.
+Frames that this host sends are captured, too. Linux only.
 """
 
 from __future__ import annotations
@@ -23,38 +23,39 @@ from dcp_codec.capture.frame import MAX_FRAME_LENGTH, CaptureProblem, Frame
 
 from . import sockets
 
-# Of <asm-generic/socket.h>; the socket module does not have it in Python 3.11.
+# From <asm-generic/socket.h>; the socket module does not have it in Python 3.11.
 _SO_ATTACH_FILTER = 26
 
-# Of <linux/filter.h>: load the 16 bits at k; skip jt or jf instructions; end with k octets of the frame.
+# From <linux/filter.h>: load the 16 bits at k; skip jt or jf instructions; end with k octets of the frame.
 _LOAD_16, _JUMP_IF_EQUAL, _RETURN = 0x28, 0x15, 0x06
 _VLAN_TAGS = (0x8100, 0x88A8)
 _IP = (0x0800, 0x86DD)
 _Program = list[tuple[int, int, int, int]]
 
-#: Seconds between looks at whether the interface has become another one.
+#: Seconds between checks whether the name belongs to another interface now.
 _LOOK = 0.5
-#: What a socket says of an interface that is down, or gone.
+#: Errors of a socket whose interface is down or removed.
 _AWAY = (errno.ENETDOWN, errno.ENODEV, errno.ENXIO, errno.ENETUNREACH)
 
 
 class LiveError(Exception):
-    """Live capture is not possible. The message says what is wrong, where, and what to do; it is for people."""
+    """Live capture is impossible. The message says what is wrong, where, and what to do."""
 
 
 def open_live(interface: str, link: Link | None, *, promiscuous: bool = True) -> LiveReader:
-    """Listen on ``interface``.
+    """Open ``interface`` for live capture.
 
-    Only frames with the EtherType of ``link`` pass the kernel's filter, for a UDP link all IP frames, and without a
-    link everything; up to two VLAN tags are stepped over. ``promiscuous``: also take frames for other stations.
+    The kernel's filter passes only frames with the EtherType of ``link``; for a UDP link it passes all IP frames,
+    without a link all frames. Up to two VLAN tags are skipped. ``promiscuous``: also capture frames to other stations.
 
-    Raises :class:`LiveError`: no such interface, one that is down or no Ethernet, no privilege, no scapy.
+    Raises :class:`LiveError` if the interface does not exist, is down or is not Ethernet, or if the privilege or scapy
+    is missing.
     """
     return LiveReader(interface, link, promiscuous=promiscuous)
 
 
 class LiveReader:
-    """Frames of one interface; an iterator and a context manager. Made by :func:`open_live`.
+    """Frames of one interface; an iterator and a context manager. Opened by :func:`open_live`.
 
     The iteration waits for frames and ends only after :meth:`close`, which may be called from another thread or a
     signal handler. While the interface is down or unplugged it waits for its return.
@@ -84,17 +85,17 @@ class LiveReader:
 
     @property
     def problems(self) -> list[CaptureProblem]:
-        """Nothing can be wrong with frames that come in."""
+        """Return no problems: live frames have none."""
         return []
 
     @property
     def metadata(self) -> Mapping[str, Mapping[str, str]]:
-        """What is known of the recording, as ``interface.0`` in a pcapng file."""
+        """Return the metadata of the recording, as ``interface.0`` in a pcapng file."""
         return {"interface.0": {"name": self.name, "linkType": "1", "resolution": "ns"}}
 
     @property
     def dropped(self) -> int:
-        """Frames that the kernel dropped so far because they were not read in time."""
+        """Return the number of frames that the kernel dropped so far because they were not read in time."""
         self._count_dropped()
         return self._dropped
 
@@ -110,18 +111,18 @@ class LiveReader:
         self.close()
 
     def close(self) -> None:
-        """End the iteration and let go of the interface. May be called at any time, from anywhere, and again."""
+        """End the iteration and release the interface. May be called at any time, from any thread, and repeatedly."""
         self._closed = True
         with contextlib.suppress(OSError):
             self._waker.send(b"\0")
-        # Whoever waits for frames lets go itself: a descriptor must not be closed while another thread waits on it.
+        # The waiting thread closes the socket itself: a descriptor must not be closed while another thread waits on it.
         if not self._reading:
             self._release()
 
     def __next__(self) -> Frame:
         self._reading = True
         try:
-            # Looked at after the mark is set, so that either we see that it is closed or close() sees us.
+            # Check after the flag is set: then either this thread sees the close, or close() sees this reader.
             while not self._closed:
                 frame = self._wait()
                 if frame is not None:
@@ -135,7 +136,7 @@ class LiveReader:
     # -- receiving --------------------------------------------------------------------------------------------------
 
     def _wait(self) -> Frame | None:
-        """The next frame, or None when there was none for a while, or the reader was closed."""
+        """Return the next frame; None if none arrived for a while or the reader was closed."""
         current = self._socket
         waiting = [self._wake] if current is None else [self._wake, current.raw]
         ready = select.select(waiting, [], [], _LOOK)[0]
@@ -154,11 +155,11 @@ class LiveReader:
 
     def _receive(self, source: sockets.EthernetSocket) -> Frame | None:
         octets, ancillary, _, (_, _, kind, _, _) = source.raw.recvmsg(sockets.LONGEST, sockets.ANCILLARY)
-        # What goes out on the loopback interface comes in there right away: once is enough.
+        # A frame sent on the loopback interface is also received there; capture it once.
         if kind == sockets.OUTGOING and source.loops:
             return None
         tag, length = sockets.tag_of(ancillary)
-        # The kernel took it out; it belongs to what was on the air.
+        # Insert the tag that the kernel removed; it was part of the frame on the medium.
         octets = octets[:12] + tag + octets[12:] if tag else octets
         self.frames_read += 1
         time_ns = sockets.stamp_of(ancillary) or time.time_ns()
@@ -172,22 +173,22 @@ class LiveReader:
     # -- the interface ----------------------------------------------------------------------------------------------
 
     def _open(self) -> None:
-        # If there is none, opening says so.
+        # A missing interface is reported when the socket is opened.
         with contextlib.suppress(OSError):
             self._index = socket.if_nametoindex(self.name)
         self._socket = _listen(self.name, self._filter, promiscuous=self._promiscuous)
 
     def _look_for_interface(self) -> None:
-        """Open anew if the name now belongs to another interface, as after a radio was unplugged and plugged in."""
+        """Reopen the socket if the name now belongs to another interface, as after a radio was replugged."""
         try:
             index = socket.if_nametoindex(self.name)
         except OSError:
-            # Gone for now: the socket would say so again and again.
+            # Removed for now; the socket would report the error again and again.
             self._let_go()
             return
         if index != self._index or self._socket is None:
             self._let_go()
-            # It may go again while we open it; then the next look finds it.
+            # The interface may disappear while it is opened; the next check finds it then.
             with contextlib.suppress(OSError, LiveError):
                 self._open()
 
@@ -208,7 +209,7 @@ class LiveReader:
 
 
 def _listen(interface: str, program: _Program, *, promiscuous: bool) -> sockets.EthernetSocket:
-    """A listening socket with a filter, and nothing in it."""
+    """Open a listening socket with a filter and an empty buffer."""
     try:
         opened = sockets.open_ethernet(interface, sockets.EVERY_ETHER_TYPE, promiscuous=promiscuous)
     except sockets.OpeningError as error:
@@ -216,7 +217,7 @@ def _listen(interface: str, program: _Program, *, promiscuous: bool) -> sockets.
     except OSError as error:
         raise LiveError(f"{interface}: this interface cannot be listened on ({error.strerror or error})") from None
     try:
-        # Nothing passes until what came in before the filter was there is thrown away.
+        # Block all frames until those that arrived before the filter was installed are discarded.
         _attach(opened.raw, [(_RETURN, 0, 0, 0)])
         with contextlib.suppress(BlockingIOError):
             while True:
@@ -230,28 +231,28 @@ def _listen(interface: str, program: _Program, *, promiscuous: bool) -> sockets.
 
 
 def _ether_types(link: Link | None) -> tuple[int, ...] | None:
-    """The EtherTypes to take, None for all."""
+    """Return the EtherTypes to capture, None for all."""
     if link is None:
         return None
     return _IP if link.transport == "udp" else (link.ether_type or 0,)
 
 
 def _program(ether_types: tuple[int, ...] | None) -> _Program:
-    """A filter program of the kernel: frames with one of these EtherTypes, also behind one or two VLAN tags.
+    """Return a kernel filter program: frames with one of these EtherTypes, also after one or two VLAN tags.
 
-    The first tag of a frame that comes in is no longer in it when the filter looks, so there may be one more.
+    The kernel removes the first tag of an incoming frame before the filter runs, so at most one more can follow.
     """
     if ether_types is None:
         return [(_RETURN, 0, 0, MAX_FRAME_LENGTH)]
     program: _Program = []
     each = len(ether_types) + len(_VLAN_TAGS)
-    # Per offset: load, compare, refuse. Taking is the last instruction of all.
+    # Per offset: load, compare, refuse. The last instruction of all accepts.
     last = 3 * (1 + each + 1)
     for offset in (12, 16, 20):
         program.append((_LOAD_16, 0, 0, offset))
         for ether_type in ether_types:
             program.append((_JUMP_IF_EQUAL, last - len(program) - 1, 0, ether_type))
-        # Behind a tag the next load is the one after this block's refusal.
+        # After a tag the next load is the instruction after this block's refusal.
         for left, tag in zip((1, 0), _VLAN_TAGS, strict=True):
             program.append((_JUMP_IF_EQUAL, left + 1 if offset < 20 else left, 0, tag))
         program.append((_RETURN, 0, 0, 0))

@@ -1,9 +1,10 @@
-"""What Linux says about sockets, and what it takes to open them: for live capture, the node's links and the tester.
+"""Sockets of Linux for live capture, the node's links and the tester.
 
-Ethernet goes through a socket that scapy opens. Octets are read from it and written to it directly: scapy's own way of
-receiving builds a packet of each frame and turns the kernel's nanoseconds into a float, its way of sending expects one.
+Ethernet goes through a socket that scapy opens. Octets are read from it and written to it directly: scapy's receive
+function builds a packet from each frame and converts the kernel's nanoseconds to a float, and its send function expects
+a packet.
 
-Can be imported anywhere; UDP works on other systems as well, without stamps and counts of losses.
+The module can be imported on every system; UDP works on other systems too, without time stamps and counts of losses.
 """
 
 from __future__ import annotations
@@ -25,23 +26,23 @@ if TYPE_CHECKING:
 
 Ancillary = list[tuple[int, int, bytes]]
 
-#: The longest datagram or frame that is read, in octets: an IP packet and what may stand in front of it. Only loopback
-#: interfaces with a larger MTU carry more than that; it comes with the flag ``CUT_OFF``.
+#: The longest datagram or frame that is read, in octets: an IP packet and the headers before it. Only loopback
+#: interfaces with a larger MTU carry longer ones; those have the flag ``CUT_OFF``.
 LONGEST = 65_600
-#: A plain number: what the enumeration of the socket module takes for one "and" is half of what receiving takes.
+#: A plain int: an "and" with the enumeration of the socket module takes half the time of a receive call.
 CUT_OFF = int(socket.MSG_TRUNC)
-#: Room for the ancillary data of one datagram: a time stamp and a VLAN tag, with something to spare.
+#: Octets for the ancillary data of one datagram: a time stamp and a VLAN tag, with a margin.
 ANCILLARY = 128
-#: Octets that may wait in the kernel, where the system allows it: some ten thousand beacons.
+#: Octets that may wait in the kernel, if the system allows it: about ten thousand beacons.
 RECEIVE_BUFFER = 16 * 1024 * 1024
-#: Octets in front of the payload of an Ethernet frame.
+#: Octets before the payload of an Ethernet frame.
 ETHERNET_HEADER = 14
-#: For a socket that is to see all that comes in, whatever its type, and also what goes out.
+#: For a socket that receives all incoming frames, whatever their type, and also outgoing ones.
 EVERY_ETHER_TYPE = 0x0003
-#: What the third item of a frame's address says: it is for another station, or it goes out.
+#: Packet types in a frame's address: addressed to another station, or outgoing.
 OTHERHOST, OUTGOING = 3, 4
 
-# Of <linux/if_packet.h>, <linux/if_ether.h>, <linux/if_arp.h>, <linux/socket.h>, <linux/in.h> and
+# From <linux/if_packet.h>, <linux/if_ether.h>, <linux/if_arp.h>, <linux/socket.h>, <linux/in.h> and
 # <asm-generic/socket.h>; the socket module has none of them in Python 3.11.
 _SOL_PACKET = 263
 _PACKET_ADD_MEMBERSHIP, _PACKET_STATISTICS, _PACKET_AUXDATA, _PACKET_MR_PROMISC = 1, 6, 8, 1
@@ -52,25 +53,27 @@ _IP_MTU, _IP_MULTICAST_ALL = 14, 49
 
 _SOL_SOCKET = socket.SOL_SOCKET
 _AUXDATA = struct.Struct("IIIHHHH")
-#: The former is as wide as the system's ``long``: two times 32 bits on a 32-bit system.
+#: The former is as wide as the system's ``long``: two 32-bit numbers on a 32-bit system.
 _STAMPS = {_SO_TIMESTAMPNS: struct.Struct("@ll"), _SO_TIMESTAMPNS_NEW: struct.Struct("qq")}
 _IP_AND_UDP_HEADERS, _LONGEST_UDP_PAYLOAD, _USUAL_MTU = 28, 65_507, 1500
 
 
 class OpeningError(Exception):
-    """A socket cannot be opened. The message says why and what to do; in front of it belongs what was to be opened."""
+    """A socket cannot be opened. The message gives the reason and the remedy; the caller prepends the name of the
+    link.
+    """
 
 
 class NoSuchInterfaceError(OpeningError):
-    """There is no interface of that name."""
+    """There is no interface with that name."""
 
 
 # -- any socket ---------------------------------------------------------------------------------------------------
 
 
 def enlarge_receive_buffer(receiver: socket.socket) -> None:
-    """Let ``RECEIVE_BUFFER`` octets wait in the kernel, or as many as the system allows (net.core.rmem_max)."""
-    # Only root may have more than the system's limit.
+    """Enlarge the kernel's buffer to ``RECEIVE_BUFFER`` octets, or to the limit of the system (net.core.rmem_max)."""
+    # Only root may exceed the system's limit.
     for option in (_SO_RCVBUFFORCE, socket.SO_RCVBUF):
         with contextlib.suppress(OSError):
             receiver.setsockopt(_SOL_SOCKET, option, RECEIVE_BUFFER)
@@ -78,7 +81,7 @@ def enlarge_receive_buffer(receiver: socket.socket) -> None:
 
 
 def stamp_of(ancillary: Ancillary) -> int:
-    """When the kernel received a datagram, in ns since 1970; 0 if it does not say."""
+    """Return the time at which the kernel received a datagram, in ns since 1970; 0 if the kernel did not report it."""
     for level, kind, data in ancillary:
         form = _STAMPS.get(kind)
         if form is not None and level == _SOL_SOCKET and len(data) == form.size:
@@ -93,22 +96,24 @@ def stamp_of(ancillary: Ancillary) -> int:
 
 
 def require_interface(interface: str) -> None:
-    """Raises :class:`NoSuchInterfaceError` if there is none of that name."""
+    """Raise :class:`NoSuchInterfaceError` if there is no interface with that name."""
     there_are = interfaces.names()
     if interface not in there_are:
         raise NoSuchInterfaceError(f"there is no such interface; there are {', '.join(there_are)}")
 
 
 def open_ethernet(interface: str, ether_type: int, *, promiscuous: bool = False, instead: str = "") -> EthernetSocket:
-    """A socket for frames with ``ether_type`` on ``interface``; with ``EVERY_ETHER_TYPE`` for all that pass there.
+    """Open a socket for frames with ``ether_type`` on ``interface``; with ``EVERY_ETHER_TYPE`` for all frames.
 
-    ``promiscuous``: also for frames to other stations. ``instead`` is what users may turn to who lack the privilege.
+    ``promiscuous``: also receive frames to other stations. ``instead`` names an alternative for users without the
+    privilege.
 
-    The kernel takes VLAN tags out of frames. For every EtherType they come as ancillary data (:func:`tag_of`), for a
-    single one not: frames of a VLAN are shown as ``OTHERHOST``, those whose tag gives a priority only as any others.
+    The kernel removes VLAN tags from frames. With ``EVERY_ETHER_TYPE`` the tags arrive as ancillary data
+    (:func:`tag_of`). With a single EtherType they do not: frames of a VLAN then have the packet type ``OTHERHOST``, and
+    frames whose tag only gives a priority look like untagged ones.
 
-    Raises :class:`OpeningError`: no such interface, one that is down or not Ethernet, no privilege, no scapy, not
-    Linux; and ``OSError`` with whatever else the system says.
+    Raises :class:`OpeningError` if the interface does not exist, is down or is not Ethernet, if the privilege or scapy
+    is missing, or on a system other than Linux; ``OSError`` for other errors of the system.
     """
     if not hasattr(socket, "AF_PACKET"):
         other = instead and f"; use {instead} instead"
@@ -124,14 +129,14 @@ def open_ethernet(interface: str, ether_type: int, *, promiscuous: bool = False,
         raw: socket.socket = opened.ins
         raw.setblocking(False)
         if promiscuous:
-            # Scapy would take the number that the interface had when scapy was imported.
+            # Scapy would use the index that the interface had when scapy was imported.
             index = socket.if_nametoindex(interface)
             raw.setsockopt(_SOL_PACKET, _PACKET_ADD_MEMBERSHIP, struct.pack("iHH8x", index, _PACKET_MR_PROMISC, 0))
         if ether_type != EVERY_ETHER_TYPE:
             raw.setsockopt(_SOL_PACKET, _PACKET_AUXDATA, 0)
         enlarge_receive_buffer(raw)
         made = EthernetSocket(opened, address, loops=hardware == _ARPHRD_LOOPBACK)
-        # While scapy opens a socket it lets next to nothing wait; what was lost then is nobody's loss.
+        # Scapy allows only a tiny buffer while it opens a socket; losses of that time must not be counted.
         made.lost()
     except OSError:
         opened.close()
@@ -140,26 +145,26 @@ def open_ethernet(interface: str, ether_type: int, *, promiscuous: bool = False,
 
 
 class EthernetSocket:
-    """Frames of one interface. Made by :func:`open_ethernet`."""
+    """A socket for the frames of one interface, opened by :func:`open_ethernet`."""
 
     def __init__(self, scapy_socket: Any, address: bytes, *, loops: bool) -> None:
         # Any, since scapy has no types.
         self._scapy = scapy_socket
         self.raw: socket.socket = scapy_socket.ins
-        """To wait for and to read from, as in ``recvmsg(LONGEST, ANCILLARY)``; not blocking."""
+        """For waiting and reading, as in ``recvmsg(LONGEST, ANCILLARY)``; not blocking."""
         self.address = address
-        """That of the interface, 6 octets."""
+        """Address of the interface, 6 octets."""
         self.loops = loops
-        """Whether what goes out comes in again, as on ``lo``."""
+        """Whether outgoing frames are received again, as on ``lo``."""
 
     @property
     def interface(self) -> str:
-        """Where it hears; empty once that was removed, also if there is another interface of that name."""
+        """Return the name of the interface; empty after its removal, even if another interface now has the name."""
         name: str = self.raw.getsockname()[0]
         return name
 
     def send(self, frame: bytes) -> None:
-        """Send a frame, from the destination address on. Raises ``OSError``."""
+        """Send a frame, which starts with the destination address. Raises ``OSError``."""
         try:
             self._scapy.outs.send(frame)
         except OSError as error:
@@ -169,20 +174,22 @@ class EthernetSocket:
             self._scapy.send(frame)
 
     def lost(self) -> int:
-        """Frames that the kernel dropped since the last call because they were not read in time. Raises ``OSError``."""
-        # Reading it sets it back to zero.
+        """Return the number of frames that the kernel dropped since the last call for lack of buffer. Raises
+        ``OSError``.
+        """
+        # Reading the counter resets it.
         drops: int = struct.unpack("II", self.raw.getsockopt(_SOL_PACKET, _PACKET_STATISTICS, 8))[1]
         return drops
 
     def close(self) -> None:
-        """Give the socket back; may be called twice."""
+        """Close the socket; may be called twice."""
         self._scapy.close()
 
 
 def tag_of(ancillary: Ancillary) -> tuple[bytes, int]:
-    """The VLAN tag that the kernel took out of a frame, 4 octets or none, and how long the frame is without it.
+    """Return the VLAN tag that the kernel removed from a frame (4 octets or none) and the frame's length without it.
 
-    The length is that of the frame, also where less of it was read; 0 if the kernel does not say.
+    The length is that of the whole frame, even if less of it was read; 0 if the kernel did not report it.
     """
     for level, kind, data in ancillary:
         if level == _SOL_PACKET and kind == _PACKET_AUXDATA and len(data) >= _AUXDATA.size:
@@ -209,7 +216,7 @@ def _packet_socket(interface: str, ether_type: int, instead: str) -> Any:
 
 
 def _raw_socket_advice() -> str:
-    """How to get the right to open raw sockets, without giving it to every program of the machine."""
+    """Return how to get the right to open raw sockets without giving it to every program of the machine."""
     python = Path(sys.executable).resolve()
     if sys.prefix != sys.base_prefix and python.is_relative_to(Path(sys.prefix).resolve()):
         return f"run as root, or give it to this virtual environment's interpreter: sudo setcap cap_net_raw+ep {python}"
@@ -223,9 +230,9 @@ def _raw_socket_advice() -> str:
 
 
 def open_udp_receiver(address: IPv4Address, port: int) -> socket.socket:
-    """A socket, not blocking, for datagrams to ``address`` and ``port``, which others on this host may have as well.
+    """Open a non-blocking socket for datagrams to ``address`` and ``port``; other programs may share the port.
 
-    If the address is a multicast group it has to be joined (:func:`join`). Raises ``OSError``, see :func:`udp_problem`.
+    A multicast group must also be joined (:func:`join`). Raises ``OSError``, see :func:`udp_problem`.
     """
     receiver = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     try:
@@ -233,13 +240,13 @@ def open_udp_receiver(address: IPv4Address, port: int) -> socket.socket:
         receiver.setsockopt(_SOL_SOCKET, socket.SO_REUSEADDR, 1)
         if sys.platform == "linux":
             receiver.setsockopt(_SOL_SOCKET, _SO_TIMESTAMPNS, 1)
-            # Only on the interface that was asked for, whatever else on this host joined the group elsewhere.
+            # Only groups on the joined interface, whatever other programs of this host have joined elsewhere.
             receiver.setsockopt(socket.IPPROTO_IP, _IP_MULTICAST_ALL, 0)
         elif hasattr(socket, "SO_REUSEPORT"):
-            # Where this is what lets several have the port; on Linux it shares datagrams out instead.
+            # On other systems this lets several programs share the port; on Linux it would distribute the datagrams.
             receiver.setsockopt(_SOL_SOCKET, socket.SO_REUSEPORT, 1)
         enlarge_receive_buffer(receiver)
-        # Bound to the address, so that nothing else to this port comes in.
+        # Bound to the address, so that datagrams to other addresses with this port do not arrive.
         receiver.bind((str(address), port))
     except OSError:
         receiver.close()
@@ -248,25 +255,25 @@ def open_udp_receiver(address: IPv4Address, port: int) -> socket.socket:
 
 
 def join(receiver: socket.socket, group: IPv4Address, interface: IPv4Address) -> None:
-    """Hear a multicast group on the interface with that address. Raises ``OSError``, EADDRINUSE if it does already."""
+    """Join a multicast group on the interface with that address. Raises ``OSError``, EADDRINUSE if already joined."""
     receiver.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, group.packed + interface.packed)
 
 
 def open_udp_sender(interface: IPv4Address, *, ttl: int, port: int = 0) -> socket.socket:
-    """A socket, not blocking, that sends out of the interface with that address, also to groups and to all.
+    """Open a non-blocking socket that sends from the interface with that address, also multicast and broadcast.
 
-    ``ttl`` is how many networks multicast may cross. ``port`` is where datagrams come from; by default one that nobody
-    else has. Raises ``OSError``, see :func:`udp_problem`.
+    ``ttl`` is the number of networks that multicast may cross. ``port`` is the source port; 0: an unused one. Raises
+    ``OSError``, see :func:`udp_problem`.
     """
     sender = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     try:
         sender.setblocking(False)
         if port:
-            # Not for a port that the system chooses: two that are willing to share may get the same.
+            # Not for a port that the system chooses: two sharing sockets may get the same one.
             sender.setsockopt(_SOL_SOCKET, socket.SO_REUSEADDR, 1)
         sender.setsockopt(_SOL_SOCKET, socket.SO_BROADCAST, 1)
         sender.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, ttl)
-        # For others on this host.
+        # For other programs on this host.
         sender.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_LOOP, 1)
         sender.bind((str(interface), port))
         sender.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, interface.packed)
@@ -277,7 +284,9 @@ def open_udp_sender(interface: IPv4Address, *, ttl: int, port: int = 0) -> socke
 
 
 def longest_udp_payload(sender: socket.socket) -> int:
-    """Octets that fit into one frame on the way to where ``sender`` is connected; the usual number where none says."""
+    """Return the octets that fit into one frame on the route to the peer of ``sender``; a default if that is
+    unknown.
+    """
     mtu = _USUAL_MTU
     if sys.platform == "linux":
         with contextlib.suppress(OSError):
@@ -286,9 +295,9 @@ def longest_udp_payload(sender: socket.socket) -> int:
 
 
 def udp_problem(error: OSError, to: IPv4Address, interface: IPv4Address, *, station: bool = False) -> str:
-    """What it means, and what to do, that sockets to ``to`` on the interface with that address cannot be had or used.
+    """Explain an error of a socket to ``to`` on the interface with that address, with the remedy.
 
-    ``station``: that ``to`` is meant to be the address of one station, not that of a group or a broadcast address.
+    ``station``: whether ``to`` should be the address of one station, not of a group or a broadcast address.
     """
     what = error.strerror or str(error)
     if error.errno in (errno.EADDRNOTAVAIL, errno.ENODEV) or (error.errno == errno.EINVAL and not station):
@@ -305,14 +314,17 @@ def udp_problem(error: OSError, to: IPv4Address, interface: IPv4Address, *, stat
 
 
 class UDPLosses:
-    """What the kernel dropped of a socket, whose own counter has 32 bits and goes on from when it was opened."""
+    """Counts the datagrams that the kernel dropped on a socket.
+
+    The kernel's counter has 32 bits and starts when the socket is opened.
+    """
 
     def __init__(self, receiver: socket.socket) -> None:
         self._receiver = receiver
         self._seen = 0
 
     def new(self) -> int:
-        """Datagrams dropped since the last call. Raises ``OSError``."""
+        """Return the number of datagrams dropped since the last call. Raises ``OSError``."""
         if sys.platform != "linux":
             return 0
         octets = self._receiver.getsockopt(_SOL_SOCKET, _SO_MEMINFO, 4 * (_MEMINFO_DROPS + 1))

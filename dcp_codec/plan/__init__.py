@@ -1,1 +1,1 @@
-"""The plan of a profile: the construct schema as a small tree, and what code generators need of it."""
+"""The plan of a profile: the construct schema as a small tree, and helpers for code generators."""

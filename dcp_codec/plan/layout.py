@@ -1,4 +1,4 @@
-"""What the generators and the interpreters of a plan share: runs of scalars, struct formats, value classes."""
+"""Helpers for the generators and interpreters of a plan: runs of scalars, struct formats, value classes."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from .tree import Fill, Group, Many, Node, Region, Scalar, Select, Text, snake
 
 
 class Packing(NamedTuple):
-    """How one run of scalars goes through ``struct``: a format, and which scalars need a second step.
+    """The ``struct`` format of one run of scalars, and the scalars that need a second step.
 
-    ``swapped[i]`` is true where scalar ``i`` is carried as octets because ``struct`` cannot express it (an odd
-    width, or an integer in the other byte order than the rest of the run).
+    ``swapped[i]`` is true if scalar ``i`` is packed as octets because ``struct`` cannot express it (an odd width, or an
+    integer in the other byte order than the rest of the run).
     """
 
     struct: struct.Struct
@@ -27,7 +27,7 @@ class Packing(NamedTuple):
 
 
 def order_of(scalars: Sequence[Scalar]) -> str | None:
-    """The byte order of a run: that of its first number of more than one octet."""
+    """Return the byte order of a run: that of its first number of more than one octet."""
     for scalar in scalars:
         if scalar.size > 1 and scalar.code and scalar.kind != "bytes":
             return scalar.order
@@ -35,7 +35,7 @@ def order_of(scalars: Sequence[Scalar]) -> str | None:
 
 
 def joins(run: Sequence[Scalar], scalar: Scalar) -> bool:
-    """Whether ``scalar`` can be packed in one ``struct`` format with ``run`` (a float cannot be swapped afterwards)."""
+    """Return whether ``scalar`` and ``run`` can share one ``struct`` format (a float cannot be swapped afterwards)."""
     order = order_of(run)
     if scalar.kind == "float":
         return order is None or order == scalar.order
@@ -43,7 +43,7 @@ def joins(run: Sequence[Scalar], scalar: Scalar) -> bool:
 
 
 def packing(run: Sequence[Scalar]) -> Packing:
-    """The struct format of a run of scalars."""
+    """Return the struct format of a run of scalars."""
     order = order_of(run) or "big"
     codes, swapped = [], []
     for scalar in run:
@@ -54,7 +54,7 @@ def packing(run: Sequence[Scalar]) -> Packing:
 
 
 def read_scalar(scalar: Scalar, octets: bytes) -> Any:
-    """The value of exactly ``scalar.size`` octets."""
+    """Return the value of exactly ``scalar.size`` octets."""
     if scalar.kind == "bytes":
         return octets
     if scalar.kind == "float":
@@ -63,13 +63,13 @@ def read_scalar(scalar: Scalar, octets: bytes) -> Any:
 
 
 def broken(scalar: Scalar, value: Any) -> bool:
-    """Whether the value of a scalar breaks its rule."""
+    """Return whether the value of a scalar breaks its rule."""
     rule = scalar.rule
     return rule is not None and (value == 0 if rule.value is None else value != rule.value)
 
 
 def read_run(source: Source, run: Sequence[Scalar], variables: Sequence[str]) -> None:
-    """Generate the reading of neighbouring scalars, which are there, from ``b[o:]`` into their variables."""
+    """Emit the reading of neighbouring scalars, which are complete, from ``b[o:]`` into their variables."""
     if len(run) <= 3 and all(each.size == 1 and each.kind == "int" and not each.signed for each in run):
         for index, variable in enumerate(variables):
             source.add(f"{variable} = b[o + {index}]" if index else f"{variable} = b[o]")
@@ -85,7 +85,7 @@ def read_run(source: Source, run: Sequence[Scalar], variables: Sequence[str]) ->
 
 
 def scalars_of(group: Group) -> list[Scalar] | None:
-    """The scalars of a group in wire order, nested groups opened; None if it has anything else."""
+    """Return the scalars of a group in wire order, with those of nested groups; None if it has other members."""
     found: list[Scalar] = []
     for member in group.members:
         if isinstance(member, Scalar):
@@ -98,7 +98,7 @@ def scalars_of(group: Group) -> list[Scalar] | None:
 
 
 def walk(node: Node) -> Iterator[Node]:
-    """Every node of a plan, parents first."""
+    """Yield every node of a plan, parents first."""
     yield node
     match node:
         case Group():
@@ -122,7 +122,7 @@ def walk(node: Node) -> Iterator[Node]:
 
 
 def references(node: Node) -> frozenset[str]:
-    """The last names of all fields that other members of a plan refer to."""
+    """Return the last names of all fields that other members of a plan refer to."""
     found: set[str] = set()
     for each in walk(node):
         match each:
@@ -144,8 +144,8 @@ def references(node: Node) -> frozenset[str]:
 class ValueTypes:
     """The value class of every record of a profile.
 
-    Made here: its SafetyData, the records that the specification does not have, and those of the specification to which
-    the profile adds fields: only they have ``extra``, so that the usual ones stay small.
+    Classes are created for its SafetyData, for records that the specification does not have, and for records of the
+    specification to which the profile adds fields. Only the latter have ``extra``, so that the usual values stay small.
     """
 
     def __init__(self, profile: Profile) -> None:
@@ -169,7 +169,7 @@ class ValueTypes:
         return self._classes[type_name]
 
     def slots(self, group: Group) -> tuple[list[str], list[Node]]:
-        """The attribute names of the value class of ``group``, and the stored members that go to ``extra``."""
+        """Return the attribute names of the value class of ``group``, and the stored members that go to ``extra``."""
         names = list(self[group.type_name].__struct_fields__)
         foreign = [
             member
@@ -179,22 +179,22 @@ class ValueTypes:
         return names, foreign
 
     def homeless(self, group: Group) -> list[str]:
-        """The attributes of the value class that this layout has no place for: they must be None (``extra``: empty)."""
+        """Return the attributes of the value class that this layout lacks: they must be None (``extra``: empty)."""
         names, foreign = self.slots(group)
         placed = {self.attribute(group, member) for member in group.members} | ({"extra"} if foreign else set())
         return [name for name in names if name not in placed]
 
     def attribute(self, group: Group, member: Node) -> str | None:
-        """The attribute of the value class that holds ``member``, or None when it is derived or goes to ``extra``."""
+        """Return the attribute of the value class that holds ``member``; None if it is derived or goes to ``extra``."""
         if isinstance(member, Scalar) and not member.stored:
             return None
-        # Fields of SafetyData have the profile's own names.
+        # Fields of SafetyData keep the profile's names.
         name = member.name if group.type_name == "SafetyData" else snake(member.name)
         return name if name in self[group.type_name].__struct_fields__ and name != "extra" else None
 
 
 def _extended(name: str, own: Sequence[OwnField]) -> type[msgspec.Struct]:
-    """The class of a record of the specification with fields of the profile: in ``extra``, and readable by name."""
+    """Create the class of a specified record with fields of the profile, kept in ``extra`` and readable by name."""
     readers = {snake(member.name): property(_Entry(place)) for place, member in enumerate(own)}
     return msgspec.defstruct(
         name,
@@ -208,7 +208,7 @@ def _extended(name: str, own: Sequence[OwnField]) -> type[msgspec.Struct]:
 
 
 class _Entry:
-    """Reads one entry of ``extra``."""
+    """Descriptor that reads one entry of ``extra``."""
 
     def __init__(self, place: int) -> None:
         self._place = place
@@ -218,7 +218,7 @@ class _Entry:
 
 
 def neutral(member: OwnField) -> int | float | bytes:
-    """What a field of the profile's own holds if nobody gives a value: zero, zero octets, or no octets."""
+    """Return the default value of a field that the profile adds: zero, zero octets, or no octets."""
     if member.opaque is not None:
         return bytes(member.opaque)
     if member.real is not None:

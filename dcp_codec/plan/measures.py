@@ -1,4 +1,4 @@
-"""How many octets the parts of a plan take, and where they stand. All sizes are octets."""
+"""Sizes and positions of the parts of a plan. All sizes are octets."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ N = TypeVar("N", Scalar, Text, Group)
 
 
 def least_size(node: Node) -> int:
-    """The size when everything of varying length is empty: contents of regions, lists, texts."""
+    """Return the size when all parts of varying length (contents of regions, lists, texts) are empty."""
     match node:
         case Scalar():
             return node.size
@@ -28,17 +28,17 @@ def least_size(node: Node) -> int:
 
 
 def record(plan: Node, type_name: str) -> Group | None:
-    """The layout of the records of a type; None if the plan has no such record."""
+    """Return the layout of the records of a type; None if the plan has no such record."""
     return next((each for each in walk(plan) if isinstance(each, Group) and each.type_name == type_name), None)
 
 
 def member(group: Group, name: str) -> Node | None:
-    """The member of a record with the specification's name; None if the layout has none."""
+    """Return the member of a record with the specification's name; None if the layout has none."""
     return next((each for each in group.members if each.name == name), None)
 
 
 def places(group: Group) -> dict[str, slice]:
-    """Where the members of a record stand, counted from its start, up to the first one of varying size."""
+    """Return the positions of the members of a record, from its start up to the first one of varying size."""
     found: dict[str, slice] = {}
     start = 0
     for each in group.members:
@@ -51,7 +51,9 @@ def places(group: Group) -> dict[str, slice]:
 
 
 def start(group: Group, name: str) -> int | None:
-    """Where a member of a record begins; None if the layout has none, or something of varying size stands before it."""
+    """Return the offset of a member in its record; None if the layout has none, or a part of varying size precedes
+    it.
+    """
     begin = 0
     for each in group.members:
         if each.name == name:
@@ -63,10 +65,10 @@ def start(group: Group, name: str) -> int | None:
 
 
 def largest(scalar: Scalar) -> int:
-    """The largest value of an integer."""
+    """Return the largest value of an integer."""
     return int((1 << (8 * scalar.size - scalar.signed)) - 1)
 
 
 def longest(text: Text) -> int | None:
-    """The longest content that the lengths before it can count; None if there are none."""
+    """Return the longest content that the lengths before it can count; None if it has no lengths."""
     return min((largest(prefix) for prefix in text.prefixes), default=None)

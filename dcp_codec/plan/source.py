@@ -1,10 +1,9 @@
-"""Generated functions: collecting source lines and turning them into code.
+"""Generated functions: collection of source lines and their compilation.
 
-The decoder, encoder and dissector of a profile are Python source that is generated when they are first used, the way
-``dataclasses`` and construct's own compiler do it: a plan interpreted field by field would be ten times slower
-(dissecting, which makes a field of everything: three times).
-Nothing from outside gets into the source: names are numbered by us, and whatever else the code needs is an object
-in its namespace.
+The decoder, encoder and dissector of a profile are Python source that is generated on first use, as ``dataclasses`` and
+construct's compiler do it. Interpreting a plan field by field would be ten times slower (a dissection, which constructs
+all fields, three times). No external text gets into the source: names are numbered, and all other objects are in the
+namespace of the code.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ from typing import Any
 
 
 class Source:
-    """Lines of a function under construction and the namespace that it will run in."""
+    """Lines of a function under construction and the namespace of the function."""
 
     def __init__(self, signature: str) -> None:
         self.lines = [f"def {signature}:"]
@@ -26,12 +25,12 @@ class Source:
         self._constants: dict[tuple[str, Any], str] = {}
 
     def fresh(self, stem: str = "v") -> str:
-        """A name that nothing else in the function has."""
+        """Return a name that is unique in the function."""
         self._names += 1
         return f"{stem}{self._names}"
 
     def constant(self, stem: str, value: Any, key: Any = None) -> str:
-        """The name under which the function reaches ``value``; equal keys share one name."""
+        """Return the name by which the function refers to ``value``; equal keys share one name."""
         if key is not None and (stem, key) in self._constants:
             return self._constants[stem, key]
         name = self.fresh(f"{stem}_")
@@ -46,7 +45,7 @@ class Source:
 
     @contextmanager
     def block(self, line: str) -> Iterator[None]:
-        """A compound statement: ``line`` and what is added inside."""
+        """Emit a compound statement: ``line`` and the lines added inside the with-block."""
         self.add(line)
         self._depth += 1
         before = len(self.lines)
@@ -56,7 +55,7 @@ class Source:
         self._depth -= 1
 
     def compile(self, title: str) -> Any:
-        """The function. ``title`` names the source in tracebacks and profiles."""
+        """Return the function. ``title`` names the source in tracebacks and profiles."""
         text = "\n".join(self.lines) + "\n"
         filename = f"<dcp_codec {title}>"
         linecache.cache[filename] = (len(text), None, text.splitlines(keepends=True), filename)

@@ -1,21 +1,22 @@
-"""Lower the construct schema of a profile to a plan: a small tree that every view of the codec is made from.
+"""Lower the construct schema of a profile to a plan: a small tree from which every view of the codec is made.
 
-Construct trees are made to be run; a plan is made to be read. The compiled decoder and encoder, the dissector, the
-exports (Wireshark, Kaitai, JSON Schema, tables) and the scapy layers all walk the plan, so the layout is written once,
+Construct trees are executable; a plan is data for other code. The compiled decoder and encoder, the dissector, the
+exports (Wireshark, Kaitai, JSON Schema, tables) and the scapy layers all walk the plan, so the layout is defined once,
 in ``dcp_spec``. Node types:
 
 ``Scalar``   fixed number of octets: integer, float or octets
-``Text``     octets of varying number behind lengths and/or before a NUL
+``Text``     octets of varying number after lengths and/or before a NUL
 ``Rest``     all octets to the end of the region
 ``Fill``     the unused rest of a fixed area
 ``Group``    a record: named members in order
 ``Many``     a list of groups, counted by a field or up to the end of the region
-``Region``   a content that must fill as many octets as a field says
+``Region``   a content that must fill the number of octets in a field
 ``Exact``    a group of fixed size that must fill its region
 ``Select``   one of several contents, chosen by a field
 
-``requirement`` is what octets break that do not fit the node; ``field_requirement`` is what speaks of a member of that
-form, where it is not the same: a record has one of its own wherever it stands. A node is equal to itself only.
+``requirement`` is the requirement that octets break if they do not fit the node. ``field_requirement`` is the
+requirement for a member of that form, if it is another one: a record has it at each of its positions. A node is equal
+only to itself.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ from dcp_spec.wire import combinators as dc
 
 @dataclass(frozen=True, slots=True)
 class Rule:
-    """What must hold for a scalar; ``value`` None means "not zero"."""
+    """Condition on the value of a scalar; ``value`` None means "not zero"."""
 
     value: int | None
     reason: str
@@ -68,13 +69,13 @@ class Scalar:
 
     @property
     def stored(self) -> bool:
-        """Whether message values carry it (constants and derived fields they do not)."""
+        """Return whether message values carry it (all scalars except constants and derived fields)."""
         return self.derived is None and (self.rule is None or self.rule.value is None)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Text:
-    """Octets of varying number; ``human`` when they are text."""
+    """Octets of varying number; ``human`` if they are text."""
 
     name: str
     prefixes: tuple[Scalar, ...]
@@ -88,7 +89,7 @@ class Text:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rest:
-    """All octets that are left in the region."""
+    """All remaining octets of the region."""
 
     name: str
     field_requirement: str | None = None
@@ -97,7 +98,7 @@ class Rest:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fill:
-    """``total`` octets less those that the field ``used`` counts."""
+    """``total`` octets minus the number in the field ``used``."""
 
     name: str
     total: int
@@ -110,7 +111,7 @@ class Fill:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Group:
-    """A record. ``type_name`` is the name of its value class, ``size`` its octets when they are always the same."""
+    """A record. ``type_name`` is the name of its value class, ``size`` its number of octets if that is fixed."""
 
     name: str
     type_name: str
@@ -123,9 +124,9 @@ class Group:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Many:
-    """A list of ``element``. ``count`` names the counting field (None: up to the end of the region);
-    ``agrees`` names a field that must equal the number of elements. ``nonempty``: up to the end of the region, but
-    never none."""
+    """A list of ``element``. ``count`` names the counting field (None: up to the end of the region); ``agrees`` names a
+    field that must equal the number of elements. ``nonempty``: up to the end of the region, with at least one element.
+    """
 
     name: str
     element: Group
@@ -140,7 +141,7 @@ class Many:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Region:
-    """``content`` in exactly as many octets as the field ``length`` says."""
+    """``content`` in exactly as many octets as the field ``length`` states."""
 
     name: str
     length: str
@@ -166,7 +167,7 @@ class Exact:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Select:
-    """The content that belongs to the value of the field ``key``; the name of a case is its label."""
+    """The content for the value of the field ``key``; the name of a case is its label."""
 
     name: str
     key: str
@@ -183,14 +184,14 @@ Node = Scalar | Text | Rest | Fill | Group | Many | Region | Exact | Select
 
 @functools.lru_cache(maxsize=1024)
 def snake(name: str) -> str:
-    """``"numPayloads"`` -> ``"num_payloads"``: field names of the specification as Python attributes."""
+    """Convert ``"numPayloads"`` to ``"num_payloads"``: field names of the specification to Python attributes."""
     return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower()
 
 
 def lower(subcon: Any, name: str = "") -> Node:
     """Return the plan of a construct schema made of the classes of ``dcp_spec.wire.combinators``.
 
-    Raises ``TypeError`` for a construct class that no view knows, so that a schema cannot grow beyond them silently.
+    Raises ``TypeError`` for a construct class that the views do not support.
     """
     match subcon:
         case dc.Field():
@@ -230,7 +231,7 @@ def lower(subcon: Any, name: str = "") -> Node:
 def _lower_field(field: dc.Field) -> Node:
     node = lower(field.subcon, field.name)
     if isinstance(node, Text):
-        # A value that is cut off in its length breaks the same rule as one cut off behind it.
+        # A value that is cut off in its length breaks the same rule as one that is cut off after it.
         node = replace(node, prefixes=tuple(replace(each, requirement=field.requirement) for each in node.prefixes))
     if isinstance(node, Scalar | Text):
         return replace(node, requirement=field.requirement, role=field.role, unit=field.unit, doc=field.docs)

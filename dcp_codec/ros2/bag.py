@@ -1,4 +1,4 @@
-"""Writing a recording as an MCAP file that ROS 2 and its tools play and read (profile ``ros2``, CDR)."""
+"""Writer of a recording as an MCAP file that ROS 2 and its tools play and read (profile ``ros2``, CDR)."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ _SECOND = 1_000_000_000
 
 
 class BagReport(msgspec.Struct, frozen=True):
-    """What was written."""
+    """Result of the conversion."""
 
-    #: Frames that were read.
+    #: Number of frames that were read.
     frames: int
     #: Messages by topic.
     messages: dict[str, int]
-    #: Beacons in which something is wrong; what is sound in them was written.
+    #: Number of beacons with a problem; their undamaged parts were written.
     damaged: int
-    #: What was wrong with the source, as in `CaptureReader.problems`.
+    #: Problems of the source, as in `CaptureReader.problems`.
     problems: tuple[CaptureProblem, ...]
 
 
@@ -47,9 +47,10 @@ def write_bag(
 ) -> BagReport:
     """Write the poses, neighbour tables and variables of a recording as ROS 2 messages.
 
-    A path as `target` is replaced when everything is written. `link` replaces the profile's idea of where beacons are,
-    `progress` is told the octets read and those in all. Raises `CaptureError` for a source that cannot be read, a
-    target that cannot be written, and times after 2038, which ROS 2 cannot say; ImportError without mcap-ros2-support.
+    A path as `target` is replaced when everything is written. `link` replaces the EtherType or UDP port of the profile;
+    `progress` is called with the octets read and the size in octets. Raises `CaptureError` for a source that cannot be
+    read, a target that cannot be written, and times after 2038, which ROS 2 cannot represent; ImportError without
+    mcap-ros2-support.
     """
     with ExitStack() as stack:
         reader = stack.enter_context(open_capture(source))
@@ -64,7 +65,7 @@ def write_bag(
                 report = _write(reader, stream, codec, link, progress)
             made.replace(path)
         except OSError as error:
-            raise CaptureError(f"{path}: can not be written: {error.strerror or error}") from error
+            raise CaptureError(f"{path}: cannot be written: {error.strerror or error}") from error
     return report
 
 
@@ -96,7 +97,7 @@ def _write(
 
     for frame in reader:
         if frame.time_ns // _SECOND > LAST_SECOND:
-            raise CaptureError(f"{reader.name}: frame {frame.number} is later than 2038, which ROS 2 cannot say")
+            raise CaptureError(f"{reader.name}: frame {frame.number} is later than 2038, which ROS 2 cannot represent")
         for message in content.messages(frame):
             add(message)
         if progress is not None and reader.frames_read % _STRIDE == 0:

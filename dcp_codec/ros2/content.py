@@ -1,4 +1,4 @@
-"""What a recording says, as the fields of ROS 2 messages."""
+"""Contents of a recording as the fields of ROS 2 messages."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from dcp_codec.values import Beacon, ExtendedSafetyData, VarCreate, VarDelete, V
 
 from .definitions import NEIGHBOURS, POSE, VARIABLE
 
-#: The frame of reference of poses: the one that the nodes themselves use.
+#: The frame of reference of poses, which is that of the nodes.
 FRAME_ID: Final = "dcp"
 NEIGHBOURS_TOPIC: Final = "/dcp/neighbours"
 VARIABLES_TOPIC: Final = "/dcp/variables"
-#: Seconds between two neighbour tables, and seconds of silence after which a node is left out of them.
+#: Seconds between two neighbour tables, and seconds without a beacon after which a node is left out of them.
 EVERY, WINDOW = 1.0, 5.0
-#: Nodes that get a topic for their poses, and nodes that a neighbour table has; garbage could name millions.
+#: Maximum number of nodes with a pose topic, and of nodes in a neighbour table; forged frames could name millions.
 MAX_NODES: Final = 1000
-#: The last second that the time stamps of ROS 2 can say (2038-01-19).
+#: The last second that ROS 2 time stamps can represent (2038-01-19).
 LAST_SECOND: Final = 2**31 - 1
 
 _SECOND = 1_000_000_000
@@ -45,15 +45,17 @@ class Message(NamedTuple):
 
 
 def pose_topic(node: str) -> str:
-    """``02:00:00:00:00:01`` -> ``/dcp/pose/n02_00_00_00_00_01``, since ROS 2 names have neither colons nor hyphens."""
+    """Return ``/dcp/pose/n02_00_00_00_00_01`` for ``02:00:00:00:00:01``: ROS 2 names have neither colons nor
+    hyphens.
+    """
     return "/dcp/pose/n" + re.sub(r"[^A-Za-z0-9]+", "_", node).rstrip("_")
 
 
 class Content:
-    """Turns the frames of one recording, in their order, into messages.
+    """Converts the frames of one recording, in their order, to messages.
 
-    Sound payloads of damaged beacons count; frames that are not DCP, and beacons of which nothing can be read, give no
-    messages. ``damaged`` counts beacons in which something is wrong.
+    Undamaged payloads of damaged beacons are used. Frames that are not DCP, and unreadable beacons, give no messages.
+    ``damaged`` counts the beacons with a problem.
     """
 
     def __init__(self, codec: Codec, link: Link | None = None) -> None:
@@ -68,7 +70,7 @@ class Content:
         self.damaged = 0
 
     def messages(self, frame: Frame) -> Iterator[Message]:
-        """The messages of one frame; a neighbour table comes first where it is due."""
+        """Yield the messages of one frame, after a neighbour table if one is due."""
         framing = locate(frame.data, self._link)
         if not isinstance(framing, Framing):
             return
@@ -88,7 +90,7 @@ class Content:
                         yield from self._record(frame, sender, record)
 
     def end(self) -> Iterator[Message]:
-        """The neighbour table at the end of the recording."""
+        """Yield the neighbour table at the end of the recording."""
         if self._heard:
             yield self._table(max(self._heard.values()))
 
@@ -103,7 +105,7 @@ class Content:
         return "" if framing.src is None else mac(framing.src)
 
     def _entry(self, node: str) -> dict[str, Any] | None:
-        """What the table has of a node; None if there are too many."""
+        """Return the table entry of a node; None if there are too many nodes."""
         if node not in self._nodes and node and len(self._nodes) < MAX_NODES:
             self._nodes[node] = {
                 "node_id": node, "last_heard": _time(0), "beacons": 0, "has_report": False, "report_seqno": 0,
@@ -123,7 +125,7 @@ class Content:
         if self._next_table is None:
             self._next_table = time_ns + every
         elif time_ns >= self._next_table:
-            # After a silence there is one table for its end, and not one for each second of it.
+            # After a silence there is one table for its end, not one for each second of it.
             yield self._table(time_ns)
             self._next_table = time_ns + every
 
@@ -151,7 +153,7 @@ class Content:
             yield Message(self._topic(node), POSE, frame.time_ns, fields)
 
     def _position(self, report: ExtendedSafetyData) -> dict[str, float] | None:
-        """The position in metres; None if there is none, or a coordinate is not finite."""
+        """Return the position in metres; None if there is none, or a coordinate is not finite."""
         if not self._axes:
             return None
         found = dict(_ORIGIN)
@@ -160,7 +162,7 @@ class Content:
         return found if all(map(math.isfinite, found.values())) else None
 
     def _topic(self, node: str) -> str:
-        """The topic of a node; identifiers that are different have different ones."""
+        """Return the topic of a node; different identifiers have different topics."""
         if node not in self._topics:
             topic, taken, number = pose_topic(node), set(self._topics.values()), 2
             while topic in taken:

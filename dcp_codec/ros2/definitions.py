@@ -1,4 +1,4 @@
-"""The ROS 2 message types of a bag, in the language of ``.msg`` files; standard ones as ROS 2 defines them."""
+"""The ROS 2 message types of a bag, as ``.msg`` definitions; standard types as ROS 2 defines them."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ bool has_position                     # whether that report has a finite Cartesi
 geometry_msgs/Point position          # in metres, in the frame of reference of the nodes
 """
 
-#: Type -> its own definition.
+#: Type -> its definition.
 _OWN: Final = {
     POSE: "std_msgs/Header header\ngeometry_msgs/Pose pose\n",
     NEIGHBOURS: """\
@@ -38,13 +38,13 @@ float32 window                        # seconds
 dcp_msgs/Neighbour[] neighbours
 """,
     VARIABLE: """\
-# One VarDis record that creates, updates or deletes a variable, as it was heard.
+# One received VarDis record that creates, updates or deletes a variable.
 uint8 CREATE=1
 uint8 UPDATE=2
 uint8 DELETE=3
 std_msgs/Header header                # stamp: time of capture; frame_id is empty
 uint64 frame                          # number of the frame in the recording, from 1
-string sender                         # node that sent the beacon; empty if it cannot be told
+string sender                         # node that sent the beacon; empty if unknown
 uint8 kind                            # CREATE, UPDATE or DELETE
 uint32 var_id
 uint32 seqno                          # CREATE, UPDATE: sequence number of the value
@@ -65,11 +65,11 @@ _DEPENDENCIES: Final = {
 
 
 def _whole(name: str) -> str:
-    """A definition with those of all types that it uses, in the form of the encoding ``ros2msg`` of MCAP."""
+    """Return a definition with those of all types that it uses, in the form of the encoding ``ros2msg`` of MCAP."""
     parts = {**_STANDARD, "dcp_msgs/Neighbour": _NEIGHBOUR}
     line = "=" * 80
     return _OWN[name] + "".join(f"{line}\nMSG: {other}\n{parts[other]}" for other in _DEPENDENCIES[name])
 
 
-#: Type -> its definition and those of all types that it uses, as the schemas in the file have them.
+#: Type -> its definition and those of all types that it uses, as in the schemas of the file.
 DEFINITIONS: Final = {name: _whole(name) for name in _OWN}

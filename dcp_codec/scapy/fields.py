@@ -1,7 +1,7 @@
-"""Scapy fields for the leaves and records of a plan. :mod:`dcp_codec.scapy.packets` puts them together.
+"""Scapy fields for the leaves and records of a plan, which :mod:`dcp_codec.scapy.packets` assembles.
 
-Every octet that was dissected lies in some field, so that building without a change gives the same octets, also for
-octets that are no valid message: what is cut off or has no value stands as :class:`Octets` in its field.
+Every dissected octet is in some field, so building without a change gives the same octets, also if they are not a valid
+message: a field that is cut off or has no value holds :class:`Octets`.
 """
 
 from __future__ import annotations
@@ -17,17 +17,18 @@ from dcp_codec.jsonform import node_id_octets, node_id_text
 from dcp_codec.plan.tree import Fill, Node, Rest, Scalar, Text
 from dcp_codec.views.fields import Field as Found
 
-#: Fuzzing draws strings of up to so many octets; more would only make frames too long for the link.
+#: Maximum length of strings in scapy's fuzzing; longer ones would only make frames too long for the link.
 _LONGEST_RANDOM = 64
 
-#: What a value that does not fit a field can raise.
+#: Exceptions for values that do not fit a field.
 _MISFITS = (TypeError, ValueError, OverflowError, struct.error)
 
 
 class Octets(RawVal):
-    """Octets that stand for themselves: a field that is cut off, or that holds what no value of it would give.
+    """Raw octets in place of a value: of a field that is cut off, or whose octets no value gives.
 
-    Like NaN it is neither less nor more than anything, so that filters on a field need not care about broken frames.
+    Like NaN they are neither less nor greater than any value, so filters on a field need no exception for broken
+    frames.
     """
 
     def __eq__(self, other: object) -> bool:
@@ -58,15 +59,15 @@ class PlanField(Field[Any, bytes]):
         super().__init__(name, default, f"{size}s")
 
     def value_octets(self, value: Any) -> bytes:
-        """The octets of a value; raises one of ``_MISFITS`` if it has none in this field."""
+        """Return the octets of a value. Raises one of ``_MISFITS`` if the value does not fit this field."""
         raise NotImplementedError
 
     def from_octets(self, octets: bytes) -> Any:
-        """The internal value of octets that the dissector found."""
+        """Return the internal value of octets that the dissector found."""
         return octets
 
     def octets(self, value: Any) -> bytes:
-        """The octets of whatever scapy may hold as the value of a field. Raises ``ValueError`` naming the field."""
+        """Return the octets of any value that scapy may keep in the field. Raises ``ValueError`` naming the field."""
         if isinstance(value, VolatileValue):
             value = value._fix()
         if isinstance(value, RawVal):
@@ -79,7 +80,9 @@ class PlanField(Field[Any, bytes]):
             ) from None
 
     def held(self, found: Found) -> Any:
-        """What the field holds for a dissected part: its value if that gives the same octets again."""
+        """Return the field content for a dissected part: its value if that gives the same octets again, else its
+        octets.
+        """
         if found.value is None:
             return Octets(found.raw)
         value = self.from_octets(found.value) if isinstance(found.value, bytes) else found.value
@@ -101,7 +104,7 @@ class PlanField(Field[Any, bytes]):
 
 
 class ScalarField(PlanField):
-    """A number, or octets of fixed number. Numbers that have names can be given and are shown by name."""
+    """A number, or a fixed number of octets. Enumerated values are set and shown by name."""
 
     __slots__ = ("names",)
 
@@ -135,7 +138,7 @@ class ScalarField(PlanField):
             return repr(x)
         if x in self.names:
             return f"{x} ({self.names[x]})"
-        # What people know in hexadecimal: the magic number, the version, the network.
+        # Usually written in hexadecimal: the magic number, the version, the network.
         known_in_hex = self.node.role == "network-id" or (self.node.rule is not None and not self.node.derived)
         return f"0x{x:0{2 * self.node.size}x}" if known_in_hex and x >= 0 else repr(x)
 
@@ -149,7 +152,7 @@ class ScalarField(PlanField):
 
 
 class NodeIdField(ScalarField):
-    """A node identifier of fixed width, held as the text that people write: ``02:00:00:00:00:01``."""
+    """A node identifier of fixed width, kept as text: ``02:00:00:00:00:01``."""
 
     __slots__ = ("representation",)
 
@@ -179,7 +182,7 @@ class OctetsField(PlanField):
         super().__init__(name, default, node)
 
     def value_octets(self, value: Any) -> bytes:
-        # A number is no octets, though Python would make that many zeros of it.
+        # bytes() of an integer would give that many zeros.
         if isinstance(value, int):
             raise TypeError("not octets")
         terminator = b"\0" if isinstance(self.node, Text) and self.node.terminated else b""
@@ -193,7 +196,7 @@ class OctetsField(PlanField):
 
 
 class NodeIdTextField(OctetsField):
-    """A node identifier that is text on the wire, too."""
+    """A node identifier that is text on the wire."""
 
     __slots__ = ()
 
@@ -216,12 +219,12 @@ class RecordField(PacketField):
     __slots__ = ()
 
     def octets(self, value: Any) -> bytes:
-        """The octets of a packet, of octets, or of None (none)."""
+        """Return the octets of a packet, of octets, or of None (none)."""
         return b"" if value is None else bytes(value)
 
 
 class RecordListField(PacketListField):
-    """Records in a row; ``Raw`` and plain octets may stand among them."""
+    """A list of records; it may also contain ``Raw`` and plain octets."""
 
     __slots__ = ()
 
@@ -229,15 +232,15 @@ class RecordListField(PacketListField):
         return super().any2i(pkt, [] if x is None else list(x) if isinstance(x, tuple) else x)
 
     def octets(self, value: Any) -> bytes:
-        """The octets of a list of packets."""
+        """Return the octets of a list of packets."""
         return b"".join(bytes(element) for element in value or ())
 
 
 class ChosenField(ConditionalField):
-    """A content that is there when the choice of the record falls on it (scapy shows no others).
+    """A content that is present if the record's choice selects it (scapy shows no others).
 
-    It reports the class of the field that it stands for, as proxies do: scapy's ``fuzz`` looks for lists of packets by
-    class and would not go into this one otherwise.
+    It reports the class of the field that it replaces, as proxies do: scapy's ``fuzz`` finds lists of packets by class
+    and would otherwise skip this one.
     """
 
     __slots__ = ()
@@ -253,7 +256,7 @@ class ChosenField(ConditionalField):
 
 
 def _bounds(node: Scalar) -> tuple[int, int]:
-    """The least and the greatest integer that a scalar holds."""
+    """Return the least and the greatest integer of a scalar."""
     values = 1 << (8 * node.size)
     return (-values // 2, values // 2 - 1) if node.signed else (0, values - 1)
 

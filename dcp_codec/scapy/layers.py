@@ -5,16 +5,15 @@
     >>> rdpcap("flight.pcap")[0][DCPBeacon].show()
     >>> sendp(Ether()/DCPBeacon(senderId="02:00:00:00:00:01", seqno=41)/VarSumm(varId=7, seqno=3), iface="uwb0")
 
-A beacon is one layer: its header fields are those of :class:`DCPBeacon`, its blocks the list ``payloads``, and further
-in ``payloads[0].srp.sData.x`` or ``payloads[1].vardis[0].records[2].seqno``: the paths that the rest of the codec
-uses, too. What is stacked on a beacon with ``/`` goes into these lists. All fields are made from the profile's plan
-(:mod:`dcp_codec.plan.tree`), so a profile of one's own needs nothing more here; until :func:`use_profile` is called it
-is
-``dcp-2.0``.
+A beacon is one layer: its header fields are those of :class:`DCPBeacon`, its blocks the list ``payloads``. Inner fields
+have the paths of the rest of the codec, such as ``payloads[0].srp.sData.x`` or
+``payloads[1].vardis[0].records[2].seqno``. Records stacked on a beacon with ``/`` go into these lists. All fields are
+made from the profile's plan (:mod:`dcp_codec.plan.tree`), so user-defined profiles need no further code. The profile is
+``dcp-2.0`` until :func:`use_profile` is called.
 
-Lengths, counts, ``protocolId`` and ``icType`` that are None are worked out when building. Everything that is given
-goes on the wire as it is, also when it is wrong; the length of a string or value is a field of its own for that
-(``valueLength``). Dissecting never raises; ``beacon.problems`` says what is wrong with it.
+Building derives lengths, counts, ``protocolId`` and ``icType`` that are None. A value that the user sets is sent
+unchanged, also a wrong one; for this purpose the length of a string or value is a separate field (``valueLength``).
+Dissecting never raises; ``beacon.problems`` lists the problems of a beacon.
 
 Importing this module imports scapy, which is licensed GPL-2.0-only.
 """
@@ -67,7 +66,7 @@ BROADCAST = "ff:ff:ff:ff:ff:ff"
 
 
 class _Layer(PlanPacket):
-    """What all layers share: records that are stacked on it with ``/`` go into its lists if there is a place."""
+    """Base of all layers: a record stacked on it with ``/`` goes into its list for that type, if it has one."""
 
     def add_payload(self, payload: Any) -> None:
         if isinstance(payload, _Layer):
@@ -83,7 +82,7 @@ class _Layer(PlanPacket):
         super().add_payload(payload)
 
     def _place(self, layer: _Layer) -> bool:  # noqa: ARG002 - most layers have no place for others
-        """Put ``layer`` where it belongs inside; False if it does not belong here."""
+        """Put ``layer`` into the matching list; return False if there is none."""
         return False
 
     def _append(self, name: str, element: Any) -> None:
@@ -91,7 +90,7 @@ class _Layer(PlanPacket):
 
 
 class SafetyData(_Layer):
-    """``SafetyDataT``: what the application reports, in the fields of the profile."""
+    """``SafetyDataT``: the data that the application reports, in the fields of the profile."""
 
     name = "SafetyData"
 
@@ -148,14 +147,14 @@ class VarReqCreate(_Layer):
 
 
 class _OwnRecord(_Layer):
-    """An instruction record that only the profile has."""
+    """An instruction record that only the profile defines."""
 
 
 _RECORDS = (VarCreate, VarDelete, VarUpdate, VarSumm, VarReqUpdate, VarReqCreate, _OwnRecord)
 
 
 class VardisContainer(_Layer):
-    """An instruction container: ``records`` of the one type that ``icType`` says."""
+    """An instruction container: ``records`` of the one type that ``icType`` selects."""
 
     name = "VarDis container"
 
@@ -173,7 +172,7 @@ class VardisContainer(_Layer):
 
 
 class _Containers(_Layer):
-    """What has a list ``vardis`` of containers."""
+    """Base of layers with a list ``vardis`` of containers."""
 
     def _place(self, layer: _Layer) -> bool:
         if isinstance(layer, VardisContainer):
@@ -206,7 +205,7 @@ class DCPPayload(_Containers):
             if "srp" not in self.fieldtype:
                 name = _session.codec.profile.name
                 raise ValueError(
-                    f"profile {name} has no octets for a state report: use DCPPayload(protocolId=1, data=b'...')"
+                    f"profile {name} cannot encode state reports: use DCPPayload(protocolId=1, data=b'...')"
                 )
             self.srp = layer
             return True
@@ -227,7 +226,7 @@ class DCPPayload(_Containers):
 
 
 class DCPBeacon(_Layer):
-    """A whole beacon: the header of BP and the blocks in ``payloads``."""
+    """A whole beacon: the BP header and the blocks in ``payloads``."""
 
     name = "DCP beacon"
 
@@ -247,11 +246,13 @@ class DCPBeacon(_Layer):
 
     @property
     def problems(self) -> list[Problem]:
-        """What the codec finds wrong with the octets of the beacon as it stands, as errors and as warnings."""
+        """Return the errors and warnings of the codec for the octets of the beacon."""
         return _session.codec.dissect(self.do_build()).problems
 
     def decode(self) -> Beacon:
-        """The beacon as a value of the codec; raises ``dcp_codec.DecodeError`` if it is none."""
+        """Return the beacon as a value of the codec. Raises ``dcp_codec.DecodeError`` if the octets are not a
+        beacon.
+        """
         return _session.codec.decode(self.do_build())
 
     def mysummary(self) -> str:
@@ -268,7 +269,7 @@ class DCPBeacon(_Layer):
         return f"{text} ({errors[0].reason})" if errors else text
 
 
-# The order matters: a record inside another is laid out before it.
+# The order matters: inner records are laid out before the records around them.
 _BY_TYPE: dict[str, type[_Layer]] = {
     "SafetyData": SafetyData,
     "ExtendedSafetyData": SRPReport,
@@ -287,7 +288,9 @@ _BY_TYPE: dict[str, type[_Layer]] = {
 
 
 def _own_layers(groups: Mapping[str, Group]) -> dict[str, type[_Layer]]:
-    """A layer for each record type that only the profile has. A header is opened into the beacon and needs none."""
+    """Return a layer for each record type that only the profile defines. A header is part of the beacon and needs
+    none.
+    """
     names = [name for name in groups if name not in _BY_TYPE and name != "BPHeader"]
     return {
         name: type(name, (_Layer if name == "OwnReport" else _OwnRecord,), {"name": name, "__module__": __name__})
@@ -296,7 +299,7 @@ def _own_layers(groups: Mapping[str, Group]) -> dict[str, type[_Layer]]:
 
 
 class _Session:
-    """The profile in use. Scapy's layers and their bindings are global, so this has to be, too."""
+    """The current profile. It is global because scapy's layers and their bindings are global."""
 
     def __init__(self) -> None:
         self.codec = get_codec(DEFAULT_PROFILE)
@@ -304,7 +307,7 @@ class _Session:
         self.own: dict[str, type[_Layer]] = {}
 
     def use(self, codec: Codec) -> None:
-        """Lay the layers out as the profile says and bind them where its beacons are found."""
+        """Lay out the layers for the profile and bind them to its EtherType or UDP port."""
         profile = codec.profile
         groups = {node.type_name: node for node in walk(codec.beacon_plan) if isinstance(node, Group)}
         containers = codec.containers_plan
@@ -312,7 +315,7 @@ class _Session:
         packets = {**_own_layers(groups), **_BY_TYPE}
         groups["VardisPayload"] = Group("", "VardisPayload", (replace(containers, name="vardis"),), None)
         for type_name, layer in packets.items():
-            # A profile without octets for a record still has a layer of that name, which holds any octets.
+            # A profile that does not define a record still has a layer of that name, which holds any octets.
             group = groups.get(type_name) or Group("", type_name, (Rest("data"),), None)
             shape = Shape(
                 group,
@@ -341,27 +344,27 @@ class _Session:
 
 
 def _places(link: Link) -> list[tuple[type[Packet], dict[str, int]]]:
-    """The layers that beacons lie upon, and the fields that say so."""
+    """Return the layers that carry beacons, and the field values that identify beacons."""
     if link.transport == "udp":
         from scapy.layers.inet import UDP
 
-        # The student's nodes only take datagrams that were sent from the port, too.
+        # The student implementation only accepts datagrams that also have this source port.
         return [(UDP, {"dport": link.udp_port or 0, "sport": link.udp_port or 0})]
     return [(Ether, {"type": link.ether_type or 0}), (Dot1Q, {"type": link.ether_type or 0})]
 
 
 _session = _Session()
 _session.use(_session.codec)
-# Beacons go to everyone (UWB-01); without this scapy would look for a neighbour whose address to resolve.
+# Beacons are broadcast (UWB-01); without this scapy would try to resolve a neighbour's address.
 conf.neighbor.register_l3(Ether, DCPBeacon, lambda _l2, _l3: BROADCAST)
 
 
 def use_profile(profile: Profile | str | Path) -> Codec:
-    """Make all layers those of ``profile``: a loaded one, the name of a built-in one, or the path of a TOML file.
+    """Lay out all layers for ``profile``: a loaded one, the name of a built-in one, or the path of a TOML file.
 
-    Binds :class:`DCPBeacon` to the profile's EtherType (also behind VLAN tags) or UDP port, instead of that of the
-    profile before. Packets of another profile keep their values but cannot be built any more: make or dissect them
-    anew. Returns the codec of the profile. Raises ``dcp_spec.profile.loading.ProfileError``.
+    Binds :class:`DCPBeacon` to the profile's EtherType (also after VLAN tags) or UDP port, and removes the binding of
+    the profile before. Packets of another profile keep their values but cannot be built any more: make or dissect them
+    again. Returns the codec of the profile. Raises ``dcp_spec.profile.loading.ProfileError``.
     """
     codec = Codec(profile)
     if codec.profile != _session.codec.profile:
@@ -370,7 +373,7 @@ def use_profile(profile: Profile | str | Path) -> Codec:
 
 
 def own_layer(type_name: str) -> type[Packet]:
-    """The layer of a record type that only the profile in use has, such as ``GeoFence`` or ``OwnReport``.
+    """Return the layer of a record type that only the current profile defines, such as ``GeoFence`` or ``OwnReport``.
 
     Raises KeyError if the profile has no such record type.
     """
@@ -378,13 +381,13 @@ def own_layer(type_name: str) -> type[Packet]:
 
 
 def export_script(profile_name_or_path: str) -> str:
-    """The text of a start-up script: ``scapy -c FILE`` starts a session with the layers of that profile.
+    """Return a start-up script: ``scapy -c FILE`` starts a session with the layers of that profile.
 
     Raises ``dcp_spec.profile.loading.ProfileError`` if there is no such profile.
     """
     profile = load_profile(profile_name_or_path)
     path = Path(profile_name_or_path)
-    # The script may be started from anywhere.
+    # An absolute path, because the script may be started from any folder.
     argument = str(path.resolve()) if path.suffix == ".toml" else profile.name
     return f"""# A scapy session with the layers of the Drone Coordination Protocol: scapy -c THIS_FILE
 # {profile.title}

@@ -1,9 +1,9 @@
-"""Scapy packets that are made from a plan: the layout is read from it, not written down again.
+"""Scapy packets that are generated from a plan.
 
 :class:`PlanPacket` fills the scapy fields of a record (:mod:`dcp_codec.scapy.shape`) from a dissection of
-:mod:`dcp_codec.views.dissect` and builds octets from them. It knows the node types of :mod:`dcp_codec.plan.tree` and
-nothing of
-DCP. Octets that belong to no field become ``Raw`` behind the record, or at the end of the list, where they were found.
+:mod:`dcp_codec.views.dissect` and builds octets from them. The module uses the node types of :mod:`dcp_codec.plan.tree`
+and does not depend on DCP. Octets that belong to no field become ``Raw`` after the record, or at the end of the list
+that contained them.
 """
 
 from __future__ import annotations
@@ -26,21 +26,21 @@ from .shape import Following, Member, Shape, content_of
 
 
 class PlanPacket(Packet):
-    """A record of the profile in use as a scapy packet.
+    """A record of the current profile as a scapy packet.
 
-    Fields that follow from others are None until they are given; what is given is put on the wire, right or wrong.
-    Dissecting takes any octets. Building raises ``ValueError`` for a value that its field cannot hold, and
-    ``RuntimeError`` for a packet that was made under another profile.
+    Derived fields are None until the user sets them; a set value is sent, right or wrong. Dissection accepts any
+    octets. Building raises ``ValueError`` for a value that its field cannot hold, and ``RuntimeError`` for a packet
+    that was made under another profile.
     """
 
-    #: The record in the plan, and its scapy fields; both are set when a profile is put to use.
+    #: The record in the plan, and its scapy fields; both are set when a profile is selected.
     layout: ClassVar[Node]
     shape: ClassVar[Shape]
     __signature__: ClassVar[inspect.Signature]
 
     @classmethod
     def lay_out(cls, layout: Node, shape: Shape) -> None:
-        """Give the class other fields. Packets of the class that exist cannot be built any more."""
+        """Replace the fields of the class. Existing packets of the class cannot be built any more."""
         cls.layout, cls.shape, cls.fields_desc = layout, shape, shape.desc
         for cache in (
             Packet.class_default_fields,
@@ -70,7 +70,9 @@ class PlanPacket(Packet):
     # -- choices --------------------------------------------------------------------------------------------------
 
     def chosen(self, key: str) -> str:
-        """The field of the content there is: the one that was given, else the one that the field ``key`` says."""
+        """Return the field of the current content: the one that was set, else the one that the field ``key``
+        selects.
+        """
         member = self.shape.chosen[key]
         choices, select = member.choices or {}, content_of(member.node)
         for name in choices.values():
@@ -83,7 +85,7 @@ class PlanPacket(Packet):
         return choices[case.name] if case is not None else next(iter(choices.values()))
 
     def _choice(self, member: Member) -> int:
-        """The number that stands for the content there is, 0 if none does."""
+        """Return the number for the current content, 0 if it has none."""
         select = content_of(member.node)
         assert isinstance(select, Select)
         for number, case in select.cases.items():
@@ -121,9 +123,9 @@ class PlanPacket(Packet):
         return bytes(super().do_build())
 
     def _check(self) -> None:
-        # Scapy would take the values of one layout over into fields of the other.
+        # Scapy would copy the values of one layout into fields of the other.
         if any(self.fieldtype.get(each.name) is not each for each in self.shape.desc):
-            raise RuntimeError(f"this {type(self).__name__} was made under another profile: make it anew")
+            raise RuntimeError(f"this {type(self).__name__} was made under another profile: make it again")
 
     def self_build(self) -> bytes:
         # Every field is built once, so that random values do not change between a content and its length.
@@ -143,7 +145,7 @@ class PlanPacket(Packet):
         return b"".join(built.values())
 
     def follow(self, name: str) -> Any:
-        """The value of a field that follows from others."""
+        """Return the value of a derived field."""
         rule = self.shape.following[name]
         built = {each: self._field(each).octets(self.getfieldval(each)) for each in rule.of.names}
         return self._follow(rule, built)
@@ -157,7 +159,7 @@ class PlanPacket(Packet):
         return size if rule.kind == "size" else bytes(max(rule.total - size, 0))
 
     def clear_derived(self) -> None:
-        """Set all lengths and counts to None, here and in all records inside: building works them out again."""
+        """Set all lengths and counts to None, here and in all inner records; building then derives them."""
         for name, rule in self.shape.following.items():
             if rule.kind in ("size", "count"):
                 self.delfieldval(name)
@@ -177,7 +179,7 @@ class PlanPacket(Packet):
         return b"", s
 
     def _fill(self, record: Found, end: int, octets: bytes) -> None:
-        """Take over a dissected record, and the octets behind it up to ``end``."""
+        """Set the fields from a dissected record, and keep the octets after it up to ``end``."""
         self.explicit = 1
         self.original = octets[record.offset : end]
         last = self._fill_members(self.shape.members, record, end, octets)
@@ -191,7 +193,7 @@ class PlanPacket(Packet):
                 self._leave_out(member)
                 continue
             part = parts[index]
-            # The dissector steps over what it cannot make sense of; the next part says where it went on.
+            # The dissector skips octets that it cannot interpret; the next part starts where it continued.
             stop = parts[index + 1].offset if index + 1 < len(parts) else end
             if member.opened:
                 last = self._fill_members(member.opened, part, stop, octets)
@@ -200,7 +202,7 @@ class PlanPacket(Packet):
         return last
 
     def _take(self, member: Member, part: Found, stop: int, octets: bytes) -> int:
-        """Set the fields of a member; returns the offset behind what they hold."""
+        """Set the fields of a member; return the offset after their octets."""
         name = (member.choices or {}).get(part.name, member.name)
         match part.layout:
             case Group():
@@ -240,7 +242,7 @@ class PlanPacket(Packet):
         return elements
 
     def _leave_out(self, member: Member) -> None:
-        """Say of a member that nothing of it is there."""
+        """Mark a member as absent."""
         for each in member.flat():
             if each.choices:
                 continue
@@ -248,7 +250,7 @@ class PlanPacket(Packet):
                 self.fields[name] = [] if self._field(name).islist else Octets()
 
 
-# The class itself is no layer: it is laid out empty, and scapy is not to list it.
+# The base class has no layout; scapy must not list it as a layer.
 conf.layers.remove(PlanPacket)
 conf.layers.ldict.pop(__name__, None)
 PlanPacket.layout = Group("", "", (), 0)

@@ -1,4 +1,4 @@
-"""What the scapy fields of a record are: made from its members in the plan, with what follows from what."""
+"""The scapy fields of a record, generated from its members in the plan, with their dependencies."""
 
 from __future__ import annotations
 
@@ -25,7 +25,9 @@ from .fields import (
 
 @dataclass(frozen=True, slots=True)
 class Member:
-    """The scapy fields of one member of a record: its own, those of its lengths, those of each choice by its label."""
+    """The scapy fields of one member of a record: its own field, those of its lengths, those of each choice by its
+    label.
+    """
 
     node: Node
     name: str = ""
@@ -35,11 +37,11 @@ class Member:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The fields that hold the content."""
+        """Return the names of the fields that hold the content."""
         return tuple(self.choices.values()) if self.choices else (self.name,)
 
     def flat(self) -> Iterator[Member]:
-        """The members of an opened record, or else this one."""
+        """Yield the members of an opened record, or this member if it is not one."""
         if not self.opened:
             yield self
         for member in self.opened:
@@ -48,8 +50,9 @@ class Member:
 
 @dataclass(frozen=True, slots=True)
 class Following:
-    """How a field follows from others while it is None: the octets that they take (``size``), the number of their
-    elements (``count``), what they are a choice of (``choice``), the room they leave of ``total`` octets (``room``)."""
+    """Derivation of a field that is None: from the octets of other fields (``size``), the number of their elements
+    (``count``), the chosen content (``choice``), or the room that they leave of ``total`` octets (``room``).
+    """
 
     kind: Literal["size", "count", "choice", "room"]
     of: Member
@@ -71,9 +74,9 @@ class Shape:
     ) -> None:
         """``packets``: the class of each record type; ``representation`` of node identifiers; ``defaults`` by role.
 
-        A field whose name is an attribute of ``base`` already gets ``_`` at the end.
+        A field whose name is an attribute of ``base`` gets the suffix ``_``.
 
-        Fields of a record of the type ``opened`` stand among those of the record around it.
+        Fields of a record of the type ``opened`` become fields of the record around it.
         """
         self.packets = packets
         self.representation = representation
@@ -158,7 +161,7 @@ class Shape:
         return Member(node, choices=names)
 
     def _record(self, node: Node, *, standing: bool) -> Any:
-        """A field of one record or a list of them; one that is always there (``standing``) has a default."""
+        """Return a field of one record or a list of them; one that is always present (``standing``) has a default."""
         if isinstance(node, Many):
             return RecordListField(self._free(node.name), [], self.packets[node.element.type_name])
         group = node.content if isinstance(node, Exact) else node
@@ -175,7 +178,7 @@ class Shape:
 
 
 def content_of(node: Node) -> Node:
-    """What a region holds, or the node itself."""
+    """Return the content of a region, or the node itself."""
     return node.content if isinstance(node, Region) else node
 
 

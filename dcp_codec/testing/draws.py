@@ -1,7 +1,7 @@
-"""What a seeded generator draws, without what ``random.Random`` spends on checking its arguments.
+"""Draws from a seeded generator without the argument checks of ``random.Random``.
 
-A generator of messages draws dozens of small numbers for each of them, so that these checks are a large part of its
-time. The numbers are those that ``random.Random`` draws itself: the same seed makes the same messages.
+A generator of messages draws dozens of small numbers for each message, so these checks would take a large part of its
+time. The numbers are those of ``random.Random``: the same seed gives the same messages.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ _T_co = TypeVar("_T_co", covariant=True)
 
 
 class Members(Protocol[_T_co]):
-    """What can be chosen from."""
+    """A collection prepared for choice."""
 
     def __len__(self) -> int: ...
 
@@ -22,7 +22,7 @@ class Members(Protocol[_T_co]):
 
 
 class Draws:
-    """Draws whole numbers and members from ``rng``, which may be drawn from by others in between."""
+    """Draws integers and members from ``rng``; other code may draw from it in between."""
 
     __slots__ = ("_bits",)
 
@@ -30,9 +30,9 @@ class Draws:
         self._bits = rng.getrandbits
 
     def below(self, end: int) -> int:
-        """A number in 0..``end`` - 1, as ``randrange(end)`` has it. Raises ValueError if there is none."""
+        """Draw a number in 0..``end`` - 1, as ``randrange(end)`` does. Raises ValueError if ``end`` is 0."""
         if end < 1:
-            raise ValueError(f"there is no number from 0 and below {end}")
+            raise ValueError(f"cannot draw a number below {end}")
         bits, width = self._bits, end.bit_length()
         number = bits(width)
         while number >= end:
@@ -40,11 +40,11 @@ class Draws:
         return number
 
     def one_of(self, members: Members[_T]) -> _T:
-        """A member, as ``choice(members)`` has it. Raises ValueError if there is none."""
-        # What below() does: a call of it would be a third of the time.
+        """Draw a member, as ``choice(members)`` does. Raises ValueError if there is none."""
+        # Inlined below(): a call would take a third of the time.
         bits, end = self._bits, len(members)
         if not end:
-            raise ValueError("there is nothing to choose from")
+            raise ValueError("cannot choose from an empty collection")
         width = end.bit_length()
         number = bits(width)
         while number >= end:

@@ -1,12 +1,12 @@
-"""Recordings with provenance: ``captures/*.mcap`` and the manifest that says what they must contain.
+"""Recordings with provenance: ``captures/*.mcap`` and the manifest of their contents.
 
-``python -m dcp_codec.testing.goldens verify captures/manifest.toml`` proves that the files are those of the manifest,
-that each still gives back the recording it was made from, and that the codec reads from it what an independent decoder
-found. ``make`` builds the files anew, from the recordings in a folder or from those attached to the present files.
+``python -m dcp_codec.testing.goldens verify captures/manifest.toml`` checks that the files are those of the manifest,
+that each has the original recording attached, and that the codec reads the values that an independent decoder found.
+``make`` rebuilds the files from the recordings in a folder or from those attached to the existing files.
 
-A file is the same octet by octet whenever it is built with the same versions of this tool, of the mcap library and of
-zstandard, which compresses the chunks; the manifest says which they were. Another version gives another file with the
-same contents, so verifying never builds anything.
+A build with the same versions of this tool, of the mcap library and of zstandard (which compresses the chunks) gives
+the same octets; the manifest has these versions. Other versions give another file with the same contents, so ``verify``
+never builds.
 """
 
 from __future__ import annotations
@@ -42,12 +42,14 @@ _HEADER = """\
 
 """
 
-#: Complaints of one kind about one file, after which the others are only counted.
+#: Maximum number of findings of one kind about one file; the others are only counted.
 _MAX_ALIKE = 5
 
 
 class Sender(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Beacons of one sender, with the first and the last of its sequence numbers in the order of the recording."""
+    """The beacons of one sender: their number, and the first and the last sequence number in the order of the
+    recording.
+    """
 
     beacons: int
     first_seqno: int
@@ -55,15 +57,18 @@ class Sender(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class SentValue(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The last value of a variable that anyone sent: sequence number, and octets in hex."""
+    """The last value sent for a variable, by any node: sequence number, and octets in hex."""
 
     seqno: int
     value: str
 
 
 class Counts(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What is in a recording. ``padded`` are frames with octets behind the beacon, ``srp`` and ``vardis`` payload
-    blocks, ``containers`` and ``records`` go by the name of the container type; what does not occur is absent."""
+    """Counts of a recording.
+
+    ``padded`` are frames with octets after the beacon, ``srp`` and ``vardis`` payload blocks. ``containers`` and
+    ``records`` have the name of the container type as keys; absent types are left out.
+    """
 
     beacons: int
     srp: int
@@ -82,7 +87,7 @@ class Golden(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     profile: str
     what: str
     origin: str
-    #: Name of the recording that the file was made from, and that is attached to it.
+    #: Name of the original recording, which is attached to the file.
     original: str
     command: str = ""
     original_sha256: str = ""
@@ -92,14 +97,14 @@ class Golden(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """``manifest.toml``: the recordings, and the versions of what made the files (package -> version)."""
+    """``manifest.toml``: the recordings, and the versions of the tools that made the files (package -> version)."""
 
     made_with: dict[str, str]
     capture: tuple[Golden, ...]
 
 
 class Finding(msgspec.Struct, frozen=True):
-    """Something about ``file`` that is not as the manifest says. ``check`` is a fixed word:
+    """A difference between ``file`` and the manifest. ``check`` is one of:
 
     ``file``, ``hash``, ``capture``, ``attachment``, ``frames``, ``decode``, ``encode``, ``counts``, ``manifest``.
     """
@@ -113,7 +118,7 @@ class Finding(msgspec.Struct, frozen=True):
 
 
 class GoldensError(Exception):
-    """The manifest, or a recording that files are to be made from, cannot be used."""
+    """The manifest, or an original recording, cannot be used."""
 
 
 def load_manifest(path: Path) -> Manifest:
@@ -130,11 +135,11 @@ def load_manifest(path: Path) -> Manifest:
 
 
 def verify(manifest: Path) -> list[Finding]:
-    """Check every recording of a manifest; empty if all is as it says. Raises :class:`GoldensError`.
+    """Check every recording of a manifest; return no findings if all match. Raises :class:`GoldensError`.
 
-    The hash of the file; the hash of the recording attached to it, and that its frames are the file's own; that every
-    frame is a beacon without errors that encodes to the same octets; the counts. A recording beside the manifest that
-    it does not name is a finding too.
+    Checks the hash of the file; the hash of the attached recording, and that its frames are those of the file; that
+    every frame is a beacon without errors that encodes to the same octets; and the counts. A recording beside the
+    manifest that the manifest does not name is a finding, too.
     """
     goldens = load_manifest(manifest).capture
     named = [golden.file for golden in goldens]
@@ -173,7 +178,7 @@ def _verify_one(folder: Path, golden: Golden) -> list[Finding]:
 
 
 def _attachment(path: Path, golden: Golden, frames: list[Frame]) -> Iterator[str]:
-    """What is wrong with the recording attached to a file with these frames."""
+    """Yield the differences of the recording that is attached to a file with these frames."""
     found = [attachment for attachment in attachments(path) if attachment.name == golden.original]
     if len(found) != 1:
         yield f"there are {len(found)} called {golden.original}, not one"
@@ -195,7 +200,7 @@ def _essence(frame: Frame) -> tuple[int, bytes, int]:
 
 
 def _few(complaints: Iterable[tuple[str, str]]) -> list[tuple[str, str]]:
-    """The first complaints of each kind, and how many more there are."""
+    """Return the first findings of each kind, and the number of the others."""
     kinds: dict[str, list[str]] = {}
     for check, text in complaints:
         kinds.setdefault(check, []).append(text)
@@ -208,7 +213,7 @@ def _few(complaints: Iterable[tuple[str, str]]) -> list[tuple[str, str]]:
 
 
 class Tally:
-    """Counts what is in the frames of a recording, with the strict decoder."""
+    """Counts the contents of the frames of a recording, with the strict decoder."""
 
     def __init__(self, codec: Codec) -> None:
         self._codec = codec
@@ -220,7 +225,7 @@ class Tally:
         self._values: dict[str, SentValue] = {}
 
     def count(self, frames: Iterable[Frame]) -> Iterator[tuple[str, str]]:
-        """Count ``frames`` in; gives (check, sentence) for each that is no beacon or encodes to other octets."""
+        """Count ``frames``; yield (check, sentence) for each that is not a beacon or encodes to other octets."""
         dissector = FrameDissector(self._codec)
         for frame in frames:
             dissected = dissector.dissect(frame)
@@ -265,7 +270,7 @@ class Tally:
                 self._values[str(update.var_id)] = SentValue(update.seqno, update.value.hex())
 
     def counts(self) -> Counts:
-        """What was counted so far."""
+        """Return the counts so far."""
         return Counts(
             **self._scalars,
             containers=dict(sorted(self._containers.items())),
@@ -277,7 +282,7 @@ class Tally:
 
 def _differences(expected: Counts | None, found: Counts) -> Iterator[str]:
     if expected is None:
-        yield "the manifest says nothing about what is in the file"
+        yield "the manifest has no counts for the file"
         return
     wanted, there = (dict(_leaves(msgspec.to_builtins(counts))) for counts in (expected, found))
     for name in sorted({*wanted, *there}):
@@ -297,11 +302,11 @@ def _leaves(tree: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, Any]
 
 
 def make(manifest: Path, originals: Path | None = None) -> Manifest:
-    """Build every file of a manifest anew and write the manifest with their hashes; returns it.
+    """Rebuild every file of a manifest, write the manifest with the new hashes, and return it.
 
-    ``originals`` is the folder with the recordings; without it those attached to the present files are taken.
-    Expected counts come from the ``.json`` of the same name beside a recording, made by an independent decoder; where
-    there is none they stay as they are. Raises :class:`GoldensError`; the manifest is written last.
+    ``originals`` is the folder with the recordings; without it the recordings attached to the existing files are used.
+    Expected counts come from the ``.json`` of the same name beside a recording, made by an independent decoder; without
+    that file they stay unchanged. Raises :class:`GoldensError`; the manifest is written last.
     """
     old = load_manifest(manifest)
     new = Manifest(made_with=_versions(), capture=tuple(_make_one(manifest, each, originals) for each in old.capture))
@@ -351,7 +356,7 @@ def _take_out(path: Path, name: str, target: Path) -> None:
 
 
 def _independent(path: Path) -> Counts | None:
-    """The counts in the ``.json`` beside a recording: "containers NAME" and "records NAME" are groups here."""
+    """Return the counts in the ``.json`` beside a recording, where "containers NAME" and "records NAME" are groups."""
     if not path.is_file():
         return None
     try:
@@ -384,14 +389,14 @@ def _sha256(path: Path) -> str:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """The command; returns 0 if all is well, 1 if something was found, 2 if it could not look."""
+    """Run the command; return 0 if all recordings match, 1 for findings, 2 if the check was impossible."""
     parser = argparse.ArgumentParser(
         prog="python -m dcp_codec.testing.goldens", description="Verify or build the recordings."
     )
     commands = parser.add_subparsers(dest="command", required=True)
     check = commands.add_parser("verify", help="check every recording against the manifest")
     check.add_argument("manifest", type=Path)
-    build = commands.add_parser("make", help="build every recording anew")
+    build = commands.add_parser("make", help="rebuild every recording")
     build.add_argument("manifest", type=Path)
     build.add_argument("--originals", type=Path, help="folder of the recordings; else those attached are taken")
     options = parser.parse_args(arguments)

@@ -1,12 +1,12 @@
-"""Octets that are almost a beacon, fast: seeded mutations of a pool of valid messages.
+"""Fast generation of damaged beacons: seeded mutations of a pool of valid messages.
 
-Every message of the pool is taken apart once; a mutation then only joins octets and costs microseconds. Field mutations
-keep the number of octets: a field becomes 0, 1, the highest value but one or the highest, one more, one less, a value
-that no name belongs to, the other byte order, or has one bit turned over. Structural mutations cut at any octet, put
-octets behind, and repeat, leave out, exchange or borrow whole elements, or let every count lie at once.
+Every message of the pool is dissected once; a mutation then only joins octets and takes microseconds. Field mutations
+keep the number of octets: a field becomes 0, 1, the highest value or the one below, one more, one less, a value without
+a name, the other byte order, or one bit is inverted. Structural mutations cut at any octet, append octets, and repeat,
+remove, exchange or import whole elements, or set every count wrong at once.
 
-Each mutation says what it did to which field, as ``(path without indices, class)``. These pairs are the coverage of a
-campaign (:attr:`Mutator.possible`, :attr:`Mutator.reached`); pairs that were not reached are preferred.
+Each mutation reports its changes as ``(path without indices, class)``. These pairs are the coverage of a campaign
+(:attr:`Mutator.possible`, :attr:`Mutator.reached`); pairs that were not reached yet are preferred.
 
 The generator is passed in (``random.Random``), so that the same seed makes the same octets.
 """
@@ -31,18 +31,20 @@ from dcp_codec.views.fields import Field
 from .draws import Draws
 
 Touch = tuple[str, str]
-"""A field (its path without indices) and the class of what was done to it."""
+"""A field (its path without indices) and the class of the change."""
 
 FIELD_CLASSES: Final = ("0", "1", "max-1", "max", "+1", "-1", "unknown", "swapped", "bit")
-"""What is done to a field; ``swapped`` needs two octets, ``unknown`` a field whose values have names."""
+"""Classes of changes to a field; ``swapped`` needs two octets, ``unknown`` a field with named values."""
 STRUCTURE_CLASSES: Final = ("cut", "trail", "twice", "drop", "reorder", "splice", "bomb")
-"""What is done to structure: at an octet (cut), behind the message (trail), with elements of lists, with all counts."""
+"""Classes of changes to structure: at an octet (cut), after the message (trail), to elements of lists, to all
+counts.
+"""
 
-#: Chances: of a further field, of damage to structure, of a pair that was never reached, of nothing but structure.
+#: Probabilities: of a further field, of structural damage, of a pair not reached yet, of structural damage only.
 _MORE_FIELDS, _STRUCTURE, _PREFERENCE, _ONLY_STRUCTURE = 0.3, 0.25, 0.25, 0.15
-#: How often a bomb repeats an element at most.
+#: Maximum number of repetitions of an element in a bomb.
 _BOMB = 64
-#: Messages that are mutated at most.
+#: Maximum number of messages in the pool.
 _MOST_SOURCES = 4096
 _INDEX = re.compile(r"\[\d+\]")
 
@@ -51,30 +53,30 @@ class Place(NamedTuple):
     """A field of a message of the pool."""
 
     path: str
-    """Without indices: ``payloads[].vardis[].records[].seqno``."""
+    """The path without indices: ``payloads[].vardis[].records[].seqno``."""
     start: int
     stop: int
     options: Mapping[str, bytes]
-    """Class -> the octets that the field becomes; ``bit`` is drawn."""
+    """Class -> the new octets of the field; those of ``bit`` are drawn."""
     names: tuple[str, ...]
-    """The classes, ``bit`` too."""
+    """The classes, including ``bit``."""
 
 
 class Source(NamedTuple):
-    """A message of the pool, taken apart."""
+    """A dissected message of the pool."""
 
     octets: bytes
     places: tuple[Place, ...]
     starts: tuple[int, ...]
-    """Where the fields start, ascending, as those in ``places``."""
+    """The offsets of the fields, ascending, in the order of ``places``."""
     elements: tuple[tuple[str, int, int], ...]
-    """The elements of lists: path, start, stop."""
+    """The elements of lists: path, start, end."""
     counts: tuple[Place, ...]
     """The fields that count elements or octets."""
 
 
 class Mutation(NamedTuple):
-    """Octets, the valid message that they come from, and what was done to it."""
+    """Mutated octets, the valid message from which they were made, and the changes."""
 
     octets: bytes
     source: bytes
@@ -85,7 +87,7 @@ class Mutator:
     """Draws mutations of a pool of messages."""
 
     def __init__(self, codec: Codec, rng: random.Random, pool: Iterable[bytes], *, plan: Node | None = None) -> None:
-        """``pool``: bearer payloads, which need not be valid; ``plan``: of what they are, beacons by default.
+        """``pool``: bearer payloads, which need not be valid; ``plan``: their layout, by default that of beacons.
 
         Raises ValueError for a pool without any octets.
         """
@@ -97,7 +99,7 @@ class Mutator:
         if not self.sources:
             raise ValueError("there is nothing to mutate: the pool is empty")
         self.reached: Counter[Touch] = Counter()
-        """How often each pair was made."""
+        """How often each pair was generated."""
         self._where: dict[Touch, list[tuple[Source, Place]]] = {}
         for source in self.sources:
             for place in source.places:
@@ -124,7 +126,7 @@ class Mutator:
         }
 
     def add(self, octets: bytes) -> None:
-        """Mutate this, too, from now on; what was added last takes the place of others when there are too many."""
+        """Add a message to the pool; if the pool is full, it replaces another one."""
         if not octets:
             return
         source = _taken_apart(self._dissect(octets, 0, 0).root, octets)
@@ -134,7 +136,7 @@ class Mutator:
             self.sources[self._chance.below(len(self.sources))] = source
 
     def mutate(self) -> Mutation:
-        """The next mutation."""
+        """Return the next mutation."""
         rng = self._rng
         chance = rng.random
         if self._missing and chance() < _PREFERENCE:
@@ -197,7 +199,7 @@ class Mutator:
         return octets[:start] + octets[stop:], (path, "drop")
 
     def _reorder(self, source: Source, octets: bytes) -> tuple[bytes, Touch | None]:
-        """Two elements that are not inside of each other change their places."""
+        """Exchange two elements of which neither contains the other."""
         if len(source.elements) < 2:
             return octets, None
         one, other = sorted(self._rng.sample(source.elements, 2), key=lambda each: each[1])
@@ -207,7 +209,7 @@ class Mutator:
         return octets[:a] + octets[c:d] + octets[b:c] + octets[a:b] + octets[d:], (path, "reorder")
 
     def _splice(self, source: Source, octets: bytes) -> tuple[bytes, Touch | None]:
-        """An element of another message in the place of one."""
+        """Replace an element by one of another message."""
         other = self._chance.one_of(self.sources)
         mine, theirs = self._element(source), self._element(other)
         if mine is None or theirs is None:
@@ -216,7 +218,7 @@ class Mutator:
         return octets[:start] + other.octets[theirs[1] : theirs[2]] + octets[stop:], (path, "splice")
 
     def _bomb(self, source: Source, octets: bytes) -> tuple[bytes, Touch]:
-        """All counts, or all lengths too, as high as can be; an element again and again."""
+        """Set all counts, or all lengths too, to their maximum, and repeat an element many times."""
         for place in source.counts:
             if self._rng.random() < 0.8:
                 octets = _replaced(octets, place, place.options[self._chance.one_of(("max", "max-1"))])
@@ -231,7 +233,9 @@ def _replaced(octets: bytes, place: Place, new: bytes) -> bytes:
 
 
 def generic(path: str) -> str:
-    """A field path without its indices; one string for all fields of that path, of which a pool has thousands."""
+    """Return a field path without its indices; all fields with that path share one string, since a pool has
+    thousands.
+    """
     return sys.intern(_INDEX.sub("[]", path))
 
 
@@ -261,15 +265,15 @@ def _taken_apart(root: Field, octets: bytes) -> Source:
 
 
 def _keys(layout: Node) -> dict[str, frozenset[int]]:
-    """Fields that choose a content -> the values for which there is one."""
+    """Return the fields that select a content -> the values for which there is one."""
     return {each.key.rsplit(".", 1)[-1]: frozenset(each.cases) for each in walk(layout) if isinstance(each, Select)}
 
 
 @functools.lru_cache(maxsize=1024)
 def _options(raw: bytes, order: Any, known: frozenset[int]) -> tuple[dict[str, bytes], tuple[str, ...]]:
-    """Other octets of the same number, by class, and all classes; long fields are changed as numbers, too.
+    """Return other octets of the same length by class, and all classes; long fields are changed as numbers, too.
 
-    Most fields of a pool hold what others hold: they share what is worked out here.
+    The result is cached: most fields of a pool have equal contents.
     """
     size = len(raw)
     top = (1 << (8 * size)) - 1
@@ -286,7 +290,7 @@ def _options(raw: bytes, order: Any, known: frozenset[int]) -> tuple[dict[str, b
 
 
 def drawn_pool(codec: Codec, rng: random.Random, count: int = 200, recorded: Sequence[bytes] = ()) -> list[bytes]:
-    """A pool for :class:`Mutator`: valid beacons of the profile, and those of recordings."""
+    """Return a pool for :class:`Mutator`: valid beacons of the profile, and the recorded ones."""
     from .mutation_values import valid_beacons
 
     return [*valid_beacons(codec, rng, count), *recorded]

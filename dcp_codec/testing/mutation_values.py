@@ -1,9 +1,8 @@
-"""Valid messages of any profile from a seeded generator: what a mutation starts from.
+"""Valid messages of any profile from a seeded generator, as a basis for mutations.
 
-``dcp_codec.testing.strategies`` draws more widely, and shrinks; it is for tests. Here it is speed that counts:
-thousands of
-beacons in a second, with nothing beyond the standard library. Boundaries are favoured, sizes range from the smallest
-message to those that fill a beacon to its last octet.
+``dcp_codec.testing.strategies`` is for tests: it draws from a wider range and shrinks. This module is for speed:
+thousands of beacons per second, with the standard library only. Boundary values are preferred; sizes range from the
+smallest message to those that fill a beacon to its last octet.
 """
 
 from __future__ import annotations
@@ -37,14 +36,14 @@ from dcp_codec.values import (
 
 from .draws import Draws
 
-#: Chances of a boundary where a number is drawn.
+#: Probability of a boundary value for a number.
 _EDGE = 0.4
 _FLOATS = (0.0, -0.0, 1.5, -1e6, math.inf, -math.inf, math.nan)
 _KINDS = tuple(ICType)
 
 
 class ValidValues:
-    """Draws values that ``codec.encode`` takes. The same seed draws the same."""
+    """Draws values that ``codec.encode`` accepts. The same seed gives the same values."""
 
     def __init__(self, codec: Codec, rng: random.Random) -> None:
         self.codec = codec
@@ -68,14 +67,16 @@ class ValidValues:
         }
 
     def number(self, width: int, *, signed: bool = False) -> int:
-        """An integer of ``width`` octets; 0, 1, the highest two and, signed, the lowest far more often than others."""
+        """Draw an integer of ``width`` octets; 0, 1, the highest two and, if signed, the lowest are far more
+        frequent.
+        """
         edges = _edges(width, signed)
         if self.rng.random() < _EDGE:
             return self._chance.one_of(edges)
         return edges[-1] + self._chance.below(1 << (8 * width))
 
     def octets(self, most: int, *, nul: bool = True) -> bytes:
-        """Octets of a length from 0 to ``most``, now and then exactly that."""
+        """Draw 0 to ``most`` octets, sometimes exactly ``most``."""
         if self.rng.random() < _EDGE:
             size = self._chance.one_of((0, 1, 4, 8, most))
         else:
@@ -84,7 +85,7 @@ class ValidValues:
         return found if nul else found.replace(b"\0", b"\1")
 
     def node_id(self) -> bytes:
-        """A node identifier, of a few so that they meet again."""
+        """Draw a node identifier from a small set, so that identifiers recur."""
         return self._chance.one_of(self._nodes)
 
     def _node_id(self, number: int) -> bytes:
@@ -95,13 +96,13 @@ class ValidValues:
         return octets[-layout.width :].rjust(layout.width, b"\2") if layout.width else b""
 
     def var_id(self) -> int:
-        """A variable, of a few so that they meet again, or any."""
+        """Draw a variable, mostly from a small set, so that variables recur."""
         if self.rng.random() < 0.7:
             return self._chance.below(8)
         return self.number(self._types.var_id.width, signed=self._types.var_id.signed)
 
     def var_spec(self, var_id: int) -> VarSpec:
-        """The static attributes of a variable."""
+        """Draw the static attributes of a variable."""
         stamp, timeout = self._types.timestamp, self._types.var_timeout
         return self.codec.var_spec_type(
             var_id,
@@ -113,15 +114,15 @@ class ValidValues:
         )
 
     def seqno(self) -> int:
-        """A sequence number of a variable."""
+        """Draw a sequence number of a variable."""
         return self.number(self._types.var_seqno.width, signed=self._types.var_seqno.signed)
 
     def value(self) -> bytes:
-        """The value of a variable."""
+        """Draw the value of a variable."""
         return self.octets(self.longest_value, nul=not self._types.value.terminated)
 
     def record(self, kind: ICType) -> VardisRecord:
-        """A record of a kind."""
+        """Draw a record of type ``kind``."""
         return self._records[kind]()
 
     def _create(self) -> VarCreate:
@@ -129,14 +130,14 @@ class ValidValues:
         return VarCreate(self.var_spec(var_id), VarUpdate(var_id, self.seqno(), self.value()))
 
     def container(self, kind: ICType | None = None, count: int | None = None) -> Container:
-        """A container of so many records of a kind."""
+        """Draw a container with ``count`` records of type ``kind``."""
         kind = self._chance.one_of(_KINDS) if kind is None else kind
         count = self._chance.one_of((1, 1, 2, 3)) if count is None else count
         record = self._records[kind]
         return Container(self._numbers[kind.label], tuple([record() for _ in range(count)]))
 
     def report(self) -> ExtendedSafetyData:
-        """A state report."""
+        """Draw a state report."""
         types = self._types
         data = self.codec.safety_data_type(**{name: draw() for name, draw in self._data})
         stamp = self.number(types.timestamp.width, signed=types.timestamp.signed)
@@ -144,7 +145,7 @@ class ValidValues:
         return ExtendedSafetyData(data, self.node_id(), stamp, seqno)
 
     def _data_fields(self) -> list[tuple[str, Callable[[], Any]]]:
-        """What the safety data of the profile consist of: the attribute, and what draws a value of it."""
+        """Return the attributes of the profile's safety data, each with a function that draws its value."""
         known = self.codec.safety_data_type.__struct_fields__
         found: list[tuple[str, Callable[[], Any]]] = []
         for field in self.codec.profile.srp.safety_data:
@@ -159,7 +160,7 @@ class ValidValues:
         return found
 
     def header(self) -> BPHeader | None:
-        """The header of a beacon; the network is the profile's own."""
+        """Draw the header of a beacon; the network is that of the profile."""
         profile = self.codec.profile
         if not profile.bp.header:
             return None
@@ -168,7 +169,7 @@ class ValidValues:
         return BPHeader(self.node_id(), seqno, network)
 
     def payload(self) -> Payload:
-        """A payload block: VarDis, SRP if the profile has octets for it, or octets of another protocol."""
+        """Draw a payload block: VarDis, SRP if the profile can encode it, or octets of another protocol."""
         chance = self.rng.random()
         if chance < 0.15 and self.codec.report_plan is not None:
             return Payload(BP_PROTID_SRP, self.report())
@@ -179,14 +180,16 @@ class ValidValues:
         return Payload(BP_PROTID_VARDIS, tuple(self.container() for _ in range(self._chance.one_of((1, 1, 2, 3)))))
 
     def beacon(self) -> bytes:
-        """A beacon; one that would be larger than the profile allows is drawn again."""
+        """Draw a beacon; one that exceeds the maximum size of the profile is drawn again."""
         while True:
             octets = self._encoded(tuple(self.payload() for _ in range(self._chance.one_of((1, 1, 2, 3)))))
             if octets is not None:
                 return octets
 
     def full(self, kind: ICType) -> bytes:
-        """A beacon with as many records of a kind in one container as there can be, within a quarter."""
+        """Draw a beacon whose one container has at least three quarters of the possible number of records of type
+        ``kind``.
+        """
         drawn = self.container(kind, IC_MAX_RECORDS)
         count = IC_MAX_RECORDS
         while count > 1:
@@ -201,27 +204,27 @@ class ValidValues:
         try:
             octets = self.codec.encode(Beacon(self.header(), blocks))
         except EncodeError:
-            # Longer than a length field can say.
+            # Longer than a length field can express.
             return None
         return octets if len(octets) <= max(self.codec.profile.limits.max_beacon_size, 1500) else None
 
 
 @functools.cache
 def _edges(width: int, signed: bool) -> tuple[int, int, int, int, int]:
-    """0, 1, the highest two and the lowest integer of ``width`` octets."""
+    """Return 0, 1, the highest two and the lowest integer of ``width`` octets."""
     low = -(1 << (8 * width - 1)) if signed else 0
     high = low + (1 << (8 * width)) - 1
     return 0, 1, high - 1, high, low
 
 
 def _longest(lengths: tuple[Any, ...], *, terminated: bool) -> int:
-    """Octets of the longest text that a length can say, at most 255."""
+    """Return the length of the longest text that a length can express, at most 255."""
     most: int = min([255, *((1 << (8 * each.width - each.signed)) - 1 for each in lengths)])
     return most - terminated
 
 
 def valid_beacons(codec: Codec, rng: random.Random, count: int) -> list[bytes]:
-    """So many valid beacons of the profile, among them one for each kind of container that is as full as can be."""
+    """Return ``count`` valid beacons of the profile, among them one with a full container of each type."""
     values = ValidValues(codec, rng)
     full = [values.full(kind) for kind in ICType]
     return [*full[:count], *(values.beacon() for _ in range(count - len(full)))]

@@ -1,14 +1,14 @@
-"""Hypothesis strategies for messages of a profile, and for octets that are almost one.
+"""Hypothesis strategies for messages of a profile, and for damaged messages.
 
-Everything is generated from the plan of the profile, so a profile of one's own is covered by naming it::
+Everything is generated from the plan of the profile, so a user-defined profile works as well::
 
     @given(strategies.beacons(codec))
     def test_round_trip(beacon):
         assert codec.decode(codec.encode(beacon)) == beacon
 
-Values are valid: counts, lengths and sizes are what the layout can express, strings that end with NUL hold none, and
-extra fields are always given. Widths have their boundaries (0, 1, highest - 1, highest; signed also the lowest) far
-more often than chance would have them, lists and strings are now and then as long as they can be. Descriptions and
+Values are valid: the layout can express their counts, lengths and sizes, strings that end with NUL contain no other
+NUL, and extra fields are always present. Boundary values of a width (0, 1, highest - 1, highest; signed also the
+lowest) are far more frequent than by chance, and some lists and strings have their maximum length. Descriptions and
 node identifiers need not be UTF-8, floats need not be finite.
 
 This module alone imports hypothesis, which is not needed to use the rest of the package.
@@ -29,44 +29,44 @@ from dcp_codec.plan.tree import Exact, Fill, Group, Many, Node, Region, Rest, Sc
 from dcp_codec.values import Beacon, Container, ExtendedSafetyData, Payload, VardisRecord
 from dcp_codec.views.fields import Dissection, Field
 
-#: Where a length field could say more, strings and payloads of unknown protocols end here: more only costs time.
+#: Maximum length of strings and payloads of unknown protocols: longer ones only cost time.
 LONGEST_TEXT = 300
-#: What an uncounted list (elements) and a whole message (octets) end at.
+#: Maximum length of an uncounted list (elements) and of a whole message (octets).
 LONGEST_LIST = 4
 LARGEST_MESSAGE = 1 << 14
 
 
 def beacons(codec: Codec) -> st.SearchStrategy[Beacon]:
-    """Beacons that ``codec.encode`` takes, of state reports, instruction containers and unknown protocols."""
+    """Beacons that ``codec.encode`` accepts, of state reports, instruction containers and unknown protocols."""
     return _drawn(_shape(codec.beacon_plan, codec.types))
 
 
 def envelopes(codec: Codec) -> st.SearchStrategy[Beacon]:
-    """Beacons whose client payloads are all octets, as ``codec.encode_envelope`` takes them."""
+    """Beacons whose client payloads are all octets, as ``codec.encode_envelope`` accepts them."""
     return _drawn(_shape(codec.envelope_plan, codec.types))
 
 
 def payloads(codec: Codec) -> st.SearchStrategy[Payload]:
-    """Payload blocks, each of which fits into a beacon of its own."""
+    """Payload blocks, each of which fits into a beacon on its own."""
     return beacons(codec).filter(lambda beacon: beacon.payloads).map(lambda beacon: beacon.payloads[-1])
 
 
 def containers(codec: Codec) -> st.SearchStrategy[tuple[Container, ...]]:
-    """VarDis payloads: tuples of none to a few instruction containers, as ``codec.encode_containers`` takes them."""
+    """VarDis payloads: tuples of zero or more instruction containers, as ``codec.encode_containers`` accepts them."""
     return _drawn(_shape(codec.containers_plan, codec.types))
 
 
 def reports(codec: Codec) -> st.SearchStrategy[ExtendedSafetyData]:
-    """State reports. Raises ValueError for a profile that has no octets for them."""
+    """State reports. Raises ValueError for a profile that cannot encode them."""
     if codec.report_plan is None:
-        raise ValueError(f"profile {codec.profile.name} has no octets for a state report (srp.record is empty)")
+        raise ValueError(f"profile {codec.profile.name} cannot encode state reports (srp.record is empty)")
     return _drawn(_shape(codec.report_plan, codec.types))
 
 
 def records(codec: Codec, container_name: str) -> st.SearchStrategy[VardisRecord]:
     """Records of the container type of that name, for example ``"CREATE-VARIABLES"``.
 
-    Raises KeyError for a name that is none of the specification's.
+    Raises KeyError for a name that the specification does not have.
     """
     number = codec.profile.vardis.container_types.by_name()[container_name]
     plan = codec.containers_plan
@@ -83,16 +83,16 @@ def records(codec: Codec, container_name: str) -> st.SearchStrategy[VardisRecord
 
 
 class _Shape(Protocol):
-    """A node of the plan made ready for drawing: ``least`` is how many octets it takes at least."""
+    """A node of the plan, prepared for drawing. ``least`` is its minimum number of octets."""
 
     @property
     def least(self) -> int: ...
 
     def draw(self, draw: st.DrawFn, room: int) -> Any:
-        """A value of at most ``room`` octets; ``room`` is never less than ``least``."""
+        """Draw a value of at most ``room`` octets; ``room`` is never less than ``least``."""
 
     def size(self, value: Any) -> int:
-        """The octets that ``value`` takes."""
+        """Return the number of octets of ``value``."""
 
 
 def _drawn(shape: _Shape) -> st.SearchStrategy[Any]:
@@ -104,7 +104,7 @@ def _drawn(shape: _Shape) -> st.SearchStrategy[Any]:
 
 
 def _shape(node: Node, types: ValueTypes, counts: tuple[int, int] = (0, LONGEST_LIST)) -> _Shape:
-    """The shape of a node outside a record, or inside one if it refers to no other member."""
+    """Return the shape of a node outside a record, or inside one if it refers to no other member."""
     match node:
         case Scalar():
             return _ScalarShape(node)
@@ -126,7 +126,7 @@ def _shape(node: Node, types: ValueTypes, counts: tuple[int, int] = (0, LONGEST_
 
 
 def bounds(size: int, *, signed: bool = False) -> tuple[int, int]:
-    """The lowest and the highest integer of ``size`` octets."""
+    """Return the lowest and the highest integer of ``size`` octets."""
     return (-(1 << (8 * size - 1)) if signed else 0), (1 << (8 * size - signed)) - 1
 
 
@@ -134,7 +134,7 @@ _BINARY = {size: st.binary(min_size=size, max_size=size) for size in range(17)}
 
 
 def _octets(size: int) -> st.SearchStrategy[bytes]:
-    """Exactly ``size`` octets; many of them repeat a pattern, because drawing each costs more than it finds."""
+    """Exactly ``size`` octets; many repeat a pattern, because drawing each octet costs more than it finds."""
     if size in _BINARY:
         return _BINARY[size]
     return _BINARY[16].map(lambda pattern: (pattern * (size // 16 + 1))[:size])
@@ -167,12 +167,12 @@ class _ScalarShape:
 _ANY_OCTETS = st.binary(max_size=12)
 _NO_NUL = st.lists(st.integers(1, 255), max_size=12).map(bytes)
 _UTF8 = st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=6).map(str.encode)
-#: Decides whether something is made as long as it can be.
+#: Decides whether something gets its maximum length.
 _ONE_IN_16 = st.integers(0, 15)
 
 
 def _stretched(draw: st.DrawFn, octets: bytes, room: int) -> bytes:
-    """``octets`` cut to ``room``; now and then repeated up to it, or to one octet less."""
+    """Return ``octets`` cut to ``room``; sometimes repeated up to it, or to one octet less."""
     stretch = draw(_ONE_IN_16)
     if octets and stretch >= 14:
         size = max(room - (stretch == 14), 0)
@@ -221,7 +221,7 @@ class _ManyShape:
             items.append(self.element.draw(draw, room))
             room -= self.element.size(items[-1])
         if items and self.most > LONGEST_LIST and draw(_ONE_IN_16) == 15:
-            # As many as can be counted, by going round in those drawn.
+            # As many elements as the count can express, by repetition of the drawn ones.
             drawn = len(items)
             while len(items) < self.most and (size := self.element.size(items[-drawn])) <= room:
                 items.append(items[-drawn])
@@ -234,9 +234,10 @@ class _ManyShape:
 
 @dataclass(frozen=True)
 class _Part:
-    """A stored member of a record. ``cap``: what its length field and its area allow. ``key``: what chooses it.
+    """A stored member of a record. ``cap``: the limit by its length field and its area. ``key``: the field that selects
+    it.
 
-    ``attribute`` is where the record keeps it, None for the next entry of ``extra``.
+    ``attribute`` is the attribute of the record that holds it, None for the next entry of ``extra``.
     """
 
     name: str
@@ -255,13 +256,13 @@ class _Part:
         return min(shape.least for shape in shapes)
 
     def shape_for(self, number: int) -> _Shape:
-        """The shape of the content that belongs to a value of the key."""
+        """Return the shape of the content for a value of the key."""
         shape = (self.cases or {}).get(number, self.default)
         assert shape is not None
         return shape
 
     def numbers(self, draw: st.DrawFn, key: _Shape, room: int) -> int:
-        """A value of the key whose content has room."""
+        """Draw a value of the key whose content fits."""
         cases = self.cases or {}
         fitting = [number for number, shape in cases.items() if shape.least <= room]
         if self.default is not None and (not fitting or draw(st.integers(0, 4)) == 0):
@@ -276,7 +277,7 @@ class _GroupShape:
         self.foreign = [member.name for member in types.slots(group)[1]]
         self.parts: list[_Part] = []
         self.choices: dict[str, _Part] = {}
-        # The member in front of an unused rest, with it, takes as many octets as the area has.
+        # The member before an unused rest and the rest together take all octets of the area.
         self.areas = {member.used: member for member in group.members if isinstance(member, Fill)}
         self.area_of: dict[str, Fill] = {}
         self.fixed = sum(member.total for member in self.areas.values())
@@ -341,7 +342,7 @@ class _GroupShape:
         return self.cls(**values)
 
     def _spare(self, part: _Part, spare: int) -> int:
-        """How many octets more than its least a member may take; inside an area they are paid for already."""
+        """Return the octets beyond its minimum that a member may take; those inside an area are already counted."""
         return LARGEST_MESSAGE if part.name in self.area_of else spare
 
     def size(self, value: Any) -> int:
@@ -351,7 +352,7 @@ class _GroupShape:
             if part.name in self.area_of:
                 continue
             if part.attribute is None:
-                # A choice is never one of these.
+                # A choice never gets here.
                 assert part.shape is not None
                 size += part.shape.size(value.extra[self.foreign.index(part.name)])
                 continue
@@ -361,7 +362,7 @@ class _GroupShape:
 
 
 def _scalars(group: Group) -> list[Scalar]:
-    """The scalars of a record and of the records in it, which may derive from its members."""
+    """Return the scalars of a record and of its inner records, which may depend on its members."""
     found: list[Scalar] = []
     for member in group.members:
         if isinstance(member, Scalar):
@@ -380,11 +381,11 @@ def mutations(octets: st.SearchStrategy[bytes], dissect: Dissect | None = None) 
     """Octets as drawn from ``octets``, damaged in one to three places.
 
     With ``dissect`` (``codec.dissect``, or that of a part) half of the damage hits exactly one field: it becomes zero,
-    one, the highest value or the one below, one more, one less, a value that has no name, or is turned round, so that
-    lengths, counts, types and identifiers lie. The other damage is to structure: cut off at any octet, octets behind, a
-    region twice or left out, a flipped bit; with ``dissect`` also two elements of lists that change places, an element
-    of another message in the place of one, and all counts and lengths as high as can be. The result may by chance be a
-    message again.
+    one, the highest value or the one below, one more, one less, a value without a name, or its octets are reversed, so
+    that lengths, counts, types and identifiers are wrong. The other damage is to structure: a cut at any octet,
+    appended octets, a duplicated or removed region, a flipped bit; with ``dissect`` also two exchanged list elements,
+    an element replaced by one of another message, and all counts and lengths at their maximum. The result may by chance
+    be a message again.
     """
 
     @st.composite
@@ -424,7 +425,7 @@ def _is_leaf(field: Field) -> bool:
 
 
 def _wrong(raw: bytes) -> list[bytes]:
-    """Other octets of the same number: the boundaries, the neighbours, the other byte order."""
+    """Return other octets of the same length: the boundaries, the neighbours, the other byte order."""
     size = len(raw)
     modulus = 1 << (8 * size)
     found: list[bytes] = []
@@ -436,7 +437,7 @@ def _wrong(raw: bytes) -> list[bytes]:
 
 
 def _with_elements_changed(draw: st.DrawFn, octets: bytes, dissect: Dissect, others: st.SearchStrategy[bytes]) -> bytes:
-    """Elements of lists in other places, or from other messages; or every count and length lies at once."""
+    """Exchange list elements, within a message or with another one; or set every count and length wrong at once."""
     kind = draw(st.sampled_from(("reorder", "splice", "bomb")))
     dissection = dissect(octets)
     if kind == "bomb":
@@ -463,7 +464,7 @@ def _with_elements_changed(draw: st.DrawFn, octets: bytes, dissect: Dissect, oth
 
 
 def _elements(dissection: Dissection) -> list[tuple[str, int, int]]:
-    """The elements of all lists: name of the list, where they start and stop."""
+    """Return the elements of all lists: name of the list, start and end."""
     shift = dissection.root.offset
     return [
         (field.name, element.offset - shift, element.offset - shift + element.length)

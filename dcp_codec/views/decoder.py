@@ -1,8 +1,8 @@
 """Generate the strict decoder of a plan.
 
-The generated function reads ``b[o:e]`` and returns ``(value, end)``. Neighbouring scalars become one ``struct`` call,
-lists of small fixed records one bulk conversion. Octets that are no message raise :class:`DecodeError` with the same
-problem that the dissector reports first.
+The generated function reads ``b[o:e]`` and returns ``(value, end)``. It reads neighbouring scalars with one ``struct``
+call, and a list of small fixed records with one bulk conversion. Octets that are not a message raise
+:class:`DecodeError` with the problem that the dissector reports first.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class _Path:
 
 
 class _Ref:
-    """A decoded scalar that others refer to: its variable, where it starts, and its path."""
+    """A decoded scalar that other members refer to: its variable, its start, and its path."""
 
     def __init__(self, variable: str, offset: str, path: _Path) -> None:
         self.variable = variable
@@ -103,7 +103,7 @@ class _Generator:
     def __init__(self, plan: Node, types: ValueTypes) -> None:
         self.types = types
         self.referenced = references(plan)
-        # A value's only length is never pointed back to, though it shares its name with the header's.
+        # The only length of a value has a header's name, but no later error refers to it.
         self.prefixes = {
             id(prefix)
             for node in walk(plan)
@@ -112,7 +112,7 @@ class _Generator:
         }
         self.source = Source("decode(b, o, e)")
         self.source.namespace.update(starmap=starmap, short_run=short_run)
-        # What to hand over with an error: the outermost list built so far (see DecodeError.partial).
+        # The result to attach to an error: the outermost list built so far (see DecodeError.partial).
         self.partial = "None"
         self.partial_root: Callable[[str], str] | None = None
 
@@ -131,14 +131,14 @@ class _Generator:
     # -- scalars --------------------------------------------------------------------------------------------
 
     def flush(self, run: list[tuple[Scalar, _Path, str, _Scope]], end: str, *, fits: bool) -> None:
-        """Read a run of neighbouring scalars into their variables and move ``o`` behind them."""
+        """Emit the reading of a run of neighbouring scalars into their variables; move ``o`` to its end."""
         if not run:
             return
         source, size = self.source, sum(scalar.size for scalar, *_ in run)
         if not fits:
             with source.block(f"if o + {size} > {end}:"):
                 self.short([(scalar, path) for scalar, path, *_ in run], "o", end)
-        # Where the run began is only kept for fields that a later error may point back to.
+        # The start of the run is only kept for fields that a later error may refer to.
         base = (
             source.fresh("s") if any(s.name in self.referenced and id(s) not in self.prefixes for s, *_ in run) else ""
         )
@@ -161,7 +161,7 @@ class _Generator:
         run.clear()
 
     def text(self, text: Text, lengths: list[_Ref], path: _Path, end: str) -> str:
-        """Read the octets behind the lengths (already read) of ``text``."""
+        """Emit the reading of the octets after the lengths (already read) of ``text``."""
         source, variable = self.source, self.source.fresh()
         if not lengths:
             stop = source.fresh("p")
@@ -190,7 +190,7 @@ class _Generator:
     # -- records --------------------------------------------------------------------------------------------
 
     def group(self, group: Group, path: _Path, end: str, *, fits: bool = False) -> str:
-        """Read a record; returns the expression of its value."""
+        """Emit the reading of a record; return the expression of its value."""
         run: list[tuple[Scalar, _Path, str, _Scope]] = []
         return self._members(group, path, end, {}, run, last=True, fits=fits)
 
@@ -237,7 +237,7 @@ class _Generator:
         return self._value(group, values)
 
     def _value(self, group: Group, values: dict[str, str]) -> str:
-        """The expression that makes the value of ``group`` out of the expressions of its members."""
+        """Return the expression that constructs the value of ``group`` from the expressions of its members."""
         cls = self.types[group.type_name]
         names, foreign = self.types.slots(group)
         by_attribute = {
@@ -252,7 +252,7 @@ class _Generator:
         args: list[str] = []
         for name in names:
             args.append(by_attribute.get(name, "None" if name != "extra" else "()"))
-        # Trailing defaults need not be passed.
+        # Trailing defaults need not be passed to the constructor.
         while (
             args and names[len(args) - 1] not in by_attribute and len(args) > len(names) - len(cls.__struct_defaults__)
         ):
@@ -262,7 +262,9 @@ class _Generator:
     # -- structure ------------------------------------------------------------------------------------------
 
     def node(self, node: Node, path: _Path, end: str, scope: _Scope) -> str:
-        """Read any node; ``path`` is that of the record around it. Returns the expression of its value."""
+        """Emit the reading of any node; ``path`` is that of the record around it. Return the expression of its
+        value.
+        """
         match node:
             case Group():
                 return self.group(node, path.field(node.name), end)
@@ -314,7 +316,7 @@ class _Generator:
         return self.filling(node, node.content, path, stop, scope)
 
     def filling(self, region: Region, content: Node, path: _Path, stop: str, scope: _Scope) -> str:
-        """Read a content that must end where its region ends."""
+        """Emit the reading of a content that must end where its region ends."""
         value = self.node(content, path, stop, scope)
         if _fills(content):
             return value
@@ -371,7 +373,7 @@ class _Generator:
         return f"tuple({items})"
 
     def bulk(self, node: Many, path: _Path, end: str, count: str | None) -> str | None:
-        """A counted list of flat records of fixed size in one go; None where that is not possible."""
+        """Return the bulk conversion of a counted list of flat records of fixed size; None where that is impossible."""
         element, scalars = node.element, scalars_of(node.element)
         if count is None or scalars is None or len(scalars) != len(element.members):
             return None
@@ -389,7 +391,7 @@ class _Generator:
             run = [(scalar, path.item(whole).field(scalar.name)) for scalar in scalars]
             self.short(run, f"o + {whole} * {size}", end)
         if all(scalar.size == 1 and scalar.kind == "int" and not scalar.signed for scalar in scalars):
-            # One octet per field: every n-th octet is a column, and bytes iterate as integers.
+            # One octet per field: every n-th octet is a column; iterating over bytes gives integers.
             columns = ", ".join(
                 f"b[o{f' + {index}' if index else ''}:{stop}{f':{size}' if size != 1 else ''}]"
                 for index in range(len(scalars))
@@ -403,7 +405,7 @@ class _Generator:
 
 
 def _fills(node: Node) -> bool:
-    """Whether reading ``node`` without an error always ends at the end of its region."""
+    """Return whether reading ``node`` without an error always ends at the end of its region."""
     match node:
         case Rest() | Exact():
             return True
@@ -414,7 +416,7 @@ def _fills(node: Node) -> bool:
 
 
 def generate_decoder(plan: Node, types: ValueTypes, title: str) -> Decode:
-    """The decoder of ``plan``: ``decode(b, o, e) -> (value, end)`` for ``bytes`` ``b``; raises DecodeError."""
+    """Return the decoder of ``plan``: ``decode(b, o, e) -> (value, end)`` for ``bytes`` ``b``; raises DecodeError."""
     generator = _Generator(plan, types)
     value = generator.node(plan, _Path(), "e", {})
     generator.source.add(f"return {value}, o")

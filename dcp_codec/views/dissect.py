@@ -1,6 +1,6 @@
-"""Take octets apart for people, by any plan: a tree of what is there and every problem found.
+"""Dissection of octets by any plan for display: a tree of fields and every problem found.
 
-What takes many messages apart has :meth:`dcp_codec.codec.Codec.dissect`, or a dissector of its own
+To dissect many messages use :meth:`dcp_codec.codec.Codec.dissect`, or generate a dissector
 (:func:`dcp_codec.views.dissector.generate_dissector`).
 """
 
@@ -20,7 +20,7 @@ def _dissector(plan: Node) -> Dissect:
 
 
 def dissect(plan: Node, octets: bytes, *, start: int = 0, base: int = 0) -> Dissection:
-    """Take ``octets[start:]`` apart by ``plan``. ``base`` is what the first octet's offset is called. Never raises."""
+    """Dissect ``octets[start:]`` by ``plan``. ``base`` is the offset of the first octet in the result. Never raises."""
     return _dissector(plan)(octets, start, base)
 
 

@@ -1,16 +1,16 @@
-"""Generate the dissector of a plan: octets to a tree of fields and every problem, whatever the octets are.
+"""Generate the dissector of a plan. It turns any octets into a tree of fields and a list of problems.
 
-Its first error is the one that the strict decoder raises; it then goes on wherever the layout allows: behind a region
-of known length, behind a bad value. One function is generated for the message, and one for each content of a
-region. They have the same arguments and results:
+Its first error is the one that the strict decoder raises. It then continues wherever the layout allows: after a region
+of known length, after a bad value. One function is generated for the message, and one for each content of a region.
+They have the same arguments and results:
 
-    part(b, o, e, at, s, clipped, problems, doubtful, ...) -> (field, o, going)
+part(b, o, e, at, s, clipped, problems, doubtful, ...) -> (field, o, going)
 
-They read ``b[o:e]``, which lies at ``at`` (see :data:`dcp_codec.views.fields.Place`), and return what they have found,
-the
-position behind it, and whether it is known how to go on there. ``s`` is the buffer and what is added to a position in
-it to get an offset, ``clipped`` whether the region around is cut off at ``e``. Then follow the fields that the content
-of a region refers to. Where octets end too soon, a function closes all records that it has begun and returns.
+They read ``b[o:e]``, whose place is ``at`` (see :data:`dcp_codec.views.fields.Place`), and return the field, the
+position after it, and whether reading can continue there. ``s`` is the pair of the buffer and the number that turns a
+position in it into an offset; ``clipped`` says whether the enclosing region is cut off at ``e``. The further arguments
+are the fields that the content of a region refers to. If the octets end too soon, a function completes all records that
+it has begun and returns.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ Dissect = Callable[[bytes, int, int], Dissection]
 
 
 class Doubt(NamedTuple):
-    """When a complete record may break a rule beyond the layout: ``test`` of the values of these members says so.
+    """A condition under which a complete record may break a rule beyond the layout.
 
-    A record in which something is missing is always doubtful.
+    ``test`` is called with the values of the named members. An incomplete record is always doubtful.
     """
 
     members: tuple[str, ...]
@@ -51,7 +51,7 @@ def _fault(reason: str, requirement: str | None) -> Callable[..., None]:
 def cut_off(
     run: tuple[Scalar, ...], o: int, e: int, at: Place, s: tuple[bytes, int], problems: list[Problem]
 ) -> list[Field]:
-    """The fields of neighbouring scalars that do not all fit into ``b[o:e]``, up to the one that is cut off."""
+    """Return the fields of neighbouring scalars that do not all fit into ``b[o:e]``, up to the one that is cut off."""
     b, shift = s
     fields = []
     for scalar in run:
@@ -73,7 +73,7 @@ def cut_off(
 
 
 class _Ref(NamedTuple):
-    """The variables of a scalar that others may refer to: of its field, and of its value."""
+    """The variables of a scalar that others may refer to: for its field and for its value."""
 
     field: str
     value: str
@@ -83,7 +83,7 @@ _Scope = dict[str, _Ref]
 
 
 class _Open(NamedTuple):
-    """A record, list or text that has been begun: where it lies and starts, and source for its parts so far."""
+    """A record, list or text under construction: its place, its start, and the source of its parts so far."""
 
     layout: Group | Many | Text
     at: str
@@ -92,7 +92,7 @@ class _Open(NamedTuple):
 
 
 def _referred(node: Node) -> list[str]:
-    """The members of the record around ``node`` that it refers to."""
+    """Return the members of the record around ``node`` that ``node`` refers to."""
     match node:
         case Region():
             return [node.length, *_referred(node.content)]
@@ -118,7 +118,7 @@ class _Part:
         self.open: list[_Open] = []
 
     def function(self, node: Node, scope: _Scope | None = None) -> Any:
-        """The function that reads ``node``, which may refer to what is in ``scope``."""
+        """Return the generated function that reads ``node``, which may refer to the members in ``scope``."""
         self.source.add(f"return {self.node(node, 'at', scope or {})}, o, True")
         name = node.type_name if isinstance(node, Group) else node.name
         return self.source.compile(f"dissector {self.title} {name}".rstrip())
@@ -126,13 +126,13 @@ class _Part:
     # -- pieces of source -----------------------------------------------------------------------------------------
 
     def field(self, layout: Node, at: str, start: str, length: str, *more: str, name: str | None = None) -> str:
-        """Source that makes a field, which bears the name of its layout unless there is another."""
+        """Return source that constructs a field, by default with the name of its layout."""
         called = self.name(layout.name if name is None else name)
         known = self.source.constant("L", layout, id(layout))
         return f"Field({', '.join((called, known, at, 's', start, length, *more))})"
 
     def keep(self, field: str, position: str = "o") -> str:
-        """Keep a field in a variable and go on at ``position``."""
+        """Emit the assignment of a field to a variable, continue at ``position``, and return the variable."""
         variable = self.source.fresh("f")
         self.source.add(f"{variable} = {field}")
         if position != "o":
@@ -143,7 +143,7 @@ class _Part:
         return self.source.constant("N", name, name)
 
     def inside(self, node: Node, at: str) -> str:
-        """The variable of the place of the parts of ``node``."""
+        """Return the variable for the place of the parts of ``node``."""
         if not node.name:
             return at
         place = self.source.fresh("at")
@@ -158,11 +158,13 @@ class _Part:
         self.source.add(f"{report}(problems, {path}, {offset}, {needed}, {available})")
 
     def fault_of(self, ref: _Ref, reason: str, requirement: str | None, needed: str, available: str) -> None:
-        """Report a problem of the field that something refers to."""
+        """Emit the report of a problem of a field that another member refers to."""
         self.fault(reason, requirement, f"{ref.field}.path", f"{ref.field}.offset", needed, available)
 
     def stop(self, part: str) -> None:
-        """Nothing is known behind ``part``, which reaches to the end: close all that is open around it, and return."""
+        """Emit the end of the function after ``part``, which reaches to the end: complete all open records and
+        return.
+        """
         for around in reversed(self.open):
             layout, length, parts = around.layout, f"e - {around.start}", ", ".join((*around.parts, part))
             part = self.keep(self.field(layout, around.at, around.start, length, "None", f"[{parts}]"))
@@ -173,7 +175,7 @@ class _Part:
     # -- records --------------------------------------------------------------------------------------------------
 
     def group(self, group: Group, at: str, scope: _Scope) -> str:
-        """Read a record whose members come into ``scope``; returns the variable of its field."""
+        """Emit the reading of a record whose members enter ``scope``; return the variable of its field."""
         source, start = self.source, self.source.fresh("s")
         source.add(f"{start} = o")
         place = self.inside(group, at)
@@ -211,7 +213,7 @@ class _Part:
             self.source.add(f"doubtful.append({whole})")
 
     def _run(self, run: list[Scalar], at: str, scope: _Scope) -> None:
-        """Read neighbouring scalars of what was begun last."""
+        """Emit the reading of neighbouring scalars of the innermost open record."""
         if not run:
             return
         source, values, relative = self.source, [self.source.fresh() for _ in run], 0
@@ -255,7 +257,7 @@ class _Part:
         return whole
 
     def _data(self, text: Text, at: str, lengths: list[_Ref], value: str) -> None:
-        """Read the octets behind the lengths of ``text`` into the variable ``value``."""
+        """Emit the reading of the octets after the lengths of ``text`` into the variable ``value``."""
         source, first, stop, name = self.source, lengths[0], self.source.fresh("p"), "data"
         for other in lengths[1:]:
             with source.block(f"if {other.value} != {first.value}:"):
@@ -274,7 +276,7 @@ class _Part:
     # -- structure ------------------------------------------------------------------------------------------------
 
     def node(self, node: Node, at: str, scope: _Scope) -> str:
-        """Read any node of the record at ``at``; returns the variable of its field."""
+        """Emit the reading of any node of the record at ``at``; return the variable of its field."""
         match node:
             case Group():
                 return self.group(node, at, {})
@@ -334,7 +336,7 @@ class _Part:
         source, inner = self.source, self.source.fresh("f")
         part = source.constant("part", _Part(self.doubts, self.title).function(node.content))
         source.add(f"wrong = e - o != {node.size}")
-        # What is there is still shown, but the one mistake is reported once, which may be that the region is cut off.
+        # The content is still shown. The mistake is reported once; it may be the cut-off region.
         with source.block("if wrong and not clipped:"):
             self.fault(node.reason, node.requirement, self.path(at, node.name), "o + s[1]", str(node.size), "e - o")
         source.add(
@@ -362,7 +364,7 @@ class _Part:
         source, used, stop = self.source, scope[node.used], self.source.fresh("p")
         with source.block(f"if {used.value} > {node.total}:"):
             self.fault_of(used, node.reason, node.requirement, used.value, str(node.total))
-            # Where the next block would be is not known: what is left belongs to the area that is none.
+            # The position of the next block is unknown; the rest belongs to the impossible area.
             self.stop(self.field(node, at, "o", "e - o"))
         source.add(f"{stop} = o + {node.total} - {used.value}")
         with source.block(f"if {stop} > e:"):
@@ -372,10 +374,10 @@ class _Part:
 
 
 def generate_dissector(plan: Node, title: str, doubts: Mapping[str, Doubt] | None = None) -> Dissect:
-    """The dissector of ``plan``: ``dissect(octets, start, base)`` takes ``octets[start:]`` apart and never raises.
+    """Return the dissector of ``plan``: ``dissect(octets, start, base)`` dissects ``octets[start:]`` and never raises.
 
-    ``base`` is what the offset of the first octet is called. ``doubts``, by the type names of records, say which ones
-    are listed in :attr:`~dcp_codec.views.fields.Dissection.doubtful`.
+    ``base`` is the offset that the result gives the first octet. ``doubts``, by the type names of records, selects the
+    records that are listed in :attr:`~dcp_codec.views.fields.Dissection.doubtful`.
     """
     part = _Part(doubts or {}, title).function(plan)
 
@@ -385,7 +387,7 @@ def generate_dissector(plan: Node, title: str, doubts: Mapping[str, Doubt] | Non
         shift = base - start
         root, end, going = part(octets, start, len(octets), None, (octets, shift), False, problems, doubtful)
         if not going:
-            # Octets behind a message that could not be read to its end are not known to be padding.
+            # Octets after a message that could not be read to its end need not be padding.
             end = len(octets)
         return Dissection(root, problems, end + shift, octets[end:], doubtful)
 

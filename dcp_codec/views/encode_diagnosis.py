@@ -1,6 +1,6 @@
-"""Say why a value does not fit a plan: which field, and what is wrong with it.
+"""Find the reason why a value does not fit a plan: which field, and what is wrong with it.
 
-The generated encoder only notices that packing failed. Then, and only then, plan and value are walked side by side.
+The generated encoder only notices that packing failed. Only then this module walks plan and value side by side.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from dcp_codec.plan.tree import Exact, Fill, Group, Many, Node, Region, Rest, Sc
 
 
 def measured(group: Group, length: str) -> str:
-    """The member that the field ``length`` of ``group`` measures."""
+    """Return the member whose length the field ``length`` of ``group`` holds."""
     for member in group.members:
         if isinstance(member, Scalar) and member.name == length and member.derived is not None:
             return member.derived.of
@@ -22,7 +22,7 @@ def measured(group: Group, length: str) -> str:
 
 
 def zero(node: Node) -> Any:
-    """What an extra field holds when the caller gives none (None: as long as the area needs)."""
+    """Return the default content of an extra field (None: as many zeros as the area needs)."""
     match node:
         case Scalar(kind="bytes"):
             return bytes(node.size)
@@ -44,7 +44,7 @@ def _join(path: str, name: str) -> str:
 
 
 class _Shape(NamedTuple):
-    """Where the members of a record are found in its value."""
+    """The positions of a record's members in its value."""
 
     attributes: list[str | None]
     foreign: list[Node]
@@ -52,14 +52,14 @@ class _Shape(NamedTuple):
 
 
 class _Explainer:
-    """Walks plan and value side by side; every method returns how many octets the part takes."""
+    """Walks plan and value side by side; every method returns the number of octets of its part."""
 
     def __init__(self, types: ValueTypes) -> None:
         self.types = types
         self._shapes: dict[Group, _Shape] = {}
 
     def shape(self, group: Group) -> _Shape:
-        """Asked for once for all elements of a list."""
+        """Return the shape of a record, computed once for all elements of a list."""
         found = self._shapes.get(group)
         if found is None:
             attributes = [self.types.attribute(group, member) for member in group.members]
@@ -88,7 +88,7 @@ class _Explainer:
                 assert case is not None
                 return self.node(case, value, path, siblings)
             case Fill():
-                # Whether it fits is known when the size of what lies in front of it is.
+                # Whether it fits is known only after the size of the content before it.
                 return self.octets(value, path) if value else 0
 
     def octets(self, value: Any, path: str) -> int:
@@ -149,7 +149,7 @@ class _Explainer:
         return sum(sizes.values())
 
     def members(self, group: Group, value: Any, path: str) -> dict[str, Any]:
-        """The stored members of a record by name."""
+        """Return the stored members of a record by name."""
         attributes, foreign, homeless = self.shape(group)
         extra: Any = getattr(value, "extra", ()) or tuple(zero(member) for member in foreign)
         if foreign:
@@ -170,7 +170,7 @@ class _Explainer:
         return siblings
 
     def label(self, member: Node, siblings: dict[str, Any], path: str) -> str:
-        """What a member is called in paths: a chosen content goes by the label of the choice."""
+        """Return the name of a member in paths; a chosen content has the label of the choice."""
         content = member.content if isinstance(member, Region) else member
         if not isinstance(content, Select):
             return member.name
@@ -181,7 +181,7 @@ class _Explainer:
         return case.name
 
     def derived(self, scalar: Scalar, value: Any, size: int, path: str) -> None:
-        """A length or a count, here or in a record inside, must be able to say what is there."""
+        """Check that a length or count, in this record or in one inside it, can express the actual number."""
         assert scalar.derived is not None
         found, what = (size, "octets") if scalar.derived.kind == "size" else (len(value), "elements")
         low, high = int(scalar.rule is not None), _bounds(scalar)[1]
@@ -191,7 +191,7 @@ class _Explainer:
     def fill(
         self, fill: Fill, group: Group, siblings: dict[str, Any], sizes: dict[str, int], paths: dict[str, str]
     ) -> int:
-        """The size of the rest of an area, which must be what the content in front of it leaves."""
+        """Return the size of the rest of an area; it must be the room that the content before it leaves."""
         content = measured(group, fill.used)
         rest = fill.total - sizes[content]
         if rest < 0:
@@ -216,6 +216,6 @@ class _Explainer:
 
 
 def _bounds(scalar: Scalar) -> tuple[int, int]:
-    """The lowest and the highest value of an integer."""
+    """Return the lowest and the highest value of an integer."""
     low = -(1 << (8 * scalar.size - 1)) if scalar.signed else 0
     return low, (1 << (8 * scalar.size - scalar.signed)) - 1

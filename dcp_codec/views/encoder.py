@@ -1,9 +1,9 @@
 """Generate the strict encoder of a plan.
 
-The generated function packs neighbouring scalars in one ``struct`` call and derives lengths and counts from what it has
-packed. A part whose size nothing states goes straight into the octets around it; one that is measured is put together
-first. The function does not look for the reason of a failure: when anything raises,
-:mod:`dcp_codec.views.encode_diagnosis` walks plan and value once more, slowly, and names the field.
+The generated function packs neighbouring scalars in one ``struct`` call and derives lengths and counts from the packed
+parts. A part whose size no field states is appended to the surrounding octets directly; a measured part is assembled
+first. The function does not look for the reason of a failure: if anything raises,
+:mod:`dcp_codec.views.encode_diagnosis` walks plan and value again, slowly, and names the field.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ from .encode_diagnosis import explain, measured, zero
 
 Encode = Callable[[Any], bytes]
 
-#: What packing a wrong value can raise; anything else is a fault of ours and must show.
+#: Exceptions that packing a wrong value can raise; any other is a fault of the encoder and must be visible.
 _PACKING_ERRORS = (struct.error, TypeError, ValueError, AttributeError, OverflowError)
 
 
 def _has_extra(group: Group) -> bool:
-    """Whether each value of a record has ``extra``, whatever the profile adds to it."""
+    """Return whether every value of a record has ``extra``, independently of the profile."""
     return "extra" in VALUE_CLASSES[group.type_name].__struct_fields__ if group.type_name in VALUE_CLASSES else False
 
 
 class _Out:
-    """Where octets go: expressions to be joined, or a ``bytearray`` in the generated function that grows."""
+    """Destination of octets: expressions to be joined, or a growing ``bytearray`` in the generated function."""
 
     def __init__(self, source: Source) -> None:
         self.source = source
@@ -41,7 +41,7 @@ class _Out:
         self.grown = ""
 
     def add(self, expression: str, *, packed: bool = False) -> None:
-        """The octets that come next; ``packed`` are ``bytes``, others may be a ``bytearray``."""
+        """Append the octets of an expression; ``packed`` ones are ``bytes``, others may be a ``bytearray``."""
         if self.grown:
             self.source.add(f"{self.grown} += {expression}")
             return
@@ -49,27 +49,27 @@ class _Out:
         self.pieces.append(expression)
 
     def add_octet(self, expression: str) -> None:
-        """The one octet of this number, which comes next; only when open."""
+        """Append one octet with this numeric value; only when open."""
         self.source.add(f"{self.grown}.append({expression})")
 
     def open(self) -> None:
-        """Grow from here on: what follows is in a loop or a branch, where no expression can be kept for later."""
+        """Switch to a growing ``bytearray``: inside a loop or a branch no expression can be kept for later."""
         if not self.grown:
             self.grown = self.source.fresh("q")
             self.source.add(f"{self.grown} = bytearray({' + '.join(self.pieces)})")
 
     def expression(self) -> str:
-        """All octets, as ``bytes`` or ``bytearray``."""
+        """Return the expression of all octets, as ``bytes`` or ``bytearray``."""
         return self.grown or " + ".join(self.pieces) or "b''"
 
     def octets(self) -> str:
-        """All octets, as ``bytes``."""
-        # What is added to bytes becomes bytes, and packing makes them.
+        """Return the expression of all octets, as ``bytes``."""
+        # bytes plus any buffer is bytes; packing makes bytes.
         return self.expression() if self.packed and not self.grown else f"bytes({self.expression()})"
 
 
 class _Member:
-    """A structural member: the variable of its value, and of its octets if they had to be there early."""
+    """A structural member: the variable of its value, and of its octets if they were needed early."""
 
     def __init__(self, value: str, octets: str = "") -> None:
         self.value = value
@@ -77,7 +77,7 @@ class _Member:
 
 
 class _Scope:
-    """The structural members and the keys of a record while it is being encoded."""
+    """The structural members and the keys of a record while it is encoded."""
 
     def __init__(self, parent: _Scope | None) -> None:
         self.parent = parent
@@ -106,7 +106,7 @@ class _Generator:
     # -- records ----------------------------------------------------------------------------------------------
 
     def group(self, group: Group, value: str, parent: _Scope | None, out: _Out) -> None:
-        """Write the record in the variable ``value``."""
+        """Emit the encoding of the record in the variable ``value``."""
         scope = _Scope(parent)
         run: list[tuple[Scalar, str]] = []
         self._structure(group, value, scope)
@@ -120,15 +120,15 @@ class _Generator:
         return f"{value}_{self.types.slots(group)[1].index(member)}"
 
     def _structure(self, group: Group, value: str, scope: _Scope) -> None:
-        """Get hold of the structural members, and encode those whose size is stated before they are written."""
+        """Emit the access to the structural members, and encode those whose size is stated before them."""
         source, foreign = self.source, self.types.slots(group)[1]
         if foreign:
             zeros = source.constant("zeros", tuple(zero(member) for member in foreign))
             targets = "".join(f"{value}_{index}, " for index in range(len(foreign)))
-            # A plain record of the specification is one whose own fields were not given.
+            # A plain record of the specification has no ``extra``: its additional fields were not given.
             given = f"{value}.extra" if _has_extra(group) else f"getattr({value}, 'extra', ())"
             source.add(f"{targets}= {given} or {zeros}")
-        # What the layout cannot carry must not be lost silently.
+        # Refuse values that the layout cannot carry; they must not be lost silently.
         lost = [
             f"{value}.extra" if name == "extra" else f"{value}.{name} is not None"
             for name in self.types.homeless(group)
@@ -184,7 +184,7 @@ class _Generator:
 
     def _scalar(self, scalar: Scalar, expression: str, run: list[tuple[Scalar, str]], out: _Out) -> None:
         if scalar.kind == "bytes":
-            # struct would pad or cut octets of another length silently.
+            # struct would silently pad or cut octets of another length.
             variable = self.source.fresh()
             self.source.add(f"{variable} = {expression}")
             with self.source.block(f"if len({variable}) != {scalar.size}:"):
@@ -195,7 +195,7 @@ class _Generator:
         run.append((scalar, expression))
 
     def _only_octets(self, variable: str) -> None:
-        """Refuse other buffers: what ``len`` counts in them need not be octets."""
+        """Emit the refusal of other buffers: ``len`` need not count octets in them."""
         with self.source.block(f"if type({variable}) is not bytes and not isinstance({variable}, octets):"):
             self.source.add("raise TypeError")
 
@@ -206,7 +206,7 @@ class _Generator:
         if text.terminated:
             with self.source.block(f"if 0 in {variable}:"):
                 self.source.add("raise ValueError")
-            # Not +=, which would change a bytearray of the caller's.
+            # Not +=, which would change a bytearray of the caller.
             self.source.add(f"{variable} = {variable} + b'\\0'")
         for prefix in text.prefixes:
             self._scalar(prefix, f"len({variable})", run, out)
@@ -223,7 +223,7 @@ class _Generator:
 
     def _pack(self, run: list[tuple[Scalar, str]], out: _Out) -> None:
         if out.grown and all(s.size == 1 and s.kind == "int" and not s.signed for s, _ in run):
-            # Quicker than packing, also for several octets.
+            # Faster than packing, also for several octets.
             for _, expression in run:
                 out.add_octet(expression)
         elif run:
@@ -243,7 +243,7 @@ class _Generator:
     # -- structure ----------------------------------------------------------------------------------------------
 
     def _assign(self, octets: str, node: Node, value: str, scope: _Scope) -> None:
-        """Put the octets of a structural member into the variable ``octets``."""
+        """Emit the assignment of a structural member's octets to the variable ``octets``."""
         if isinstance(node, Select):
             self._choose(node, scope, lambda case: self._assign(octets, case, value, scope))
             return
@@ -252,7 +252,7 @@ class _Generator:
         self.source.add(f"{octets} = {out.expression()}")
 
     def write(self, node: Node, value: str, scope: _Scope, out: _Out) -> None:
-        """Write the structural member in the variable ``value``."""
+        """Emit the encoding of the structural member in the variable ``value``."""
         match node:
             case Many():
                 self.many(node, value, scope, out)
@@ -282,7 +282,7 @@ class _Generator:
                 case(node.default)
 
     def many(self, node: Many, items: str, scope: _Scope, out: _Out) -> None:
-        """Write a list, record by record: measured to be quicker than any bulk conversion of usual lists."""
+        """Emit the encoding of a list, record by record: measured to be faster than bulk conversion for usual lists."""
         source, element = self.source, node.element
         cls = source.constant("T", self.types[element.type_name], element.type_name)
         empty = f"not {items} or " if node.name in self.counted or node.nonempty else ""
@@ -297,7 +297,7 @@ class _Generator:
 
 
 def generate_encoder(plan: Node, types: ValueTypes, title: str) -> Encode:
-    """The encoder of ``plan``: ``encode(value) -> bytes``; raises EncodeError."""
+    """Return the encoder of ``plan``: ``encode(value) -> bytes``; raises EncodeError."""
 
     def refused(value: Any, error: Exception) -> EncodeError:
         try:

@@ -1,6 +1,6 @@
-"""Octets taken apart for people: a tree of what is there and every problem found. Nothing is judged, nothing raises.
+"""Result of a dissection: a tree of fields and every problem found. No code here judges or raises.
 
-The tree and the problems are made by the function that :mod:`dcp_codec.views.dissector` generates from a plan.
+The function that :mod:`dcp_codec.views.dissector` generates from a plan builds the tree and the problems.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ from dcp_codec.errors import Problem
 from dcp_codec.plan.tree import Node, Scalar
 
 Place = tuple[Any, str | int] | None
-"""Where parts of a record lie: the place of the record around it, and its name or its index there. None: outermost."""
+"""The place of a part: the place of the record around it, and its name or index there. None: outermost."""
 
 
 def path_of(place: Place, name: str = "") -> str:
-    """``payloads[1].vardis[0].icType``: the path of the member ``name`` of what lies at ``place``."""
+    """Return the path of the member ``name`` of the part at ``place``: ``payloads[1].vardis[0].icType``."""
     path = f".{name}" if name else ""
     while place is not None:
         place, step = place
@@ -30,11 +30,11 @@ class Field(msgspec.Struct, eq=False, gc=False):
     """A part of the octets.
 
     ``name`` is the specification's ("" for the message and for the elements of lists), ``layout`` the node of the plan
-    that describes it, ``length`` how many octets of it are there, ``value`` what it says (None for a record, a list, or
-    a field that is cut off), ``children`` its parts.
+    that describes it, ``length`` the number of its octets that are present, ``value`` its value (None for a record, a
+    list, or a field that is cut off), ``children`` its parts.
 
-    A message has dozens of them, and making them is most of taking it apart: hence the struct, which holds no
-    references that could form a cycle, and what few ask for is worked out when it is asked for.
+    A message has dozens of fields, and their construction dominates the time of a dissection. Therefore the class is a
+    struct without references that could form a cycle, and rarely used attributes are computed on demand.
     """
 
     name: str
@@ -48,36 +48,36 @@ class Field(msgspec.Struct, eq=False, gc=False):
 
     @property
     def path(self) -> str:
-        """The field path with indices (``payloads[1].vardis[0].records[3].seqno``)."""
+        """Return the field path with indices (``payloads[1].vardis[0].records[3].seqno``)."""
         return path_of(self._place, self.name)
 
     @property
     def offset(self) -> int:
-        """The octet where it starts, counted as the caller of the dissector does."""
+        """Return the offset of the first octet, counted from the base that the caller of the dissector gave."""
         return self._start + self._source[1]
 
     @property
     def raw(self) -> bytes:
-        """The octets themselves."""
+        """Return the octets of the field."""
         return self._source[0][self._start : self._start + self.length]
 
     @property
     def label(self) -> str | None:
-        """The name of an enumerated value (``"SUMMARIES"``), if it has one."""
+        """Return the name of an enumerated value (``"SUMMARIES"``), if it has one."""
         layout = self.layout
         if isinstance(layout, Scalar) and layout.names is not None:
             return layout.names.get(self.value)
         return None
 
     def child(self, name: str) -> Field | None:
-        """The direct part of that name."""
+        """Return the direct part of that name."""
         for child in self.children:
             if child.name == name:
                 return child
         return None
 
     def walk(self) -> Iterator[Field]:
-        """This field and all its parts, in wire order."""
+        """Yield this field and all its parts, in wire order."""
         waiting = [self]
         while waiting:
             field = waiting.pop()
@@ -86,7 +86,7 @@ class Field(msgspec.Struct, eq=False, gc=False):
                 waiting.extend(reversed(field.children))
 
     def find(self, path: str) -> Field | None:
-        """The field of that full path."""
+        """Return the field with that full path."""
         return next((each for each in self.walk() if path.endswith(each.name) and each.path == path), None)
 
     def __repr__(self) -> str:
@@ -94,9 +94,9 @@ class Field(msgspec.Struct, eq=False, gc=False):
 
 
 class Dissection:
-    """What was found: ``root``, ``problems`` in the order of the layout, and ``padding`` behind the message.
+    """Result of a dissection: ``root``, ``problems`` in the order of the layout, and ``padding`` after the message.
 
-    ``end`` is the offset behind the message. ``doubtful`` are the records that may break a rule beyond the layout, for
+    ``end`` is the offset after the message. ``doubtful`` lists the records that may break a rule beyond the layout, for
     :mod:`dcp_codec.views.lint`.
     """
 
@@ -111,10 +111,10 @@ class Dissection:
 
     @property
     def errors(self) -> list[Problem]:
-        """What makes the octets no message of the profile."""
+        """Return the problems because of which the octets are not a message of the profile."""
         return [problem for problem in self.problems if problem.severity == "error"]
 
     @property
     def warnings(self) -> list[Problem]:
-        """What is well formed and still breaks a rule."""
+        """Return the problems of well-formed parts that break a rule."""
         return [problem for problem in self.problems if problem.severity == "warning"]

@@ -1,4 +1,4 @@
-"""Rules that a single well-formed message can break: found in a dissection, reported as warnings."""
+"""Rules for a single well-formed message; violations in a dissection are reported as warnings."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def _var_create(record: Field) -> Iterator[Problem]:
     if spec is None or upd is None:
         return
     first, second = spec.child("varId"), upd.child("varId")
-    # Either can be cut off: a profile may list upd before spec.
+    # Either can be cut off: a profile may place upd before spec.
     if first and second and None not in (first.value, second.value) and first.value != second.value:
         yield _warning(second, "id-mismatch", "VD-TYP-07", first.value, second.value)
 
@@ -70,7 +70,7 @@ def _container(record: Field) -> Iterator[Problem]:
         if var_id is None or var_id.value is None:
             continue
         if var_id.value in seen:
-            # There can be hundreds, and the path of the list is the same for all.
+            # There can be hundreds of records; the path of their list is the same.
             where = where or records.path
             path = f"{where}[{index}].spec.varId" if spec else f"{where}[{index}].varId"
             yield Problem("duplicate-variable", path, var_id.offset, None, var_id.value, "VD-PAY-03", "warning")
@@ -93,7 +93,7 @@ _RULES: dict[str, Callable[[Field], Iterator[Problem]]] = {
     "Container": _container,
 }
 
-#: Which records are worth a look, by type: what most of them say breaks no rule.
+#: Record types that can cause a warning.
 DOUBTS: dict[str, Doubt] = {
     "Payload": Doubt(("length",), lambda length: not length),
     "VarUpdate": Doubt(("value",), lambda value: not value),
@@ -105,11 +105,11 @@ DOUBTS: dict[str, Doubt] = {
 
 
 def warnings(dissection: Dissection) -> list[Problem]:
-    """Every warning about a message that was taken apart with :data:`DOUBTS`, in wire order."""
+    """Return every warning about a message that was dissected with :data:`DOUBTS`, in wire order."""
     found: list[Problem] = []
     header = dissection.root.child("bp")
     sender = _value_of(header, "senderId") if header is not None else None
-    # A record is listed behind those inside of it, which may start where it does.
+    # A record is listed after the records inside it, which may have the same start.
     records = dissection.doubtful[::-1]
     records.sort(key=lambda each: each.offset)
     for record in records:

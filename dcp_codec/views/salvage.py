@@ -1,8 +1,8 @@
-"""Read what can be read of octets that break rules: the header, the sound payloads, the sound containers.
+"""Read the undamaged parts of octets that break rules: the header, payloads and containers.
 
-Strict decoding is tried first and decides what is sound, so a sound beacon costs nothing extra. Otherwise the frame of
-the beacon (headers and block lengths) is read from the dissection of the envelope plan, and every client payload is
-decoded on its own. A fault inside a client payload therefore never changes what is read of the others.
+Strict decoding is tried first and decides what is undamaged, so an undamaged beacon costs nothing extra. Otherwise the
+frame of the beacon (headers and block lengths) is read from the dissection of the envelope plan, and every client
+payload is decoded on its own. A fault inside a client payload therefore never changes the content of the others.
 
 The header states the extent of the block list twice, as ``length`` and as ``numPayloads``. Where the two disagree,
 three readings are compared, in this order of preference:
@@ -40,16 +40,16 @@ if TYPE_CHECKING:
     from dcp_codec.codec import Codec
 
 Reading = Literal["length", "whole", "count"]
-"""How the extent of the block list was found: see the module docstring."""
+"""The reading that gave the extent of the block list: see the module docstring."""
 
-#: Reasons after which the position of the next block is not known.
+#: Reasons after which the position of the next block is unknown.
 _CUT_OFF = frozenset({"truncated", "beacon-overrun", "block-overrun", "area-overrun"})
-#: Octets that are no beacon of this protocol at all break both of these.
+#: Octets of another protocol break both of these rules.
 _FOREIGN = frozenset({"bad-version", "bad-magic"})
 
 
 class Damaged(msgspec.Struct, frozen=True, gc=False):
-    """A payload of a beacon in which something is wrong.
+    """A payload of a beacon with a fault.
 
     ``payload`` is its index in ``Beacon.payloads``, ``octets`` its client payload as received, ``problem`` the first
     fault inside it.
@@ -61,10 +61,10 @@ class Damaged(msgspec.Struct, frozen=True, gc=False):
 
 
 class Salvaged(msgspec.Struct, frozen=True, gc=False):
-    """What could be read of octets, and what is wrong with them.
+    """The readable parts of octets, and all problems.
 
     ``beacon`` is None if nothing could be read. ``problems`` is empty if and only if strict decoding succeeds. The
-    content of a ``damaged`` payload is its octets, but for VarDis, where it is the containers before the fault.
+    content of a ``damaged`` payload is its octets; that of a damaged VarDis payload is the containers before the fault.
     ``clear`` is false if the blocks do not add up in any reading: then the header may be misread as well. ``end`` is
     the offset after the last block.
     """
@@ -77,14 +77,14 @@ class Salvaged(msgspec.Struct, frozen=True, gc=False):
     end: int = 0
 
     def octets_of(self, payload: int) -> bytes | None:
-        """The client payload of a damaged block as received; None if nothing is wrong with it."""
+        """Return the client payload of a damaged block as received; None if the block has no fault."""
         return next((each.octets for each in self.damaged if each.payload == payload), None)
 
     @property
     def faults(self) -> tuple[Problem, ...]:
-        """``problems`` with one for each damaged payload, in the order of the octets; of an unclear beacon the first.
+        """Return ``problems`` without consequential faults, in wire order.
 
-        A fault in a payload has others as a consequence, and so has one that leaves the blocks unclear.
+        Keeps one problem for each damaged payload, or the first problem if the beacon is not clear.
         """
         if self.beacon is None or not self.clear:
             return self.problems[:1]
@@ -103,21 +103,21 @@ class _Attempt(NamedTuple):
     reading: Reading
     tree: Dissection
     blocks: tuple[Payload, ...]
-    """With their client payloads as octets."""
+    """The blocks with their client payloads as octets."""
     payloads: tuple[Payload, ...]
     damaged: tuple[Damaged, ...]
     cut_off: bool
 
     @property
     def faults(self) -> tuple[int, ...]:
-        """What speaks against this reading; the smallest wins."""
+        """Return the evidence against this reading; the reading with the smallest tuple is chosen."""
         known = {each.payload for each in self.damaged}
         empty = sum(each.content == b"" and index not in known for index, each in enumerate(self.payloads))
         return (self.cut_off, not self.payloads, empty, len(self.damaged), any(self.tree.padding))
 
 
 class Salvager:
-    """Reads damaged beacons of one codec. Made by :meth:`dcp_codec.codec.Codec.salvage`, which see."""
+    """Reads damaged beacons of one codec; see :meth:`dcp_codec.codec.Codec.salvage`, which creates it."""
 
     def __init__(self, codec: Codec) -> None:
         self._codec = codec
@@ -138,7 +138,7 @@ class Salvager:
         }
 
     def salvage(self, octets: bytes, *, envelope: bool = False) -> Salvaged:
-        """Read octets that strict decoding refuses. ``envelope``: every client payload stays octets."""
+        """Read octets that strict decoding refuses. ``envelope``: every client payload is left as octets."""
         problems = tuple(self._codec.dissect(octets).errors)
         tree = self._dissect(octets, 0, 0)
         header = tree.root.child("bp")
@@ -160,9 +160,10 @@ class Salvager:
         return Salvaged(Beacon(bp, payloads), problems, attempt.damaged, attempt.reading, clear, attempt.tree.end)
 
     def tree(self, octets: bytes, reading: Reading) -> Dissection:
-        """The dissection of a whole beacon in a reading that :meth:`salvage` has chosen for these octets.
+        """Return the dissection of a whole beacon in the reading that :meth:`salvage` has chosen for these octets.
 
-        Its layouts are nodes of ``codec.beacon_plan``. Lengths of blocks are without their headers also in ``whole``.
+        Its layouts are nodes of ``codec.beacon_plan``. Block lengths exclude the block header, also in the reading
+        ``whole``.
         """
         if reading == "whole":
             shortened = self._shortened(octets)
@@ -187,7 +188,7 @@ class Salvager:
         yield self._attempt("count", self._dissect_counted(octets, 0, 0))
 
     def _shortened(self, octets: bytes) -> bytes | None:
-        """The octets with every block length less the header of its block, if that makes a sound block list."""
+        """Return the octets with every block length reduced by the header size, if that makes a valid block list."""
         names = [each.name for each in self._payload.members]
         place, content = names.index(self._content.length), self._payload.members.index(self._content)
         number, tree = 0, self._dissect(octets, 0, 0)
@@ -228,7 +229,7 @@ class Salvager:
         if stops and payloads:
             block, last = _blocks(tree)[len(payloads) - 1], len(payloads) - 1
             if stops[-1].path.startswith(f"{block.path}."):
-                # Whatever is wrong inside of the last block comes from that.
+                # Every fault inside the last block is a consequence of this one.
                 damaged = [each for each in damaged if each.payload != last]
                 damaged.append(Damaged(last, self._place_of_content(block).raw, stops[-1]))
         return _Attempt(reading, tree, tuple(blocks), tuple(payloads), tuple(damaged), bool(stops))
@@ -247,7 +248,7 @@ class Salvager:
     # -- values -------------------------------------------------------------------------------------------------
 
     def _record(self, field: Field) -> Any:
-        """The value of a record of the envelope."""
+        """Return the value of a record of the envelope."""
         group = field.layout
         assert isinstance(group, Group)
         types = self._codec.types
@@ -260,7 +261,7 @@ class Salvager:
             if attribute is None and member not in foreign:
                 continue
             if attribute is None and place >= len(parts) and "content" in values:
-                # What the content was cut off before.
+                # The octets end before the content.
                 extra.append(b"")
                 continue
             if place >= len(parts):
@@ -294,7 +295,7 @@ def _blocks(tree: Dissection) -> tuple[Field, ...]:
 
 
 def _counted(plan: Group) -> Group | None:
-    """The plan of an envelope with as many blocks as the header counts; None if the plan counts them anyway."""
+    """Return an envelope plan with as many blocks as the header counts; None if the plan counts them already."""
     members: list[Node] = []
     for member in plan.members:
         if isinstance(member, Region) and isinstance(member.content, Many) and member.content.agrees is not None:
@@ -306,7 +307,7 @@ def _counted(plan: Group) -> Group | None:
 
 
 def _payload_of(plan: Group) -> tuple[Group, Region]:
-    """The record of a payload block, and the member that is its content."""
+    """Return the record of a payload block, and the member that is its content."""
     for node in walk(plan):
         if isinstance(node, Group) and node.type_name == "Payload":
             return node, next(each for each in node.members if isinstance(each, Region))
@@ -314,7 +315,7 @@ def _payload_of(plan: Group) -> tuple[Group, Region]:
 
 
 def _inside(problem: Problem, block: Field, content: Field, name: str) -> Problem:
-    """A problem of a client payload, as one of the beacon."""
+    """Convert a problem of a client payload into a problem of the beacon."""
     joint = "." if problem.path and not problem.path.startswith("[") else ""
     path = f"{block.path}.{name}{joint}{problem.path}"
     return msgspec.structs.replace(problem, path=path, offset=problem.offset + content.offset)

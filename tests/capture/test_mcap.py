@@ -232,7 +232,7 @@ def test_a_damaged_attachment_is_not_extracted(tmp_path):
         extract_attachment(path, found, again)
     assert again.read_bytes() == b"precious"
     path.write_bytes(octets)
-    with pytest.raises(CaptureError, match="can not be written"):
+    with pytest.raises(CaptureError, match="cannot be written"):
         extract_attachment(path, found, tmp_path / "none" / "again")
 
 

@@ -280,7 +280,7 @@ def test_the_command_for_layouts(tmp_path, capsys, monkeypatch):
     assert run("layout", CAPTURES / "b_crud.mcap") == 0
     assert json.loads((tmp_path / "b_crud.foxglove.json").read_text())["configById"]
     assert run("layout", CAPTURES / "b_crud.mcap") == 2
-    assert "--force replaces it" in capsys.readouterr().err
+    assert "give --force to replace it" in capsys.readouterr().err
     assert run("layout", CAPTURES / "b_crud.mcap", "-o", "-") == 0
     assert json.loads(capsys.readouterr().out)["layout"]
 

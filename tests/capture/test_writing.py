@@ -220,9 +220,9 @@ def test_the_source_is_never_the_target(tmp_path):
     link.symlink_to(path)
     other.hardlink_to(path)
     for target in (path, str(path), link, other):
-        with pytest.raises(CaptureError, match="is the source itself"):
+        with pytest.raises(CaptureError, match="source and target are the same file"):
             convert(path, target)
-        with path.open("rb") as stream, pytest.raises(CaptureError, match="is the source itself"):
+        with path.open("rb") as stream, pytest.raises(CaptureError, match="source and target are the same file"):
             convert(stream, target)
     # Also where the shell opened it.
     code = "import sys; from dcp_codec.capture import convert; convert('-', sys.argv[1])"
@@ -230,7 +230,7 @@ def test_the_source_is_never_the_target(tmp_path):
         done = subprocess.run(
             [sys.executable, "-c", code, str(path)], stdin=stream, stderr=subprocess.PIPE, check=False
         )
-    assert b"is the source itself" in done.stderr
+    assert b"source and target are the same file" in done.stderr
     with pytest.raises(CaptureError, match="to itself"):
         create_capture(other, attachment=path)
     assert path.read_bytes() == before
@@ -301,7 +301,7 @@ def test_a_full_disk_is_said_once(format, room):
             for _ in range(1000):
                 writer.write(Frame(1, 1, os.urandom(1000), 1000))
 
-    with pytest.raises(CaptureError, match="<stream>: can not be written: No space"):
+    with pytest.raises(CaptureError, match="<stream>: cannot be written: No space"):
         record()
 
 
@@ -313,7 +313,7 @@ def test_the_first_error_is_the_one_that_is_raised():
 
     with pytest.raises(ZeroDivisionError) as caught:
         record()
-    assert caught.value.__notes__ == ["<stream>: can not be written: No space left on device"]
+    assert caught.value.__notes__ == ["<stream>: cannot be written: No space left on device"]
 
 
 def test_a_closed_pipe_is_said():

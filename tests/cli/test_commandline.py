@@ -124,7 +124,7 @@ def test_help_imports_no_subcommand(trial: Ends):
     done = trial("--help")
     assert done.returncode == 0
     assert "broken  Cannot be imported." in done.stdout
-    assert "Exit status: 0 well. 'trial COMMAND --help' tells more." in " ".join(done.stdout.split())
+    assert "Exit status: 0 well. 'trial COMMAND --help' has the details." in " ".join(done.stdout.split())
     assert trial("broken").returncode == 7
 
 

@@ -132,7 +132,7 @@ def test_filters(run, tmp_path, good, options, expected):
     result = run("decode", "-p", "cpp-2.0", "-f", "jsonl", *options, write(tmp_path / "a.pcap", *good))
     assert [json.loads(line)["frame"] for line in result.out.splitlines()] == expected
     assert result.status == 0
-    assert ("none of 5 DCP frames is what was asked for" in result.err) == (not expected)
+    assert ("none of 5 DCP frames matches the options" in result.err) == (not expected)
 
 
 def test_count_is_for_all_files_together(run, tmp_path, good):
@@ -168,7 +168,7 @@ def test_hex_of_another_ether_type(run, good):
 def test_a_container_that_does_not_exist_is_no_filter(run, tmp_path, good):
     result = run("decode", "--container", "UPDATE", write(tmp_path / "a.pcap", *good))
     assert result.status == 2
-    assert "'UPDATE' is none of SUMMARIES, UPDATES, REQUEST-VARUPDATES" in " ".join(result.err.split())
+    assert "'UPDATE' is not one of SUMMARIES, UPDATES, REQUEST-VARUPDATES" in " ".join(result.err.split())
 
 
 # -- what is wrong with frames ----------------------------------------------------------------------------------
@@ -268,8 +268,8 @@ def test_ether_type_option(run, tmp_path, codec):
     [
         ((), "give recordings"),
         (("a.pcap", "--hex", "00"), "exactly one"),
-        (("a.pcap", "--frames", "x"), "no frame number"),
-        (("a.pcap", "--from", "yesterday"), "no ISO 8601 time"),
+        (("a.pcap", "--frames", "x"), "is not a frame number"),
+        (("a.pcap", "--from", "yesterday"), "is not an ISO 8601 time"),
         (("a.pcap", "--ether-type", "0x12345"), "not within 0x0600 to 0xffff"),
         (("a.pcap", "--ether-type", "beacon"), "is not an EtherType; write it in hex"),
         (

@@ -235,7 +235,7 @@ def test_missing(steps: tuple[Any, ...], path: str) -> None:
         (
             (*_SPEC, "descr"),
             "\ud800",
-            "payloads[1].vardis[0].records[0].spec.descr: holds a character that UTF-8 has no octets for",
+            "payloads[1].vardis[0].records[0].spec.descr: contains a character that UTF-8 cannot encode",
         ),
         ((*_SPEC, "descrHex"), "c3 2", "payloads[1].vardis[0].records[0].spec.descrHex: 'c3 2' is not hex"),
         ((*_UPD, "value"), "ABC", "payloads[1].vardis[0].records[0].upd.value: 'ABC' is not hex"),
@@ -243,7 +243,7 @@ def test_missing(steps: tuple[Any, ...], path: str) -> None:
         (
             ("payloads", 1, "vardis", 0, "icType"),
             9,
-            "payloads[1].vardis[0].records: icType 9 is none of 1, 2, 3, 4, 5, 6",
+            "payloads[1].vardis[0].records: icType 9 is not one of 1, 2, 3, 4, 5, 6",
         ),
         (("payloads", 2, "protocolId"), 2, "payloads[2].vardis: is missing"),
     ],

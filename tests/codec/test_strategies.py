@@ -77,7 +77,7 @@ def test_payloads(codec: Codec) -> None:
 def test_names_that_are_none() -> None:
     with pytest.raises(KeyError):
         strategies.records(get_codec("dcp-2.0"), "SUMMARY")
-    with pytest.raises(ValueError, match=r"sim-1\.0 has no octets for a state report"):
+    with pytest.raises(ValueError, match=r"sim-1\.0 cannot encode state reports"):
         strategies.reports(get_codec("sim-1.0"))
 
 

@@ -31,7 +31,7 @@ def test_what_everybody_can_change_is_not(tmp_path: Path, which: str) -> None:
     file.write_text("")
     changed = {"file": file, "folder": folder, "above": folder.parent}[which]
     changed.chmod(0o777)
-    assert str(distrust(file)).startswith(f"{changed} can be changed by everybody")
+    assert str(distrust(file)).startswith(f"{changed} can be changed by every user")
 
 
 def test_a_link_is_followed_to_where_it_leads(tmp_path: Path) -> None:

@@ -826,7 +826,7 @@ class TestCaptures:
         run, codec = judge_recording(recorded(tmp_path / "both.pcap", frames), None, Pics())
         # Half of the frames decode as either: which of the two is named first does not matter.
         found, other = codec.profile.name, {"cpp-2.0": "cpp-1.3", "cpp-1.3": "cpp-2.0"}[codec.profile.name]
-        note = f"100 of 200 sampled frames decode; 100 others decode as {other}: look at each version with --profile)"
+        note = f"100 of 200 sampled frames decode; 100 others decode as {other}: decode each version with --profile)"
         assert [each.endswith(note) for each in run.notes if each.startswith(f"the profile was guessed: {found}")] == [
             True
         ]

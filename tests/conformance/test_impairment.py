@@ -196,4 +196,4 @@ def test_a_wrong_option_is_refused_before_anything_is_started(capsys: pytest.Cap
     with pytest.raises(SystemExit) as ended:
         main(["run", "--in-process", "--impair", "loss=0.1,dealy=5ms"])
     assert ended.value.code == 2
-    assert "--impair loss=0.1,dealy=5ms: dealy: there is no such key; there are loss, burst," in capsys.readouterr().err
+    assert "--impair loss=0.1,dealy=5ms: dealy: unknown key; the keys are loss, burst," in capsys.readouterr().err

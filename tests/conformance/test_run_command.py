@@ -246,7 +246,7 @@ class TestWhatIsRun:
         (tmp_path / "results.json").mkdir()
         done = dcp_conformance("run", "--in-process", SANITY, "--report-dir", tmp_path)
         assert done.status == USAGE
-        assert "results.json: cannot be written: is no regular file, and is not replaced" in done.err
+        assert "results.json: cannot be written: is not a regular file and will not be replaced" in done.err
         assert "1 case in" in done.out
 
     def test_everything_several_times(self, dcp_conformance: Command, tmp_path: Path):

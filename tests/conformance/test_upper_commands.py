@@ -430,5 +430,5 @@ def test_an_adapter_that_somebody_else_can_change_is_refused(tmp_path: Path) -> 
     path.write_text('name = "mine"\n[methods]\n')
     assert load_adapter(str(path)).name == "mine"
     path.chmod(0o666)
-    with pytest.raises(UsageError, match="can be changed by everybody"):
+    with pytest.raises(UsageError, match="can be changed by every user"):
         load_adapter(str(path))

@@ -24,10 +24,10 @@ def test_draws_what_random_draws() -> None:
 
 @pytest.mark.parametrize("end", [0, -1])
 def test_no_number_is_refused(end: int) -> None:
-    with pytest.raises(ValueError, match="no number"):
+    with pytest.raises(ValueError, match="cannot draw"):
         Draws(random.Random(1)).below(end)
 
 
 def test_no_member_is_refused() -> None:
-    with pytest.raises(ValueError, match="nothing to choose"):
+    with pytest.raises(ValueError, match="cannot choose"):
         Draws(random.Random(1)).one_of(())

@@ -223,10 +223,10 @@ def test_directions_are_given_together_or_one_by_one() -> None:
 @pytest.mark.parametrize(
     ("texts", "said"),
     [
-        (["los=1"], "--impair los=1: los: there is no such key"),
+        (["los=1"], "--impair los=1: los: unknown key"),
         (["to:loss=2"], "--impair to:loss=2: loss: 2 is not within 0..1"),
         (["loss=0.1", "to:delay=5ms"], "--impair to:delay=5ms: the direction 'to' was given before"),
-        (["there:loss=1"], "--impair there:loss=1: there:loss: there is no such key"),
+        (["there:loss=1"], "--impair there:loss=1: there:loss: unknown key"),
     ],
 )
 def test_what_makes_no_sense_is_refused(texts: list[str], said: str) -> None:

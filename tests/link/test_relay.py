@@ -207,7 +207,7 @@ def test_the_relay_survives_what_is_on_the_wire_and_what_happens_to_interfaces(m
 def test_a_setup_that_makes_no_sense_is_refused() -> None:
     with pytest.raises(RelayError, match=r"port 0, interface nowhere: there is no such interface"):
         RelayProcess(Setup(ports=("nowhere",)))
-    with pytest.raises(RelayError, match=r"los: there is no such key"):
+    with pytest.raises(RelayError, match=r"los: unknown key"):
         RelayProcess(Setup(ports=(), impairment="los=1"))
 
 

@@ -419,13 +419,13 @@ def test_refusals(run, tmp_path, monkeypatch):
     assert run(path, "-p", "dcp-2.0").status == 0
     kept = (tmp_path / "a.html").read_bytes()
     cases: list[tuple[tuple[Any, ...], str]] = [
-        ((path, "-p", "dcp-2.0"), "a.html: is there already; --force replaces it"),
+        ((path, "-p", "dcp-2.0"), "a.html: exists; give --force to replace it"),
         ((path, "-p", "dcp-9.9", "--force"), "dcp-9.9"),
         ((tmp_path / "none.pcap", "-o", "b.html"), "none.pcap"),
         (("*.nonsense", "-o", "b.html"), "nothing matches this pattern"),
         (("-", "-o", "b.html"), "name the --profile"),
         ((path, "-p", "dcp-2.0", "-o", path / "x.html"), "a.pcap"),
-        ((path, "-p", "dcp-2.0", "-o", "pipe", "--force"), "pipe: is no regular file, and is not replaced"),
+        ((path, "-p", "dcp-2.0", "-o", "pipe", "--force"), "pipe: is not a regular file and will not be replaced"),
     ]
     os.mkfifo("pipe")
     for args, words in cases:

@@ -343,7 +343,7 @@ def test_packets_of_another_profile_are_not_built() -> None:
 def test_a_profile_without_a_record_for_state_reports() -> None:
     use_profile("sim-1.0")
     assert bytes(SRPReport(data=b"abc")) == b"abc"
-    with pytest.raises(ValueError, match=r"sim-1\.0 has no octets for a state report"):
+    with pytest.raises(ValueError, match=r"sim-1\.0 cannot encode state reports"):
         DCPBeacon() / SRPReport()
 
 

@@ -184,7 +184,7 @@ def test_a_full_disk_ends_the_recording_and_not_the_link(tmp_path, codec, beacon
         for octets in beacons[:10]:
             assert link.send(octets)
     assert not recorder.recording
-    assert "a.mcap: can not be written" in recorder.problem
+    assert "a.mcap: cannot be written" in recorder.problem
     assert [record.levelname for record in caplog.records if "recording ends" in record.message] == ["ERROR"]
     assert link.counters.sent == 300
     link.close()
@@ -198,7 +198,7 @@ def test_a_disk_that_is_full_at_the_end_is_reported(tmp_path, codec, beacons, sm
         recorder.saw(octets, 1, outgoing=True, source=MAC)
     recorder.close()
     recorder.close()
-    assert "can not be written" in recorder.problem
+    assert "cannot be written" in recorder.problem
 
 
 def test_recordings_are_not_replaced_by_mistake(tmp_path, codec):

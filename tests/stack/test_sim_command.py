@@ -85,7 +85,7 @@ def test_a_recording_that_ends_early_is_told(tmp_path):
     limited = ["sh", "-c", 'ulimit -f 20; exec "$@"', "sh", *simulate, "--record-medium", str(tmp_path / "all.mcap")]
     done = subprocess.run(limited, capture_output=True, text=True, check=False)
     assert done.returncode == 2
-    assert f"{tmp_path}/all.mcap: can not be written: File too large" in done.stderr
+    assert f"{tmp_path}/all.mcap: cannot be written: File too large" in done.stderr
     # The rest is there.
     assert "met      no node raises anything" in done.stdout
 

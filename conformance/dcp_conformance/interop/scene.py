@@ -341,7 +341,8 @@ class Scene:
         """Check that all places (or ``places``) come to hold what ``producer`` holds: in time, on the air, by services.
 
         ``among``: the number of variables in the network, which share the summaries of a beacon. ``patience``: seconds
-        that are granted in addition, for what the stations still have to work off.
+        that are granted in addition, for what the stations still have to work off. Raises ``StopError`` if it takes
+        longer: the cell is decided, and each later change could take all of its limit as well.
         """
         chosen = list(self.places if places is None else places)
         limit = self.time_to_spread(producer, chosen, among or len(variables)) + patience
@@ -359,8 +360,8 @@ class Scene:
         if took is None:
             missing = self.lacking(variables, chosen) + self.read_differences(variables, chosen)
             self.expect(False, expected, "; ".join(missing[:4]) + (" ..." if len(missing) > 4 else ""))
-        else:
-            self.expect(True, expected)
+            raise StopError
+        self.expect(True, expected)
 
     def read_differences(self, variables: Iterable[int], places: Iterable[int], *, first: bool = False) -> list[str]:
         """Describe which services return another value than the test wrote; ``first`` stops at one."""
@@ -386,7 +387,7 @@ class Scene:
         return spreading_time(max(hops.get(place, 1) for place in places), self.loss, variables, self.limits)
 
     def expect_deleted(self, variable: int, places: Iterable[int] | None = None) -> None:
-        """Check that all places (or ``places``) say or show that a variable is deleted, in time."""
+        """Check that all places (or ``places``) say or show that a variable is deleted; else raise ``StopError``."""
         chosen = list(self.places if places is None else places)
         limit = self.time_to_spread(chosen[0], self.places)
 
@@ -397,10 +398,9 @@ class Scene:
         self.spreads.append(
             Spread(f"deletion of {variable}", round(self.world.now() / SECOND, 4), took, round(limit, 3))
         )
-        self.expect(
-            took is not None, f"variable {variable} is deleted at places {chosen} within {limit:.1f} s",
-            f"it is alive at {', '.join(alive())}",
-        )  # fmt: skip
+        expected = f"variable {variable} is deleted at places {chosen} within {limit:.1f} s"
+        if not self.expect(took is not None, expected, f"it is alive at {', '.join(alive())}"):
+            raise StopError
 
     def is_alive(self, place: int, variable: int) -> bool:
         """Whether a place has a variable that is not deleted: by its services, else by what it said last."""
@@ -412,7 +412,10 @@ class Scene:
         return number is not None and number >= 0
 
     def expect_neighbours(self, limit: float, absent: Iterable[int] = ()) -> None:
-        """Check that each place lists exactly its neighbours, without ``absent``, within ``limit`` s."""
+        """Check that each place lists exactly its neighbours, without ``absent``, within ``limit`` s.
+
+        Raises ``StopError`` if it takes longer, and ``NotApplicableError`` if no place shows its table.
+        """
         gone = set(absent)
         wanted = {p: sorted(set(self.shape.neighbours(p)) - gone) for p in self.places if p not in gone}
         asked = [place for place in wanted if self.can(place, "SRP-NeighbourTable")]
@@ -428,11 +431,9 @@ class Scene:
 
         took = self.until(lambda: not wrong(), limit)
         self.spreads.append(Spread("neighbour tables", round(self.world.now() / SECOND, 4), took, round(limit, 3)))
-        self.expect(
-            took is not None,
-            f"each neighbour table lists exactly the neighbours within {limit:.1f} s",
-            "; ".join(wrong()),
-        )
+        expected = f"each neighbour table lists exactly the neighbours within {limit:.1f} s"
+        if not self.expect(took is not None, expected, "; ".join(wrong())):
+            raise StopError
 
     def expect_talking(self) -> None:
         """Check that every place that is on still sends: with variables it has summaries to say."""

@@ -1,4 +1,4 @@
-"""Attachments of MCAP files: what there is, and how to have it back byte for byte."""
+"""Attachments of MCAP files: listing, and extraction byte for byte."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _TIMES = struct.Struct("<QQ")
 _LENGTH = struct.Struct("<I")
 _SIZE = struct.Struct("<Q")
 _CRC = struct.Struct("<I")
-#: Octets of a name or a media type; longer ones are taken for damage.
+#: Octets of a name or a media type; a longer one counts as damage.
 _MAX_TEXT = 65_536
 _MAX_HEAD = _TIMES.size + 2 * (_LENGTH.size + _MAX_TEXT) + _SIZE.size
 
@@ -31,19 +31,19 @@ class Attachment(msgspec.Struct, frozen=True):
 
     name: str
     media_type: str
-    #: Octets of the file itself.
+    #: Size of the file in octets.
     size: int
-    #: Nanoseconds since the Unix epoch; 0 if not known.
+    #: Nanoseconds since the Unix epoch; 0 if unknown.
     log_time: int
     create_time: int
-    #: Where the content of its record starts in the MCAP file, in octets.
+    #: Offset of the content of its record in the MCAP file, in octets.
     offset: int
 
 
 def attachments(path: str | Path) -> list[Attachment]:
-    """The attachments of an MCAP file in their order, also of one that was never finished.
+    """Return the attachments of an MCAP file in their order, also of an unfinished file.
 
-    Of one that is cut off, only those that are there whole. Raises `CaptureError` if it is no MCAP file.
+    An attachment that is cut off is left out. Raises `CaptureError` if the file is not an MCAP file.
     """
     source = open_source(path)
     try:
@@ -53,10 +53,10 @@ def attachments(path: str | Path) -> list[Attachment]:
 
 
 def extract_attachment(path: str | Path, attachment: Attachment, target: str | Path) -> None:
-    """Write an attachment of the MCAP file `path` to the file `target`, which it replaces only when complete.
+    """Write an attachment of the MCAP file `path` to the file `target`, which is replaced only when complete.
 
-    Raises `CaptureError` if the attachment does not match its checksum, or is not there as described, or
-    `target` can not be written.
+    Raises `CaptureError` if the attachment does not match its checksum or its description, or if `target` cannot be
+    written.
     """
     source = open_source(path)
     part = Path(f"{target}.part")
@@ -77,13 +77,13 @@ def extract_attachment(path: str | Path, attachment: Attachment, target: str | P
                 crc = zlib.crc32(piece, crc)
                 left -= len(piece)
         expected = source.take(_CRC.size)
-        # 0 says that whoever wrote it made no checksum.
+        # 0 means that the writer made no checksum.
         if any(expected) and expected != _CRC.pack(crc):
             raise CaptureError(f"{path}: the attachment {attachment.name!r} does not match its checksum")
         part.replace(target)
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
-        raise CaptureError(f"{target}: can not be written: {reason}") from error
+        raise CaptureError(f"{target}: cannot be written: {reason}") from error
     finally:
         source.close()
         with suppress(OSError):
@@ -105,12 +105,12 @@ def _scan(source: ByteSource) -> Iterator[Attachment]:
 
 
 def _head(source: ByteSource, length: int) -> Attachment | None:
-    """What stands before the octets of an attachment, in a record with `length` octets; None if it can not be.
+    """Return the fields before the octets of an attachment, in a record with `length` octets; None if they are invalid.
 
-    Moves the cursor to behind it.
+    Moves the cursor to their end.
     """
     offset = source.position
-    # All of it, so that it stays in the window.
+    # Request the whole head, so that it stays in the window.
     have = min(source.need(min(length, _MAX_HEAD)), length)
     buffer, start = source.buffer, source.start
     stop = start + have

@@ -1,4 +1,4 @@
-"""Chunks of MCAP files: their heads, their compression, and what is left of one that is cut off."""
+"""Chunks of MCAP files: their heads, their compression, and the readable part of one that is cut off."""
 
 from __future__ import annotations
 
@@ -10,25 +10,25 @@ from typing import Any, NamedTuple
 from dcp_codec.capture.checksum import crc32
 from dcp_codec.capture.frame import Reason
 
-#: Octets of a chunk, packed or unpacked, that are held in memory; larger ones are passed over. Writers make
+#: The largest chunk, packed or unpacked, that is held in memory, in octets; larger ones are skipped. Writers make
 #: chunks of about a megabyte at most, unless one message is larger.
 MAX_CHUNK_LENGTH = 256 * 1024 * 1024
 
 _PIECE = 1024 * 1024
-# Start and end time, unpacked size, checksum of the unpacked records, length of the compression's name.
+# Start and end time, unpacked size, checksum of the unpacked records, length of the name of the compression.
 _HEAD = struct.Struct("<QQQII")
 _RECORDS_LENGTH = struct.Struct("<Q")
 
 
 class ChunkError(Exception):
-    """A chunk that can not be read: `reason` as in `CaptureProblem`, the message a half sentence."""
+    """A chunk that cannot be read: `reason` as in `CaptureProblem`, the message is a half sentence."""
 
     def __init__(self, reason: Reason, message: str) -> None:
         super().__init__(message)
         self.reason = reason
 
 
-#: Gives writable memory for so many octets.
+#: Function that returns writable memory of a given number of octets.
 Allocate = Callable[[int], memoryview]
 
 
@@ -36,7 +36,7 @@ class Chunk(NamedTuple):
     """The records of a chunk, unpacked."""
 
     records: bytes | memoryview
-    #: Where the records start within the content of the chunk record, -1 if they are compressed.
+    #: Offset of the records within the content of the chunk record, -1 if they are compressed.
     start: int
 
 
@@ -45,18 +45,18 @@ def _fresh(size: int) -> memoryview:
 
 
 class Unpacker:
-    """Unpacks the chunks of one file, into memory that `allocate` gives. Not for use by several threads at a time."""
+    """Unpacks the chunks of one file into memory from `allocate`. Not thread-safe."""
 
     def __init__(self, allocate: Allocate = _fresh) -> None:
         self._allocate = allocate
-        # What zstandard needs in memory takes longer to make than a chunk to unpack.
+        # Kept, since creating a zstandard decompressor takes longer than unpacking a chunk.
         self._zstd: Any = None
 
     def open(self, content: bytes, length: int) -> Chunk:
-        """Unpack the chunk record of `length` octets of which `content` is there.
+        """Unpack the chunk record of `length` octets whose present part is `content`.
 
-        Raises `ChunkError` if a whole one is damaged. Of one that is cut off, gives as much as can be unpacked, which
-        nothing has checked.
+        Raises `ChunkError` if a complete one is damaged. For one that is cut off, returns as much as can be unpacked,
+        without a check.
         """
         whole = len(content) == length
         try:
@@ -75,21 +75,21 @@ class Unpacker:
         return Chunk(records, -1 if compression else start)
 
     def _unpack(self, compression: str, packed: bytes, size: int, *, whole: bool) -> memoryview:
-        """Unpack what should give `size` octets; more are an error, so a small chunk cannot fill the memory."""
+        """Unpack data that should give `size` octets; more are an error, so a small chunk cannot fill the memory."""
         read_into = self._reader(compression, packed)
-        # One octet more, which shows whether the chunk has more than it claims.
+        # One octet more, to detect a chunk with more data than it states.
         memory, used = self._allocate(size + 1), 0
         try:
             while used <= size and (count := read_into(memory[used:])):
                 used += count
         except Exception as error:
-            # zstandard and lz4 raise classes of their own; what they have in common is Exception.
+            # zstandard and lz4 raise their own classes, whose only common base is Exception.
             if whole:
-                raise ChunkError("bad-compression", f"can not be unpacked ({error})") from error
+                raise ChunkError("bad-compression", f"cannot be unpacked ({error})") from error
         return memory[:used]
 
     def _reader(self, compression: str, packed: bytes) -> Callable[[memoryview], int]:
-        """Return a function that fills memory with the next octets and says how many those are, 0 at the end."""
+        """Return a function that fills memory with the next octets and returns their number, 0 at the end."""
         try:
             if compression == "zstd":
                 import zstandard
@@ -99,7 +99,7 @@ class Unpacker:
                 read: Callable[[memoryview], int] = self._zstd.stream_reader(packed, read_across_frames=True).readinto
                 return read
             if compression == "lz4":
-                # By name, since it says nothing of types.
+                # Imported by name: lz4 has no type stubs.
                 unpacker = import_module("lz4.frame").LZ4FrameDecompressor()
                 given = [packed]
 
@@ -117,7 +117,7 @@ class Unpacker:
 
 
 def _head(content: bytes, length: int) -> tuple[int, int, str, int, int]:
-    """Unpacked size, checksum, compression, and where in `content` the records start and stop."""
+    """Return unpacked size, checksum, compression, and the bounds of the records in `content`."""
     if len(content) < _HEAD.size:
         raise ChunkError("bad-record", "is too short for its head")
     _first, _last, size, crc, name_length = _HEAD.unpack_from(content)

@@ -1,7 +1,7 @@
-"""The message that holds a raw frame in an MCAP file: ``dcp.RawFrame``, a protobuf message on a topic of its own.
+"""The message for a raw frame in an MCAP file: ``dcp.RawFrame``, a protobuf message on its own topic.
 
-Protobuf, because Foxglove and the ``mcap`` command decode it without help, octets stay octets, and the schema in the
-file describes every field. docs/mcap.md has the definition in the language of protobuf.
+Protobuf is used because Foxglove and the ``mcap`` command decode it without extensions, octets stay octets, and the
+schema in the file describes every field. docs/mcap.md has the definition in protobuf's language.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ _TIMESTAMP = "google/protobuf/timestamp.proto"
 _MOST = 2**62
 
 _Field = descriptor_pb2.FieldDescriptorProto
-#: Name and type of each field; the number of a field is its place, from 1. All have explicit presence, so a writer
-#: states a 0 like any other number.
+#: Name and type of each field; the number of a field is its position, from 1. All have explicit presence, so a writer
+#: includes a 0 like any other number.
 FIELDS: Final = (
     ("timestamp", _Field.TYPE_MESSAGE),
     ("number", _Field.TYPE_UINT64),
@@ -38,16 +38,18 @@ FIELDS: Final = (
 
 
 class RawFrame(NamedTuple):
-    """The fields of a message. Only `data` is required, so that files by others that say less can be read."""
+    """The fields of a message. Only `data` is required, so that files of other writers with fewer fields can be
+    read.
+    """
 
     data: bytes
-    #: Time of capture in ns since 1970; None: that of the log.
+    #: Time of capture in ns since 1970; None: the log time.
     time_ns: int | None = None
-    #: Number of the frame where it was captured, from 1; 0 for none.
+    #: Number of the frame in the original capture, from 1; 0 for none.
     number: int = 0
     interface: int = 0
     link_type: int = ETHERNET
-    #: Octets that the frame had on the wire; 0 for as many as `data` has.
+    #: Length of the frame on the wire in octets; 0: as many as `data` has.
     orig_len: int = 0
 
 
@@ -59,7 +61,7 @@ def _definition() -> descriptor_pb2.FileDescriptorProto:
         if kind == _Field.TYPE_MESSAGE:
             field.type_name = ".google.protobuf.Timestamp"
         else:
-            # Presence of a number or of octets is, in a descriptor, a choice with one member.
+            # In a descriptor, the presence of a scalar field is expressed as a oneof with one member.
             field.proto3_optional = True
             field.oneof_index = len(message.oneof_decl)
             message.oneof_decl.add(name=f"_{name}")
@@ -67,7 +69,7 @@ def _definition() -> descriptor_pb2.FileDescriptorProto:
 
 
 def schema_octets() -> bytes:
-    """Return the schema as MCAP wants it: the definition and what it imports, as a FileDescriptorSet."""
+    """Return the schema as MCAP requires it: the definition and its imports, as a FileDescriptorSet."""
     timestamp = descriptor_pb2.FileDescriptorProto.FromString(timestamp_pb2.DESCRIPTOR.serialized_pb)
     found: bytes = descriptor_pb2.FileDescriptorSet(file=[timestamp, _definition()]).SerializeToString(
         deterministic=True
@@ -86,8 +88,8 @@ def _message_class() -> Any:
 def encode(frame: Frame) -> bytes:
     """Encode a frame as a message, its fields in the order of their numbers.
 
-    There is no timestamp in it: the time of capture is the log time of the message, and stating it twice costs a tenth
-    of the size of a file.
+    The message has no timestamp: the time of capture is its log time, and a second copy would add a tenth to the size
+    of a file.
     """
     message = _message_class()(
         number=frame.number,
@@ -101,7 +103,7 @@ def encode(frame: Frame) -> bytes:
 
 
 def decode(octets: bytes | memoryview) -> RawFrame:
-    """Decode the message in `octets`; raises `ValueError` if it is none, or says what cannot be."""
+    """Decode the message in `octets`. Raises `ValueError` if it is not such a message or has impossible values."""
     try:
         message = _message_class().FromString(bytes(octets))
     except DecodeError as error:

@@ -1,4 +1,4 @@
-"""Raw frames as JSON with base64, as in older MCAP files and those in `captures/`; read, and no longer written."""
+"""Raw frames as JSON with base64, as in older MCAP files and those in `captures/`. Only read, never written."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class _Time(msgspec.Struct, frozen=True, gc=False):
 
 
 class _Message(msgspec.Struct, frozen=True, rename="camel"):
-    """The JSON object. Only `data` is required, so that files by others that say less can be read."""
+    """The JSON object. Only `data` is required, so that files of other writers with fewer members can be read."""
 
     data: bytes
     timestamp: _Time | None = None

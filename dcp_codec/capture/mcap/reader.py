@@ -1,8 +1,8 @@
-"""MCAP files (mcap.dev/spec), read from front to back, finished or not.
+"""MCAP files (mcap.dev/spec), read from start to end, finished or not.
 
-The readers of the mcap library need the summary at the end of the file, which a crash leaves out, or raise in the
-middle of what they could still give; and they take a short read for a whole one. So the records are cut out of
-the stream here, where lengths can be checked against what there is; what a record says is left to the library.
+The readers of the mcap library need the summary at the end of the file, which is missing after a crash, or raise before
+all readable data was returned; and they accept a short read as complete. Therefore this module splits the stream into
+records and checks their lengths; the library parses the contents of a record.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from .chunk import MAX_CHUNK_LENGTH, ChunkError, Unpacker
 
 MAGIC = b"\x89MCAP0\r\n"
 
-#: Records of metadata that are kept of one file.
+#: Maximum number of metadata records kept from one file.
 MAX_METADATA = 1_000
 
 RECORD_HEAD = struct.Struct("<BQ")
@@ -37,25 +37,25 @@ _MESSAGE_HEAD = struct.Struct("<HIQQ")  # channel, sequence, log time, publish t
 _DATA_END = struct.Struct("<I")  # checksum of the data section
 _FOOTER = struct.Struct("<QQI")  # where the summary and its offsets start, checksum of the summary section
 
-#: Records that are read whole; all others but chunks are passed over.
+#: Records that are read as a whole; all others except chunks are skipped.
 _READ = frozenset({Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.METADATA, Opcode.DATA_END, Opcode.FOOTER})
 _KNOWN = frozenset(Opcode)
-_FIRST_PRIVATE = 0x80  # opcodes from here on are for anybody's own use
+_FIRST_PRIVATE = 0x80  # opcodes from here on are for private use
 
 _Record = TypeVar("_Record", Schema, Channel, Metadata)
 
-#: How to decode raw frames, by the encoding of the messages on their channel.
+#: Decoders of raw frames, by the message encoding of their channel.
 _DECODERS: Final = {rawframe.MESSAGE_ENCODING: rawframe.decode, rawjson.MESSAGE_ENCODING: rawjson.decode}
 
 
 class _End(Exception):  # noqa: N818 - not an error
-    """There is no more to read; if that is a problem, it has been noted."""
+    """Reading is complete; a problem, if any, has been noted."""
 
 
 class McapReader(CaptureReader):
-    """Reads an MCAP file; the window of `source` stands at its magic.
+    """Reads an MCAP file; the window of `source` starts with its magic.
 
-    Opening reads on to the first channel of raw frames, so that a file without one is refused.
+    Opening reads up to the first channel of raw frames, so that a file without one is refused.
     """
 
     format = "mcap"
@@ -67,14 +67,14 @@ class McapReader(CaptureReader):
         self._stamp = "ns"
         self._schemas: dict[int, str] = {}
         self._topics: dict[int, str] = {}
-        #: Channels with raw frames, and how to decode those.
+        #: Channels with raw frames, and their decoders.
         self._raw: dict[int, Callable[[bytes | memoryview], rawframe.RawFrame]] = {}
         self._unpacker = Unpacker() if allocate is None else Unpacker(allocate)
         # Over the data section, and after it over the summary section.
         self._crc = 0
         self._events = self._scan()
-        # The first event is always the description of a channel of raw frames. A file that was cut off before it
-        # has any channel is no less a capture than one that was cut off after it.
+        # The first event is always the description of a channel of raw frames. A file that is cut off before any
+        # channel is accepted, like one that is cut off after it.
         if next(self._events, False) is False and (self._topics or not self._log.found):
             topics = ", ".join(sorted(set(self._topics.values()))) or "none"
             raise self._refuse(
@@ -89,7 +89,7 @@ class McapReader(CaptureReader):
                 yield event
 
     def _scan(self) -> Iterator[Frame | None]:
-        """Frames, and None once, where the first channel that carries some is described."""
+        """Yield frames, and None once, after the description of the first channel with raw frames."""
         self._crc = crc32(self._source.take(len(MAGIC)))
         try:
             while True:
@@ -98,7 +98,7 @@ class McapReader(CaptureReader):
             self._position = self._source.position
 
     def _record(self) -> Iterator[Frame | None]:
-        """Take one record of the file itself; raises `_End` after the last."""
+        """Read one record of the file itself. Raises `_End` after the last."""
         source = self._source
         offset = self._position = source.position
         have = source.need(RECORD_HEAD.size)
@@ -172,7 +172,7 @@ class McapReader(CaptureReader):
         raise _End
 
     def _check(self, layout: struct.Struct, content: bytes, actual: int, what: str, offset: int) -> None:
-        """Compare the checksum that ends `content`; 0 says that the writer made none."""
+        """Compare the checksum that ends `content`; 0 means that the writer made none."""
         if len(content) < layout.size:
             self._bad_record(offset, f"{len(content)} octets are too few")
             return
@@ -180,8 +180,8 @@ class McapReader(CaptureReader):
         if expected and expected != actual:
             self._log.add(
                 "bad-crc",
-                f"the {what} that ends at octet {offset} does not match its checksum: something in it is not as "
-                f"it was written; {self._so_far()}.",
+                f"the {what} that ends at octet {offset} does not match its checksum: some of its "
+                f"octets are damaged; {self._so_far()}.",
                 offset,
                 frame=self._number,
             )
@@ -217,7 +217,7 @@ class McapReader(CaptureReader):
             self._crc = crc32(piece, self._crc)
             left -= len(piece)
 
-    # What stands in records.
+    # Contents of records.
 
     def _chunk(self, content: bytes, offset: int, length: int) -> Iterator[Frame | None]:
         try:
@@ -245,7 +245,7 @@ class McapReader(CaptureReader):
     def _inside(
         self, records: bytes | memoryview, base: int, *, whole: bool = True, position: int = 0
     ) -> Iterator[Frame | None]:
-        """Take the records of a chunk from `position` on; `base` is its offset in the file, -1 if it has none."""
+        """Read the records of a chunk from `position` on; `base` is its offset in the file, -1 if it has none."""
         view, end, head = memoryview(records), len(records), RECORD_HEAD.size
         while end - position >= head:
             opcode, length = RECORD_HEAD.unpack_from(view, position)
@@ -265,7 +265,7 @@ class McapReader(CaptureReader):
             self._bad_record(base, f"{end - position} octets at the end of a chunk are no record")
 
     def _frame(self, content: memoryview, offset: int) -> Frame | None:
-        """The frame of a message, None if it is of another kind or not wanted."""
+        """Return the frame of a message; None if the message has another type or its link type is not wanted."""
         if len(content) < _MESSAGE_HEAD.size:
             self._bad_record(offset, f"a message of {len(content)} octets")
             return None
@@ -297,7 +297,7 @@ class McapReader(CaptureReader):
         )
 
     def _describes(self, opcode: int, content: memoryview, offset: int) -> bool:
-        """Take in a schema or channel; whether it is the first channel of raw frames."""
+        """Process a schema or channel; return whether it is the first channel of raw frames."""
         if opcode == Opcode.SCHEMA:
             schema = self._parse(Schema, content, offset)
             if schema is not None:
@@ -326,7 +326,7 @@ class McapReader(CaptureReader):
             return None
         return record
 
-    # What is wrong with single records: all of it is counted, none of it ends the reading.
+    # Problems of single records. They are counted and never end the reading.
 
     def _bad_record(self, offset: int, why: str) -> None:
         self._log.count(

@@ -1,4 +1,4 @@
-"""The end of an MCAP file made anew, for attachments that the library did not write itself."""
+"""Rewriting of the end of an MCAP file, for attachments that the library did not write itself."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ _FOOTER_LENGTH = 20
 
 
 def add_attachments(tail: bytes, start: int, indexes: list[AttachmentIndex]) -> bytes:
-    """`tail` with the index of attachments, their number, and offsets and checksum that fit.
+    """Return `tail` with the index of attachments, their number, and updated offsets and checksum.
 
-    `tail` is what the library's `Writer.finish` writes: end of data, summary section, footer, magic. `start` is
-    its offset in the file.
+    `tail` is the output of the library's `Writer.finish`: end of data, summary section, footer, magic. `start` is its
+    offset in the file.
     """
     groups: dict[type[McapRecord], list[McapRecord]] = {}
     for record in StreamReader(BytesIO(tail), skip_magic=True).records:
@@ -47,12 +47,12 @@ def add_attachments(tail: bytes, start: int, indexes: list[AttachmentIndex]) -> 
     offsets_start = summary_start + builder.count
     summary: bytes = builder.end()
     for first, end in offsets:
-        # The first octet of a record says of which kind its group is.
+        # The first octet of a record is the opcode of its group.
         SummaryOffset(group_opcode=summary[first], group_start=summary_start + first, group_length=end - first).write(
             builder
         )
     summary += builder.end()
-    # The checksum goes as far as the footer's own fields before it.
+    # The checksum covers the footer's fields before the checksum.
     footer = struct.pack("<BQQQ", Opcode.FOOTER, _FOOTER_LENGTH, summary_start, offsets_start)
     crc = zlib.crc32(footer, zlib.crc32(summary))
     return data_end + summary + footer + struct.pack("<I", crc) + MCAP0_MAGIC

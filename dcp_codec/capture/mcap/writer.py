@@ -1,4 +1,4 @@
-"""Writing MCAP files with the mcap library, and what it can not do: pipes, and attachments of any size."""
+"""Writer of MCAP files. It adds to the mcap library the support of pipes and of attachments of any size."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from dcp_codec.capture.writer import CaptureWriter, ChannelMessage, MessageSourc
 from . import raw_frame as rawframe
 from .summary import add_attachments
 
-#: Octets of records, unpacked, after which a chunk is ended: what a killed process can lose.
+#: Unpacked octets of records after which a chunk ends: the most that a killed process can lose.
 CHUNK_LENGTH = 128 * 1024
 
 COMPRESSIONS = {
@@ -41,7 +41,7 @@ _MEDIA_TYPES = {
 
 
 class _Output:
-    """What the library writes to: the sink, with a position also on pipes; or, at the end, memory."""
+    """Output for the library: the sink, with a position also for pipes, or at the end memory."""
 
     def __init__(self, sink: ByteSink) -> None:
         self._sink = sink
@@ -61,13 +61,13 @@ class _Output:
 
 
 class McapWriter(CaptureWriter):
-    """Writes an MCAP file: raw frames on one topic, each followed by the messages that `messages` has for it.
+    """Writes an MCAP file: raw frames on one topic, each followed by its messages from `messages`.
 
-    All messages have the number of the frame, modulo 2^32, as their sequence. The schema and the channel of the
-    raw frames also stand before the first chunk, so that a file is known for what it is from its start, and a
-    damaged first chunk does not take the others with it.
+    The sequence number of all messages is the number of the frame modulo 2^32. The schema and the channel of the raw
+    frames are also before the first chunk: the type of the file is known from its start, and a damaged first chunk does
+    not make the others unreadable.
 
-    Metadata is written at the start; records that have appeared or changed by the end are written then.
+    Metadata is written at the start; new or changed records are written at the end.
     """
 
     format = "mcap"
@@ -119,7 +119,7 @@ class McapWriter(CaptureWriter):
         self._sink.write(builder.end())
 
     def _channel(self, topic: str, schema_name: str, schema: bytes, schema_encoding: str, message_encoding: str) -> int:
-        """Return the number of a channel, which is registered with its schema when first asked for."""
+        """Return the number of a channel, which is registered with its schema on first use."""
         key = (topic, message_encoding, schema_name, schema_encoding, schema)
         known = self._channels.get(key)
         if known is not None:
@@ -155,7 +155,9 @@ class McapWriter(CaptureWriter):
         self._writer.add_message(channel, log_time=time_ns, publish_time=time_ns, sequence=sequence, data=data)
 
     def flush(self) -> None:
-        """End the chunk, so that everything taken so far can be read whatever happens; not after each frame."""
+        """End the chunk, so that all frames taken so far can be read after a crash. Not meant for use after each
+        frame.
+        """
         self._writer.flush()
 
     def _write_metadata(self) -> None:
@@ -172,7 +174,7 @@ class McapWriter(CaptureWriter):
             return
         self._writer.flush()
         index = self._attachment.write(self._sink, self._first_time)
-        # The library's summary does not know of the attachment: have it in memory, and put it right.
+        # The library's summary lacks the attachment: write the summary to memory and add the attachment.
         start = self._sink.position
         tail: list[bytes] = []
         self._output.held = tail
@@ -189,10 +191,10 @@ class McapWriter(CaptureWriter):
 
 
 class OpenAttachment:
-    """A file that is to become an attachment: opened, measured, and copied without ever being in memory whole."""
+    """A file that becomes an attachment: opened, measured, and copied in pieces."""
 
     def __init__(self, path: Path) -> None:
-        """Raises `CaptureError` if the file can not be read."""
+        """Open the file. Raises `CaptureError` if it cannot be read."""
         self._path = path
         try:
             # Unbuffered, since it is read in large pieces.
@@ -205,13 +207,13 @@ class OpenAttachment:
             self._stream.seek(0)
         except OSError as error:
             self._stream.close()
-            raise CaptureError(f"{path}: can not be attached: {explain(error)}") from error
+            raise CaptureError(f"{path}: cannot be attached: {explain(error)}") from error
 
     def write(self, sink: ByteSink, time_ns: int) -> AttachmentIndex:
         """Write the attachment record, logged at `time_ns`.
 
-        The time the file was created is left out: the same frames are to give the same octets, wherever and
-        whenever a file was copied.
+        The creation time of the file is omitted: the same frames must give the same octets, wherever and whenever a
+        file was copied.
         """
         name, media_type = _text(self._path.name), self.media_type
         head = struct.pack("<QQ", time_ns, 0) + _prefixed(name) + _prefixed(media_type)
@@ -235,7 +237,7 @@ class OpenAttachment:
             try:
                 piece = self._stream.read(min(left, READ_SIZE))
             except OSError as error:
-                raise CaptureError(f"{self._path}: can not be attached: {explain(error)}") from error
+                raise CaptureError(f"{self._path}: cannot be attached: {explain(error)}") from error
             if not piece:
                 raise CaptureError(f"{self._path}: became shorter while it was attached to {sink.name}")
             sink.write(piece)
@@ -244,7 +246,7 @@ class OpenAttachment:
         return crc
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
         self._stream.close()
 
 
@@ -254,5 +256,5 @@ def _prefixed(text: str) -> bytes:
 
 
 def _text(text: str) -> str:
-    """`text` without what has no place in UTF-8, as file names can have."""
+    """Return `text` without surrogates, which file names can contain and UTF-8 cannot encode."""
     return text.encode("utf-8", "replace").decode()

@@ -30,13 +30,13 @@ RECORD_HEADER_LENGTH = 16
 
 _ZERO_HEADER = bytes(RECORD_HEADER_LENGTH)
 _SECOND = 1_000_000_000
-# As libpcap does it: the low 26 bits are the link type, above are a flag and the length of a frame checksum.
+# As in libpcap: the low 26 bits are the link type, above are a flag and the length of a frame checksum.
 _LINK_TYPE_MASK = 0x03FF_FFFF
 _FCS_PRESENT = 0x0400_0000
 
 
 class PcapReader(CaptureReader):
-    """Reads a pcap file; the window of `source` stands at its magic."""
+    """Reads a pcap file; the window of `source` starts with its magic."""
 
     format = "pcap"
 
@@ -57,18 +57,18 @@ class PcapReader(CaptureReader):
         if link & _LINK_TYPE_MASK not in link_types:
             raise self._refuse(f"has {wrong_link_type(link & _LINK_TYPE_MASK, link_types)}")
         if link & _FCS_PRESENT:
-            # The top four bits count the checksum in units of 16 bits.
+            # The top four bits give the length of the checksum in units of 16 bits.
             self._metadata["pcap"] = {"fcsLength": str((link >> 28) * 2)}
         self._limit = max(MAX_FRAME_LENGTH, min(snap, MAX_RECORD_LENGTH))
         self._position = source.start = HEADER_LENGTH
 
     @property
     def layout(self) -> tuple[bool, int, int]:
-        """How records are written: whether big-endian, nanoseconds per unit of the stamps, the longest frame."""
+        """Return the layout of records: whether big-endian, nanoseconds per unit of the stamps, the longest frame."""
         return self._order == ">", self._scale, self._limit
 
     def resume(self, position: int, frames: int) -> None:
-        """Go on at octet `position`, where the record behind the first `frames` starts. Before iterating only."""
+        """Continue at octet `position`, the record after the first `frames`. Only before iterating."""
         self._source.skip(position - self._source.position)
         self._number = self._frames_read = frames
         self._position = position
@@ -110,7 +110,7 @@ class PcapReader(CaptureReader):
                 number,
                 seconds * _SECOND + fraction * scale,
                 buffer[body:stop],
-                # Some recorders say less than they captured; the octets are there all the same.
+                # Some recorders state fewer octets than they captured; the captured octets are present.
                 length if length > captured else captured,
                 0,
                 base + start,

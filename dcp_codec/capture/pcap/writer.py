@@ -1,4 +1,4 @@
-"""Writing classic pcap files, little-endian, of link type Ethernet."""
+"""Writer of classic pcap files, little-endian, of link type Ethernet."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ _MAX_SECONDS = 2**32 - 1
 class PcapWriter(CaptureWriter):
     """Writes a pcap file.
 
-    With `lossy`, what the format has no place for is left off: the number of the interface, and in
-    microseconds the nanoseconds (cut, not rounded). Without it, such frames are refused.
+    `lossy` drops what the format cannot hold: the number of the interface, and in microseconds the nanoseconds (cut,
+    not rounded). Without it, such frames are refused.
     """
 
     format = "pcap"
@@ -38,7 +38,7 @@ class PcapWriter(CaptureWriter):
         if not self._lossy and (lost or frame.interface):
             raise self._refuse(frame, _what_is_lost(frame, lost))
         if not (seconds or fraction or frame.orig_len):
-            raise self._refuse(frame, "a frame without length at time 0 can not be told from a file's zeroed end")
+            raise self._refuse(frame, "a frame without length at time 0 cannot be told from a file's zeroed end")
         self._append(_RECORD.pack(seconds, fraction, len(frame.data), frame.orig_len) + frame.data)
 
 

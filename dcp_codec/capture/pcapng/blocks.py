@@ -1,4 +1,4 @@
-"""The parts of pcapng that are not frames: blocks by number, options, interfaces and their clocks."""
+"""Parts of pcapng other than frames: blocks by number, options, interfaces and their clocks."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ NAME_RESOLUTION = 0x0000_0004
 STATISTICS = 0x0000_0005
 ENHANCED_PACKET = 0x0000_0006
 
-#: Blocks that the registry of the format knows and that say nothing about frames.
+#: Block types of the registry that do not concern frames.
 SKIPPED = frozenset(
     {
         NAME_RESOLUTION,
@@ -28,7 +28,7 @@ SKIPPED = frozenset(
     }
 )
 
-#: Least total length of the blocks whose contents are read.
+#: Minimum total length of the blocks whose contents are read.
 LEAST_LENGTH = {
     SECTION_HEADER: 28,
     INTERFACE: 20,
@@ -38,7 +38,7 @@ LEAST_LENGTH = {
     ENHANCED_PACKET: 32,
 }
 
-#: The byte-order magic of a section header, as it stands in the file -> byte order for struct.
+#: The byte-order magic of a section header, as in the file -> byte order for struct.
 BYTE_ORDERS: dict[bytes, Literal["<", ">"]] = {b"\x4d\x3c\x2b\x1a": "<", b"\x1a\x2b\x3c\x4d": ">"}
 
 SECTION_OPTIONS = {2: "hardware", 3: "os", 4: "userappl"}
@@ -61,18 +61,18 @@ _NAMES = {
 
 
 def block_name(kind: int) -> str:
-    """What to call a block of this type in a message."""
+    """Return the name of a block type for messages."""
     return _NAMES.get(kind, f"a block of type {kind:#010x}")
 
 
 class BadOptionError(Exception):
-    """An option that does not fit its block, or its own kind."""
+    """An option that does not fit into its block or has an invalid length."""
 
 
 def options(buffer: bytes, start: int, stop: int, order: str) -> Iterator[tuple[int, bytes]]:
-    """Codes and values of the options in `buffer[start:stop]`, up to the end-of-options mark if there is one.
+    """Yield codes and values of the options in `buffer[start:stop]`, up to the end-of-options mark if there is one.
 
-    Raises `BadOptionError` where one does not fit; those before it were given out.
+    Raises `BadOptionError` at an option that does not fit, after the options before it.
     """
     head = struct.Struct(order + "HH")
     while start < stop:
@@ -89,7 +89,7 @@ def options(buffer: bytes, start: int, stop: int, order: str) -> Iterator[tuple[
 
 
 class Interface:
-    """One interface of a section: what its frames are, and how to read its clock."""
+    """One interface of a section: its link type, its snap length, and its clock."""
 
     __slots__ = ("accepted", "divide", "index", "link_type", "multiply", "resolution", "shift_ns", "snap")
 
@@ -104,19 +104,19 @@ class Interface:
         self.set_resolution(6)
 
     def set_resolution(self, code: int) -> None:
-        """`if_tsresol`: with the top bit clear a negative power of 10, with it set one of 2."""
+        """Apply `if_tsresol`: a negative power of 10, or with the top bit set of 2."""
         exponent = code & 0x7F
         if code & 0x80:
             unit, self.resolution = 1 << exponent, f"2^-{exponent} s"
         else:
             unit, self.resolution = int(10**exponent), _UNITS.get(exponent, f"10^-{exponent} s")
         common = gcd(_NANO, unit)
-        # nanoseconds = stamp * multiply / divide, in whole numbers only
+        # nanoseconds = stamp * multiply / divide, in integers only
         self.multiply: int = _NANO // common
         self.divide: int = unit // common
 
     def apply(self, code: int, value: bytes, order: str) -> None:
-        """Take in an option of the description; raises `BadOptionError` if it has the wrong length."""
+        """Apply an option of the description. Raises `BadOptionError` if it has the wrong length."""
         if code == IF_TSRESOL:
             if len(value) != 1:
                 raise BadOptionError(f"if_tsresol has {len(value)} octets, not 1")

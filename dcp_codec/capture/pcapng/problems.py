@@ -1,4 +1,4 @@
-"""What is wrong with single blocks of a pcapng file, in words: all of it is counted, none of it ends the reading."""
+"""Problems of single blocks of a pcapng file, with their messages. They are counted and never end the reading."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from .blocks import BadOptionError, Interface
 
 
 class BlockProblems:
-    """Told with the octet at which the block stands, and the number of the last frame before it."""
+    """Records problems; arguments are the offset of the block and the number of the last frame before it."""
 
     def __init__(self, log: ProblemLog) -> None:
         self._log = log
 
     def unknown_block(self, kind: int, offset: int, frame: int) -> None:
-        """A type of block that nobody has defined."""
+        """Record a block type that the format's registry does not list."""
         self._count(
             "unknown-block",
             lambda times: (
@@ -30,7 +30,7 @@ class BlockProblems:
         )
 
     def unknown_interface(self, offset: int, frame: int) -> None:
-        """A block for an interface that its section does not describe."""
+        """Record a block for an interface that its section does not describe."""
         self._count(
             "unknown-interface",
             lambda times: (
@@ -42,7 +42,7 @@ class BlockProblems:
         )
 
     def wrong_link_type(self, interface: Interface, offset: int, frame: int) -> None:
-        """A frame of an interface whose link type was not asked for."""
+        """Record a frame of an interface whose link type is not wanted."""
         index, kind = interface.index, link_type_name(interface.link_type)
         self._count(
             "wrong-link-type",
@@ -53,7 +53,7 @@ class BlockProblems:
         )
 
     def does_not_fit(self, captured: int, room: int, offset: int, frame: int) -> None:
-        """A frame that claims more octets than its block has."""
+        """Record a frame that states more octets than its block has."""
         self._count(
             "bad-record",
             lambda times: (
@@ -65,7 +65,7 @@ class BlockProblems:
         )
 
     def no_time(self, offset: int, frame: int) -> None:
-        """A simple packet block, which has no time of capture."""
+        """Record a simple packet block, which has no time of capture."""
         self._count(
             "no-time",
             lambda times: (
@@ -77,7 +77,7 @@ class BlockProblems:
         )
 
     def rounded_time(self, interface: Interface, offset: int, frame: int) -> None:
-        """A time that is no whole number of nanoseconds."""
+        """Record a time that is not a whole number of nanoseconds."""
         index, unit = interface.index, interface.resolution
         self._count(
             "rounded-time",
@@ -91,7 +91,7 @@ class BlockProblems:
         )
 
     def bad_option(self, error: BadOptionError, offset: int, frame: int) -> None:
-        """Options of a block that are damaged; the rest of it was read."""
+        """Record damaged options of a block whose other parts were read."""
         self._count(
             "bad-option",
             lambda times: (
@@ -103,5 +103,5 @@ class BlockProblems:
         )
 
     def _count(self, reason: Reason, describe: Describe, offset: int, frame: int, of: Hashable = None) -> None:
-        """One more of a kind: those with the same ``reason`` and ``of`` are told as one."""
+        """Count a problem; those with the same ``reason`` and ``of`` are reported as one."""
         self._log.count(reason if of is None else (reason, of), reason, describe, offset, frame)

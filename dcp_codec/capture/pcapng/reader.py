@@ -31,25 +31,25 @@ from .blocks import (
 )
 from .problems import BlockProblems
 
-#: Interfaces of one file that are told apart; a file with more is taken for damaged.
+#: Maximum number of interfaces in one file; a file with more counts as damaged.
 MAX_INTERFACES = 65_536
 
-#: Records of metadata that are kept of one file.
+#: Maximum number of metadata records kept from one file.
 MAX_METADATA = 1_000
 
 _LEAST = 12
 _PACKET_HEADS = {order: struct.Struct(order + "IIIII").unpack_from for order in "<>"}
 _LEAST_PACKET = LEAST_LENGTH[ENHANCED_PACKET]
 _FIXED = 28  # of an enhanced packet block, before the octets of the frame
-# By byte order: what an enhanced packet block starts with up to there, and the length that ends every block.
+# By byte order: the head of an enhanced packet block. Its length includes the length field that ends every block.
 _BLOCK_HEADS = {order: struct.Struct(order + "IIIIIII").unpack_from for order in "<>"}
 _TRAILERS = {order: struct.Struct(order + "I").unpack_from for order in "<>"}
 
 
 class PcapngReader(CaptureReader):
-    """Reads a pcapng file; the window of `source` stands at its first section header.
+    """Reads a pcapng file; the window of `source` starts with its first section header.
 
-    Opening reads on to the first interface of an accepted link type, so that a file without one is refused.
+    Opening reads up to the first interface of an accepted link type, so that a file without one is refused.
     """
 
     format = "pcapng"
@@ -76,23 +76,23 @@ class PcapngReader(CaptureReader):
 
     @property
     def big_endian(self) -> bool:
-        """The byte order of the section that is being read."""
+        """Return whether the current section is big-endian."""
         return self._order == ">"
 
     @property
     def interfaces(self) -> Sequence[Interface]:
-        """The interfaces of the section that is being read, as far as they have been described."""
+        """Return the interfaces of the current section that have been described so far."""
         return self._interfaces
 
     @property
     def number(self) -> int:
-        """The number of the last frame, passed over or not."""
+        """Return the number of the last frame, including skipped ones."""
         return self._number
 
     def step(self, position: int, number: int, frames: int) -> tuple[bool, Frame | None]:
-        """Take the one block at octet `position`, behind frame `number` and `frames` that were given out.
+        """Read the block at octet `position`, after frame `number` and `frames` yielded frames.
 
-        For those who find most frames on their own, going forward, instead of iterating. Returns whether there is
+        For callers that find most frames themselves, moving forward, instead of iterating. Returns whether there is
         more to read, and the frame of the block if it has one.
         """
         self._source.skip(position - self._source.position)
@@ -114,7 +114,7 @@ class PcapngReader(CaptureReader):
                 head, trailer = _BLOCK_HEADS[order], _TRAILERS[order]
             buffer, start, base = source.buffer, source.start, source.base
             interfaces, end = self._interfaces, len(source.buffer)
-            # The way of nearly every block: a frame that lies whole in the window.
+            # Fast path for nearly every block: a frame that is completely in the window.
             while end - start >= _FIXED:
                 kind, total, which, high, low, captured, length = head(buffer, start)
                 stop, body = start + total, start + _FIXED
@@ -145,7 +145,7 @@ class PcapngReader(CaptureReader):
                     self._frames_read += 1
                     yield frame
             source.start = start
-            # All others, the end of the window, and whatever is wrong.
+            # All other blocks, the end of the window, and all errors.
             self._pending = None
             self._going = self._block()
             if self._pending is not None:
@@ -153,7 +153,7 @@ class PcapngReader(CaptureReader):
                 yield self._pending
 
     def _block(self) -> bool:
-        """Take one block of any kind; its frame, if it has one, is then `_pending`. False at the end."""
+        """Read one block of any kind; its frame, if it has one, is then `_pending`. Return False at the end."""
         source = self._source
         offset = source.position
         have = source.need(_LEAST)
@@ -209,7 +209,7 @@ class PcapngReader(CaptureReader):
         if major != 1:
             what = f"a section of pcapng version {major}.{minor}, which is not 1.x,"
             return self._damaged("unknown-version", self._source.base + start, what)
-        # The length of the section, 8 octets, is of no use to one who reads everything in order.
+        # The section length, 8 octets, is not needed for reading in order.
         name = f"section.{self._sections}" if self._sections else "section"
         self._sections += 1
         self._unpack_packet = _PACKET_HEADS[self._order]
@@ -270,15 +270,15 @@ class PcapngReader(CaptureReader):
         except BadOptionError as error:
             self._bad_option(error, start)
         if drops:
-            # The counters run from the start of the capture, so the last block says it all.
+            # The counters run from the start of the capture, so the last block has the total.
             self._dropped[interface.index] = sum(drops.values())
 
     def _packet(self, kind: int, buffer: bytes, start: int, total: int) -> Frame | None:
-        """The frame of an enhanced, or obsolete, packet block."""
+        """Return the frame of an enhanced, or obsolete, packet block."""
         which, high, low, captured, length = self._unpack_packet(buffer, start + 8)
         self._number = number = self._number + 1
         if kind == PACKET:
-            # Two 16-bit numbers share the place: the interface, and a count of drops before this frame.
+            # Two 16-bit numbers share the field: the interface, and the number of drops before this frame.
             which = struct.unpack_from(self._order + "H", buffer, start + 8)[0]
         interface = self._interfaces[which] if which < len(self._interfaces) else None
         if interface is None or not interface.accepted:
@@ -307,7 +307,7 @@ class PcapngReader(CaptureReader):
         )
 
     def _simple_packet(self, buffer: bytes, start: int, total: int) -> Frame | None:
-        """The frame of a simple packet block: of the first interface, and without a time."""
+        """Return the frame of a simple packet block: of the first interface, and without a time."""
         self._number += 1
         interface = self._interfaces[0] if self._interfaces else None
         if interface is None or not interface.accepted:
@@ -351,7 +351,7 @@ class PcapngReader(CaptureReader):
         self._block_problems.bad_option(error, self._source.base + start, self._number)
 
     def _rounded(self, scaled: int, interface: Interface, start: int) -> int:
-        """`scaled` / `divide`, to the nearest nanosecond."""
+        """Return `scaled` / `divide`, rounded to the nearest nanosecond."""
         time_ns, rest = divmod(scaled, interface.divide)
         if not rest:
             return time_ns

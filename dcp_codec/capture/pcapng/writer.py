@@ -1,4 +1,4 @@
-"""Writing pcapng files: one section, little-endian, one Ethernet interface per number that occurs."""
+"""Writer of pcapng files: one section, little-endian, one Ethernet interface per number that occurs."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from .blocks import (
 #: Interfaces are numbered without gaps, so a frame of interface n costs n + 1 descriptions.
 MAX_INTERFACE = 4095
 
-#: Octets of an option with text; longer text is cut.
+#: Octets of a text option; longer text is cut.
 _MAX_TEXT = 1024
 
 _PACKET = struct.Struct("<IIIIIII")
@@ -35,9 +35,8 @@ _EXPONENTS = {"ns": 9, "us": 6}
 class PcapngWriter(CaptureWriter):
     """Writes a pcapng file.
 
-    Of the metadata, ``section`` (hardware, os) and ``interface.N`` (name, description) have a place in it;
-    they are looked up when the interface is first used. With `lossy`, in microseconds, nanoseconds are cut
-    off; without it, such frames are refused.
+    Of the metadata it stores ``section`` (hardware, os) and ``interface.N`` (name, description), which are looked up
+    when the interface is first used. In microseconds, `lossy` cuts nanoseconds off; otherwise such frames are refused.
     """
 
     format = "pcapng"
@@ -50,7 +49,7 @@ class PcapngWriter(CaptureWriter):
         self._lossy = lossy
         self._interfaces = 0
         about = {**metadata.get("section", {}), "userappl": f"dcp-codec {__version__}"}
-        # Byte-order magic, version 1.0, length of the section not known.
+        # Byte-order magic, version 1.0, unknown length of the section.
         fixed = struct.pack("<IHHq", 0x1A2B3C4D, 1, 0, -1)
         sink.write(_block(SECTION_HEADER, fixed + _texts(SECTION_OPTIONS, about) + _END))
 
@@ -88,7 +87,7 @@ class PcapngWriter(CaptureWriter):
 
     def _finish(self) -> None:
         if not self._interfaces:
-            # A section without any interface is allowed, but says nothing of what was listened to.
+            # A section without an interface is allowed, but would not name the recorded interface.
             self._append(self._describe(0))
         super()._finish()
 
@@ -106,7 +105,7 @@ def _texts(wanted: Mapping[int, str], values: Mapping[str, str]) -> bytes:
         text = values.get(name)
         if text:
             octets = text.encode("utf-8", "replace")[:_MAX_TEXT]
-            # Not through the middle of a character.
+            # Do not cut within a character.
             pieces.append(_option(code, octets.decode("utf-8", "ignore").encode()))
     return b"".join(pieces)
 

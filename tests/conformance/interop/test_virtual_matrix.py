@@ -137,6 +137,21 @@ def test_a_profile_that_keeps_to_the_specification_declares_nothing() -> None:
     assert matrix.implementations[0].declared == {}
 
 
+@pytest.mark.parametrize(
+    ("fault", "test"),
+    [
+        ("M-VD-PU-07-ignored", "IT_VD_LOSS-pair-10"),
+        ("M-VD-PD-04-ignored", "IT_VD_DELETE-pair"),
+        ("M-SRP-RX-06-forwarded", "IT_SRP_DISCOVERY-line3"),
+    ],
+)
+def test_the_first_change_that_is_too_late_ends_the_cell(fault: str, test: str) -> None:
+    # Each change may take 11 s here, 95 s at a loss of 50 %, and three times that in real time.
+    result = play(NODE, "mutant:" + fault, test)
+    assert result.verdict is Verdict.FAIL
+    assert [spread.took is None for spread in result.spreads] == [*[False] * (len(result.spreads) - 1), True]
+
+
 def test_reports_hold_every_cell(tmp_path: Path) -> None:
     fault = "mutant:M-VD-PU-07-ignored"
     found = {name: built_in(name) for name in (NODE, fault)}
