@@ -1,38 +1,38 @@
-"""What stops a command, or a case."""
+"""Exceptions that end a command or a test case."""
 
 from __future__ import annotations
 
 
 class ConformanceError(Exception):
-    """Base of what this package raises for people to read; the message says what, where, and what to do."""
+    """Base class of the errors reported to the user; the message names the fault, its place and the remedy."""
 
 
 class UsageError(ConformanceError):
-    """The command was given something that makes no sense."""
+    """An option, argument or input file of a command is invalid."""
 
 
 class LowerTesterError(ConformanceError):
-    """The link cannot be used: the tester's own trouble."""
+    """The lower tester cannot use its link; this is a fault of the test setup, not of the SUT."""
 
 
 class UpperTesterError(ConformanceError):
-    """The upper tester cannot be reached, does not answer, or does not keep to its contract."""
+    """The upper tester is unreachable, does not answer, or violates its interface."""
 
 
 class NoAnswerError(UpperTesterError):
-    """A request was made, and no answer came in time: the implementation or the upper tester is silent."""
+    """A request was not answered in time by the SUT or the upper tester."""
 
 
 class CouldNotAskError(UpperTesterError):
-    """The upper tester has no way to make this request: it says nothing of the implementation."""
+    """The upper tester cannot make this request; this allows no conclusion about the SUT."""
 
 
 class WorkerError(ConformanceError):
-    """A process that works for the tester has ended before its work was done."""
+    """A worker process of the tester ended before its work was complete."""
 
 
 class StopCase(Exception):  # noqa: N818 - not an error: the case is decided
-    """Raised inside of a case when going on makes no sense; its verdict is set already."""
+    """End a test case early; its verdict is set already."""
 
 
 class NamesUsedUp(StopCase):

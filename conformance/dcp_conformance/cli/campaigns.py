@@ -1,4 +1,4 @@
-"""What the campaigns of ``dcp-conformance fuzz`` share: their options, what they start with, and how they are told."""
+"""Common parts of the campaigns of ``dcp-conformance fuzz``: options, initial state, and progress output."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _STOPPED = 130
 
 
 class _Jobs(click.IntRange):
-    """A number of processes; ``auto`` is one for each processor that this one may use."""
+    """Parse a number of processes; ``auto`` means one for each processor available to this process."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         return len(os.sched_getaffinity(0)) if value == "auto" else super().convert(value, param, ctx)
@@ -60,7 +60,7 @@ no_jobs = click.option("--jobs", "-j", hidden=True, expose_value=False, callback
 
 
 def campaign_options(function: F) -> F:
-    """How long, how fast, what with, where to."""
+    """Add the common options of campaigns: limits, rate, recordings, dry run, coverage and output."""
     for option in reversed(
         [
             click.option(
@@ -132,7 +132,7 @@ def _chance(options: dict[str, Any]) -> random.Random:
 
 
 def swept(options: dict[str, Any]) -> int:
-    """How many tests of the sweep the campaign that goes on has done."""
+    """Return the number of sweep tests that the resumed campaign has executed."""
     from dcp_conformance.fuzz.campaign import read_state
     from dcp_conformance.fuzz.generate.sweep import NAME
 
@@ -253,7 +253,7 @@ def run_campaign(
 
 
 def _tell_end(campaign: Campaign, *, quiet: bool, coverage: bool) -> None:
-    """How much was done, and in the end what was found: nothing scrolls that away."""
+    """Print the number of executed tests and, at the end, the findings."""
     from dcp_conformance.fuzz.findings.description import summary_lines
     from dcp_conformance.fuzz.generate.coverage import shown
 
@@ -288,7 +288,7 @@ def _write_coverage(coverage: Coverage, path: Path) -> None:
 
 @contextlib.contextmanager
 def _stopped_by_sigterm() -> Iterator[None]:
-    """Let SIGTERM end a campaign as Ctrl-C does: with everything saved, and what was started ended."""
+    """Let SIGTERM end a campaign as Ctrl-C does: save its state and end the processes that it started."""
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         yield
@@ -297,7 +297,7 @@ def _stopped_by_sigterm() -> Iterator[None]:
 
 
 def write_tests(campaign: Campaign, options: dict[str, Any]) -> int:
-    """Write the frames of a campaign, and send nothing."""
+    """Write the frames of a campaign to a file without sending them."""
     from dcp_codec.capture import CaptureError
     from dcp_conformance.fuzz.findings.artefact import write_frames
 

@@ -115,7 +115,7 @@ def command(
 
 
 def _known_cases() -> dict[str, Case]:
-    """The cases of a run, whose entries a file of expected results may have, and the invariants of recordings."""
+    """Return the cases allowed in a file of expected results, by id: test cases and invariants of recordings."""
     from dcp_conformance.check.judge import cases
     from dcp_conformance.model.case import all_cases
 
@@ -123,5 +123,5 @@ def _known_cases() -> dict[str, Case]:
 
 
 def _states_period(pics: Path) -> bool:
-    """Whether a PICS file says what the beacon period is, also if it is the usual one."""
+    """Return whether a PICS file contains the beacon period, even if it is the default value."""
     return "beacon_period_ms" in tomllib.loads(pics.read_text(encoding="utf-8")).get("pixit", {})

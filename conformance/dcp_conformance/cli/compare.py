@@ -66,7 +66,7 @@ def command(old: Path, new: Path, *, as_json: bool) -> int:
 def _print_requirements(
     rows: list[tuple[str, Verdict | None, Verdict | None]], kinds: tuple[str, str], *, as_json: bool
 ) -> None:
-    """Requirements with the verdicts of two commands beside each other."""
+    """Print the requirements with the verdicts of two commands in adjacent columns."""
     first, second = kinds
     if as_json:
         import json

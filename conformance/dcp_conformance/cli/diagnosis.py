@@ -1,4 +1,4 @@
-"""``dcp-conformance selftest``: the fault dictionary, and how good the diagnosis is."""
+"""``dcp-conformance selftest``: the fault dictionary and the accuracy of the diagnosis."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def make_dictionary(patterns: tuple[str, ...], options: dict[str, Any]) -> int:
 
 
 def measure_diagnosis(options: dict[str, Any]) -> int:
-    """Diagnose nodes with several faults, and print how many of them are named. Returns the exit status."""
+    """Diagnose nodes with several faults and print how many faults are identified. Return the exit status."""
     from dcp_conformance.selftest.diagnosis.measuring import Outcome, draw, measure
 
     from .display import progress_bar

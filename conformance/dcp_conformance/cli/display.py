@@ -1,4 +1,4 @@
-"""What ``dcp-conformance run`` shows while it runs and when it is done."""
+"""Progress output and final summary of ``dcp-conformance run``."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ _HEADINGS = {Verdict.NOT_APPLICABLE: "n/a", Verdict.INCONCLUSIVE: "inconcl.", Ve
 
 
 class SafeConsole(Console):
-    """A console whose strings can colour themselves with markup only: control characters in them are escaped."""
+    """A console that accepts colours only as markup and escapes control characters in strings."""
 
     def render_str(self, text: str, **more: Any) -> Text:
         """Render a string with markup, as print and cells of tables do."""
@@ -70,17 +70,17 @@ class SafeConsole(Console):
 
 
 def console(stream: object = None) -> Console:
-    """A console on standard output, or on another stream, that does not colour what is piped."""
+    """Return a console on standard output or another stream; it writes colours only to a terminal."""
     return SafeConsole(file=stream or sys.stdout, highlight=False, emoji=False, soft_wrap=True)  # type: ignore[arg-type]
 
 
 def data(text: object) -> str:
-    """Text that is not ours, for a string with markup: neither markup nor control characters in it have an effect."""
+    """Escape foreign text for a string with markup: its markup and control characters have no effect."""
     return escape(plain(str(text)))
 
 
 def progress_bar(*, quiet: bool) -> Progress:
-    """A bar on standard error that goes away when it is done; none with ``quiet``, or where that is no terminal."""
+    """Return a transient progress bar on standard error; disabled with ``quiet`` or without a terminal."""
     bar = SafeConsole(stderr=True, emoji=False)
     return Progress(
         TextColumn("{task.description}"),
@@ -94,7 +94,7 @@ def progress_bar(*, quiet: bool) -> Progress:
 
 
 class Display:
-    """A bar on a terminal; a line for each case that is not simply passed, or for all with ``verbose``."""
+    """Progress bar on a terminal, and a line for each case that did not pass, or with ``verbose`` for each case."""
 
     def __init__(self, *, verbose: bool = False, quiet: bool = False) -> None:
         self._verbose = verbose
@@ -113,16 +113,16 @@ class Display:
         self._progress.stop()
 
     def start(self, total: int) -> None:
-        """So many cases are to be run."""
+        """Set the number of test cases of the run."""
         self._task = self._progress.add_task("cases", total=total)
 
     def waiting(self, what: str) -> None:
-        """The run has not begun yet: say what it waits for, on standard error."""
+        """Print on standard error what the run waits for before it starts."""
         if not self._quiet:
             self._progress.console.print(data(what), soft_wrap=True, highlight=False)
 
     def result(self, case: Case, result: CaseResult, surprise: str) -> None:
-        """One of them is done."""
+        """Show the result of a completed test case."""
         if self._task is not None:
             self._progress.update(self._task, advance=1, description=data(case.id))
         notable = result.verdict in (Verdict.FAIL, Verdict.ERROR, Verdict.INCONCLUSIVE) or bool(surprise)
@@ -147,7 +147,7 @@ class Display:
 
 
 def print_summary(run: RunResult, *, report: str = "") -> None:
-    """The end of a run: a table by section, what failed and how to run it again, and where the report is."""
+    """Print the summary of a run: a table by section, failures with commands to repeat them, and the report path."""
     out = console()
     if run.cases:
         out.print(_sections(run))
@@ -193,7 +193,7 @@ def print_summary(run: RunResult, *, report: str = "") -> None:
 
 
 def _print_diagnosis(out: Console, run: RunResult) -> None:
-    """The faults that probably are behind the failures, the one that explains most first."""
+    """Print the probable faults, starting with the one that explains the most failures."""
     if run.diagnosis is None or not (said := diagnosed(run)):
         return
     out.print(f"\n[bold]{data(said)}[/]", soft_wrap=True)
@@ -213,7 +213,7 @@ def _print_diagnosis(out: Console, run: RunResult) -> None:
 
 
 def _failing(run: RunResult) -> str:
-    """The requirements that fail, those with the most cases first: one fault can fail many cases."""
+    """Print the failed requirements, starting with the one that has the most failed cases."""
     cases: Counter[str] = Counter()
     for case in run.cases:
         failed = (check.requirements for check in case.checks if check.verdict is Verdict.FAIL)
@@ -222,7 +222,7 @@ def _failing(run: RunResult) -> str:
 
 
 def _readings(run: RunResult) -> Iterator[str]:
-    """Which readings of disputed text were observed, by name where they have one, and which hazards."""
+    """Yield the observed interpretations of ambiguous text, with their names if any, and the observed hazards."""
     named: list[str] = []
     differing: list[str] = []
     others: list[str] = []
@@ -241,7 +241,7 @@ def _readings(run: RunResult) -> Iterator[str]:
 
 
 def _print_observations(out: Console, run: RunResult) -> None:
-    """What a recording shows beside right and wrong."""
+    """Print the observations from a recording that are not verdicts."""
     seen = [(case, check) for case in run.cases for check in case.checks if check.verdict is Verdict.INFO]
     if seen:
         out.print("\n[cyan]observed[/]")
@@ -252,7 +252,7 @@ def _print_observations(out: Console, run: RunResult) -> None:
 
 
 def _frames(check: Check) -> str:
-    """The frames of a check and when it showed first, in brackets; empty if there is nothing of that."""
+    """Return the frames of a check and the time of the first one, in brackets; empty if it has neither."""
     frames = list(dict.fromkeys(str(mark.frame) for mark in check.frames if mark.frame))
     more = f" and {len(frames) - _FRAMES} more" if len(frames) > _FRAMES else ""
     named = f"frame{'' if len(frames) == 1 else 's'} {', '.join(frames[:_FRAMES])}{more}" if frames else ""
@@ -261,7 +261,7 @@ def _frames(check: Check) -> str:
 
 
 def _columns(run: RunResult) -> tuple[Verdict, ...]:
-    """Verdicts that have a column: only recordings can have too little in them, and most have enough."""
+    """Return the verdicts with a column. ``TOO_LITTLE`` has one only if it occurs."""
     few = Verdict.TOO_LITTLE in run.requirements.values() or any(c.verdict is Verdict.TOO_LITTLE for c in run.cases)
     return (*_COLUMNS[:-1], Verdict.TOO_LITTLE, _COLUMNS[-1]) if few else _COLUMNS
 
@@ -300,7 +300,7 @@ def _cells(row: dict[Verdict, int], columns: Iterable[Verdict]) -> list[str]:
 
 
 def _print_death(out: Console, death: Death) -> None:
-    """Cases of which the implementation died in the same way are one finding."""
+    """Print one finding for the cases in which the SUT crashed in the same way."""
     named = ", ".join(case.id for case in death.cases[:_CHECKS])
     more = f" and {len(death.cases) - _CHECKS} more" if len(death.cases) > _CHECKS else ""
     style, first = STYLES[Verdict.FAIL], death.cases[0]

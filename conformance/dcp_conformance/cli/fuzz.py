@@ -91,7 +91,7 @@ def codec_command(parts: tuple[str, ...], **options: Any) -> int:
 
 @contextlib.contextmanager
 def codec_campaign(parts: tuple[str, ...], options: dict[str, Any], seed: str | None = None) -> Iterator[Campaign]:
-    """The campaign of ``fuzz codec``; ``seed`` is a worker's."""
+    """Return the campaign of ``fuzz codec``; ``seed`` is that of a worker."""
     from dcp_conformance.fuzz.campaign import Campaign
     from dcp_conformance.fuzz.execute.functions import FunctionInputs, FunctionTarget
     from dcp_conformance.fuzz.findings.artefact import SavedTarget
@@ -109,7 +109,7 @@ def codec_campaign(parts: tuple[str, ...], options: dict[str, Any], seed: str | 
 
 
 def _only(parts: tuple[str, ...]) -> str:
-    """The one part for an engine that knows octets, not parts."""
+    """Return the only selected part, for an engine that processes octets without parts."""
     if len(parts) > 1:
         raise UsageError(f"--engine atheris fuzzes one part at a time, not {len(parts)}")
     return parts[0] if parts else "beacon"
@@ -131,7 +131,7 @@ def stack_command(**options: Any) -> int:
 
 @contextlib.contextmanager
 def stack_campaign(options: dict[str, Any], seed: str | None = None) -> Iterator[Campaign]:
-    """The campaign of ``fuzz stack``; ``seed`` is a worker's."""
+    """Return the campaign of ``fuzz stack``; ``seed`` is that of a worker."""
     from dcp_conformance.fuzz.campaign import Campaign
     from dcp_conformance.fuzz.findings.artefact import SavedTarget
     from dcp_conformance.fuzz.findings.replaying import stack_target
@@ -162,7 +162,7 @@ def stack_campaign(options: dict[str, Any], seed: str | None = None) -> Iterator
 
 
 def _live(options: dict[str, Any], *, differential: bool) -> int:
-    """A campaign against an implementation that was opened as 'run' opens it."""
+    """A campaign against an SUT that is opened as by ``dcp-conformance run``."""
     from dcp_conformance.execution.target import describe, open_target
     from dcp_conformance.fuzz.campaign import Campaign
     from dcp_conformance.fuzz.execute.live import RATE, LiveTarget, UnhealthyError
@@ -295,7 +295,7 @@ def replay_command(artefacts: tuple[Path, ...], attempts: int, **options: Any) -
 
 
 def _live_target(options: dict[str, Any], stack: Any) -> Callable[[Artefact], Target] | None:
-    """How live artefacts reach the implementation; None if nothing was said about one."""
+    """Return how live artefacts reach the SUT; None if no option names an SUT."""
     target = target_of(options)
     if not (target.foreign or target.in_process or options["own_node"]):
         return None

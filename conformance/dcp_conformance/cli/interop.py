@@ -130,7 +130,7 @@ def command(
 
 
 def _with_file(matrix: MatrixResult, file: Path) -> MatrixResult:
-    """Name the description in the commands that run cells again."""
+    """Add the description file to the commands that repeat cells."""
     import shlex
 
     def changed(cell: CellResult) -> CellResult:

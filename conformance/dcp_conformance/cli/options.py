@@ -1,4 +1,4 @@
-"""Options that several subcommands have."""
+"""Options shared by several subcommands."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Factor(click.FloatRange):
         super().__init__(min=0, max=most, min_open=True)
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """The number; refuses what is out of range, and what is no number."""
+        """Return the number; refuse text that is not a number in the range."""
         number = super().convert(value, param, ctx)
         if math.isnan(number):
             self.fail(f"{value!r} is no number", param, ctx)
@@ -55,7 +55,7 @@ def as_typed(*words: str) -> str:
 
 
 def target_options(function: F) -> F:
-    """Which implementation, and how it is reached."""
+    """Add the options that select the SUT and the access to it."""
     return _applied(
         function,
         [
@@ -97,7 +97,7 @@ def target_options(function: F) -> F:
 
 
 def selection_options(function: F) -> F:
-    """Which cases."""
+    """Add the options that select test cases."""
     return _applied(
         function,
         [
@@ -129,8 +129,8 @@ def _ether_type(_context: click.Context, _parameter: click.Parameter, value: str
 
 
 def target_of(options: dict[str, Any]) -> TargetOptions:
-    """The target that options of :func:`target_options` mean."""
-    # What opens targets is not needed to say which options there are.
+    """Return the target given by the options of :func:`target_options`."""
+    # Imported late: the list of options does not need the modules that open targets.
     from dcp_conformance.execution.target import TargetOptions
 
     return TargetOptions(
@@ -153,7 +153,7 @@ def target_of(options: dict[str, Any]) -> TargetOptions:
 
 
 def selection_of(options: dict[str, Any]) -> Selection:
-    """The selection that options of :func:`selection_options` mean."""
+    """Return the selection given by the options of :func:`selection_options`."""
     return Selection(
         patterns=options["cases"],
         sections=options["section"],

@@ -119,7 +119,7 @@ def _statement(each: StatementChange) -> Iterator[str]:
 
 
 def _sections(changes: Iterable[StatementChange]) -> Iterator[str]:
-    """Whole sections move: one entry for all statements that went the same way."""
+    """Group statements that moved together into one entry, since whole sections move."""
     found: dict[str, dict[str, None]] = {}
     for each in changes:
         assert each.before is not None

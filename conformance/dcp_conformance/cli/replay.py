@@ -84,7 +84,7 @@ def command(capture: Path, **options: Any) -> int:
 
 
 def _warn_of_length(seconds: float, speed: float) -> None:
-    """Nobody waits for days without knowing."""
+    """Warn if the replay will take very long."""
     if speed and seconds / speed > _LONG:
         minutes = round(seconds / speed / 60)
         told = f"playing takes {minutes // 60} h {minutes % 60} min; --speed 0 plays in step, without the pauses"

@@ -98,7 +98,7 @@ def command(results: tuple[Path, ...], output: Path | None, issues: Path | None,
 def _export(
     run: RunResult, issues: Path | None, exports: dict[str, Path | None], target: dict[str, Any] | None
 ) -> None:
-    """Write what is made of one run for others. ``target``: options of the implementation, to minimise stimuli by."""
+    """Write the exports of one run. ``target``: options of the SUT, used to minimise stimuli."""
     from dcp_conformance.reporting import exports as making
     from dcp_conformance.reporting.files import codec_of
 

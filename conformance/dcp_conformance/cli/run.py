@@ -114,7 +114,7 @@ def command(**options: Any) -> int:
 
 
 def _at_a_time(options: dict[str, Any]) -> int:
-    """How many cases are executed at a time against one implementation, unless the user says so."""
+    """Return the number of cases executed concurrently against one SUT: that of the user, or a default."""
     from dcp_conformance.execution.concurrent import WIDTH
 
     if options["impair"]:
@@ -126,7 +126,7 @@ def _at_a_time(options: dict[str, Any]) -> int:
 
 
 def _failed_first(selection: Selection, report: Path | None, *, only: bool) -> Selection:
-    """The selection with the cases first that did not pass in an earlier report."""
+    """Return the selection, starting with the cases that did not pass in an earlier report."""
     if report is None:
         if only:
             raise click.UsageError("--failed-only needs --failed REPORT, the report of an earlier run")
@@ -140,7 +140,7 @@ def _failed_first(selection: Selection, report: Path | None, *, only: bool) -> S
 
 
 def _report(run: ConformanceRun, folder: Path | None) -> None:
-    """Write the report, and show the summary whatever becomes of the report."""
+    """Write the report, and show the summary even if the report cannot be written."""
     from .display import print_summary
 
     result = run.result()

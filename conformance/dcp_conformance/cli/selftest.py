@@ -173,7 +173,7 @@ def command(mutants: tuple[str, ...], **options: Any) -> int:
 
 
 def _side_by_side(patterns: tuple[str, ...], options: dict[str, Any]) -> int:
-    """Compare verdicts of two ways to execute cases; the exit status."""
+    """Compare the verdicts of two ways to execute cases. Return the exit status."""
     from dcp_conformance.selftest.runner import chosen
     from dcp_conformance.selftest.side_by_side import Comparison, compare_all
 
@@ -205,14 +205,14 @@ def _side_by_side(patterns: tuple[str, ...], options: dict[str, Any]) -> int:
 
 
 def _refuse(options: dict[str, Any], names: tuple[str, ...], mode: str) -> None:
-    """Raise ``UsageError`` if an option was given that does not go with a mode of the command."""
+    """Raise ``UsageError`` if an option does not apply to the selected mode of the command."""
     for name in names:
         if options[name]:
             raise UsageError(f"--{name.replace('_', '-')} does not go with {mode}")
 
 
 def _recordings(patterns: tuple[str, ...], options: dict[str, Any]) -> int:
-    """Simulated recordings with and without a faulty node; the exit status."""
+    """Check simulated recordings with and without a faulty node. Return the exit status."""
     from dcp_codec.common.atomic_write import write_whole
     from dcp_conformance.selftest.recordings import clean, faulty
     from dcp_conformance.selftest.recordings.table import document
@@ -249,7 +249,7 @@ def _recordings(patterns: tuple[str, ...], options: dict[str, Any]) -> int:
 
 
 def _generated(patterns: tuple[str, ...], options: dict[str, Any]) -> int:
-    """Random changes; the exit status."""
+    """Run the cases against generated mutants. Return the exit status."""
     from dcp_conformance.selftest.generated.campaign import Trial as Generated
     from dcp_conformance.selftest.generated.campaign import draw, reach, run
 
@@ -296,7 +296,7 @@ def _generated(patterns: tuple[str, ...], options: dict[str, Any]) -> int:
 
 
 def _citations(patterns: tuple[str, ...], options: dict[str, Any]) -> int:
-    """Citations and what they stand on; the exit status."""
+    """Check whether each citation of a requirement is proved. Return the exit status."""
     from dcp_conformance.selftest.citations.campaign import Verdict, chosen, run
     from dcp_conformance.selftest.citations.unit_tests import checkout
 
@@ -323,12 +323,12 @@ def _citations(patterns: tuple[str, ...], options: dict[str, Any]) -> int:
 
 
 def _versions(each: Mutant | Variant) -> str:
-    """The versions of the specification that a mutant or variant concerns."""
+    """Return the versions of the specification that a mutant or variant concerns."""
     return f"since {each.since}" if each.until is None else f"{each.since} to {each.until}"
 
 
 def _variants(patterns: tuple[str, ...], options: dict[str, Any]) -> int:
-    """Permitted variants; the exit status."""
+    """Run the cases against permitted variants. Return the exit status."""
     from dcp_conformance.selftest.variants import chosen
     from dcp_conformance.selftest.variants.campaign import run
 
@@ -376,7 +376,7 @@ def _write(result: SelftestResult, directory: Path | None, document: Path | None
 
 
 def _write_section(document: Path, name: str, text: str) -> None:
-    """Put a section into the document, and leave those of the other commands as they are."""
+    """Replace one section of the document; the sections of other commands are unchanged."""
     from dcp_conformance.selftest.document import DocumentError, write_section
 
     try:

@@ -1,4 +1,4 @@
-"""What ``dcp-conformance selftest`` shows when it is done."""
+"""Summaries printed by ``dcp-conformance selftest``."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _WIDE = 110
 
 
 def print_selftest(result: SelftestResult, *, verbose: bool, quiet: bool) -> None:
-    """Who passed and who was killed: by group, or each mutant with ``verbose``; with ``quiet`` only what is wrong."""
+    """Print passed nodes and killed mutants by group, or each with ``verbose``; with ``quiet`` only faults."""
     out = console()
     if not quiet:
         out.print(_baselines(result.baselines))
@@ -62,7 +62,7 @@ def _baselines(baselines: Sequence[Baseline]) -> Table:
 
 
 def _sections(trials: Sequence[Trial]) -> Table:
-    """By group of requirements: enough where all is well."""
+    """Return a table of the mutants by group of requirements."""
     table = Table(box=None, pad_edge=False, header_style="bold")
     table.add_column("mutants of", no_wrap=True)
     for heading in ("there", "tried", "killed", "survive"):
@@ -79,7 +79,7 @@ def _sections(trials: Sequence[Trial]) -> Table:
 
 
 def _mutants(result: SelftestResult, width: int) -> Table:
-    """A row for each mutant; on a narrow terminal only who killed it."""
+    """Return a table with a row for each mutant; a narrow terminal shows only the cases that killed it."""
     wide = width >= _WIDE
     table = Table(box=None, pad_edge=False, header_style="bold")
     table.add_column("mutant", no_wrap=True, overflow="ellipsis", max_width=width // 2)
@@ -102,7 +102,7 @@ def _mutants(result: SelftestResult, width: int) -> Table:
 
 
 def print_generated(result: GeneratedResult, *, verbose: bool) -> None:
-    """Changes that survived, with file, line and change, and the share that was killed."""
+    """Print the surviving changes with file and line, and the share of killed ones."""
     out = console()
     for trial in result.trials:
         if verbose and trial.killed:
@@ -129,7 +129,7 @@ def print_generated(result: GeneratedResult, *, verbose: bool) -> None:
 
 
 def print_variants(result: VariantsResult, *, verbose: bool, quiet: bool) -> None:
-    """A row for each variant, and what the suite holds against it; with ``quiet`` only the latter."""
+    """Print a row for each variant, and its failed cases; with ``quiet`` only the latter."""
     out = console()
     if not quiet:
         out.print(_variants(result, verbose=verbose))
@@ -192,7 +192,7 @@ def _variants(result: VariantsResult, *, verbose: bool) -> Table:
 
 
 def print_citations(result: CitationsResult, *, verbose: bool, quiet: bool) -> None:
-    """Citations that nothing proves; with ``verbose`` all of them, each with its proof."""
+    """Print the unproved citations; with ``verbose`` all citations, each with its proof."""
     out = console()
     if verbose:
         for each in result.verdicts:
@@ -224,7 +224,7 @@ def print_citations(result: CitationsResult, *, verbose: bool, quiet: bool) -> N
 
 
 def print_recordings(result: FaultyResult, networks: CleanResult, *, verbose: bool) -> None:
-    """What `check` finds in simulated networks: counts for each shape, with ``verbose`` each mutant, false findings."""
+    """Print the findings of `check` in simulated networks: counts by shape, false findings, mutants if ``verbose``."""
     out = console()
     if verbose:
         for each in result.outcomes:

@@ -1,4 +1,4 @@
-"""``dcp-conformance selftest --smoke-plan``: how long cases take, and the smoke plan."""
+"""``dcp-conformance selftest --smoke-plan``: durations of the cases, and the smoke plan."""
 
 from __future__ import annotations
 
