@@ -19,7 +19,7 @@ OWN_NODE: Final = "ownNodeIdentifier"
 PROTOCOL_TYPE: Final = "protocol type"
 
 LONGEST_PERIOD: Final = 1 << 43
-"""ms. The specification has no upper bound; this one keeps float arithmetic exact enough."""
+"""ms. The specification has no upper bound; this one keeps the period in ns below 2^63."""
 
 
 class BPParameters:
