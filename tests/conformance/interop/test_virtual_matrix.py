@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import xml.etree.ElementTree as ET
 from importlib import resources
@@ -17,6 +18,7 @@ from dcp_conformance.interop.implementations import BUILT_IN, built_in, load_des
 from dcp_conformance.interop.matrix import cells_of, parse_only, run_matrix
 from dcp_conformance.interop.reports import load_matrix, write_reports
 from dcp_conformance.interop.results import CellResult
+from dcp_conformance.interop.scene import SECOND, Scene
 from dcp_conformance.interop.selftest import FAULTS, variants_to_try
 from dcp_conformance.model.verdict import Verdict
 
@@ -150,6 +152,28 @@ def test_the_first_change_that_is_too_late_ends_the_cell(fault: str, test: str) 
     result = play(NODE, "mutant:" + fault, test)
     assert result.verdict is Verdict.FAIL
     assert [spread.took is None for spread in result.spreads] == [*[False] * (len(result.spreads) - 1), True]
+
+
+@pytest.mark.parametrize("off", [False, True])
+def test_time_in_which_nobody_listened_makes_no_station_silent(off: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    # In real time 500 calls of services take seconds.
+    def deaf(scene: Scene) -> None:
+        scene.start()
+        scene.create(0, 10, b"a")
+        scene.expect_spread(0, 10)
+        heard = dict(scene.heard_from)
+        scene.world.run(5 * SECOND)
+        scene._look()
+        if off:
+            scene.world.power(1, on=False)
+            monkeypatch.setattr(scene.world, "is_on", lambda place: True)
+        scene.heard_from = heard
+        scene.expect_talking()
+
+    test = dataclasses.replace(all_tests()["IT_VD_CREATE-pair"], run=deaf)
+    result = run_cell(Cell(a=NODE, b=NODE, test=test.id, implementations=(built_in(NODE), built_in(NODE))), test)
+    assert result.verdict is (Verdict.FAIL if off else Verdict.PASS), result.reason
+    assert not off or "silent: place 1" in result.reason
 
 
 def test_reports_hold_every_cell(tmp_path: Path) -> None:
