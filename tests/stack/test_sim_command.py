@@ -155,7 +155,7 @@ def test_a_recording_of_the_medium_claims_nothing_about_losses(run, tmp_path, ca
         return capsys.readouterr().out
 
     assert {each["lost"] for each in json.loads(stats(medium, "--format", "json"))["senders"].values()} == {None}
-    assert "lost: unknown; each transmission once" in stats(medium)
+    assert "lost: unknown; this recording has each transmission once" in stats(medium)
     # What a node recorded itself has the losses of its own reception.
     own = json.loads(stats(folder / "node-0.mcap", "--format", "json"))["senders"]
     assert own["02:00:00:00:00:00"]["lost"] == 0
@@ -173,7 +173,7 @@ def test_nor_does_the_page_of_such_a_recording(run, tmp_path, vantage):
         codec(["report", str(medium if vantage == "medium" else folder / "node-0.mcap"), "--out", str(page)])
     assert not ended.value.code
     text = page.read_text()
-    assert ("Losses are unknown: each transmission once" in text) == (vantage == "medium")
+    assert ("Losses are unknown: this recording has each transmission once" in text) == (vantage == "medium")
     assert "No sequence number of a beacon is missing" not in text
 
 
