@@ -27,10 +27,14 @@ class ServiceError(Exception):
     """The node answered with a JSON-RPC error: ``code``, ``message`` and ``data`` are its members."""
 
     def __init__(self, code: int, message: str, data: Any = None) -> None:
-        super().__init__(message)
+        # All arguments, so that the error can be sent from one process to another.
+        super().__init__(code, message, data)
         self.code = code
         self.message = message
         self.data = data
+
+    def __str__(self) -> str:
+        return self.message
 
 
 class Notification(NamedTuple):

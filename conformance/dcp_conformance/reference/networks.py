@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import random
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cache, partial
 from typing import Any, Final, Literal
@@ -18,6 +19,7 @@ from dcp_spec.constants import features
 from dcp_codec.capture.frame import Frame
 from dcp_codec.codec import Codec
 from dcp_stack.config import BPConfig, NodeConfig, SRPConfig, VardisConfig
+from dcp_stack.control.client import ServiceError
 from dcp_stack.links.memory import Quality
 from dcp_stack.links.topology import Full, Grid, Line, Neighbours, Topology
 from dcp_stack.node import Node
@@ -98,6 +100,11 @@ class MixedNetwork(Network):
             station.config = other.config(station.config)
         self.offsets = [0] * count
         """By how many ns the clock of a node is ahead."""
+
+    def ask(self, index: int, method: str, /, **params: Any) -> None:
+        """Request a service as an application does. It continues if a faulty node answers with an error."""
+        with suppress(ServiceError):
+            self.request(index, method, **params)
 
     def start(self, index: int) -> None:
         """Switch a node on, now; it knows nothing. Nothing happens if it is on already."""
@@ -232,13 +239,13 @@ def _something(network: MixedNetwork, index: int, rng: random.Random, deletes: f
     if action < 0.35:
         timeout = rng.choice([0, 0, 0, 2500])
         more = {"timeout": timeout} if features(network.codec.profile.spec_version).creation_time else {}
-        network.request(
+        network.ask(
             index, "RTDB-Create", varId=var_id, repCnt=rng.randrange(1, 4), descr=f"v{var_id}", value=value, **more
         )
     elif action < 1.0 - deletes:
-        network.request(index, "RTDB-Update", varId=var_id, value=value)
+        network.ask(index, "RTDB-Update", varId=var_id, value=value)
     else:
-        network.request(index, "RTDB-Delete", varId=var_id)
+        network.ask(index, "RTDB-Delete", varId=var_id)
 
 
 def _move(network: MixedNetwork, index: int, rng: random.Random, end: int) -> None:
@@ -246,7 +253,7 @@ def _move(network: MixedNetwork, index: int, rng: random.Random, end: int) -> No
     if network.stations[index].node is not None:
         layout = network.codec.profile.srp.safety_data
         data = {each.name: rng.randrange(100) for each in layout if hasattr(each, "type")}
-        network.request(index, "SRP-UpdateSafetyData", sData=data)
+        network.ask(index, "SRP-UpdateSafetyData", sData=data)
     if network.now < end - SECOND:
         network.at(network.now + 100 * MS, lambda: _move(network, index, rng, end))
 

@@ -74,3 +74,21 @@ def test_a_node_of_ours_in_place_of_a_mutant_is_the_same():
     case = NetworkSituation(seconds=4.0)
     assert record(case, {2: Other(plain_node)}) == record(case)
     assert record(case, {2: Other(all_mutants()["M-BP-FMT-01-checksum-in-length"].make)}) != record(case)
+
+
+def test_an_application_continues_after_an_error_of_its_node():
+    """A faulty node may answer a valid request with a JSON-RPC error."""
+
+    def refusing(config, rng, now, wall):
+        node = plain_node(config, rng, now, wall)
+        real = node.vardis.update
+
+        def update(var_id, value, **times):
+            if var_id % 2:
+                raise ValueError("refused by a faulty node")
+            return real(var_id, value, **times)
+
+        node.vardis.update = update
+        return node
+
+    assert record(NetworkSituation(seconds=20.0, busy=1.0, seed=3), {2: Other(refusing)})
