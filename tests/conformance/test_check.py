@@ -704,7 +704,7 @@ class TestNetworksThatFollowTheSpecification:
         ]
         run = judged(frames, "dcp-2.0")
         assert findings(run) == []
-        assert "50 frames were not recorded to their end, and not judged" in run.notes
+        assert "50 frames are truncated in the recording and were not judged" in run.notes
 
     def test_a_period_that_nobody_stated_is_reported_and_not_judged(self):
         frames = simulated("dcp-2.0", 3)
