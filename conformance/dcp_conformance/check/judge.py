@@ -340,7 +340,7 @@ class Judge:
         return round((finding.time - self._first) / 1e9, 6)
 
     def _show(self, finding: Finding) -> str:
-        """Return the command that shows the last frame of a finding and those shortly before it; empty without frames."""
+        """Return the command that shows the last frame of a finding and those shortly before it; empty if none."""
         numbers = sorted({mark.frame for mark in finding.frames if mark.frame})
         if not numbers:
             return ""

@@ -74,7 +74,7 @@ class Lifetimes:
         return None if life is None else life.producer
 
     def first(self, var_id: int) -> tuple[int, Statement] | None:
-        """Return time (ns since 1970) and record of the producer's create, if it was the first record of the variable."""
+        """Return time (ns since 1970) and record of the producer's create if it was the variable's first record."""
         life = self._known.get(var_id)
         return None if life is None or life.first is None else (life.first.time, life.first)
 
