@@ -200,7 +200,7 @@ class TestParts:
 
     def test_the_name_of_another_recorded_node_cannot_be(self):
         replay = Replay(CAPTURES / "b_crud.mcap", ReplayOptions(octets(NODES[0])))
-        with pytest.raises(UsageError, match=r"called 02:00:00:00:00:02 like one of the recorded nodes"):
+        with pytest.raises(UsageError, match=r"has the identifier 02:00:00:00:00:02 of another recorded node"):
             replay.take_part(codec_of("cpp-2.0"), octets(NODES[1]))
 
 
