@@ -231,7 +231,7 @@ class TestCommand:
                 writer.write(msgspec.structs.replace(frame, time_ns=frame.time_ns + late * 10**9))
         done = dcp_conformance("replay", path, "--in-process", "--speed", speed)
         assert told in done.err
-        assert ("playing takes" in done.err) == bool(told)
+        assert ("the replay takes" in done.err) == bool(told)
 
     @pytest.mark.parametrize("options", [["--speed", "0"], ["--speed", "4"], ["--no-services"], []])
     def test_its_options(self, dcp_conformance: Command, options: list[str]):

@@ -169,7 +169,7 @@ class TestWhatIsRun:
         [
             (["TC_VD_UPD_BV_1"], "did you mean TC_VD_UPD_BV_01"),
             (["TC_NOTHING_LIKE_IT"], "no case is called 'TC_NOTHING_LIKE_IT'"),
-            (["TC_VD_HAZ_BO_04"], "the case TC_VD_HAZ_BO_04 is retired: CHANGELOG.md says what"),
+            (["TC_VD_HAZ_BO_04"], "the case TC_VD_HAZ_BO_04 is retired: CHANGELOG.md names its replacement"),
             (["BP-HDR-1"], "did you mean BP-HDR-1"),
             (["-r", "XX-01"], "XX-01"),
             (["-s", "no such heading"], "no section is called 'no such heading'"),
@@ -181,7 +181,7 @@ class TestWhatIsRun:
             (["--expected", "no-such.toml"], "no-such.toml"),
             (["--interface", "nosuch0"], "there is no such interface; there are lo"),
             (["--link", "udp:nowhere"], "nowhere"),
-            (["--in-process", "--link", "udp"], "--in-process tests our own node"),
+            (["--in-process", "--link", "udp"], "--in-process tests the reference node"),
             (["--ether-type", "IP"], "'ip' is not an EtherType; write it in hex, as in 0x4953"),
             (["--ut", "unix:node.sock"], "--ut is for your own implementation: give its --interface or --link"),
             (["--in-process", "--restart", "true"], "--restart is for your own implementation"),

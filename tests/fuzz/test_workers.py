@@ -353,8 +353,8 @@ def fuzz(*words: str) -> subprocess.CompletedProcess[str]:
         (("stack", "--jobs", "many"), "'many' is not a valid integer range"),
         (("stack", "--jobs", "2", "--dry-run", "--out", "x.mcap"), "leave out --jobs"),
         (("codec", "--jobs", "2", "--engine", "atheris"), "leave out --jobs"),
-        (("live", "--jobs", "2"), "there only once"),
-        (("differential", "--jobs", "auto"), "there only once"),
+        (("live", "--jobs", "2"), "exists only once"),
+        (("differential", "--jobs", "auto"), "exists only once"),
     ],
 )
 def test_workers_that_make_no_sense_are_refused_in_one_line(words, says):

@@ -173,10 +173,10 @@ def test_files_that_make_no_sense_are_named(repository, file, text, message):
 
 
 def test_another_folder_is_refused(tmp_path, capsys):
-    with pytest.raises(UsageError, match="no checkout"):
+    with pytest.raises(UsageError, match="not a checkout"):
         matrix(tmp_path)
     assert traceability.main([str(tmp_path)]) == 2
-    assert "no checkout" in capsys.readouterr().err
+    assert "not a checkout" in capsys.readouterr().err
 
 
 def test_the_command_writes_both_files_and_checks_them(tmp_path, capsys):

@@ -422,7 +422,7 @@ def test_refusals(run, tmp_path, monkeypatch):
         ((path, "-p", "dcp-2.0"), "a.html: exists; give --force to replace it"),
         ((path, "-p", "dcp-9.9", "--force"), "dcp-9.9"),
         ((tmp_path / "none.pcap", "-o", "b.html"), "none.pcap"),
-        (("*.nonsense", "-o", "b.html"), "nothing matches this pattern"),
+        (("*.nonsense", "-o", "b.html"), "no file matches this pattern"),
         (("-", "-o", "b.html"), "name the --profile"),
         ((path, "-p", "dcp-2.0", "-o", path / "x.html"), "a.pcap"),
         ((path, "-p", "dcp-2.0", "-o", "pipe", "--force"), "pipe: is not a regular file and will not be replaced"),
