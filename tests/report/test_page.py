@@ -101,7 +101,7 @@ def test_page(run, tmp_path):
     found = self_contained(text)
     for section in SECTIONS:
         assert f'id="{section}-1"' in text
-    # Who holds what comes first.
+    # The section on held values comes first.
     sections = [attrs["id"] for tag, attrs in found.elements if tag == "section"]
     assert sections == [f"{section}-1" for section in SECTIONS]
     plots = items(text)
@@ -169,7 +169,7 @@ class TestTwoFlights:
     def test_one_of_them_is_empty(self, tmp_path):
         one, two = record(tmp_path / "one.pcap", steady(1, 2)), record(tmp_path / "two.pcap", [])
         text = render([chapter(gathered(path), number) for number, path in enumerate((one, two), start=1)])
-        assert "There are no frames at all." in self_contained(text).text
+        assert "It has no frames at all." in self_contained(text).text
 
 
 def axis(plot: dict[str, Any], name: str) -> dict[str, Any]:
@@ -215,7 +215,7 @@ class TestLongRecordings:
         plot = next(plot for plot in drawn.plots if plot.name.endswith("height"))
         source = plot.figure.renderers[0].data_source
         assert source.data["y"].min() == 0.0
-        assert "drawn: the first, last, least and greatest" in plot.caption
+        assert "drawn: the first, last, minimum and maximum" in plot.caption
 
     def test_the_page_stays_small(self, tmp_path):
         recorded = gathered(record(tmp_path / "a.pcap", steady(1, 3) + steady(2, 3)))
@@ -361,10 +361,10 @@ def test_damage_is_shown(run, tmp_path):
         (
             [(0.0, 1, 5, (Payload(99, b"data"),))],
             [],
-            ("no positions", "No node said anything", "None: there is no malf"),
+            ("no positions", "No node sent a record", "None: there is no malf"),
         ),
-        ([(0.0, 1, 5, (report(1, 1),))], [], ("nothing tells who hears whom", "No node said anything")),
-        ([(0.0, 1, 5, (report(9, 1),))], [], ("nothing tells who hears whom",)),
+        ([(0.0, 1, 5, (report(1, 1),))], [], ("reception cannot be inferred", "No node sent a record")),
+        ([(0.0, 1, 5, (report(9, 1),))], [], ("reception cannot be inferred",)),
         ([(0.0, 1, 5, (update(3, 1, b""),))], [], ("not heard", "there are no delays")),
     ],
     ids=["malformed only", "other payloads", "one report", "about another", "empty value of nobody"],
@@ -390,7 +390,7 @@ def test_nothing_to_draw(run, tmp_path):
     done = run(record(tmp_path / "none.pcap", []), "-o", tmp_path / "a.html", "--profile", "dcp-2.0")
     assert "no DCP frames" in done.err
     text = (tmp_path / "a.html").read_text("utf-8")
-    assert "There are no frames at all." in Page(text).text
+    assert "It has no frames at all." in Page(text).text
     assert "data-plot=" not in text
 
 

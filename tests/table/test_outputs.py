@@ -483,5 +483,5 @@ def test_open_table_refuses(archive):
         open_table(C_LATEJOIN, "nonsense")
     with pytest.raises(ValueError, match="has no table 'srp'"):
         open_table(C_LATEJOIN, "srp", profile="sim-1.0")
-    with pytest.raises(TableError, match="nothing matches"):
+    with pytest.raises(TableError, match="no file matches"):
         open_table(archive / "*.nonsense")
