@@ -97,7 +97,7 @@ class Plot:
     from_zero: bool = True
 
     def item(self, target: str) -> dict[str, Any]:
-        """Return the plot as JSON for BokehJS, as ``bokeh.embed.json_item`` does, but without two checks of all models."""
+        """Return the plot as JSON for BokehJS, as ``bokeh.embed.json_item`` does without two checks."""
         document = Document(theme=_THEME, title="")
         document.add_root(self.figure)
         item = {

@@ -113,7 +113,7 @@ def over_time(
 
 
 def holdings(easel: Easel, found: holding.Holding) -> tuple[Plot | None, int]:
-    """Plot the held values over time for the rows with the longest differences; return the number of omitted rows, too."""
+    """Plot the held values over time for the longest differences; also return the number of omitted rows."""
     pairs = [pair for pair in found.pairs if pair.known or pair.differs]
     longest = sorted(pairs, key=lambda each: -sum(b - a for a, b in each.differs))[:ROWS]
     rows = sorted(longest, key=lambda each: (each.variable, easel.recorded.nodes[each.node]))

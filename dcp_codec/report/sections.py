@@ -120,8 +120,8 @@ def _never_said(easel: Easel, found: holding.Holding) -> list[Table]:
         return f"{short(100 * (could - said) / could, 2)} % ({could - said:,} of {could:,})" if could else "-"
 
     caption = (
-        "End-to-end loss per pair: values of the column's node that the row's node never sent. A value that was replaced "
-        "before the node's next beacon counts, too."
+        "End-to-end loss per pair: values of the column's node that the row's node never sent. A value that was "
+        "replaced before the node's next beacon counts, too."
     )
     return [_by_node(easel, caption, producers, cell)]
 
@@ -151,10 +151,10 @@ def reactions_section(easel: Easel, found: reactions.Reactions) -> Section:
         if (close := found.hears(place))
     ]
     caption = (
-        "Row: the node that reacts; column: the node that it reacts to. Counted are intervals between two beacons of the "
-        "row's node in which only the column's node sent a value that was new to it, and how often the next beacon of "
-        "the row's node has the value. ● reacts, ◐ sometimes, ○ does not react, ? too few intervals. The difference to "
-        "100 % is the loss between the two, based on the frames that the recorder received."
+        "Row: the node that reacts; column: the node that it reacts to. Counted are intervals between two beacons of "
+        "the row's node in which only the column's node sent a value that was new to it, and how often the next beacon "
+        "of the row's node has the value. ● reacts, ◐ sometimes, ○ does not react, ? too few intervals. The difference "
+        "to 100 % is the loss between the two, based on the frames that the recorder received."
     )
     section.words.append(f"Reacts: {'; '.join(reacts)}." if reacts else "No node reacted often enough to be sure.")
     section.tables.append(_by_node(easel, caption, easel.nodes, cell))
@@ -355,7 +355,7 @@ def anomalies_section(easel: Easel, steps: Steps) -> Section:
 
 
 def _by_node(easel: Easel, caption: str, columns: Sequence[int], cell: Callable[[int, int], str]) -> Table:
-    """Return a table with a row for each drawn node and a column for each of ``columns``; ``cell`` returns the texts."""
+    """Return a table with a row for each drawn node and a column for each of ``columns``; ``cell`` has the texts."""
     rows = [
         [Cell(easel.name(node), mono=True, series=place), *(_number(cell(node, other)) for other in columns)]
         for place, node in enumerate(easel.nodes)
