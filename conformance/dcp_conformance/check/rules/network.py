@@ -428,7 +428,7 @@ class EndlessRequests(Invariant):
             self.violated(text, frames, expected="requests that do not end", verdict=Verdict.INFO)
 
     def _reason(self, node: bytes, answer: Statement) -> str:
-        """Return the likely reason why a node does not store the answer, for example that it exceeds the node's limits."""
+        """Return the likely reason why a node does not store the answer, mostly that it exceeds the node's limits."""
         station = reception_of(self.context).observer.stations.get(node)
         if station is None:
             return ""
