@@ -305,8 +305,8 @@ class Simulation:
         findings = [
             *judge_all(scenario.expect, self.clock.events, traffic),
             *self.findings,
-            Finding("no node raises anything", not failures, "; ".join(failures[:3])),
-            Finding("every event can happen", not self._problems, "; ".join(self._problems[:3])),
+            Finding("no node raises an exception", not failures, "; ".join(failures[:3])),
+            Finding("every event succeeds", not self._problems, "; ".join(self._problems[:3])),
         ]
         total = max(medium.expected, 1)
         shares = {"delivered": medium.delivered, "lost": medium.lost, "duplicated": medium.duplicated}
