@@ -85,7 +85,7 @@ def test_after_a_fault_side_by_side_the_other_cases_are_executed_alone(monkeypat
 
 
 def test_errors_of_one_cause_are_one_finding_on_the_terminal(monkeypatch: pytest.MonkeyPatch, capsys):
-    monkeypatch.setattr(Runner, "prepare", boom)
+    monkeypatch.setattr(Run, "run_case", boom)
     run = Run()
     run.execute()
     display.print_summary(run.result())
