@@ -327,10 +327,11 @@ def _print_errors(out: Console, cases: Sequence[CaseResult]) -> None:
     """Print one finding for cases that ended with the same error."""
     named = ", ".join(case.id for case in cases[:_CHECKS])
     more = f" and {len(cases) - _CHECKS} more" if len(cases) > _CHECKS else ""
-    out.print(f"\n[{STYLES[Verdict.ERROR]}]error[/] [bold]{len(cases)} cases[/]: {data(cases[0].reason)}", soft_wrap=True)
+    style, first = STYLES[Verdict.ERROR], cases[0]
+    out.print(f"\n[{style}]error[/] [bold]{len(cases)} cases[/]: {data(first.reason)}", soft_wrap=True)
     out.print(f"  cases     {data(named)}{more}", soft_wrap=True)
-    if cases[0].rerun:
-        out.print(f"  again     {data(cases[0].rerun)}", soft_wrap=True)
+    if first.rerun:
+        out.print(f"  again     {data(first.rerun)}", soft_wrap=True)
 
 
 def _print_finding(out: Console, case: CaseResult) -> None:
