@@ -52,7 +52,7 @@ DONE = (
     "dcp_codec/texts.py",
     "dcp_codec/values.py",
     f"{_SUITE}/suite",
-    f"{_SUITE}/selftest/mutants",
+    f"{_SUITE}/selftest",
     f"{_SUITE}/test_steps",
     f"{_SUITE}/test_system/allocation.py",
     f"{_SUITE}/test_system/bench.py",
@@ -73,6 +73,7 @@ DONE = (
     "dcp_stack/links",
     "dcp_stack/runtime",
     "dcp_stack/control",
+    "dcp_stack/vardis",
 )
 #: Folders that still have to be revised; their hits are counted.
 TO_DO = (
@@ -84,7 +85,6 @@ TO_DO = (
     f"{_SUITE}/fuzz",
     f"{_SUITE}/passive",
     f"{_SUITE}/reporting",
-    f"{_SUITE}/selftest",
     f"{_SUITE}/test_system",
     "dcp_codec",
     "dcp_stack",
