@@ -306,7 +306,7 @@ def test_watching_says_which_variables_are_not_there(node):
     assert [each["varId"] for each in json.loads(shown.stdout)["variables"]] == [7, 9]
     shown = command("var", "watch", "300", "7", "8", "--for", "0.1", "--control", running.path)
     assert shown.returncode == 0
-    assert "not in the database so far: 8, 300" in shown.stderr
+    assert "not in the database yet: 8, 300" in shown.stderr
     assert shown.stdout.split()[1:3] == ["7", "is"]
     shown = command("var", "watch", "7", "--for", "0.1", "--control", running.path)
     assert (shown.returncode, shown.stderr) == (0, "")

@@ -102,7 +102,7 @@ def test_print_config(run, tmp_path):
         (["--link", "udp", "--beacon-period", "0"], "BPPAR_BEACON_PERIOD must be greater than 0"),
         (["--link", "udp", "--beacon-period", "0.5"], "bp.beacon_period_ms: expected int, got float"),
         (["--link", "udp", "--network-id", "65536"], "BPPAR_NETWORK_ID must be at most 65535"),
-        (["--link", "udp", "--network-id", "x"], "no number"),
+        (["--link", "udp", "--network-id", "x"], "not a number"),
         (["--link", "udp", "--position", "moon"], "no position source 'moon'"),
         (["--link", "udp", "--position", "csv:/no/such.csv"], "/no/such.csv"),
         (["--link", "udp", "--record", "/no/such/folder/x.mcap"], "/no/such/folder/x.mcap"),
@@ -217,7 +217,7 @@ def test_wrong_usage_is_2(run, tmp_path, monkeypatch):
     assert run("bp", "send", "7", *control).status == 2
     assert "is not hex" in run("bp", "send", "7", "--payload", "0", *control).err
     assert "no parameter" in run("param", "set", "PERIOD", "1", *control).err
-    assert "is no number" in run("param", "set", "BPPAR_BEACON_PERIOD", "x", *control).err
+    assert "is not a number" in run("param", "set", "BPPAR_BEACON_PERIOD", "x", *control).err
 
 
 @pytest.mark.parametrize(
