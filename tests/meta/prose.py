@@ -70,6 +70,9 @@ DONE = (
     "dcp_stack/timestamps.py",
     "dcp_stack/bp",
     "dcp_stack/srp",
+    "dcp_stack/links",
+    "dcp_stack/runtime",
+    "dcp_stack/control",
     "dcp_stack/vardis",
 )
 #: Folders that still have to be revised; their hits are counted.
