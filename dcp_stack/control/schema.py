@@ -10,6 +10,8 @@ from typing import Any
 
 import msgspec
 
+from dcp_codec.common.schemas import schema_components
+
 from .jsonrpc import (
     INTERNAL_ERROR,
     INVALID_PARAMS,
@@ -32,7 +34,7 @@ def upper_tester_schema() -> dict[str, Any]:
     N for each notification N.
     """
     types = [each for method in METHODS.values() for each in (method.params, method.result)]
-    _, definitions = msgspec.json.schema_components([*types, *NOTIFICATIONS.values()], ref_template="#/$defs/{name}")
+    _, definitions = schema_components([*types, *NOTIFICATIONS.values()])
     identifier = {"type": ["string", "number", "null"]}
     defs: dict[str, Any] = {"id": identifier, "error": _error(), **definitions}
     for name, method in METHODS.items():
