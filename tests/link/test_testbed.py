@@ -232,7 +232,7 @@ class TestRefusals:
         if process.returncode == 0:
             pytest.skip("this kernel gives namespaces to anybody")
         assert (process.returncode, output) == (2, "")
-        assert errors.startswith("dcp-node: testbed: network namespaces cannot be made here: run as root, or let users")
+        assert errors.startswith("dcp-node: testbed: network namespaces cannot be created: run as root, or allow users")
         assert errors.count("\n") == 1
 
     @pytest.mark.parametrize(

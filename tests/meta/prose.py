@@ -70,6 +70,10 @@ DONE = (
     "dcp_stack/timestamps.py",
     "dcp_stack/bp",
     "dcp_stack/srp",
+    "dcp_stack/links",
+    "dcp_stack/runtime",
+    "dcp_stack/control",
+    "dcp_stack/cli",
     "dcp_stack/vardis",
     "dcp_stack/sim",
 )
