@@ -109,7 +109,7 @@ def test_flags_go_before_the_file(tmp_path):
         ("beacon_period = 1", "unknown key 'beacon_period'"),
         ("nodeid = '02'", "did you mean 'node_id'?"),
         ("[bp]\nbeacon_period = 1", "unknown key 'bp.beacon_period'; did you mean 'beacon_period_ms'?"),
-        ("[vardis]\nx = 1", "unknown key 'vardis.x'; there are"),
+        ("[vardis]\nx = 1", "unknown key 'vardis.x'; known keys are"),
         ("[bp]\nbeacon_period_ms = 'fast'", "bp.beacon_period_ms: expected int, got str"),
         ("bp = 3", "bp: expected table, got int"),
         ("metrics = 70000", "metrics: expected int <= 65535"),
