@@ -1,9 +1,10 @@
 """Invariants that every beacon of an implementation under test must satisfy, whatever the tester sends.
 
 During a run the tester violates the protocol on purpose: it sends malformed beacons, forged senders, impossible
-sequence numbers, and records of variables that no node has created. It also resets and restarts the implementation and sets its
-parameters. Only properties that no stimulus can excuse are therefore judged: the octets that the implementation sends,
-its own counters, and the payloads that it composes from one state of its database. Of the invariants of ``check``:
+sequence numbers, and records of variables that no node has created. It also resets and restarts the implementation and
+sets its parameters. Only properties that no stimulus can excuse are therefore judged: the octets that the
+implementation sends, its own counters, and the payloads that it composes from one state of its database. Of the
+invariants of ``check``:
 
 * Used unchanged: ``CK_BP_FORMAT``, ``CK_UWB_BROADCAST``, ``CK_BP_NETWORK``, ``CK_BP_SEQNO``,
   ``CK_VD_ORDER``, ``CK_VD_PAYLOAD``.
