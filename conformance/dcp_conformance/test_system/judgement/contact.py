@@ -15,8 +15,7 @@ from dcp_spec.constants import ICType
 from dcp_codec.codec import Codec
 from dcp_conformance.frames.received import KIND_OF, ReceivedBeacon, var_id_of
 from dcp_conformance.model.results import Mark
-
-from .traffic import Event
+from dcp_conformance.test_system.traffic import Event
 
 Stimulus = Literal["summary", "create", "request", "report", "payload", "transmit", "state", "variable"]
 """What an implementation can be made to react to."""
