@@ -203,7 +203,7 @@ def test_what_a_case_has_made_a_creation_of_is_not_unknown_to_the_next():
     number = bench.unknown_id()
     bench.peer().create(number)
     following = Bench(bench.session, bench.case)
-    assert number not in following.unknown_ids(251)
+    assert number not in following.identifiers.unknown_ids(251)
     assert number in bench.identifiers.created
 
 
