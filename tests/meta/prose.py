@@ -24,7 +24,9 @@ _SUITE = "conformance/dcp_conformance"
 DONE = (
     f"{_SUITE}/sut",
     f"{_SUITE}/interconnection",
+    f"{_SUITE}/check",
     f"{_SUITE}/model",
+    f"{_SUITE}/passive",
     f"{_SUITE}/provenance",
     f"{_SUITE}/reference",
     f"{_SUITE}/oracle",
@@ -75,16 +77,15 @@ DONE = (
     "dcp_stack/control",
     "dcp_stack/cli",
     "dcp_stack/vardis",
+    "dcp_stack/sim",
 )
 #: Folders that still have to be revised; their hits are counted.
 TO_DO = (
     _SUITE,
-    f"{_SUITE}/check",
     f"{_SUITE}/cli",
     f"{_SUITE}/diagnosis",
     f"{_SUITE}/execution",
     f"{_SUITE}/fuzz",
-    f"{_SUITE}/passive",
     f"{_SUITE}/reporting",
     f"{_SUITE}/test_system",
     "dcp_codec",
