@@ -138,7 +138,7 @@ class TestCommand:
         assert "BP-QM-01    dcp_stack/bp/queue.py:" in done.out
 
     @pytest.mark.parametrize(
-        ("words", "message"), [(["NO-SUCH"], "neither a requirement"), (["--full"], "--full does not go with")]
+        ("words", "message"), [(["NO-SUCH"], "neither a cited requirement"), (["--full"], "--full does not go with")]
     )
     def test_usage(self, dcp_conformance: Command, words: list[str], message: str):
         done = dcp_conformance("selftest", "--citations", *words)

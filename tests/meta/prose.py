@@ -24,7 +24,9 @@ _SUITE = "conformance/dcp_conformance"
 DONE = (
     f"{_SUITE}/sut",
     f"{_SUITE}/interconnection",
+    f"{_SUITE}/check",
     f"{_SUITE}/model",
+    f"{_SUITE}/passive",
     f"{_SUITE}/provenance",
     f"{_SUITE}/reference",
     f"{_SUITE}/oracle",
@@ -52,7 +54,7 @@ DONE = (
     "dcp_codec/texts.py",
     "dcp_codec/values.py",
     f"{_SUITE}/suite",
-    f"{_SUITE}/selftest/mutants",
+    f"{_SUITE}/selftest",
     f"{_SUITE}/test_steps",
     f"{_SUITE}/test_system",
     "dcp_stack/__init__.py",
@@ -66,18 +68,21 @@ DONE = (
     "dcp_stack/timestamps.py",
     "dcp_stack/bp",
     "dcp_stack/srp",
+    "dcp_stack/links",
+    "dcp_stack/runtime",
+    "dcp_stack/control",
+    "dcp_stack/cli",
+    "dcp_stack/vardis",
+    "dcp_stack/sim",
 )
 #: Folders that still have to be revised; their hits are counted.
 TO_DO = (
     _SUITE,
-    f"{_SUITE}/check",
     f"{_SUITE}/cli",
     f"{_SUITE}/diagnosis",
     f"{_SUITE}/execution",
     f"{_SUITE}/fuzz",
-    f"{_SUITE}/passive",
     f"{_SUITE}/reporting",
-    f"{_SUITE}/selftest",
     "dcp_codec",
     "dcp_stack",
 )

@@ -204,7 +204,14 @@ class ConformanceRun:
             passed[case.id] = result
             self.take(case, result)
 
-        self.repeated_alone = execute(self._runner, self.cases[SANITY], rest, self.side_by_side, on_result)
+        try:
+            self.repeated_alone = execute(self._runner, self.cases[SANITY], rest, self.side_by_side, on_result)
+        except ConformanceError:
+            raise
+        except Exception as error:
+            # What has passed stays, and all other cases can be executed alone.
+            self._faulty(error)
+            self._notes.append(f"after it, {len(rest) - len(passed)} cases were executed one at a time")
         if passed:
             repeated = len(self.repeated_alone.keys() - passed)
             beside = sum(result.side_by_side for result in passed.values())

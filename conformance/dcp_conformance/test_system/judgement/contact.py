@@ -86,7 +86,7 @@ class Contact:
     suspicion: str = ""
     """The probable mistake in the setup, or the first thing to check; empty if nothing is wrong."""
     mistaken: bool = False
-    """Whether the tester probably uses a wrong profile, network identifier, EtherType or node identifier, so that received
+    """Whether the tester probably has a wrong profile, network identifier, EtherType or node identifier: received
     frames cannot be judged."""
     odd: str = ""
     """The record about the variable of a summary that was received instead of the answer; empty if none was."""
