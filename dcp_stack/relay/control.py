@@ -37,6 +37,8 @@ class RelayProcess:
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=self._complaints,
+                # Signals to the group of the program (Ctrl-C, timeout(1)) must not end the relay before its stations.
+                start_new_session=True,
             )
         except OSError as error:
             self._complaints.close()

@@ -124,7 +124,7 @@ class TestServices:
         net = network()
         monkeypatch.setattr(Node, "handle_timeout", lambda *_: None)
         net.run_until(SECOND)
-        assert all("is due still" in each.failure for each in net.stations)
+        assert all("is still due" in each.failure for each in net.stations)
 
     def test_stopping_early(self):
         net = network()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from types import TracebackType
 from typing import Any, Self
 
@@ -155,6 +155,9 @@ def print_summary(run: RunResult, *, report: str = "") -> None:
     for group in alike:
         _print_death(out, group)
     printed = {id(case) for group in alike for case in group.cases}
+    for cases in _errors_alike(run):
+        _print_errors(out, cases)
+        printed.update(map(id, cases))
     for case in run.cases:
         if case.verdict in (Verdict.FAIL, Verdict.ERROR) and id(case) not in printed:
             _print_finding(out, case)
@@ -311,6 +314,26 @@ def _print_death(out: Console, death: Death) -> None:
     out.print(f"  again     {data(first.rerun)}")
 
 
+def _errors_alike(run: RunResult) -> list[list[CaseResult]]:
+    """Return the cases that ended with the same error of the tester, where these are several."""
+    groups: dict[str, list[CaseResult]] = {}
+    for case in run.cases:
+        if case.verdict is Verdict.ERROR:
+            groups.setdefault(case.reason, []).append(case)
+    return [cases for cases in groups.values() if len(cases) > 1]
+
+
+def _print_errors(out: Console, cases: Sequence[CaseResult]) -> None:
+    """Print one finding for cases that ended with the same error."""
+    named = ", ".join(case.id for case in cases[:_CHECKS])
+    more = f" and {len(cases) - _CHECKS} more" if len(cases) > _CHECKS else ""
+    style, first = STYLES[Verdict.ERROR], cases[0]
+    out.print(f"\n[{style}]error[/] [bold]{len(cases)} cases[/]: {data(first.reason)}", soft_wrap=True)
+    out.print(f"  cases     {data(named)}{more}", soft_wrap=True)
+    if first.rerun:
+        out.print(f"  again     {data(first.rerun)}", soft_wrap=True)
+
+
 def _print_finding(out: Console, case: CaseResult) -> None:
     out.print(f"\n[{STYLES[case.verdict]}]{case.verdict}[/] [bold]{data(case.id)}[/]: {data(case.purpose)}")
     bad = bad_checks(case)
@@ -329,4 +352,5 @@ def _print_finding(out: Console, case: CaseResult) -> None:
         out.print(f"  means     {data(case.consequence)}", soft_wrap=True)
     if case.show:
         out.print(f"  show      {data(case.show)}", soft_wrap=True)
-    out.print(f"  again     {data(case.rerun)}", soft_wrap=True)
+    if case.rerun:
+        out.print(f"  again     {data(case.rerun)}", soft_wrap=True)

@@ -119,14 +119,18 @@ def command(
         if not quiet or result.verdict not in ("pass", "not-applicable"):
             _say_cell(result, f"{done}/{many} ")
 
+    from dcp_conformance.execution.signals import deferred, ending_like_interrupts
+
     if report_dir is not None:
         report_dir.mkdir(parents=True, exist_ok=True)
-    matrix = run_matrix(
-        cells, seeds=seeds, jobs=jobs, folder=report_dir, dask=dask, on_cell=on_cell, command=as_typed()
-    )
-    if file is not None:
-        matrix = _with_file(matrix, file)
-    return _finish(matrix, report_dir)
+    with ending_like_interrupts():
+        matrix = run_matrix(
+            cells, seeds=seeds, jobs=jobs, folder=report_dir, dask=dask, on_cell=on_cell, command=as_typed()
+        )
+        with deferred():
+            if file is not None:
+                matrix = _with_file(matrix, file)
+            return _finish(matrix, report_dir)
 
 
 def _with_file(matrix: MatrixResult, file: Path) -> MatrixResult:
@@ -147,13 +151,19 @@ def _say_cell(result: CellResult, before: str = "") -> None:
 
 def _finish(matrix: MatrixResult, report_dir: Path | None) -> int:
     from dcp_conformance.interop.reports import write_reports
+    from dcp_conformance.interop.results import INTERRUPTED as EARLY
+    from dcp_conformance.model.outcome import INTERRUPTED, TESTER_ERROR
 
     counts = matrix.counts()
     applied = sum(counts.values()) - counts.get("not-applicable", 0)
     listed = ", ".join(f"{number} {name}" for name, number in sorted(counts.items()))
     say(f"{len(matrix.cells)} cells in {matrix.elapsed_s:.1f} s: {listed or 'none'}")
+    if matrix.incomplete:
+        say(matrix.incomplete, err=True)
     if report_dir is not None:
         say(f"report: {write_reports(matrix, report_dir)}")
+    if matrix.ended_early:
+        return INTERRUPTED if matrix.ended_early == EARLY else TESTER_ERROR
     if not applied:
         say("no network test applies to these implementations", err=True)
         return 2
@@ -185,14 +195,18 @@ def _replay(path: Path, file: Path | None, report_dir: Path | None) -> int:
         a=before.a, b=before.b, test=before.test, implementations=(found[before.a], found[before.b]), world=kind,
         seed=before.seed,
     )  # fmt: skip
+    from dcp_conformance.execution.signals import deferred, ending_like_interrupts
+
     if report_dir is not None:
         report_dir.mkdir(parents=True, exist_ok=True)
-    matrix = run_matrix([cell], jobs=1, folder=report_dir, command=as_typed())
-    for each in matrix.cells:
-        _say_cell(each)
-        if (each.verdict, each.reason) != (before.verdict, before.reason):
-            say(f"before: {before.verdict}  {before.reason}")
-    return _finish(matrix, report_dir)
+    with ending_like_interrupts():
+        matrix = run_matrix([cell], jobs=1, folder=report_dir, command=as_typed())
+        with deferred():
+            for each in matrix.cells:
+                _say_cell(each)
+                if (each.verdict, each.reason) != (before.verdict, before.reason):
+                    say(f"before: {before.verdict}  {before.reason}")
+            return _finish(matrix, report_dir)
 
 
 def _selftest(

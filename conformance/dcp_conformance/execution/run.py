@@ -208,7 +208,14 @@ class ConformanceRun:
             passed[case.id] = result
             self.take(case, result)
 
-        self.repeated_alone = execute(self._runner, self.cases[SANITY], rest, self.side_by_side, on_result)
+        try:
+            self.repeated_alone = execute(self._runner, self.cases[SANITY], rest, self.side_by_side, on_result)
+        except ConformanceError:
+            raise
+        except Exception as error:
+            # Keep the passes, and execute all other cases alone.
+            self._faulty(error)
+            self._notes.append(f"after it, {len(rest) - len(passed)} cases were executed one at a time")
         if passed:
             repeated = len(self.repeated_alone.keys() - passed)
             beside = sum(result.side_by_side for result in passed.values())

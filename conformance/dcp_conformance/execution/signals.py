@@ -6,9 +6,44 @@ import contextlib
 import signal
 import threading
 from collections.abc import Iterator
+from types import FrameType
 from typing import Any, Final
 
 _ENDING: Final = (signal.SIGTERM, signal.SIGHUP)
+
+
+class Stop:
+    """Handler of signals that end a process: remembers them, and raises only where an interruption does no harm."""
+
+    def __init__(self) -> None:
+        self.wanted = False
+        """Whether a signal has come."""
+        self._raises = False
+
+    def __call__(self, number: int, frame: FrameType | None) -> None:  # noqa: ARG002 - the signature of handlers
+        """Handle a signal."""
+        self.wanted = True
+        if self._raises:
+            # Only once: the cleanup that follows must not be interrupted.
+            self._raises = False
+            raise KeyboardInterrupt
+
+    @contextlib.contextmanager
+    def heeded(self) -> Iterator[None]:
+        """Let signals end the ``with`` block with :class:`KeyboardInterrupt`, also a signal that has come before."""
+        self._raises = True
+        try:
+            if self.wanted:
+                raise KeyboardInterrupt
+            yield
+        finally:
+            self._raises = False
+
+    def install(self) -> None:
+        """Handle SIGINT, SIGTERM and SIGHUP from now on, except those that the process was started to ignore."""
+        for number in (signal.SIGINT, *_ENDING):
+            if signal.getsignal(number) is not signal.SIG_IGN:
+                signal.signal(number, self)
 
 
 @contextlib.contextmanager

@@ -15,15 +15,15 @@ import struct
 import time
 import traceback
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import AbstractContextManager
 from multiprocessing.connection import Connection
 from pathlib import Path
-from types import FrameType
 from typing import Any, Final, NamedTuple
 
 from dcp_codec.testing.mutation import Touch
 from dcp_conformance.errors import ConformanceError
+from dcp_conformance.execution.signals import Stop
 from dcp_conformance.sut.process import ending_with_parent
 
 from .campaign import Campaign, Limits, State
@@ -99,33 +99,6 @@ class Failure(NamedTuple):
     """The last words of a worker."""
 
     text: str
-
-
-class Stop:
-    """What Ctrl-C or SIGTERM ask for: remembered, and raised only where being interrupted does no harm."""
-
-    def __init__(self) -> None:
-        self.wanted = False
-        self._raises = False
-
-    def __call__(self, number: int, frame: FrameType | None) -> None:  # noqa: ARG002 - the signature of handlers
-        """Handles a signal."""
-        self.wanted = True
-        if self._raises:
-            # Once: what cleans up behind it is left in peace.
-            self._raises = False
-            raise KeyboardInterrupt
-
-    @contextlib.contextmanager
-    def heeded(self) -> Iterator[None]:
-        """Let signals end what is inside with :class:`KeyboardInterrupt`; also one that has come before."""
-        self._raises = True
-        try:
-            if self.wanted:
-                raise KeyboardInterrupt
-            yield
-        finally:
-            self._raises = False
 
 
 class Slot:

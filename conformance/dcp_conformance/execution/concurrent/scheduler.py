@@ -41,11 +41,13 @@ class Task:
 class _Call:
     """A call of the upper tester that waits for earlier calls, or for its answer."""
 
-    __slots__ = ("future", "method", "params", "task")
+    __slots__ = ("ended", "future", "method", "params", "task")
 
     def __init__(self, task: Task, method: str, params: dict[str, Any]) -> None:
         self.task, self.method, self.params = task, method, params
         self.future: Future[Answer] | None = None
+        self.ended = False
+        """Whether the call has ended and was removed from the queue of the scheduler."""
 
 
 class Scheduler:
@@ -155,8 +157,10 @@ class Scheduler:
         mine = _Call(task, method, params)
         self._calls.append(mine)
         self._begin_call()
-        while mine.future is None or not mine.future.done():
+        # Not until the future is done: the thread may be faster than this one, and the call is in the queue still.
+        while not mine.ended:
             self._main.switch()
+        assert mine.future is not None
         return mine.future.result()
 
     def drain(self, until: int, *, wait: bool) -> bool:
@@ -225,6 +229,7 @@ class Scheduler:
             self._awake.recv(4096)
         while self._calls and (future := self._calls[0].future) is not None and future.done():
             call = self._calls.popleft()
+            call.ended = True
             waiting, self._calls = self._calls, deque()
             self.take_notifications()
             self._resume(call.task)

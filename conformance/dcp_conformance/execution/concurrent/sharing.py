@@ -53,6 +53,7 @@ _MEASURES: Final = (
     (r"TC_BP_QM_BV_06", _LISTENS),
     (r"TC_BP_RXP_BV_02", _LISTENS),
     (r"TC_VD_RUN_TI_01", _LISTENS),
+    (r"TC_VD_ROB_BI_03-.*", "it sends records with random identifiers"),
 )
 _FAMILIES: Final = ((re.compile(r"TC_VD_ID_BV_01-.*"), "boundary values of identifiers"),)
 """Families: cases that are executed beside each other, but not beside other cases."""
