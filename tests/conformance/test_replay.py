@@ -221,7 +221,7 @@ class TestCommand:
         assert f"note: it took the part of {NODES[2]} of the recording" in done.out
         assert done.err == ""
 
-    @pytest.mark.parametrize(("speed", "told"), [("100000", "playing takes 1 h 0 min; --speed 0"), ("0", "")])
+    @pytest.mark.parametrize(("speed", "told"), [("100000", "the replay takes 1 h 0 min; --speed 0"), ("0", "")])
     def test_long_pauses_are_told_before(self, dcp_conformance: Command, tmp_path: Path, speed: str, told: str):
         path = tmp_path / "paused.pcap"
         frames = simulated("dcp-2.0", 3, seconds=4)

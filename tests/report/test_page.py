@@ -292,7 +292,7 @@ def test_positions_that_are_none(tmp_path):
     odd = [(math.nan, 1.0, 1.0), (1e300, 1.0, 1.0), (1.0, math.inf, 1.0), (1.0, 1.0, 2.0), (2.0, 1.0, -math.inf)]
     sent = [(n / 10, 1, n, (report(1, n, *place),)) for n, place in enumerate(odd)]
     page = Page(render([chapter(gathered(record(tmp_path / "a.pcap", sent)))]))
-    assert "4 of 5 state reports have coordinates that are not numbers or beyond all bounds" in page.text
+    assert "4 of 5 state reports have coordinates that are not numbers or out of range" in page.text
 
 
 def test_positions_that_hardly_differ(tmp_path):
@@ -325,7 +325,7 @@ def test_a_clock_that_was_set_back_is_told(tmp_path):
     assert steps.back.tolist() == [0, 0, 0, 9_000_000_000, 0]
     (odd,) = analysis.worst(recorded, time, steps, 10)
     assert (odd.kind, odd.frame, odd.words) == (
-        "time goes back", 4, "recorded 9.000000 s earlier than the sender's beacon before",
+        "time goes back", 4, "recorded 9.000000 s before the sender's previous beacon",
     )  # fmt: skip
     text = self_contained(render([chapter(recorded)])).text
     assert "Time goes back in this recording" in text
@@ -383,7 +383,7 @@ def test_a_pipe_of_other_traffic(run, tmp_path, monkeypatch):
         monkeypatch.setattr(sys, "stdin", type("Pipe", (), {"buffer": pipe, "isatty": lambda self: False})())
         told = run("-", "-p", "dcp-2.0", "-o", tmp_path / "a.html").err
     assert "no DCP frames under EtherType 0x4953; there is: 1 other frames." in told
-    assert "All 1 are other traffic." in Page((tmp_path / "a.html").read_text()).text
+    assert "All 1 frames are other traffic." in Page((tmp_path / "a.html").read_text()).text
 
 
 def test_nothing_to_draw(run, tmp_path):

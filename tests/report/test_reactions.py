@@ -1,4 +1,4 @@
-"""Who reacts to whom is told from what nodes pass on: lines, buses, losses, late composers."""
+"""Reactions between nodes are inferred from the values that they forward: lines, buses, losses, late composers."""
 
 from __future__ import annotations
 

@@ -479,7 +479,7 @@ def test_open_table_of_several_profiles(archive):
 
 
 def test_open_table_refuses(archive):
-    with pytest.raises(ValueError, match="'nonsense' is none of the tables beacons"):
+    with pytest.raises(ValueError, match="'nonsense' is not one of the tables beacons"):
         open_table(C_LATEJOIN, "nonsense")
     with pytest.raises(ValueError, match="has no table 'srp'"):
         open_table(C_LATEJOIN, "srp", profile="sim-1.0")
