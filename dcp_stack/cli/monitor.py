@@ -96,6 +96,7 @@ class Rates:
 
 
 def _lines(client: ControlClient, rates: Rates, interval: float, count: int | None, as_json: bool) -> int:
+    """Print a line or object per update until ``count`` updates; return the exit status."""
     looks = 0
     while True:
         status = client.call("UT-Status")
@@ -107,6 +108,7 @@ def _lines(client: ControlClient, rates: Rates, interval: float, count: int | No
 
 
 def _line(status: dict[str, Any], rates: Rates) -> str:
+    """Format a status as one line with counters and rates."""
     rates.look()
     counters, now = status["node"]["bp"]["counters"], status["now"]
     parts = [time.strftime("%H:%M:%S", time.localtime(status["wall"] / 1e9)), status["nodeId"]]
@@ -175,6 +177,7 @@ def _table(
 
 
 def _title(number: int, noun: str) -> str:
+    """Format the title of a table, with a note if it has more than ``SHOWN`` rows."""
     return counted(number, noun) + (f", the first {SHOWN}:" if number > SHOWN else "")
 
 
@@ -193,6 +196,7 @@ def _columns_that_fit(
 
 
 def _head(status: dict[str, Any], rates: Rates) -> RenderableType:
+    """Return the lines above the tables: identity, beacon rates, problems."""
     from rich.text import Text
 
     bp, runtime, now = status["node"]["bp"], status["runtime"], status["now"]
@@ -285,6 +289,7 @@ def _variables(status: dict[str, Any], width: int) -> RenderableType:
 
 
 def _ignored(status: dict[str, Any], rates: Rates) -> RenderableType:
+    """Return the line with numbers and rates of ignored input."""
     from rich.text import Text
 
     text = Text("ignored  ", style="bold")

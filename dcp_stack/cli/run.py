@@ -25,8 +25,8 @@ log = logging.getLogger("dcp_stack.node")
     epilog="Exit status: 0 ended in an orderly way (SIGTERM, SIGINT, SIGHUP, or the end of input with --control "
     "stdio); 2 the node could not be started. Options override the file. See docs/dcp-node.md.",
 )
-@click.option("-c", "--config", metavar="FILE", help="Settings as TOML; unknown keys are refused.")
-@click.option("-i", "--interface", metavar="IF", help="Ethernet frames on this interface.")
+@click.option("-c", "--config", metavar="FILE", help="Settings in TOML; unknown keys are refused.")
+@click.option("-i", "--interface", metavar="IF", help="Send and receive Ethernet frames on interface IF.")
 @click.option("--link", metavar="LINK", help="Another link: udp[:GROUP[:PORT]], replay:FILE, or eth:IF with options.")
 @click.option("--node-id", metavar="ID", help="Node identifier.  [default: address of IF, or random]")
 @click.option("-p", "--profile", metavar="NAME|FILE", help="Wire profile.  [default: dcp-2.0]")
@@ -36,8 +36,8 @@ log = logging.getLogger("dcp_stack.node")
     help="Control socket, or standard input and output.  [default: dcp-node.sock in $XDG_RUNTIME_DIR; for root "
     "without one, /run/dcp/node.sock]",
 )
-@click.option("--beacon-period", type=float, metavar="MS", help="BPPAR_BEACON_PERIOD.  [default: 100]")
-@click.option("--network-id", metavar="N", help="BPPAR_NETWORK_ID, decimal or 0x hex.")
+@click.option("--beacon-period", type=float, metavar="MS", help="Beacon period, BPPAR_BEACON_PERIOD.  [default: 100]")
+@click.option("--network-id", metavar="N", help="Network identifier, BPPAR_NETWORK_ID: decimal, or hex after 0x.")
 @click.option(
     "--position", metavar="SOURCE", help="Source of positions: track:..., csv:FILE, capture:FILE, stdin, mavlink:..."
 )
@@ -129,10 +129,12 @@ def _with_control(settings: Settings) -> Settings:
 
 
 def _whole(value: float | None) -> float | int | None:
+    """Convert a float without fraction to int, as settings expect."""
     return int(value) if value is not None and value.is_integer() else value
 
 
 def _number(text: str | None) -> int | None:
+    """Parse a decimal or prefixed integer; None stays None."""
     if text is None:
         return None
     try:

@@ -84,7 +84,7 @@ def command(
         seed=seed,
     )
     if played.nodes > 200:
-        raise ExpectedError(f"{played.nodes} nodes are {played.nodes} processes; a testbed takes up to 200")
+        raise ExpectedError(f"a testbed runs each node as a process, at most 200 nodes, not {played.nodes}")
     _get_rights()
     directory = _directory(keep)
     try:
@@ -105,6 +105,7 @@ def command(
 
 
 def _directory(keep: Path | None) -> Path:
+    """Return the folder of the testbed: ``keep``, created if necessary, or a temporary one."""
     if keep is None:
         return Path(tempfile.mkdtemp(prefix="dcp-testbed-"))
     try:

@@ -139,7 +139,7 @@ def _ignored_by_others(client: ControlClient, descr: str, repcnt: int | None) ->
         yield f"nodes with the limits of this profile take at most {most} repetitions, not {repcnt}"
     elif profile.among.repetitions is not None and repcnt > profile.among.repetitions:
         most = profile.among.repetitions
-        yield f"unless set up otherwise, nodes of this profile refuse variables with more than {most} repetitions"
+        yield f"unless configured otherwise, nodes of this profile refuse variables with more than {most} repetitions"
 
 
 @command.command("update", epilog=EXIT_STATUS)

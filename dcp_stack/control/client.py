@@ -63,6 +63,7 @@ class ControlClient:
             raise ControlError(f"{path}: {why}") from None
 
     def _connect(self, patience: float) -> None:
+        """Connect the socket, and wait up to ``patience`` s while the queue of the node is full."""
         deadline = time.monotonic() + patience
         while True:
             try:
@@ -173,6 +174,7 @@ class ControlClient:
 
 
 def _is_something_else(path: Path) -> bool:
+    """Whether the path exists and is not a socket."""
     try:
         return not path.is_socket() and path.exists()
     except OSError:
@@ -180,6 +182,7 @@ def _is_something_else(path: Path) -> bool:
 
 
 def _why_not(error: OSError) -> str:
+    """Describe an error of the connection for the user."""
     if isinstance(error, FileNotFoundError):
         return "there is no such socket; is a node running with --control on this path?"
     if isinstance(error, ConnectionRefusedError):

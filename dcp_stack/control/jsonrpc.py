@@ -64,18 +64,18 @@ def parse(line: bytes) -> Any:
 def read_call(message: Any) -> Call:
     """Return the request in a JSON value. Raises RpcError if the value is not a valid request."""
     if not isinstance(message, dict):
-        raise RpcError(INVALID_REQUEST, f"a request is an object, not {_kind(message)}")
+        raise RpcError(INVALID_REQUEST, f"a request must be an object, not {_kind(message)}")
     if message.get("jsonrpc") != "2.0":
         raise RpcError(INVALID_REQUEST, 'the request has no "jsonrpc": "2.0"')
     identifier = message.get("id", UNSET)
     if identifier is not UNSET and not _is_id(identifier):
-        raise RpcError(INVALID_REQUEST, '"id" is a string, a number of at most 64 bits, or null')
+        raise RpcError(INVALID_REQUEST, '"id" must be a string, a number of at most 64 bits, or null')
     method = message.get("method")
     if not isinstance(method, str):
-        raise RpcError(INVALID_REQUEST, '"method" is the name of a method, a string')
+        raise RpcError(INVALID_REQUEST, '"method" must be a string, the name of a method')
     unknown = message.keys() - {"jsonrpc", "id", "method", "params"}
     if unknown:
-        raise RpcError(INVALID_REQUEST, f"a request has no member {min(unknown)[:80]!r}")
+        raise RpcError(INVALID_REQUEST, f"unknown member {min(unknown)[:80]!r} in the request")
     return Call(method, message.get("params", {}), identifier)
 
 

@@ -180,7 +180,7 @@ class Neighbour(Result, frozen=True):
     lost: Annotated[int, Meta(description="Records missing by their sequence numbers.")] | UnsetType = UNSET
     restarts: int | UnsetType = UNSET
     mean_interval: Annotated[float, Meta(description="ms between records.")] | UnsetType = UNSET
-    beacon_loss: Annotated[float, Meta(description="Share of beacons lost lately, 0..1.")] | UnsetType = UNSET
+    beacon_loss: Annotated[float, Meta(description="Share of beacons lost recently, 0..1.")] | UnsetType = UNSET
     position: tuple[float, float, float] | UnsetType = UNSET
     velocity: tuple[float, float, float] | UnsetType = UNSET
     distance: Annotated[float, Meta(description="m between us and the neighbour.")] | UnsetType = UNSET

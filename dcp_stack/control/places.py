@@ -49,6 +49,7 @@ def is_answered(path: Path) -> bool:
 
 
 def _own() -> Path | None:
+    """Return the socket in the user's runtime folder; None if there is no such folder."""
     folder = os.environ.get("XDG_RUNTIME_DIR", "")
     # The specification of this variable (XDG Base Directory) requires an absolute path.
     return Path(folder) / "dcp-node.sock" if folder.startswith("/") and Path(folder).is_dir() else None

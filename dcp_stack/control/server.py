@@ -171,6 +171,7 @@ class ControlSession:
         return b"[" + b",".join(answers) + b"]" if answers else b""
 
     def _answer_one(self, message: Any, times: Times) -> bytes:
+        """Return the answer to one request; empty for notifications."""
         try:
             call = read_call(message)
         except RpcError as error:
@@ -234,7 +235,7 @@ class ControlServer:
         if method is None:
             raise RpcError(METHOD_NOT_FOUND, f"no method {call.method[:80]!r}; UT-Hello lists the methods")
         if isinstance(call.params, list):
-            raise RpcError(INVALID_PARAMS, "parameters are given by name, in an object")
+            raise RpcError(INVALID_PARAMS, "parameters must be given by name, in an object")
         try:
             params = msgspec.convert(call.params, method.params)
         except msgspec.ValidationError as error:
@@ -334,6 +335,7 @@ class ControlServer:
         self._wants_protocols = any(wish.prot_ids for wish in wishes)
 
     def _status(self, times: Times) -> m.StatusConfirm:
+        """Return the result of UT-Status."""
         config = self.node.config
         return m.StatusConfirm(
             status=m.UT_OK,

@@ -154,6 +154,7 @@ def _refuse(violation: Violation | None) -> None:
 
 
 def _srp(node: Node) -> StateReporting:
+    """Return the SRP of the node. Raises RpcError if it runs without."""
     if node.srp is None:
         raise RpcError(METHOD_NOT_FOUND, "this node runs without SRP")
     return node.srp
@@ -239,6 +240,7 @@ def _set_srp_parameter(node: Node, params: m.SetParameter, _times: Times) -> m.R
 
 
 def _vardis(node: Node) -> Vardis:
+    """Return the VarDis of the node. Raises RpcError if it runs without."""
     if node.vardis is None:
         raise RpcError(METHOD_NOT_FOUND, "this node runs without VarDis")
     return node.vardis
@@ -330,6 +332,7 @@ def _deactivate_vardis(node: Node, _params: m.Nothing, _times: Times) -> m.Resul
 
 
 def _management(node: Node) -> Vardis:
+    """Return the VarDis of the node. Raises RpcError if its version has no activation service."""
     vardis = _vardis(node)
     if node.config.features.vardis_activation != "service":
         version = node.config.profile.spec_version

@@ -146,6 +146,7 @@ class EthernetLink(SocketLink):
 
 
 def _usable(address: bytes) -> bytes | None:
+    """Return the address, or None if it is all zeros, as on ``lo``."""
     return address if any(address) else None
 
 

@@ -294,6 +294,7 @@ class Medium:
             self._send_to(receiver, sender, octets, (special or {}).get(receiver, quality))
 
     def _send_to(self, receiver: int, sender: int, octets: bytes, quality: Quality) -> None:
+        """Schedule the arrivals of a frame at one receiver: none, one, or two for a duplicate."""
         generator = self._generators[sender]
         if quality.loss and generator.random() < quality.loss:
             self.counters.lost += 1
@@ -304,6 +305,7 @@ class Medium:
             self._schedule(self.now + quality.draw(generator), sender, (receiver,), octets)
 
     def _schedule(self, time: int, sender: int, receivers: tuple[int, ...], octets: bytes) -> None:
+        """Add a frame in flight that arrives at ``time`` (virtual ns), but not before now."""
         # The number is unique, so the heap compares nothing after it, and frames of equal time keep the order of
         # sending.
         heapq.heappush(self._flights, _Flight(max(time, self.now), self._number, sender, receivers, octets, self.now))

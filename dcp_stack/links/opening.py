@@ -108,6 +108,7 @@ _OPENERS: Mapping[str, tuple[tuple[str, ...], Callable[[str, Options, NodeConfig
 
 
 def _number(options: Options, name: str, default: int | None) -> int | None:
+    """Return the integer in an option, decimal or with a prefix such as 0x; ``default`` if absent."""
     return int(options[name], 0) if name in options else default
 
 

@@ -131,6 +131,7 @@ class Recorder:
             self._report(error)
 
     def _stop(self, error: CaptureError) -> None:
+        """End the recording because of an error."""
         writer, self._writer = self._writer, None
         self._report(error)
         if writer is not None:
@@ -138,6 +139,7 @@ class Recorder:
                 writer.close()
 
     def _report(self, error: CaptureError) -> None:
+        """Log an error of the file and keep it in ``problem``."""
         self.problem = str(error)
         log.error("recording ends after %d frames: %s", self.frames, error)
 
@@ -236,5 +238,6 @@ class RecordingLink:
                 self._recording.close()
 
     def _tick(self) -> None:
+        """Let the recording flush if it is time."""
         if self._recording is not None:
             self._recording.tick()

@@ -111,6 +111,7 @@ class ReplayLink:
         self._end()
 
     def _upcoming(self) -> tuple[int, Reception] | None:
+        """Return the next frame and its arrival time; None at the end. Starts the replay if it has not started."""
         if self._finished or self._next is not None:
             return self._next
         if self._started is None:
@@ -136,6 +137,7 @@ class ReplayLink:
         return frame.data[framing.start : framing.end], sender
 
     def _scheduled(self, time_ns: int, octets: bytes, sender: bytes, start: int, wall: int) -> tuple[int, Reception]:
+        """Return arrival time and reception of a frame recorded at ``time_ns``, for a replay started at ``start``."""
         if self._first is None:
             self._first = time_ns
         offset = time_ns - self._first
@@ -146,6 +148,7 @@ class ReplayLink:
         return start + offset, Reception(octets, time_ns if self._original_times else wall + offset, sender)
 
     def _end(self) -> None:
+        """Close the recording, and log its problems."""
         if self._finished:
             return
         self._finished, self._next = True, None

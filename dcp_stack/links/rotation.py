@@ -129,6 +129,7 @@ class RotatingRecorder:
         self._recorder.close()
 
     def _is_complete(self, now: int) -> bool:
+        """Whether the current file has reached a limit of age or size, or was removed."""
         limits = self._limits
         if not self._recorder.frames:
             return False
@@ -143,6 +144,7 @@ class RotatingRecorder:
             return True
 
     def _go_on(self) -> None:
+        """Resume after an interruption if there is room for a new file."""
         try:
             if shutil.disk_usage(self._recorder.path.parent).free < LEAST_FREE:
                 return
@@ -152,6 +154,7 @@ class RotatingRecorder:
             log.warning("recording continues in %s; %d frames were not recorded", self.path, self.frames_lost)
 
     def _next(self, now: int) -> bool:
+        """Start the next file; return False and set ``problem`` if it cannot be created."""
         frames = self._recorder.frames
         try:
             recorder = self._make(self._following())
@@ -166,6 +169,7 @@ class RotatingRecorder:
         return True
 
     def _clean_up(self) -> None:
+        """Delete the oldest files beyond the limit."""
         if self._limits.files is None:
             return
         others = [path for path in self._siblings() if path != self.path]

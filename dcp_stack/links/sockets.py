@@ -103,7 +103,7 @@ class SocketLink:
         """Whether the socket can be used again after an outage; raises ``OSError`` while the interface is down."""
         return False
 
-    # -- the contract of a link ------------------------------------------------------------------------------------
+    # -- the interface of a link -----------------------------------------------------------------------------------
 
     @property
     def name(self) -> str:
@@ -225,6 +225,7 @@ class SocketLink:
             self._selector.unregister(self._socket)
 
     def _recover(self) -> None:
+        """Try to end the outage; after a failure wait longer before the next attempt."""
         now = time.monotonic_ns()
         if now < self._retry_at:
             return
@@ -247,6 +248,7 @@ class SocketLink:
             self._said = str(error)
 
     def _reopen(self) -> None:
+        """Use the kept socket again if possible, otherwise open a new one."""
         if self._socket is None or not self._resume(self._socket):
             self._count_lost()
             self._discard()
@@ -254,11 +256,13 @@ class SocketLink:
         self._selector.register(self._socket, selectors.EVENT_READ)
 
     def _discard(self) -> None:
+        """Close the socket, if there is one."""
         old, self._socket = self._socket, None
         if old is not None:
             self._release(old)
 
     def _count_lost(self) -> None:
+        """Add the frames that the kernel dropped since the last call to the counters."""
         if self._socket is None or self._closed:
             return
         try:

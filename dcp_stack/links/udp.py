@@ -103,6 +103,7 @@ class UDPLink(SocketLink):
         return receiver
 
     def _join(self, receiver: socket.socket) -> None:
+        """Join the multicast group; nothing to do for a broadcast address."""
         if self._group.is_multicast:
             sockets.join(receiver, self._group, self._interface)
 
@@ -141,5 +142,6 @@ class UDPLink(SocketLink):
 
 
 def _octets(address: tuple[str, int]) -> bytes:
+    """Encode an IPv4 address and port in 6 octets, big-endian."""
     host, port = address
     return socket.inet_aton(host) + port.to_bytes(2, "big")

@@ -93,12 +93,13 @@ class Channel:
         self._watch()
 
     def _read(self) -> None:
+        """Pass available input to the session; close the channel on an error."""
         try:
             data = os.read(self._in, CHUNK)
         except (BlockingIOError, InterruptedError):
             return
         except OSError as error:
-            log.debug("client %s is gone: %s", self.name, error.strerror)
+            log.debug("client %s disconnected: %s", self.name, error.strerror)
             self.close()
             return
         if data:
@@ -107,6 +108,7 @@ class Channel:
             self.session.end_of_input()
 
     def _send(self) -> None:
+        """Write pending output as far as possible; close the channel on an error."""
         try:
             with memoryview(self.session.output) as waiting:
                 count = os.write(self._out, waiting[:CHUNK])
@@ -121,6 +123,7 @@ class Channel:
             self._stalled_since = None
 
     def _watch(self) -> None:
+        """Register the descriptors for the events that the session waits for."""
         if self._closed:
             return
         read = READ if self.session.wants_input else 0
@@ -168,6 +171,7 @@ class ControlSocket:
         self._count = 0
 
     def _bind(self) -> None:
+        """Bind the socket, after removing a stale one. Raises ControlSocketError if the path is in use."""
         with contextlib.suppress(FileNotFoundError):
             if not stat.S_ISSOCK(self.path.lstat().st_mode):
                 raise ControlSocketError(f"{self.path}: exists and is not a socket; choose another path")
@@ -304,5 +308,6 @@ def _is_answered(path: Path) -> bool:
 
 
 def _identity(path: Path) -> tuple[int, int]:
+    """Return device and inode of a file, to recognise it later."""
     status = path.lstat()
     return status.st_dev, status.st_ino

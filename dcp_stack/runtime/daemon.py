@@ -42,6 +42,7 @@ def in_background(work: Callable[[Callable[[str], None]], int]) -> int:
 
 
 def _work(work: Callable[[Callable[[str], None]], int], tell: int) -> NoReturn:
+    """Run ``work`` in a new session; report over descriptor ``tell`` when it is ready. Does not return."""
     os.setsid()
 
     def on_ready(line: str) -> None:

@@ -219,6 +219,7 @@ class Driver:
                     self._serve(now, time.time_ns())
 
     def _timeout(self, now: int, wall: int) -> None:
+        """Serve the timers of the node, and note how late they are."""
         if self._wake is not None:
             self.late_ns = max(self.late_ns, now - self._wake)
         self.node.handle_timeout(now, wall)
@@ -240,6 +241,7 @@ class Driver:
             self.reactor.watch(self.link.fileno(), 0 if self._holding else READ, self._on_link)
 
     def _carry_out(self, effects: list[Effect], now: int, wall: int) -> None:
+        """Send beacons, note changes of neighbours, and pass the effects to the clients."""
         for effect in effects:
             if type(effect) is Dropped:
                 # Checked first: by far the most frequent effect.
@@ -276,6 +278,7 @@ class Driver:
             self.reactor.watch(source.fileno(), READ, self._poll_positions)
 
     def _write_neighbours(self, file: NeighbourFileWriter, now: int, wall: int) -> None:
+        """Publish the neighbour table if it has changed and it is time, otherwise write heartbeats."""
         srp = self.node.srp
         if srp is None or not srp.registered:
             self._dirty = False
@@ -290,6 +293,7 @@ class Driver:
             self._dirty = True
 
     def _housekeep(self, now: int) -> None:
+        """Do the work of each second: recording, obstacles, attachments, stalled clients."""
         self._housekeeping = now + HOUSEKEEPING_INTERVAL
         if self._recorder is not None:
             self._recorder.tick()

@@ -150,6 +150,7 @@ class NodeCollector:
 
 
 def _meaning(counter: str) -> str:
+    """Return the help text of a counter; unknown counters get their name."""
     return _MEANINGS.get(counter, f"{counter.replace('-', ' ').capitalize()}.")
 
 
@@ -207,6 +208,7 @@ class MetricsServer:
         self._socket.close()
 
     def _accept(self, _events: int) -> None:
+        """Accept one scraper, unless too many are connected."""
         with contextlib.suppress(OSError):
             client, _ = self._socket.accept()
             if len(self._scrapers) >= MAX_SCRAPERS:
@@ -217,6 +219,7 @@ class MetricsServer:
             self._reactor.watch(client.fileno(), READ, lambda events: self._on_ready(client, events))
 
     def _on_ready(self, client: socket.socket, events: int) -> None:
+        """Read the request of a scraper, then write the answer."""
         scrape = self._scrapers[client]
         try:
             if events & READ and not scrape.answer:
@@ -239,11 +242,13 @@ class MetricsServer:
             self._end(client)
 
     def _end(self, client: socket.socket) -> None:
+        """Close the connection of a scraper."""
         del self._scrapers[client]
         self._reactor.forget(client.fileno())
         client.close()
 
     def _answer(self, request: bytes) -> bytes:
+        """Return the whole HTTP response to a request."""
         status, body, kind = self._respond(request)
         head = (
             f"HTTP/1.0 {status}\r\nContent-Type: {kind}\r\nContent-Length: {len(body)}\r\nConnection: close\r\n"
@@ -252,6 +257,7 @@ class MetricsServer:
         return head.encode() + body
 
     def _respond(self, request: bytes) -> tuple[str, bytes, str]:
+        """Return status, body and content type for a request."""
         plain = "text/plain; charset=utf-8"
         asked = self._parser.__new__(self._parser)
         # Let http.server parse the octets without a connection; its own error answers are discarded.

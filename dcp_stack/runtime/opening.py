@@ -64,6 +64,7 @@ def open_node(settings: Settings, make: MakeNode = Node) -> Iterator[Driver]:
 
 
 def _open(settings: Settings, make: MakeNode, stack: contextlib.ExitStack) -> Driver:
+    """Open all parts of a node; ``stack`` closes them if a later one fails."""
     user = None if settings.user is None else find_user(settings.user)
     if settings.control == STDIO and settings.position == "stdin":
         raise SettingsError("control and position cannot both be standard input")
@@ -148,12 +149,14 @@ def _load_what_follows(settings: Settings) -> None:
 
 
 def _about(settings: Settings, config: NodeConfig, recorder: RotatingRecorder | None) -> dict[str, object]:
+    """Return the fields of the log line about the start."""
     record = None if recorder is None else str(recorder.path)
     about = {"profile": config.profile.name, "control": settings.control, "record": record}
     return {name: value for name, value in about.items() if value is not None}
 
 
 def _link_spec(settings: Settings) -> str:
+    """Return the text that names the link. Raises SettingsError if none or two are given."""
     if settings.interface is not None and settings.link is not None:
         raise SettingsError("interface and link both name the link; give only one of them")
     if settings.interface is not None:
@@ -191,6 +194,7 @@ def _fitted(config: NodeConfig, link: Link) -> NodeConfig:
 
 
 def _recorder(settings: Settings, config: NodeConfig, codec: Codec, wall: int) -> RotatingRecorder | None:
+    """Return the recorder, or None if nothing is to be recorded. Raises SettingsError or LinkError."""
     if settings.record is None:
         return None
     about = {"node": config.node_id.hex(":"), "vantage": config.node_id.hex(":")}
@@ -198,7 +202,7 @@ def _recorder(settings: Settings, config: NodeConfig, codec: Codec, wall: int) -
     first = recording_path(place, config.node_id, wall)
     into_folder = first != Path(place)
     if settings.record_keep is not None and not into_folder:
-        raise SettingsError(f"record_keep: {place} is a file; to keep the last files, let record name a folder")
+        raise SettingsError(f"record_keep: {place} is a file; to keep the last files, set record to a folder")
     limits = Limits(
         octets=None if settings.record_max_mb is None else max(round(settings.record_max_mb * 1e6), 1),
         seconds=None if settings.record_max_minutes is None else settings.record_max_minutes * 60,

@@ -98,6 +98,7 @@ def load_settings(path: str | Path | None, flags: Mapping[str, Any]) -> Settings
 
 
 def _read(path: Path) -> dict[str, Any]:
+    """Return the contents of a TOML file. Raises SettingsError if it cannot be read."""
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
@@ -193,7 +194,9 @@ def parse_node_id(text: str, profile: Profile) -> bytes:
     except ValueError:
         raise SettingsError(f"node_id: {text!r} is not hex, as in 02:00:00:00:00:01") from None
     if layout.length is None and len(octets) != layout.width:
-        raise SettingsError(f"node_id: {text} has {len(octets)} octets, and {layout.width} in profile {profile.name}")
+        raise SettingsError(
+            f"node_id: {text} has {len(octets)} octets; identifiers of profile {profile.name} have {layout.width}"
+        )
     return octets
 
 

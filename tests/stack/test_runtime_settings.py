@@ -141,7 +141,7 @@ def test_files_that_cannot_be_read(tmp_path):
 @pytest.mark.parametrize(
     ("flags", "message"),
     [
-        ({"node_id": "02:00"}, "has 2 octets, and 6"),
+        ({"node_id": "02:00"}, "has 2 octets; identifiers of profile dcp-2.0 have 6"),
         ({"node_id": "me"}, "is not hex"),
         ({"readings": {"X99": "y"}}, "no reading 'X99'"),
         ({"readings": {"X05": "y"}}, "no alternative 'y'"),

@@ -214,5 +214,7 @@ def test_variables_get_as_many_repetitions_as_neighbours_take(profile: str, most
 
 def test_more_repetitions_than_neighbours_take_are_warned_of() -> None:
     warnings = list(var._ignored_by_others(Answers("cpp-2.0", 15), "pos", 3))  # type: ignore[arg-type]
-    assert warnings == ["unless set up otherwise, nodes of this profile refuse variables with more than 1 repetitions"]
+    assert warnings == [
+        "unless configured otherwise, nodes of this profile refuse variables with more than 1 repetitions"
+    ]
     assert list(var._ignored_by_others(Answers("dcp-2.0", 15), "pos", 3)) == []  # type: ignore[arg-type]
