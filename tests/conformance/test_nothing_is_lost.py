@@ -198,7 +198,7 @@ def wrong_and_deadly(bench: Bench) -> None:
 
 
 def right(bench: Bench) -> None:
-    bench.check(bench.probe(), "an answer", "none", "VD-RX-04")
+    bench.check(bench.probes.probe(), "an answer", "none", "VD-RX-04")
 
 
 def test_a_proved_failure_before_a_death_that_is_not_reproduced_stays_one():
@@ -241,7 +241,7 @@ def test_a_death_by_the_deletion_after_a_case_is_that_of_the_deletion():
     sut = InProcess(reference_config(codec_of("dcp-2.0")))
 
     def creates(bench: Bench) -> None:
-        answer = bench.call("RTDB-Create", varId=bench.own_var_id(), repCnt=1, descr="d", value="01")
+        answer = bench.call("RTDB-Create", varId=bench.identifiers.own_var_id(), repCnt=1, descr="d", value="01")
         bench.check(answer.ok, "it is created", str(answer), "VD-CRE-12")
         bench.check(bench.beacons(1), "a beacon", "none")
 

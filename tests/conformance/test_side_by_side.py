@@ -143,7 +143,7 @@ def test_live_cases_never_share_an_identifier(monkeypatch) -> None:
 
     def checked(self: SideBySide, arrival: Arrival) -> None:
         account(self, arrival)
-        used = Counter(each for bench in self._live.values() for each in bench.created)
+        used = Counter(each for bench in self._live.values() for each in bench.identifiers.created)
         clashes.append({each for each, count in used.items() if count > 1})
 
     monkeypatch.setattr(SideBySide, "_account", checked)

@@ -56,11 +56,7 @@ DONE = (
     f"{_SUITE}/suite",
     f"{_SUITE}/selftest",
     f"{_SUITE}/test_steps",
-    f"{_SUITE}/test_system/allocation.py",
-    f"{_SUITE}/test_system/bench.py",
-    f"{_SUITE}/test_system/services.py",
-    f"{_SUITE}/test_system/state_reports.py",
-    f"{_SUITE}/test_system/waiting.py",
+    f"{_SUITE}/test_system",
     "dcp_stack/__init__.py",
     "dcp_stack/bp_port.py",
     "dcp_stack/config.py",
@@ -78,6 +74,9 @@ DONE = (
     "dcp_stack/cli",
     "dcp_stack/vardis",
     "dcp_stack/sim",
+    "dcp_stack/positions",
+    "dcp_stack/relay",
+    "dcp_stack/neighbour_file",
 )
 #: Folders that still have to be revised; their hits are counted.
 TO_DO = (
@@ -87,7 +86,6 @@ TO_DO = (
     f"{_SUITE}/execution",
     f"{_SUITE}/fuzz",
     f"{_SUITE}/reporting",
-    f"{_SUITE}/test_system",
     "dcp_codec",
     "dcp_stack",
 )

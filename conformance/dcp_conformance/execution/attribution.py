@@ -60,7 +60,7 @@ class Trial:
     def disturbed(self) -> bool:
         """Whether nothing but the tester's own trouble has left the case, or parts of it, undecided."""
         undecided = self.verdict in (Verdict.INCONCLUSIVE, Verdict.FAIL)
-        return undecided and self.loss is None and not self.used_up and bool(self.bench.disturbed)
+        return undecided and self.loss is None and not self.used_up and bool(self.bench.verdicts.disturbed)
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,7 +25,7 @@ from .attribution import Trial, likely_stimulus
 @contextmanager
 def recorded(trial: Trial) -> Iterator[None]:
     """Record an exception of the block as a check of the case. Only ``KeyboardInterrupt`` and the like get through."""
-    case, checks = trial.case, trial.bench.checks
+    case, checks = trial.case, trial.bench.verdicts.checks
     try:
         yield
     except NamesUsedUp:
@@ -63,7 +63,7 @@ def run_body(trial: Trial) -> None:
     finally:
         # Found before restore(): calls that undo changes are not the cause of a death.
         trial.stimulus = likely_stimulus(case, bench.traffic)
-        bench.restore()
+        bench.restoration.restore()
 
 
 def delete_variables(trial: Trial, serves: Callable[[], bool]) -> bool:
@@ -72,12 +72,12 @@ def delete_variables(trial: Trial, serves: Callable[[], bool]) -> bool:
     ``serves``: whether the upper tester answers. Returns False if the deletion did not succeed.
     """
     bench = trial.bench
-    made = bench.created | bench.produced
-    if not made or not (bench.traffic.frames or bench.produced):
+    made = bench.identifiers.created | bench.identifiers.produced
+    if not made or not (bench.traffic.frames or bench.identifiers.produced):
         return True
     upper = bench.session.upper
     try:
-        if upper is not None and "RTDB-Delete" in upper.methods and bench.produced:
+        if upper is not None and "RTDB-Delete" in upper.methods and bench.identifiers.produced:
             if "UT-Hello" in upper.methods and not serves():
                 # It was gone before: the deletions are not the cause.
                 return False
@@ -86,7 +86,7 @@ def delete_variables(trial: Trial, serves: Callable[[], bool]) -> bool:
         peer.send_all(peer.delete(var_id) for var_id in sorted(made))
         bench.wait(1)
         for var_id in made:
-            bench.session.identifiers.deleted(var_id, bench.departure())
+            bench.session.identifier_pool.deleted(var_id, bench.identifiers.departure())
     except UpperTesterError as error:
         trial.hung_up = str(error)
         return False
@@ -98,7 +98,7 @@ def delete_variables(trial: Trial, serves: Callable[[], bool]) -> bool:
 def _delete_own(trial: Trial) -> None:
     """Delete the variables of the implementation's application; the last call is the stimulus if it goes wrong."""
     bench = trial.bench
-    for var_id in sorted(bench.produced):
+    for var_id in sorted(bench.identifiers.produced):
         try:
             bench.call("RTDB-Delete", varId=var_id)
         except UpperTesterError:

@@ -10,7 +10,7 @@ import msgspec
 
 from dcp_conformance.model.results import CaseResult, Check, EventRecord
 from dcp_conformance.model.verdict import Verdict, worst
-from dcp_conformance.test_system.checks import in_force
+from dcp_conformance.test_system.judgement.verdicts import in_force
 from dcp_conformance.test_system.traffic import Event
 
 from .attribution import Trial
@@ -51,7 +51,7 @@ def result_of(
         duration=(ended - trial.begun) / 1e9,
         table="robustness" if case.robustness else "conformance",
         checks=checks,
-        readings=bench.readings,
+        readings=bench.verdicts.readings,
         evidence=tuple(map(_record, bench.traffic.events)),
         left_out=bench.traffic.left_out,
         rerun=f"{rerun} {shlex.join([*case.options, case.id])}",

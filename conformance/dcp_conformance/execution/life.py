@@ -104,7 +104,7 @@ class Life:
         # Two clocks: that of the lower tester stands still while the link cannot be read.
         while not self.ended() and bench.now() < deadline and time.monotonic() < real:
             try:
-                bench.wait_ns(_POLL_NS)
+                bench.waiting.wait_ns(_POLL_NS)
             except UpperTesterError as error:
                 self.hung_up = str(error)
             except LowerTesterError:
@@ -152,7 +152,7 @@ class Life:
     def _asked(self, bench: Bench) -> bool:
         if self._can_ask(bench):
             with contextlib.suppress(StopCase):
-                return bench.probe(max(5, bench.reaction))
+                return bench.probes.probe(max(5, bench.sut.reaction))
         return bool(bench.beacons(1, 5))
 
     @staticmethod
@@ -167,7 +167,7 @@ class Life:
 
     @staticmethod
     def _can_ask(bench: Bench) -> bool:
-        return bench.pics.vardis is not False and bench.has_unknown_ids()
+        return bench.sut.pics.vardis is not False and bench.identifiers.has_unknown_ids()
 
     def serves(self) -> bool:
         """Whether the upper tester answers."""
@@ -263,7 +263,7 @@ class Life:
         known = "its process runs" if runs else "it is not known whether its process runs"
         if on_link:
             known = "it has opened the link"
-        frames = f"{len(bench.others)} frames of other nodes" if bench.others else "nothing"
+        frames = f"{len(bench.receiver.others)} frames of other nodes" if bench.receiver.others else "nothing"
         left = max(0.0, self._start_timeout - passed)
         return (
             f"waiting for the implementation to start: {known}, {frames} heard on {bench.lower.name}; "
@@ -277,7 +277,7 @@ class Life:
         deadline = bench.now() + round(self._start_timeout * 1e9)
         while not self.answers(bench, questions):
             why = given_up(bench)
-            bench.take_newcomer()
+            bench.receiver.take_newcomer()
             if control is not None and control.alive() is False:
                 return f"is dead again: {control.why_dead()}"
             if why or bench.now() >= deadline:

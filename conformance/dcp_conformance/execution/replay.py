@@ -157,10 +157,10 @@ class Replay:
         """Play everything, then look at the outcome."""
         if bench.session.sut_id is None and not bench.beacons(1, 5):
             # Without knowing what is its own nothing can be said of it.
-            bench.probe(10)
+            bench.probes.probe(10)
         self.take_part(bench.codec, bench.session.sut_id)
         oracle = self._oracle(bench, bench.session.sut_id or self.node)
-        waiting = Waiting(bench.period, bench.parameter("BPPAR_MAXIMUM_PACKET_SIZE"))
+        waiting = Waiting(bench.period, bench.sut.parameter("BPPAR_MAXIMUM_PACKET_SIZE"))
         recorded: dict[int, int | None] = {}
         actions = _Applications(bench, oracle, self.node) if self._options.services and bench.session.upper else None
         # What it has said before is no part of the play.
@@ -169,7 +169,7 @@ class Replay:
             first = first or frame.time_ns
             if self._options.speed > 0:
                 due = begun + round((frame.time_ns - first) / self._options.speed)
-                bench.wait_ns(max(0, due - bench.now()))
+                bench.waiting.wait_ns(max(0, due - bench.now()))
             elif heard.sender == self.node:
                 # In step: a beacon of the implementation for each of the node whose part it plays.
                 bench.beacons(1, 3)
@@ -190,9 +190,9 @@ class Replay:
 
     def _oracle(self, bench: Bench, own_id: bytes) -> Oracle:
         limits = Limits(
-            bench.parameter("VARDISPAR_MAX_VALUE_LENGTH"),
-            bench.parameter("VARDISPAR_MAX_DESCRIPTION_LENGTH"),
-            bench.parameter("VARDISPAR_MAX_REPETITIONS"),
+            bench.sut.parameter("VARDISPAR_MAX_VALUE_LENGTH"),
+            bench.sut.parameter("VARDISPAR_MAX_DESCRIPTION_LENGTH"),
+            bench.sut.parameter("VARDISPAR_MAX_REPETITIONS"),
         )
         return Oracle(
             own_id,
@@ -200,17 +200,17 @@ class Replay:
             bench.profile.types.var_seqno.width,
             limits,
             latency=round(_LATENCY * bench.period),
-            window=round(bench.reaction * bench.period),
+            window=round(bench.sut.reaction * bench.period),
         )
 
     def _send(self, bench: Bench, heard: ReceivedBeacon, source: bytes) -> int:
         """As recorded, in the network of the implementation."""
         octets = heard.octets
         if bench.profile.has_header_field("networkId") and heard.beacon is not None and heard.beacon.bp is not None:
-            network = bench.parameter("BPPAR_NETWORK_ID")
+            network = bench.sut.parameter("BPPAR_NETWORK_ID")
             if heard.beacon.bp.network_id != network:
                 octets = bench.builder.patched(bench.codec.envelope_plan, octets, {"bp.networkId": network})
-        return bench.transmit(octets, source)
+        return bench.transmission.send(octets, source)
 
     def _judge(self, bench: Bench, oracle: Oracle, waiting: Waiting, judged: int) -> int:
         """Hold what was heard since against the model; what has been judged now."""
@@ -234,8 +234,8 @@ class Replay:
     def _finish(self, bench: Bench, oracle: Oracle, waiting: Waiting, judged: int) -> None:
         """Wait until everything that is owed had its time, and every variable its summary."""
         alive = sum(version.state == "alive" for _, version in oracle.holdings())
-        rounds = math.ceil(alive / max(1, bench.parameter("VARDISPAR_MAX_SUMMARIES")))
-        bench.wait(bench.reaction + 2 + rounds)
+        rounds = math.ceil(alive / max(1, bench.sut.parameter("VARDISPAR_MAX_SUMMARIES")))
+        bench.wait(bench.sut.reaction + 2 + rounds)
         self._judge(bench, oracle, waiting, judged)
 
     # -- judging -----------------------------------------------------------------------------------------------
@@ -256,11 +256,11 @@ class Replay:
 
     def _compare(self, bench: Bench, oracle: Oracle, recorded: dict[int, int | None]) -> None:
         """The outcome: what the implementation holds, what the model says, what the recorded node held."""
-        rounds = max(8, math.ceil(len(oracle.variables) / max(1, bench.parameter("VARDISPAR_MAX_SUMMARIES"))) + 2)
+        rounds = max(8, math.ceil(len(oracle.variables) / max(1, bench.sut.parameter("VARDISPAR_MAX_SUMMARIES"))) + 2)
         last: dict[int, int | None] = {}
         for heard in bench.heard[-rounds:]:
             _remember(last, heard, only=ICType.SUMMARIES)
-        summaries = bench.parameter("VARDISPAR_MAX_SUMMARIES") > 0
+        summaries = bench.sut.parameter("VARDISPAR_MAX_SUMMARIES") > 0
         checked = 0
         for var_id, version in sorted(oracle.holdings()):
             expected = version.seqno if version.state == "alive" else None
@@ -318,21 +318,25 @@ class _Applications:
         for each in heard.instructions(ICType.CREATE_VARIABLES):
             self._create(each.record)
         for each in heard.instructions(ICType.DELETE_VARIABLES):
-            if each.var_id in self._own and "RTDB-Delete" in self._bench.ut.methods:
+            if each.var_id in self._own and "RTDB-Delete" in self._bench.services.upper.methods:
                 del self._own[each.var_id]
                 if self._bench.call("RTDB-Delete", varId=each.var_id).ok:
                     self._oracle.deleted(each.var_id, self._bench.now())
         for each in heard.instructions(ICType.UPDATES):
             self._update(each.record)
         report = heard.report
-        if report is not None and report.seqno != self._report and "SRP-UpdateSafetyData" in self._bench.ut.methods:
+        if (
+            report is not None
+            and report.seqno != self._report
+            and "SRP-UpdateSafetyData" in self._bench.services.upper.methods
+        ):
             self._report = report.seqno
             data = {name: value for name, value in report.s_data.as_dict().items() if not isinstance(value, bytes)}
             self._bench.call("SRP-UpdateSafetyData", sData=data)
 
     def _create(self, record: VarCreate) -> None:
         spec = record.spec
-        if spec.prod_id != self._node or "RTDB-Create" not in self._bench.ut.methods:
+        if spec.prod_id != self._node or "RTDB-Create" not in self._bench.services.upper.methods:
             return
         known = self._own.get(spec.var_id)
         if known is not None and known[0] == spec.creation_time:
@@ -354,7 +358,7 @@ class _Applications:
 
     def _update(self, record: VarUpdate) -> None:
         known = self._own.get(record.var_id)
-        if known is None or "RTDB-Update" not in self._bench.ut.methods:
+        if known is None or "RTDB-Update" not in self._bench.services.upper.methods:
             return
         missing = (record.seqno - known[1]) % self._circle.modulus
         if not 0 < missing < self._circle.modulus // 2:

@@ -229,7 +229,7 @@ class Runner:
         executions = 1
         most = MOST_IMPAIRED if isinstance(self.session.lower, Impairs) else MOST_EXECUTIONS
         while executions < most and trial.disturbed:
-            self._disturbed.setdefault(trial.case.id, trial.bench.disturbed)
+            self._disturbed.setdefault(trial.case.id, trial.bench.verdicts.disturbed)
             again = self._trial(trial.case)
             executions += 1
             if again.used_up:
@@ -291,7 +291,7 @@ class Runner:
         bench = Bench(self.session, case)
         # What it takes for the case to apply may itself be an assumption, which the bench then knows.
         why_not(bench, case)
-        trial = Trial(case, bench, self.session.lower.now(), bench.checks)
+        trial = Trial(case, bench, self.session.lower.now(), bench.verdicts.checks)
         with recorded(trial):
             # Before the reset, which removes the variables that the measurement creates.
             self._measure()
@@ -299,7 +299,7 @@ class Runner:
                 self._reset()
             if not fresh and self._reset_mode() == "restart" and (why := self.life.await_answer(case)):
                 # A failed restart is not the fault of this case; the next case restarts again.
-                bench.checks.append(
+                bench.verdicts.checks.append(
                     Check(Verdict.INCONCLUSIVE, case.requirements, "the implementation is there after its restart", why)
                 )
                 return trial
@@ -308,7 +308,7 @@ class Runner:
         self._note_hang_up(trial)
         trial.paused = any(event.text == DEACTIVATE for event in bench.traffic.events)
         # Silence since the last stimulus is a doubt, whatever the verdict.
-        doubt = case.destructive or trial.verdict.rank > Verdict.PASS.rank or bench.silent
+        doubt = case.destructive or trial.verdict.rank > Verdict.PASS.rank or bench.steps.silent
         if not self.life.ended() and not self.life.hung_up:
             doubt = not self._clean(trial) or doubt
         # The sanity case itself has asked for an answer.
@@ -316,9 +316,9 @@ class Runner:
         self._unsettled = self._reset_mode() != "restart" and _reports_internal_error(bench)
         ask = doubt and (case.id != SANITY or trial.verdict is Verdict.PASS)
         trial.loss = self.life.loss(bench, ask=ask)
-        if trial.loss is None and bench.spoilt and self._reset_mode() == "none":
+        if trial.loss is None and bench.restoration.spoilt and self._reset_mode() == "none":
             self._unsettled = True
-            self._spoilt.setdefault(case.id, bench.spoilt)
+            self._spoilt.setdefault(case.id, bench.restoration.spoilt)
         return trial
 
     def _measure(self) -> None:
@@ -346,7 +346,7 @@ class Runner:
         if case.id != SANITY:
             return
         passed = trial.verdict is Verdict.PASS
-        self.life.learn(trial.bench, answered=passed and trial.bench.pics.vardis is not False)
+        self.life.learn(trial.bench, answered=passed and trial.bench.sut.pics.vardis is not False)
         contact = self.session.contact
         # With wrong settings of the tester nothing that is heard can be judged.
         heard = trial.bench.heard and not (contact is not None and contact.mistaken)
@@ -393,7 +393,7 @@ class Runner:
             else:
                 self._wait_for(trial)
             return None
-        if trial.verdict is not Verdict.PASS or trial.bench.spoilt or trial.disturbed or trial.hung_up:
+        if trial.verdict is not Verdict.PASS or trial.bench.restoration.spoilt or trial.disturbed or trial.hung_up:
             return None
         result = self._result(trial, 1, trial.checks)
         self.remember(trial, result, self.session.lower.now())

@@ -282,7 +282,7 @@ def _somebody_there(session: Session) -> str:
     if session.pics.pixit.node_id is not None:
         session.sut_id = node_id_octets(session.pics.pixit.node_id)
     bench = Bench(session, next(cases_of(sanity)))
-    there = bench.beacons(1, 5) if bench.pics.vardis is False else bench.probe()
+    there = bench.beacons(1, 5) if bench.sut.pics.vardis is False else bench.probes.probe()
     return session.sut_id.hex(":") if there and session.sut_id is not None else ""
 
 

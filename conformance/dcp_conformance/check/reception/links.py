@@ -93,6 +93,7 @@ def lower_bound(bit: int, outcomes: Outcomes, shares: Mapping[int, float], cauti
     terms = [(1.0 - reacts(mask ^ bit, shares), missed, hit) for mask, (missed, hit) in outcomes.items() if mask & bit]
 
     def log_likelihood(share: float) -> float:
+        """Return the log-likelihood of the outcomes if this is the share of the speaker."""
         total = 0.0
         for silent, missed, hit in terms:
             rest = (1.0 - share) * silent

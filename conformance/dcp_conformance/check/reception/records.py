@@ -25,6 +25,7 @@ class RecordSizes:
 
     def __init__(self, codec: Codec) -> None:
         def least(name: str) -> int:
+            """Return the minimum size of a record class in octets."""
             layout = layout_of(codec.containers_plan, name)
             assert layout is not None, f"every profile has {name}"
             return least_size(layout)

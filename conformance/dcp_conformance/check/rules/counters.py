@@ -20,7 +20,7 @@ _MISSING = 16
 NARROW = frozenset((1 << bits) - 1 for bits in (4, 7, 8, 10, 12, 15, 16, 24, 31))
 #: From this number on, a single wrap to 0 proves a narrow counter: a restart at just that number is too improbable.
 _NO_ACCIDENT = 4095
-#: This many beacons with one number are a counter that does not count; fewer equal ones are copies of one beacon.
+#: Number of beacons with one sequence number that are a stuck counter; fewer equal beacons are copies of one beacon.
 _STUCK = 4
 #: Number of successive beacons, without any step of one between their numbers, that are a fault of the counter.
 _JUMPS = 20
@@ -43,7 +43,7 @@ class SequenceNumbers(Invariant):
     section = "dcp-bp.md: Transmit Path"
     purpose = "The sequence number of a sender increases by one with each beacon"
     requirements = ("BP-HDR-08", "BP-HDR-09")
-    expect = "each beacon's seqno is that of the one before plus one, modulo 2^32"
+    expect = "the seqno of each beacon is the previous one plus one, modulo 2^32"
 
     def __init__(self, context: Context) -> None:
         super().__init__(context)

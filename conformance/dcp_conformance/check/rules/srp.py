@@ -23,7 +23,7 @@ _STEPS = 3
 #: A step between the numbers of two successive reports is suspicious if it exceeds this plus ten times the largest step
 #: so far: an application seldom submits its safety data that often.
 _LEAP = 1_000
-#: Number of successive different reports with one number that are a counter which does not count.
+#: Number of successive different reports with one sequence number that are a stuck counter.
 _STUCK = 5
 #: Number of reports with one time stamp, and time in ns from the first to the last, that are a stopped clock.
 _FROZEN, _FROZEN_FOR = 10, 3_000_000_000

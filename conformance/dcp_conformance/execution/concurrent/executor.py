@@ -186,7 +186,7 @@ class SideBySide:
                 self._give_up(gone or why)
             return
         scheduler = Scheduler(session.lower, session.upper, self._account)
-        session.identifiers.in_use = self._in_use
+        session.identifier_pool.in_use = self._in_use
         session.passive.begin_side_by_side(session.lower.now())
         self._draining = self._used_up = self._doubtful = False
         self._doubts = 0
@@ -211,7 +211,7 @@ class SideBySide:
                         self._suspects = self._suspects or list(self._live)
         finally:
             scheduler.close()
-            session.identifiers.in_use = frozenset
+            session.identifier_pool.in_use = frozenset
             session.passive.interrupted(session.lower.now())
             self._live.clear()
         for case, trial in ended:
@@ -227,7 +227,7 @@ class SideBySide:
 
     def _silent(self) -> bool:
         """Whether the implementation has not been heard since one of the last passes."""
-        return any(each.trial.bench.silent and each.ended >= self._last for each in self._passed)
+        return any(each.trial.bench.steps.silent and each.ended >= self._last for each in self._passed)
 
     def _confirm(self, on_result: Callable[[Case, CaseResult], None]) -> None:
         """Hand on the passes that the implementation has survived: it was heard after them, and had time to die."""
@@ -275,7 +275,7 @@ class SideBySide:
         session = SharedSession(base, SharedLink(scheduler, task), upper)
         bench = Bench(session, case)
         why_not(bench, case)
-        trial = Trial(case, bench, base.lower.now(), bench.checks)
+        trial = Trial(case, bench, base.lower.now(), bench.verdicts.checks)
         self._live[case.id] = bench
         base.passive.enter(case.id)
         try:
@@ -297,7 +297,7 @@ class SideBySide:
             self._waiting.appendleft(case)
             self._draining = self._used_up = True
             return
-        if trial.verdict is Verdict.PASS and not trial.hung_up and not trial.bench.spoilt:
+        if trial.verdict is Verdict.PASS and not trial.hung_up and not trial.bench.restoration.spoilt:
             self._doubts = 0
             self.reasons.pop(case.id, None)
             result = result_of(trial, trial.checks, session.lower.now(), self._runner.rerun, side_by_side=True)
@@ -317,16 +317,16 @@ class SideBySide:
         """Take a frame into account for the session, once for all cases."""
         session, observer = self._session, self._observer
         heard = ReceivedBeacon(session.codec, 0, arrival.time, arrival.wall, arrival.octets, arrival.source)
-        if observer.is_sut(heard):
+        if observer.receiver.is_sut(heard):
             self._frames += 1
             self._last = arrival.time
             heard.number = self._frames
-            session.take(heard, arrival, SIDE_BY_SIDE, None, observer.departure())
+            session.heard(heard, arrival, SIDE_BY_SIDE, None, observer.identifiers.departure())
 
     def _in_use(self) -> Iterator[int]:
         for bench in self._live.values():
-            yield from bench.created
-            yield from bench.called_unknown
+            yield from bench.identifiers.created
+            yield from bench.identifiers.called_unknown
 
     def _give_up(self, why: str) -> None:
         """Leave all remaining cases to be executed alone."""

@@ -16,7 +16,6 @@ from .sharing import ALONE, forbidden
 
 if TYPE_CHECKING:
     from dcp_conformance.frames.received import ReceivedBeacon
-    from dcp_conformance.test_system.waiting import Waiting
 
 
 class SharedLink:
@@ -119,5 +118,5 @@ class SharedSession(Session):
     def __setattr__(self, name: str, value: Any) -> None:
         setattr(vars(self)["_base"], name, value)
 
-    def heard(self, heard: ReceivedBeacon, arrival: Arrival, bench: Waiting) -> None:
+    def heard(self, heard: ReceivedBeacon, arrival: Arrival, case: str, traffic: object, departure: int) -> None:
         """Nothing: all tasks receive each frame, and the executor takes it into account once."""
