@@ -32,8 +32,8 @@ class Interval:
     begin: int
     time: int
     cause: Statement
-    speakers: int
-    """Who said it, as bits."""
+    speakers: dict[int, int]
+    """Who said it (bits), and in how many beacons."""
     late_half: bool
     """Whether all of it stood in the second half of its payload."""
     length: int
@@ -41,6 +41,10 @@ class Interval:
     frame: int
     """The beacon that said it last."""
     beacons: int = 1
+
+
+Exposure = tuple[tuple[int, int], ...]
+"""Speakers (bits, ascending), each with the number of its beacons that gave a node the same reason to react."""
 
 
 Occasions = dict[Kind, list[Interval]]
@@ -106,13 +110,24 @@ class Trial(NamedTuple):
     station: Station
     kind: Kind
     var_id: int
-    speakers: int
+    exposure: Exposure
     hit: bool
     cause: Statement
     late_half: bool
     length: int
     once: bool = False
     """Of a reaction: whether there was a single beacon that it can be due to."""
+    delay: int = 0
+    """Of a reaction: beacons of the node since the first reason, the one with the reaction included. 0: not known."""
+    at_once: Exposure = ()
+    """What it is due to if the node composes a payload right before it sends it."""
+    ahead: Exposure = ()
+    """What it is due to if the node composes it a beacon ahead."""
+
+    @property
+    def speakers(self) -> int:
+        """Who gave the reason, as bits."""
+        return sum(bit for bit, _ in self.exposure)
 
 
 @dataclass(slots=True, eq=False)

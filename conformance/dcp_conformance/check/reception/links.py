@@ -1,9 +1,10 @@
 """Who hears whom: inferred from all trials together, as a noisy OR.
 
-A node reacts if it has heard at least one of those who gave it a reason to. With p(Y, X) as the probability that Y gets
-a beacon of X, a reaction has the probability 1 - (1 - p(Y, X1)) (1 - p(Y, X2)) ... for the speakers X1, X2, ... of the
-trial. Expectation maximisation finds the p that explain the outcomes best (Dempster, Laird and Rubin 1977; Heckerman
-1990 for causal independence).
+A node reacts if it has heard at least one of the beacons that gave it a reason to. With p(Y, X) as the probability that
+Y gets a beacon of X, a reaction has the probability 1 - (1 - p(Y, X1))^n1 (1 - p(Y, X2))^n2 ... for the speakers X1,
+X2, ... of the trial and the numbers of their beacons n1, n2, ...: a summary is repeated in each beacon, and a node that
+sends few beacons has heard one of many before its next one, while a create is said once. Expectation maximisation finds
+the p that explain the outcomes best (Dempster, Laird and Rubin 1977; Heckerman 1990 for causal independence).
 """
 
 from __future__ import annotations
@@ -13,14 +14,16 @@ import math
 from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
+from .following import Exposure
+
 _ROUNDS, _FLOOR = 25, 1e-9
 #: Standard deviations by which a probability is taken lower than it looks: 5 % of all are lower still.
 CAUTION = 1.64
 #: After so many trials with a share below this a link is no more.
 _TRIALS, _GONE = 10, 0.1
 
-Outcomes = Mapping[int, tuple[int, int]]
-"""Speakers, as bits -> trials that were missed, and that were not."""
+Outcomes = Mapping[Exposure, tuple[int, int]]
+"""Speakers and the numbers of their beacons -> trials that were missed, and that were not."""
 
 
 class Link(NamedTuple):
@@ -57,28 +60,47 @@ def bits(mask: int) -> tuple[int, ...]:
 def infer(outcomes: Outcomes) -> dict[int, tuple[float, int, float]]:
     """For each speaker (a bit): the probability to be heard, its trials, and the reactions that are due to it."""
     trials: dict[int, int] = {}
-    for mask, (missed, hit) in outcomes.items():
-        for bit in bits(mask):
+    beacons: dict[int, int] = {}
+    for exposure, (missed, hit) in outcomes.items():
+        for bit, count in exposure:
             trials[bit] = trials.get(bit, 0) + missed + hit
+            beacons[bit] = beacons.get(bit, 0) + (missed + hit) * count
     shares = dict.fromkeys(trials, 0.5)
-    due: dict[int, float] = {}
-    hits = [(mask, hit) for mask, (_, hit) in outcomes.items() if hit]
+    received: dict[int, float] = {}
+    hits = [(exposure, hit) for exposure, (_, hit) in outcomes.items() if hit]
     for _ in range(_ROUNDS):
-        due = dict.fromkeys(trials, 0.0)
-        for mask, hit in hits:
-            reaction = max(reacts(mask, shares), _FLOOR)
-            for bit in bits(mask):
-                due[bit] += hit * shares[bit] / reaction
-        shares = {bit: min(due[bit] / count, 1.0) for bit, count in trials.items()}
+        received = dict.fromkeys(trials, 0.0)
+        for exposure, hit in hits:
+            reaction = max(reacts(exposure, shares), _FLOOR)
+            for bit, count in exposure:
+                received[bit] += hit * count * shares[bit] / reaction
+        shares = {bit: min(received[bit] / count, 1.0) for bit, count in beacons.items()}
+    due = dict.fromkeys(trials, 0.0)
+    for exposure, hit in hits:
+        # Of one reaction, the part of each speaker: together they are one.
+        parts = [count * shares[bit] for bit, count in exposure]
+        whole = max(sum(parts), _FLOOR)
+        for (bit, _), part in zip(exposure, parts, strict=True):
+            due[bit] += hit * part / whole
     return {bit: (shares[bit], count, due[bit]) for bit, count in trials.items()}
 
 
-def reacts(mask: int, shares: Mapping[int, float]) -> float:
-    """The probability of a reaction to these speakers."""
+def reacts(exposure: Exposure, shares: Mapping[int, float]) -> float:
+    """The probability of a reaction to these beacons."""
     silent = 1.0
-    for bit in bits(mask):
-        silent *= 1.0 - shares.get(bit, 0.0)
+    for bit, count in exposure:
+        silent *= (1.0 - shares.get(bit, 0.0)) ** count
     return 1.0 - silent
+
+
+def without(exposure: Exposure, bit: int) -> Exposure:
+    """The beacons of the other speakers."""
+    return tuple(each for each in exposure if each[0] != bit)
+
+
+def hits_alone(bit: int, outcomes: Outcomes) -> int:
+    """Reactions to a speaker alone."""
+    return sum(hit for exposure, (_, hit) in outcomes.items() if len(exposure) == 1 and exposure[0][0] == bit)
 
 
 def lower_bound(bit: int, outcomes: Outcomes, shares: Mapping[int, float], caution: float = CAUTION) -> float:
@@ -87,12 +109,17 @@ def lower_bound(bit: int, outcomes: Outcomes, shares: Mapping[int, float], cauti
     The lowest share whose likelihood, with all others as they were inferred, is not much smaller than the largest.
     ``caution``: in standard deviations of a normal distribution, 1.64 for 95 of 100 cases.
     """
-    terms = [(1.0 - reacts(mask ^ bit, shares), missed, hit) for mask, (missed, hit) in outcomes.items() if mask & bit]
+    terms = [
+        (1.0 - reacts(without(exposure, bit), shares), count, missed, hit)
+        for exposure, (missed, hit) in outcomes.items()
+        for speaker, count in exposure
+        if speaker == bit
+    ]
 
     def log_likelihood(share: float) -> float:
         total = 0.0
-        for silent, missed, hit in terms:
-            rest = (1.0 - share) * silent
+        for silent, count, missed, hit in terms:
+            rest = (1.0 - share) ** count * silent
             if missed:
                 total += missed * math.log(max(rest, _FLOOR))
             if hit:

@@ -10,8 +10,8 @@ from typing import NamedTuple
 from dcp_conformance.check.base import Context, Seen
 from dcp_conformance.check.statements import Statement
 
-from .following import Kind, Station, Trial
-from .links import Link, bits, chance, infer, lower_bound, reacts
+from .following import Exposure, Kind, Station, Trial
+from .links import Link, bits, chance, hits_alone, infer, lower_bound, reacts, without
 from .observer import Observer
 
 #: Trials are looked at together that lie within so many ns, or so many of one node.
@@ -26,12 +26,16 @@ _ALONE = 2
 _BELIEF = 10_000_000_000
 #: The same for a link that is not heard so well: it may come and go.
 _DOUBTFUL, _STEADY = 2_500_000_000, 0.9
+#: So many standard deviations below its likeliest share a steady link must still have this share.
+_LIKELY, _AS_GOOD = 1.0, 0.8
 #: Fewer expected reactions decide nothing; of those expected at most this part may come; chance is excluded below this.
 _EXPECTED, _SHARE, _CHANCE = 3.0, 0.25, 1e-3
 #: The same where links fail: then what is missed together may have one cause.
 _UNSTEADY = 1e-6
 #: A link that was up before and after is up in between with this probability, whatever was missed meanwhile.
 _UP = 0.9
+#: Reactions with one delay that tell when a node composes payloads, if they are so many times those with the other one.
+_DELAYS, _MOSTLY = 4, 3
 _EXAMPLES = 3
 _TAKEN = (Kind.TAKE_CREATE, Kind.TAKE_UPDATE, Kind.TAKE_DELETE)
 #: A group of trials of which at most this part was met is looked at more closely.
@@ -79,6 +83,8 @@ class Tally:
     """Times between two reactions that show that the node hears; all trials in between count as one."""
     hits: int = 0
     expected: float = 0.0
+    silence: float = 1.0
+    """The probability of no reaction in any of these trials."""
     steady: bool = True
     """Whether all links that this rests on have hardly ever failed."""
     all_trials: int = 0
@@ -98,6 +104,7 @@ class Tally:
             self.trials += 1
             self.hits += gap.hit
             self.expected += gap.expected
+            self.silence *= 1.0 - gap.expected
             self.steady = self.steady and gap.steady
             if gap.cause is not None and not gap.hit:
                 self.speakers |= gap.speakers
@@ -119,6 +126,9 @@ class Tally:
     @property
     def chance(self) -> float:
         """A bound of the probability that this happens to a node that does what it must."""
+        if self.hits == 0:
+            # No bound is needed, which would be wide where trials differ.
+            return self.silence
         return chance(self.trials, self.expected, self.hits)
 
 
@@ -148,10 +158,10 @@ class _Shown:
 class _Known(NamedTuple):
     """Whom a node hears in a window."""
 
-    shares: dict[int, float]
-    """Speaker -> the part of its beacons that is heard, as it looks."""
+    steady: set[int]
+    """Speakers whose beacons have hardly ever been lost."""
     bounds: dict[int, float]
-    """The same with caution, of those speakers of whom it is certain."""
+    """Speaker -> the part of its beacons that is heard at least, of those speakers of whom it is certain."""
     sure: dict[int, list[int]]
     """Speaker -> when it was shown, in order."""
     heard: dict[int, int]
@@ -211,6 +221,7 @@ class Reception:
 
     def _judge(self, trials: list[Trial]) -> None:
         station = trials[0].station
+        trials = _by_delay(trials)
         shown = self.shown.setdefault(station.node, _Shown())
         for trial in trials:
             if trial.hit:
@@ -246,25 +257,30 @@ class Reception:
         for bit, (share, count, due) in inferred.items():
             if len(self.links) < _LINKS:
                 speaker, bound = self.observer.by_bit[bit].node, lower_bound(bit, outcomes, shares)
-                alone = outcomes.get(bit, (0, 0))[1]
+                alone = hits_alone(bit, outcomes)
                 self.links.append(Link(station.node, speaker, *self._walls, share, count, due, bound, alone))
 
     def _known(self, others: list[Trial]) -> _Known:
         """Whom a node hears in a window, as all its trials that are well show it."""
         outcomes = _outcomes(others)
         shares = {bit: share for bit, (share, _, _) in infer(outcomes).items()}
+        steady = {
+            bit
+            for bit, share in shares.items()
+            if share >= _STEADY and lower_bound(bit, outcomes, shares, _LIKELY) >= _AS_GOOD
+        }
         bounds = {bit: lower_bound(bit, outcomes, shares, _CAUTIOUS) for bit in shares}
         # What looks as if it were due to a speaker may be due to somebody whose part is not known well.
         bounds = {
-            bit: bound for bit, bound in bounds.items() if bound >= _HEARS and outcomes.get(bit, (0, 0))[1] >= _ALONE
+            bit: bound for bit, bound in bounds.items() if bound >= _HEARS and hits_alone(bit, outcomes) >= _ALONE
         }
         # Beacons that the node has heard for sure: it has taken something else that was in them, and in no other.
         heard = {trial.cause.frame: trial.speakers for trial in others if trial.once and trial.kind in _TAKEN}
-        return _Known(shares, bounds, self._sure(others, shares), heard)
+        return _Known(steady, bounds, self._sure(others, shares), heard)
 
     def _suspect(self, key: Group, group: list[Trial], known: _Known) -> None:
         """Add what was expected of a group, as what is known of the node shows it."""
-        shares, bounds, sure, heard = known
+        steady, bounds, sure, heard = known
         tally = self._tallies.get(key)
         if tally is None:
             if len(self._tallies) >= _GROUPS:
@@ -272,14 +288,14 @@ class Reception:
             tally = self._tallies[key] = Tally()
         gaps: dict[tuple[int, int, bool], _Gap] = {}
         for trial in group:
-            bounds_of = {bit: bounds[bit] for bit in bits(trial.speakers) if bit in bounds}
+            bounds_of = {bit: bounds[bit] for bit, _ in trial.exposure if bit in bounds}
             tally.all_trials += 1
             tally.all_hits += trial.hit
-            tally.all_expected += reacts(trial.speakers, bounds_of)
+            tally.all_expected += reacts(trial.exposure, bounds_of)
             believed = {
                 bit: bound
                 for bit, bound in bounds_of.items()
-                if _between(sure.get(bit), trial.time, _BELIEF if shares[bit] >= _STEADY else _DOUBTFUL)
+                if _between(sure.get(bit), trial.time, _BELIEF if bit in steady else _DOUBTFUL)
             }
             if (speaker := heard.get(trial.cause.frame)) is not None:
                 believed = {speaker: _UP}
@@ -289,7 +305,7 @@ class Reception:
                 best = max(believed, key=lambda bit: believed[bit])
                 place = bisect_left(sure[best], trial.time)
                 gap = gaps.setdefault((best, place, sure[best][place] == trial.time), _Gap())
-                gap.add(reacts(trial.speakers, believed), steady=shares[best] >= _STEADY)
+                gap.add(reacts(trial.exposure, believed), steady=best in steady)
             else:
                 continue
             gap.hit = gap.hit or trial.hit
@@ -305,14 +321,14 @@ class Reception:
     def _sure(self, trials: Iterable[Trial], shares: dict[int, float]) -> dict[int, list[int]]:
         """When the node has shown that it hears a speaker, and nobody else in its place."""
         sure: dict[int, list[int]] = {}
-        alone: dict[int, tuple[int, ...]] = {}
+        alone: dict[Exposure, tuple[int, ...]] = {}
         """Speakers of a trial -> those whom nobody else can stand for."""
         for trial in trials:
             if trial.hit:
-                mask = trial.speakers
-                if mask not in alone:
-                    alone[mask] = tuple(bit for bit in bits(mask) if reacts(mask ^ bit, shares) < 1 - _SURE)
-                for bit in alone[mask]:
+                said = trial.exposure
+                if said not in alone:
+                    alone[said] = tuple(bit for bit, _ in said if reacts(without(said, bit), shares) < 1 - _SURE)
+                for bit in alone[said]:
                     sure.setdefault(bit, []).append(trial.time)
         for times in sure.values():
             times.sort()
@@ -369,11 +385,36 @@ def _between(times: list[int] | None, time: int, belief: int) -> bool:
     return after < len(times) and times[after] - time <= belief and before > 0 and time - times[before - 1] <= belief
 
 
+def _by_delay(trials: list[Trial]) -> list[Trial]:
+    """The trials with what each reaction is due to, as the delays of all reactions show when payloads are composed.
+
+    Delays of a node that composes a payload right before it sends it become rarer with their length, however bad the
+    links are. If most reactions come with its second beacon, what it heard right before that is not their cause.
+    """
+    first = sum(trial.delay == 1 for trial in trials if trial.hit)
+    second = sum(trial.delay == 2 for trial in trials if trial.hit)
+    if max(first, second) < _DELAYS:
+        return trials
+    if first >= _MOSTLY * second:
+        return [_due_to(trial, trial.at_once) for trial in trials]
+    if second >= _MOSTLY * first:
+        return [_due_to(trial, trial.ahead) for trial in trials]
+    return trials
+
+
+def _due_to(trial: Trial, causes: Exposure) -> Trial:
+    """The trial with the beacons of ``causes``; who is not among those remains possible, as delays may differ."""
+    if not trial.hit or not causes:
+        return trial
+    counts = dict(causes)
+    return trial._replace(exposure=tuple((bit, counts.get(bit, count)) for bit, count in trial.exposure))
+
+
 def _outcomes(trials: Iterable[Trial]) -> dict[int, tuple[int, int]]:
-    outcomes: dict[int, tuple[int, int]] = {}
+    outcomes: dict[Exposure, tuple[int, int]] = {}
     for trial in trials:
-        missed, hit = outcomes.get(trial.speakers, (0, 0))
-        outcomes[trial.speakers] = (missed, hit + 1) if trial.hit else (missed + 1, hit)
+        missed, hit = outcomes.get(trial.exposure, (0, 0))
+        outcomes[trial.exposure] = (missed, hit + 1) if trial.hit else (missed + 1, hit)
     return outcomes
 
 
