@@ -7,7 +7,8 @@ corruption that spares headers, or which frame they took. The relay does all of 
 
 from __future__ import annotations
 
+from .air import RelayAir, needs_relay
 from .control import RelayError
 from .fabric import INTERFACE, RelayFabric
 
-__all__ = ["INTERFACE", "RelayError", "RelayFabric"]
+__all__ = ["INTERFACE", "RelayAir", "RelayError", "RelayFabric", "needs_relay"]

@@ -16,11 +16,37 @@ So there is a queue for each direction between two nodes (on a bus for each rece
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Protocol
 
 from dcp_stack.sim.scenario.definition import PERFECT, LinkQuality, Scenario, ScenarioError, SetLink
 
 from .namespaces import NamespaceError, batch, create, run
+
+
+class Air(Protocol):
+    """What a testbed does with its links."""
+
+    @property
+    def namespaces(self) -> Sequence[str]:
+        """The namespaces of the nodes, each with an interface :data:`INTERFACE`."""
+        ...
+
+    def set_quality(self, direction: tuple[int, int] | None, quality: LinkQuality) -> None:
+        """Change what happens to frames from one node to another, or (None) wherever nothing of its own was said."""
+        ...
+
+    def partition(self, groups: Sequence[Sequence[int]]) -> None:
+        """Let frames stay inside their groups; nodes in none of them are another one. No groups: heal."""
+        ...
+
+    def close(self) -> None:
+        """End what carries frames, not the namespaces."""
+        ...
+
+
+MakeAir = Callable[[Scenario, str, Sequence[bytes]], Air]
+"""Builds the links of a scenario: with the prefix of namespaces, and the addresses of interfaces."""
 
 INTERFACE = "dcp0"
 _BRIDGE = "type bridge stp_state 0 mcast_snooping 0"
@@ -72,6 +98,9 @@ class Fabric:
             for each in (pair, pair[::-1]):
                 if each not in self._own:
                     self._shape(each, quality)
+
+    def close(self) -> None:
+        """Nothing: interfaces go with their namespaces."""
 
     def partition(self, groups: Sequence[Sequence[int]]) -> None:
         """Let frames stay inside their groups; nodes in none of them are another one. No groups: heal."""
@@ -169,8 +198,8 @@ class Shaper:
     def _with_classifier(self, namespace: str, interface: str, quality: LinkQuality) -> None:
         if quality != LinkQuality(loss=quality.loss, reorder_delay_ms=quality.reorder_delay_ms):
             raise ScenarioError(
-                "this kernel has no netem (module sch_netem), without which a testbed can lose frames, but not delay, "
-                "duplicate or reorder them; simulate can"
+                "this kernel has no netem (module sch_netem), without which it can lose frames, but not delay, "
+                "duplicate, reorder or corrupt them; a relay can (--links relay)"
             )
         if namespace not in self._sinks:
             lines = [f"link add {_SINK} type veth peer name drain"]
@@ -188,6 +217,10 @@ class Shaper:
 
 def netem_options(quality: LinkQuality) -> str:
     """The same quality as options of netem; raises ScenarioError for what it cannot express."""
+    if quality.quality().has_memory:
+        raise ScenarioError(
+            "the kernel neither loses frames in bursts nor corrupts them here; a relay does (--links relay)"
+        )
     # netem draws from delay - jitter .. delay + jitter, a scenario from delay .. delay + jitter.
     half = quality.jitter_ms / 2
     options = [f"delay {quality.delay_ms + half:.3f}ms {half:.3f}ms"] if quality.delay_ms or half else []
