@@ -1,4 +1,4 @@
-"""What a connection of the simulated medium does to frames."""
+"""The quality of a connection of the simulated medium."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ import msgspec
 from dcp_codec.impairment import Impairment
 
 Delay = Callable[[random.Random], int]
-"""How long a frame is under way, in ns >= 0, drawn anew for each receiver."""
+"""A function that draws the delay of a frame in ns (>= 0), called for each receiver."""
 
 
 class Quality(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What a directed connection does to frames. Probabilities are 0..1, times in ns.
+    """The losses, duplicates, delays and bit errors of a directed connection. Probabilities are 0..1, times in ns.
 
-    A delay is ``delay`` plus a uniform part of ``jitter``, or what ``distribution`` draws. Frames overtake one another
-    as their delays have it. ``reorder`` is the probability that a frame is held up for another ``reorder_delay``.
-    Each of the two frames of a duplicate has a delay of its own.
+    A delay is ``delay`` plus a uniform part of ``jitter``, or drawn from ``distribution``. Frames are not kept in
+    order: a frame with a shorter delay can overtake another. ``reorder`` is the probability of an additional delay of
+    ``reorder_delay``. Both frames of a duplicate have independent delays.
 
-    Losses are independent, or come in bursts of ``burst`` frames on the average (0: independent). ``corrupt`` is the
-    probability, for each octet, that one of its bits is inverted; ``corrupt_frames`` the share of frames in which
-    ``flips`` bits are. Both are as :class:`dcp_codec.impairment.Impairment` has them.
+    Losses are independent (``burst`` 0), or occur in bursts with a mean of ``burst`` frames. ``corrupt`` is the
+    probability, for each octet, that one of its bits is inverted; ``corrupt_frames`` is the share of frames in which
+    ``flips`` bits are inverted. Bursts and corruption are those of :class:`dcp_codec.impairment.Impairment`.
     """
 
     loss: float = 0.0
@@ -39,7 +39,7 @@ class Quality(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     flips: int = 1
 
     def __post_init__(self) -> None:
-        """Raises ``ValueError`` for what is no probability or no time."""
+        """Raises ``ValueError`` for a probability outside 0..1, a negative time, or an impossible burst."""
         for name in ("loss", "duplicate", "reorder"):
             if not 0.0 <= getattr(self, name) <= 1.0:
                 raise ValueError(f"{name} {getattr(self, name)} is not within 0..1")
@@ -50,12 +50,12 @@ class Quality(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
 
     @property
     def uniform(self) -> bool:
-        """Whether all frames that are not lost take the same time, once."""
+        """Whether all frames that are not lost arrive once, unchanged and with the same delay."""
         return not (self.duplicate or self.reorder or self.jitter or self.distribution or self.has_memory)
 
     @property
     def has_memory(self) -> bool:
-        """Whether a connection needs a state of its own: bursts of losses, and corruption."""
+        """Whether each connection needs a state of its own: for bursts of losses, and for corruption."""
         return bool(self.burst or self.corrupt or self.corrupt_frames)
 
     def channel(self) -> Impairment:
@@ -63,7 +63,7 @@ class Quality(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
         return _impairment(self.loss, self.burst, self.corrupt, self.corrupt_frames, self.flips)
 
     def draw(self, generator: random.Random) -> int:
-        """The delay of one frame in ns."""
+        """Draw the delay of one frame in ns."""
         if self.distribution is not None:
             delay = self.distribution(generator)
         else:
@@ -82,10 +82,10 @@ PERFECT = Quality()
 
 
 def exponential(minimum: int, mean: int) -> Delay:
-    """A delay of ``minimum`` and an exponential part with this mean, in ns."""
+    """Return a delay of ``minimum`` plus an exponentially distributed part with this mean, in ns."""
     return lambda generator: minimum + round(generator.expovariate(1.0) * mean)
 
 
 def normal(mean: int, deviation: int, minimum: int = 0) -> Delay:
-    """A delay with this mean and standard deviation in ns, never below ``minimum``."""
+    """Return a normally distributed delay with this mean and standard deviation in ns, never below ``minimum``."""
     return lambda generator: max(minimum, round(generator.gauss(mean, deviation)))

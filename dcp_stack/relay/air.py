@@ -1,4 +1,4 @@
-"""The air of a testbed by a relay: links that the kernel cannot impair."""
+"""The links of a testbed by a relay, with the impairments that the kernel cannot provide."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from .fabric import RelayFabric
 
 
 class RelayAir:
-    """The Ethernet of one scenario; as ``dcp_stack.sim.testbed.fabric.Fabric``, with one relay between all nodes."""
+    """The Ethernet of one scenario, with one relay between all nodes. See ``dcp_stack.sim.testbed.fabric.Air``."""
 
     def __init__(self, scenario: Scenario, prefix: str, addresses: Sequence[bytes]) -> None:
         """``addresses``: of the nodes' interfaces. Raises ``NamespaceError``, and ``ScenarioError`` without a relay."""
@@ -31,9 +31,9 @@ class RelayAir:
                 self.set_quality(direction, link.quality)
 
     def set_quality(self, direction: tuple[int, int] | None, quality: LinkQuality) -> None:
-        """Change what happens to frames from one node to another, or (None) wherever nothing of its own was said.
+        """Change the quality from one node to another, or (None) of all links that have none of their own.
 
-        Raises ``ScenarioError`` if the relay is gone, as ``partition`` does.
+        Raises ``ScenarioError`` if the relay has ended, as ``partition`` does.
         """
         if direction is not None and direction not in self._pairs:
             return
@@ -43,7 +43,7 @@ class RelayAir:
             raise ScenarioError(str(error)) from None
 
     def partition(self, groups: Sequence[Sequence[int]]) -> None:
-        """Let frames stay inside their groups; nodes in none of them are another one. No groups: heal."""
+        """Restrict frames to the groups; nodes in no group form another one. Without groups the partition ends."""
         try:
             self._fabric.partition(groups)
         except RelayError as error:
@@ -55,10 +55,10 @@ class RelayAir:
 
 
 def needs_relay(scenario: Scenario) -> bool:
-    """Whether the kernel cannot do what a scenario asks of its links.
+    """Return whether the kernel cannot provide a quality that a scenario uses.
 
-    It inverts no bits and does not lose in bursts here; without netem (a module that many kernels lack) it can only
-    lose. With netem, frames that are delayed cannot be reordered as well.
+    The testbed uses the kernel neither for bursts nor for corruption. Without netem (a module that many kernels lack)
+    the kernel can only lose frames; with netem, delayed frames cannot be reordered as well.
     """
     qualities = [scenario.link, *(link.quality for link in scenario.links)]
     qualities += [event.quality for event in scenario.events if isinstance(event, SetLink)]
@@ -70,7 +70,7 @@ def needs_relay(scenario: Scenario) -> bool:
 
 
 def _has_netem() -> bool:
-    """Whether the kernel has netem; tried in a namespace that is deleted again."""
+    """Return whether the kernel has netem, by a trial in a temporary namespace."""
     name = f"{namespaces.own_prefix()}-netem"
     namespaces.create([name])
     try:

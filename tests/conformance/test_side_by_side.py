@@ -105,7 +105,7 @@ def test_vardis_stays_registered_while_others_are_executed(monkeypatch, name: st
     monkeypatch.setattr("dcp_conformance.execution.concurrent.executor.why_alone", lambda _: "")
     found = run(WIDTH, name, "TC_VD_STATE_BV_03-*")
     assert found.repeated_alone.keys() == {name}
-    assert "stay registered" in found.repeated_alone[name]
+    assert "registrations of SRP and VarDis" in found.repeated_alone[name]
     assert {result.verdict for result in found.results} == {Verdict.PASS}
 
 
@@ -143,7 +143,7 @@ def test_live_cases_never_share_an_identifier(monkeypatch) -> None:
 
     def checked(self: SideBySide, arrival: Arrival) -> None:
         account(self, arrival)
-        used = Counter(each for bench in self._live.values() for each in bench.created)
+        used = Counter(each for bench in self._live.values() for each in bench.identifiers.created)
         clashes.append({each for each, count in used.items() if count > 1})
 
     monkeypatch.setattr(SideBySide, "_account", checked)

@@ -109,7 +109,7 @@ class TestServices:
 
     def test_errors_are_those_of_the_control_client(self):
         net = network()
-        with pytest.raises(ServiceError, match="no method"):
+        with pytest.raises(ServiceError, match="unknown method"):
             net.request(0, "RTDB-Crate")
         with pytest.raises(ServiceError, match="varId"):
             net.request(0, "RTDB-Read")
@@ -139,7 +139,7 @@ class TestServices:
         net = network()
         monkeypatch.setattr(Node, "handle_timeout", lambda *_: None)
         net.run_until(SECOND)
-        assert all("is due still" in each.failure for each in net.stations)
+        assert all("is still due" in each.failure for each in net.stations)
 
     def test_stopping_early(self):
         net = network()

@@ -415,12 +415,14 @@ class Invariant:
         return finding.observed if times == 1 else f"{finding.observed}; {times} times in all"
 
     def _cite_again(self, key: object, frames: Iterable[Evidence]) -> None:
+        """Add the frames of a further finding to the kept one with the same key."""
         for index, finding in enumerate(self.findings):
             if finding.key == key:
                 self.context.changed = True
                 self.findings[index] = finding._replace(frames=(*finding.frames, *self._marks(frames)))
 
     def _marks(self, frames: Iterable[Evidence]) -> tuple[Mark, ...]:
+        """Return the marks for pieces of evidence, without those whose frame is not kept."""
         cited = (self.context.cite(self.id, self._mark(each)) for each in frames)
         return tuple(mark for mark in cited if mark is not None)
 
@@ -440,6 +442,7 @@ class Invariant:
         )
 
     def _mark(self, what: Evidence) -> Mark:
+        """Return the mark for a piece of evidence; for a record with the path "KIND variable"."""
         if isinstance(what, Mark):
             return what
         if isinstance(what, Seen | Trace):

@@ -269,6 +269,7 @@ class Judge:
             )
 
     def _case(self, rule: Invariant) -> CaseResult:
+        """Return the result of one rule."""
         checks = [
             Check(
                 each.verdict,
@@ -355,5 +356,6 @@ class Judge:
         return tuple(self._placed(mark) for mark in marks)
 
     def _placed(self, mark: Mark) -> Mark:
+        """Locate the record of a mark in its saved frame (:func:`placed`); keep the mark if the frame is not saved."""
         event = self._cited.get(mark.frame)
         return mark if event is None else placed(self._codec, mark, bytes.fromhex(event.octets), event.start)

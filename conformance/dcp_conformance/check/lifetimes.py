@@ -62,6 +62,7 @@ class Lifetimes:
             life.mixed = True
 
     def _another(self, known: VarSpec, spec: VarSpec, sender: bytes) -> bool:
+        """Whether a create (with ``spec``, from ``sender``) is about another creation than the known one."""
         if spec.prod_id != known.prod_id:
             return True
         if self._creation_time:

@@ -188,6 +188,7 @@ def _refuse_own_records(profile: Profile) -> None:
 
 
 def _number(ether_type: str | None) -> int | None:
+    """Parse the option ``--ether-type``. Raises :class:`UsageError`."""
     try:
         return None if ether_type is None else parse_ether_type(ether_type)
     except ValueError as error:

@@ -40,7 +40,7 @@ CONSEQUENCES: Final[Mapping[str, str]] = {
     "CK_VD_ASK_CREATE": "The node never gets a variable that it has missed.",
     "CK_VD_TEACH": "A neighbour with an old value gets the newer one late or never.",
     "CK_VD_BACKED": "Other nodes request a value that the node does not send.",
-    "CK_NET_AGREES": "Applications at this node use another value than the producer has.",
+    "CK_NET_AGREES": "Applications at this node use another value than the producer's.",
     "CK_VD_ENDLESS": "The requests and their answers use beacon space, and the variable does not arrive.",
     "CK_NET_SILENT": "Neighbours keep the last data that they received with this protocol.",
     "CK_SRP_VALUES": "Applications get meaningless positions or times.",

@@ -105,7 +105,7 @@ class LiveTarget:
             self._restart()
         else:
             self._reset()
-        bench.wait_ns(0)
+        bench.waiting.wait_ns(0)
         bench.heard.clear()
         if not self._checked:
             self._require_health(bench)
@@ -220,7 +220,7 @@ class LiveTarget:
             why = ailing(bench, self.control, self._probes)
             if why is None or why.kind == "dead" or bench.now() >= deadline:
                 return why
-            bench.take_newcomer()
+            bench.receiver.take_newcomer()
 
     def _comparison(self, bench: Bench) -> Comparison | None:
         if not self._differential:
@@ -232,17 +232,17 @@ class LiveTarget:
 def observer_of(bench: Bench) -> Observer:
     """A model of the implementation as it is known to be. Stops the case if its identifier is not known."""
     limits = Limits(
-        bench.parameter("VARDISPAR_MAX_VALUE_LENGTH"),
-        bench.parameter("VARDISPAR_MAX_DESCRIPTION_LENGTH"),
-        bench.parameter("VARDISPAR_MAX_REPETITIONS"),
+        bench.sut.parameter("VARDISPAR_MAX_VALUE_LENGTH"),
+        bench.sut.parameter("VARDISPAR_MAX_DESCRIPTION_LENGTH"),
+        bench.sut.parameter("VARDISPAR_MAX_REPETITIONS"),
     )
     return Observer(
         bench.codec,
-        bench.sut_id,
+        bench.identifiers.sut_id,
         bench.period,
-        network=bench.parameter("BPPAR_NETWORK_ID"),
+        network=bench.sut.parameter("BPPAR_NETWORK_ID"),
         limits=limits,
-        window=bench.reaction + 1,
+        window=bench.sut.reaction + 1,
     )
 
 
@@ -260,7 +260,7 @@ def carry_out(
     """
     at = 0
     # A marker must not be about a variable of the steps.
-    bench.created.update(_variables_of(bench, steps))
+    bench.identifiers.created.update(_variables_of(bench, steps))
     pace = _Pace(bench, interval)
     try:
         for at, step in enumerate(steps):
@@ -276,7 +276,7 @@ def carry_out(
     if bad is not None and bad.problem is not None and comparison is None:
         return bad_beacon(bench.codec, bad.octets, bad.problem, at)
     try:
-        return comparison.round(at) if comparison is not None and not bench.own_losses() else None
+        return comparison.round(at) if comparison is not None and not bench.losses.own() else None
     except UpperTesterError as error:
         return Effect("mute", str(error), at, "upper")
 
@@ -304,7 +304,7 @@ class _Pace:
         self._unheard += 1
         left = self._due - self._bench.now()
         if left > 0 or self._unheard >= _UNHEARD:
-            self._bench.wait_ns(max(0, left))
+            self._bench.waiting.wait_ns(max(0, left))
             self._unheard = 0
 
     def after_a_break(self) -> None:
@@ -317,7 +317,7 @@ def _step(bench: Bench, step: Step, pace: _Pace, at: int, comparison: Comparison
         case Frame():
             # The link carries no more; what a flood of elements says is the same without its end.
             octets = step.octets[: bench.profile.limits.uwb_max_packet]
-            bench.transmit(octets, step.source)
+            bench.transmission.send(octets, step.source)
             if comparison is not None:
                 comparison.follow()
             pace.keep()

@@ -78,21 +78,21 @@ def last_number(bench: Bench) -> int | None:
 
 def _is_busy(bench: Bench, since: int) -> bool:
     """Whether it has so much to say that an answer stands at the end of a long row."""
-    most = bench.parameter("VARDISPAR_MAX_PAYLOAD_SIZE")
+    most = bench.sut.parameter("VARDISPAR_MAX_PAYLOAD_SIZE")
     return any(len(heard.octets) > most // 2 for heard in bench.heard[since:])
 
 
 def _answers(bench: Bench, periods: float | None = None) -> bool:
-    if bench.pics.vardis is False:
+    if bench.sut.pics.vardis is False:
         # Nobody there who could answer.
         return _signs_of_life(bench)
     try:
-        return bench.probe(periods)
+        return bench.probes.probe(periods)
     except StopCase:
         # Every identifier was spoken of. One that it does not know may be among them; else any sign of life has to do.
-        bench.created.clear()
+        bench.identifiers.created.clear()
     try:
-        return bench.probe(periods) or _signs_of_life(bench)
+        return bench.probes.probe(periods) or _signs_of_life(bench)
     except StopCase:
         return _signs_of_life(bench)
 
