@@ -50,7 +50,8 @@ def test_one_fault_explains_all_its_cases() -> None:
     (only,) = found.faults
     assert only.explains == only.alone == ("a", "b", "c")
     assert (only.share, only.expected, only.missing) == (1.0, 3, ())
-    assert (only.case, only.mark, only.rerun) == ("a", Mark(3), "again a")
+    # Not "a", which other faults make fail as well.
+    assert (only.case, only.mark, only.rerun) == ("b", Mark(3), "again b")
     assert found.unexplained == ()
 
 
@@ -63,6 +64,17 @@ def test_a_fault_that_others_make_superfluous_is_taken_back() -> None:
 def test_a_case_that_passes_speaks_against_a_fault() -> None:
     known = Dictionary((fault("X", "a", "b", "c", "d"), fault("Y", "a")))
     assert named(explain(results("a", "bcd"), known)) == ["Y"]
+
+
+def test_a_fault_that_leaves_nearly_all_cases_undecided_is_not_named_if_these_pass() -> None:
+    """It explained every failure a little, and nothing spoke against it."""
+    every = "abcdefghijklmnopqrstuvwxyz"
+    silent = fault("silent", "a", undecided=tuple(every[1:]))
+    known = Dictionary((silent, fault("X", *"abcdef")))
+    found = explain(results("abcdefghijk", every[11:]), known)
+    assert named(found) == ["X"]
+    assert found.unexplained == tuple("ghijk")
+    assert named(explain(results("a", "", every[1:]), Dictionary((silent,)))) == ["silent"]
 
 
 def test_cases_that_were_not_decided_are_no_evidence() -> None:
