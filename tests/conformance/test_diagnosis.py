@@ -6,9 +6,11 @@ import msgspec
 import pytest
 from dcp_conformance.diagnosis import Dictionary, Fault, explain, load
 from dcp_conformance.diagnosis.dictionary import decode, encode
+from dcp_conformance.errors import UpperTesterError
 from dcp_conformance.model.case import all_cases
 from dcp_conformance.model.results import CaseResult, Check, Mark
 from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.selftest.diagnosis import measuring
 from dcp_conformance.selftest.diagnosis.measuring import draw, outcome
 from dcp_conformance.selftest.mutants import all_mutants
 from dcp_conformance.selftest.mutants.combination import combined
@@ -151,6 +153,15 @@ def test_two_faults_in_one_node_are_both_named(group: tuple[str, str]) -> None:
     found = outcome(group, load())
     assert set(found.found) == set(group)
     assert found.false == ()
+
+
+def test_a_node_that_does_not_start_shows_none_of_its_faults(monkeypatch: pytest.MonkeyPatch) -> None:
+    def closes(*_: object) -> None:
+        raise UpperTesterError("UT-Hello: the node has closed the connection")
+
+    monkeypatch.setattr(measuring, "diagnose", closes)
+    found = outcome(("A", "B"), load())
+    assert (found.hidden, found.named) == (("A", "B"), ())
 
 
 def test_draws_can_be_combined_and_repeated() -> None:
