@@ -41,7 +41,7 @@ def open_source(spec: str, codec: Codec, *, rng: random.Random, stdin: int | Non
     fields = SafetyFields(codec.profile)
     if kind not in _OPENERS:
         near = difflib.get_close_matches(kind, SOURCES, n=1)
-        hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(SOURCES)}"
+        hint = f"did you mean {near[0]!r}?" if near else f"known sources are {', '.join(SOURCES)}"
         raise SourceError(f"{spec}: no position source {kind!r}; {hint}")
     if not fields.numbers():
         raise SourceError(f"{spec}: profile {codec.profile.name} has no safety data that could hold a position")
@@ -127,7 +127,7 @@ def _options(rest: str, known: frozenset[str]) -> _Options:
         if not equals:
             raise SourceError(f"{part!r} is not of the form key=value")
         if key.strip() not in known:
-            raise SourceError(f"no option {key.strip()!r}; there are {', '.join(sorted(known))}")
+            raise SourceError(f"no option {key.strip()!r}; known options are {', '.join(sorted(known))}")
     return _Options(rest, known)
 
 
@@ -147,7 +147,7 @@ def _track(request: _Request) -> PositionSource:
 
     shape = request.rest.partition(",")[0]
     if shape not in _TRACKS:
-        raise SourceError(f"no track {shape!r}; there are {', '.join(_TRACKS)}")
+        raise SourceError(f"no track {shape!r}; known tracks are {', '.join(_TRACKS)}")
     if not request.fields.has_position:
         raise SourceError(f"profile {request.codec.profile.name} has no fields for a position")
     given = _options(request.rest, _COMMON | _TRACKS[shape])

@@ -107,7 +107,7 @@ def read_csv(path: Path, fields: SafetyFields) -> list[tuple[int, Sample]]:
         for number, row in lines:
             time, sample = _sample(f"{path}:{number}", header, row, fields, unit)
             if found and time < found[-1][0]:
-                raise SourceError(f"{path}:{number}: the time goes back; sort the rows by time")
+                raise SourceError(f"{path}:{number}: the time decreases; sort the rows by time")
             found.append((time, sample))
     except csv.Error as error:
         raise SourceError(f"{path}:{rows.line_num}: {error}") from None

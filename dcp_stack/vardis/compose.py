@@ -137,6 +137,7 @@ class Composer:
         return own.size(own.record(var_id))
 
     def _entry(self, var_id: int) -> DBEntry:
+        """Return the database entry of a variable in a queue."""
         return self._database.entries[var_id]
 
     def _take(self, kind: ContainerType, var_id: int) -> VardisRecord | OwnRecord:

@@ -65,7 +65,7 @@ class Core:
         self.settings = config.vardis
         ahead = self.settings.max_creation_ahead_s
         if ahead is not None and not ahead >= 0:
-            raise ValueError(f"max_creation_ahead_s is a number of seconds from 0 on, not {ahead:g}")
+            raise ValueError(f"max_creation_ahead_s must be at least 0 s, not {ahead:g}")
         room = self.settings.max_variables
         self.max_variables = room if room is not None else config.profile.limits.max_variables or MAX_VARIABLES
         self._table = table(config)

@@ -215,7 +215,7 @@ class Database:
                 "is in deleteQ iff countDelete > 0": (var_id in self.delete_q) == (entry.count_delete > 0),
                 "is in summaryQ iff alive": (var_id in self.summary_q) == alive,
                 "is in reqUpdQ only if alive": alive or var_id not in self.req_upd_q,
-                "is not in reqCreateQ, being known": var_id not in self.req_create_q,
+                "is in reqCreateQ only if unknown": var_id not in self.req_create_q,
                 "repeats creations and updates only if alive": alive or not (entry.count_create or entry.count_update),
                 "repeats its deletion only if deleted": not alive or not entry.count_delete,
                 "leaves the database after its deletion": alive or not self.remove_deleted or entry.count_delete > 0,

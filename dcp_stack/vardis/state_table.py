@@ -38,7 +38,7 @@ class Event(Enum):
     APP_READ = "RTDB-Read"
     RX_CREATE_MISMATCH = "VarCreate with two different identifiers"
     RX_CREATE_NOT_LATER = "VarCreate of the same or an earlier creation"
-    RX_CREATE_OWN = "VarCreate of this node as producer"
+    RX_CREATE_OWN = "VarCreate with this node as producer"
     RX_CREATE_BAD_VALUE = "VarCreate with a value that is not allowed"
     RX_CREATE_BAD_DESCRIPTION = "VarCreate with a description that is not allowed"
     RX_CREATE_BAD_REPCNT = "VarCreate with a repetition count that is not allowed"
@@ -54,7 +54,7 @@ class Event(Enum):
     RX_REQUEST_UPDATE_BEHIND = "VarReqUpdate with an older sequence number"
     RX_REQUEST_UPDATE_OTHER = "VarReqUpdate with the stored or a newer sequence number"
     RX_REQUEST_CREATE = "VarReqCreate"
-    TIMED_OUT = "its timeout has passed"
+    TIMED_OUT = "timeout of the variable"
 
 
 class Action(Enum):

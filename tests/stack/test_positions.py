@@ -292,7 +292,7 @@ def test_a_loop_starts_again(table):
         ("time,x\n0,1\n1\n", ":3: there are 1 values for 2 columns"),
         ("time,x\n0,1\n\n1,a\n", ":4: x is not a number: 'a'"),
         ("time,x\ninf,1\n", ":2: time is not a number"),
-        ("time,x\n1,1\n0,1\n", ":3: the time goes back"),
+        ("time,x\n1,1\n0,1\n", ":3: the time decreases"),
         ('time,x\n0,"1\n', ":2:"),
     ],
 )
@@ -663,9 +663,9 @@ def test_local_coordinates_against_a_sphere_of_the_same_curvature():
     [
         ("", "no position source ''"),
         ("tracks:line", "did you mean 'track'"),
-        ("gps", "there are track, csv, capture, stdin, mavlink"),
-        ("track:", "no track ''; there are line, circle, waypoints, walk"),
-        ("track:line,velocity=3", "no option 'velocity'; there are climb"),
+        ("gps", "known sources are track, csv, capture, stdin, mavlink"),
+        ("track:", "no track ''; known tracks are line, circle, waypoints, walk"),
+        ("track:line,velocity=3", "no option 'velocity'; known options are climb"),
         ("track:line,speed", "'speed' is not of the form key=value"),
         ("track:line,speed=fast", "speed takes a number, not 'fast'"),
         ("track:line,speed=inf", "speed takes a number"),

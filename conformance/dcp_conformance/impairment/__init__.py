@@ -5,7 +5,7 @@ sanity case, while it asks whether the implementation lives, and while it undoes
 is not left to chance.
 
 The tester knows which frames the link took, so a failed check that they can explain is inconclusive, and the case is
-executed again (:mod:`dcp_conformance.test_system.checks`, :mod:`dcp_conformance.execution.runner`).
+executed again (:mod:`dcp_conformance.test_system.judgement.losses`, :mod:`dcp_conformance.execution.runner`).
 """
 
 from __future__ import annotations

@@ -152,6 +152,7 @@ class Simulation:
         made_by = Provenance.of(self.scenario, self.codec)
 
         def recorder(path: Path, vantage: str) -> Recorder:
+            """Open a recording with this vantage point in its metadata."""
             about = {
                 "vantage": vantage,
                 "ground": "simulate",
