@@ -154,8 +154,9 @@ class _Search:
         )
 
     def _best(self, fault: Fault, explains: Iterable[str]) -> str:
-        """The case whose failure shows the fault best: it names the requirement, few other faults make it fail, it has a
-        frame, and is a short one.
+        """Return the case whose failure shows the fault best.
+
+        It names the requirement, few other faults make it fail, it has a frame, and is a short one.
         """
 
         def rank(name: str) -> tuple[bool, bool, int, bool, int, str]:
