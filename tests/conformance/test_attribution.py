@@ -206,7 +206,7 @@ def test_without_a_restart_a_death_fails_no_requirement_that_another_case_may_ha
     found = results_of(runner, SECOND, FIRST, dataclasses.replace(SECOND, id="TC_DCP_X_BV_06"))
     dead = [each for each in found.values() if each.killed]
     assert len(dead) == 1
-    assert "not confirmed: there is no command to start it again (--start, --restart); what ended it" in dead[0].reason
+    assert "not confirmed: there is no command to start it again (--start, --restart); the cause" in dead[0].reason
     assert not any(check.requirements for check in dead[0].checks if check.verdict is Verdict.FAIL)
     assert "no command to restart it" in runner.dead
 

@@ -221,7 +221,7 @@ def test_without_a_restart_the_reader_is_told_what_could_not_be_undone():
     sut.can_restart = False
     runner, _ = after_a_change(sut)
     [note] = runner.notes
-    assert note.startswith("not all that was changed in TC_DCP_X_BV_00 could be changed back (VD-SetParameter: ")
+    assert note.startswith("not all changes that were made in TC_DCP_X_BV_00 could be undone (VD-SetParameter: ")
 
 
 def test_a_restart_that_fails_is_not_the_fault_of_the_next_case():
