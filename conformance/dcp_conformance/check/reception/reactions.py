@@ -440,7 +440,7 @@ def _due_to(trial: Trial, causes: Exposure) -> Trial:
     return trial._replace(exposure=tuple((bit, counts.get(bit, count)) for bit, count in trial.exposure))
 
 
-def _outcomes(trials: Iterable[Trial]) -> dict[int, tuple[int, int]]:
+def _outcomes(trials: Iterable[Trial]) -> dict[Exposure, tuple[int, int]]:
     """Count trials without and with a reaction by their speakers and the numbers of their beacons."""
     outcomes: dict[Exposure, tuple[int, int]] = {}
     for trial in trials:
