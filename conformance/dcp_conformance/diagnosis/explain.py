@@ -9,6 +9,7 @@ price, so that few faults are preferred to many (a minimum description length, s
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterable, Mapping
 
 from dcp_conformance.model.results import CaseResult, Check, Diagnosis, Probable
@@ -19,6 +20,8 @@ from .dictionary import Dictionary, Fault
 #: Probability that a case fails, if an assumed fault has made it fail before; if it has made it inconclusive; and if no
 #: assumed fault has to do with it.
 _FAILS, _UNDECIDED, _NOISE = 0.93, 0.03, 0.003
+#: Probability that a case does not pass, if an assumed fault has made it inconclusive before.
+_PREVENTED = 0.5
 #: Log likelihood that a further fault must add, and that explanations may differ by and still count as equal.
 _PRICE, _EQUAL = 5.0, 0.7
 #: Faults that are named at most, and alternatives to each.
@@ -56,15 +59,18 @@ class _Search:
         self._failed, self._passed = failed, passed
         decided = failed.keys() | passed
         self._chances: dict[str, dict[str, float]] = {}
-        """By fault: the probability that a decided case fails because of it."""
+        """By fault: the probability that a case fails because of it, if it failed, or does not pass, if it passed."""
         self._faults: dict[str, Fault] = {}
         for fault in dictionary.faults:
             chances = dict.fromkeys(fault.fails & decided, _FAILS)
-            chances.update((case, _UNDECIDED) for case in fault.undecided & decided)
+            chances.update((case, _UNDECIDED) for case in fault.undecided & failed.keys())
+            chances.update((case, _PREVENTED) for case in fault.undecided & passed)
             # Without a single failure it explains nothing.
             if failed.keys() & fault.fails:
                 self._faults[fault.id] = fault
                 self._chances[fault.id] = chances
+        self._common = Counter(case for fault in dictionary.faults for case in fault.fails)
+        """By case: how many faults of the dictionary make it fail."""
         self._survives: dict[str, float] = {}
         """By case: the probability that it does not fail with the chosen faults, where that is not that of noise."""
 
@@ -148,14 +154,18 @@ class _Search:
         )
 
     def _best(self, fault: Fault, explains: Iterable[str]) -> str:
-        """The case whose failure shows the fault best: it names the requirement, has a frame, and is a short one."""
+        """Return the case whose failure shows the fault best.
 
-        def rank(name: str) -> tuple[bool, bool, bool, int, str]:
+        It names the requirement, few other faults make it fail, it has a frame, and is a short one.
+        """
+
+        def rank(name: str) -> tuple[bool, bool, int, bool, int, str]:
             result = self._failed[name]
             check = _decisive(result, fault)
             named = check is not None and not set(check.requirements).isdisjoint(fault.requirements)
             frames = check is not None and bool(check.frames)
-            return (not named, not (check is not None and check.shown), not frames, len(result.evidence), name)
+            shown = check is not None and check.shown
+            return (not named, not shown, self._common[name], not frames, len(result.evidence), name)
 
         return min(explains, key=rank, default="")
 

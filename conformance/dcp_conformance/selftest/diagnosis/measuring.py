@@ -12,6 +12,7 @@ import msgspec
 
 from dcp_conformance.diagnosis.dictionary import Dictionary, load
 from dcp_conformance.diagnosis.explain import explain
+from dcp_conformance.errors import UpperTesterError
 from dcp_conformance.model.results import Diagnosis
 from dcp_conformance.selftest.mutants import Mutant, all_mutants
 from dcp_conformance.selftest.mutants.combination import combined
@@ -99,7 +100,11 @@ def _task(group: tuple[str, ...]) -> Outcome:
 def outcome(group: tuple[str, ...], dictionary: Dictionary) -> Outcome:
     """Diagnose a node with a group of faults, and compare the named faults with the group."""
     known = all_mutants()
-    diagnosis, failed = diagnose([known[name] for name in group], dictionary)
+    try:
+        diagnosis, failed = diagnose([known[name] for name in group], dictionary)
+    except UpperTesterError:
+        # The node closes its connection before the first case: no case shows any of the faults.
+        return Outcome(group, 0, hidden=group, named=(), found=(), false=())
     signatures = {fault.id: fault.fails for fault in dictionary.faults}
     hidden = tuple(name for name in group if not signatures[name] & failed)
     named = tuple(each.fault for each in diagnosis.faults)
