@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import Protocol
 
 from dcp_spec.constants import BP_SEQNO_MODULUS
 
 from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.impairment import told
-from dcp_conformance.lower_tester import Incident, LinkHealth
+from dcp_conformance.lower_tester import Incident, LowerTester
 from dcp_conformance.test_system.steps import Steps
 from dcp_conformance.test_system.sut_properties import MS, SutProperties
 from dcp_conformance.test_system.traffic import Traffic
@@ -20,24 +19,12 @@ from .counting import Counting
 _LARGEST_GAP = 5
 
 
-class Link(Protocol):
-    """A lower tester that reports its losses."""
-
-    def wall(self) -> int:
-        """Return the time in ns since 1970."""
-        ...
-
-    def health(self) -> LinkHealth:
-        """Return the losses since the last call."""
-        ...
-
-
 class Losses:
     """Frames dropped by the kernel, effects of an impaired link, late steps, and gaps between sequence numbers."""
 
     def __init__(
         self,
-        link: Link,
+        link: LowerTester,
         traffic: Traffic,
         heard: Sequence[ReceivedBeacon],
         sut: SutProperties,

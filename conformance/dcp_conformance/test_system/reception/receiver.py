@@ -2,35 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import Protocol
 
 from dcp_spec.constants import ICType
 
 from dcp_codec.codec import Codec
 from dcp_conformance.frames.received import Instruction, ReceivedBeacon
-from dcp_conformance.lower_tester import Arrival
+from dcp_conformance.lower_tester import Arrival, LowerTester
 from dcp_conformance.model.pics import Pics
 from dcp_conformance.test_system.identifiers.allocation import Identifiers
 from dcp_conformance.test_system.steps import Steps
 from dcp_conformance.test_system.traffic import Traffic
 from dcp_conformance.upper_tester import Notification, UpperTester
-
-
-class ReceivingLink(Protocol):
-    """A lower tester that receives frames."""
-
-    def now(self) -> int:
-        """Return the monotonic time in ns."""
-        ...
-
-    def wall(self) -> int:
-        """Return the time in ns since 1970."""
-        ...
-
-    def receive(self, until: int, also: Sequence[int] = ()) -> Arrival | None:
-        """Return the next frame, see :meth:`dcp_conformance.lower_tester.LowerTester.receive`."""
-        ...
 
 
 class RunReceiver(Protocol):
@@ -53,7 +37,7 @@ class Receiver:
         self,
         run: RunReceiver,
         case_id: str,
-        link: ReceivingLink,
+        link: LowerTester,
         traffic: Traffic,
         steps: Steps,
         identifiers: Identifiers,

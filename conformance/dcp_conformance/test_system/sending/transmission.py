@@ -2,34 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Protocol
-
+from dcp_conformance.lower_tester import LowerTester
 from dcp_conformance.test_system.judgement.losses import Losses
 from dcp_conformance.test_system.steps import Steps
 from dcp_conformance.test_system.sut_properties import SutProperties
 from dcp_conformance.test_system.traffic import Traffic
 
 
-class SendingLink(Protocol):
-    """A lower tester that sends frames."""
-
-    def wall(self) -> int:
-        """Return the time in ns since 1970."""
-        ...
-
-    def send(self, octets: bytes, source: bytes) -> bytes:
-        """Transmit a bearer payload with the source address ``source``. Return the whole frame."""
-        ...
-
-    def send_frame(self, frame: bytes) -> None:
-        """Transmit a whole link-layer frame unchanged."""
-        ...
-
-
 class Transmission:
     """Sends the frames of one case, and records them as stimuli. Raises ``LowerTesterError`` if the link fails."""
 
-    def __init__(self, link: SendingLink, traffic: Traffic, steps: Steps, losses: Losses, sut: SutProperties) -> None:
+    def __init__(self, link: LowerTester, traffic: Traffic, steps: Steps, losses: Losses, sut: SutProperties) -> None:
         self._link = link
         self._traffic = traffic
         self._steps = steps

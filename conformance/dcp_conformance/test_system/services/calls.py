@@ -8,7 +8,7 @@ from contextlib import contextmanager, suppress
 from typing import Any, Protocol
 
 from dcp_conformance.errors import ConformanceError, UpperTesterError
-from dcp_conformance.lower_tester import Impairs
+from dcp_conformance.lower_tester import Impairs, LowerTester
 from dcp_conformance.test_system.identifiers.allocation import Identifiers
 from dcp_conformance.test_system.judgement.verdicts import Verdicts
 from dcp_conformance.test_system.reception.receiver import Receiver
@@ -17,22 +17,6 @@ from dcp_conformance.test_system.traffic import Traffic
 from dcp_conformance.upper_tester import Answer, UpperTester
 
 from .changes import Changes
-
-
-class CallLink(Protocol):
-    """The lower tester during a call."""
-
-    def now(self) -> int:
-        """Return the monotonic time in ns."""
-        ...
-
-    def wall(self) -> int:
-        """Return the time in ns since 1970."""
-        ...
-
-    def take_in(self) -> None:
-        """Read the frames that have arrived. Raises ``LowerTesterError``."""
-        ...
 
 
 class RunServices(Protocol):
@@ -57,7 +41,7 @@ class Services:
         self,
         run: RunServices,
         case_id: str,
-        link: CallLink,
+        link: LowerTester,
         traffic: Traffic,
         steps: Steps,
         identifiers: Identifiers,
