@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Annotated, Final, Literal
 
 import msgspec
+from dcp_spec.catalogue.readings import UnknownReadingError, reading
 
 from dcp_conformance.errors import UsageError
 
@@ -122,11 +123,23 @@ class Testing(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
 
 
 class Pics(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """The whole file: ``[sut]``, ``[pics]`` and ``[pixit]``."""
+    """The whole file: ``[sut]``, ``[pics]``, ``[readings]`` and ``[pixit]``."""
 
     sut: Target = Target()
     pics: Capabilities = Capabilities()
+    readings: dict[str, str] = {}
+    """The readings of disputed text that the implementation claims to follow: identifier and name of the alternative.
+    A case that observes another alternative than the declared one fails."""
     pixit: Testing = Testing()
+
+    def __post_init__(self) -> None:
+        for identifier, name in self.readings.items():
+            try:
+                reading(identifier).alternative(name)
+            except UnknownReadingError as error:
+                raise ValueError(f"readings: {error.args[0]}") from None
+            except ValueError as error:
+                raise ValueError(f"readings.{identifier}: {error}") from None
 
 
 def load_pics(path: Path) -> Pics:

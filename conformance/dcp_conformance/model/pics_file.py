@@ -62,6 +62,7 @@ QUESTIONS: Final[dict[str, str]] = {
 _TITLES = {
     "sut": "Which implementation this is about.",
     "pics": "Capabilities that it claims. A key that is not set denies nothing: cases that need it are not applicable.",
+    "readings": 'Readings of disputed text that it follows, as X05 = "literal-minimum". A missing key claims nothing.',
     "pixit": "Information that the tester needs. A key that is not set has the value of the profile, or the one shown.",
 }
 
@@ -79,6 +80,14 @@ def pics_text(pics: Pics, remarks: Iterable[str] = ()) -> str:
     lines = ["# PICS and PIXIT, drafted by dcp-conformance probe. Uncomment what you know."]
     lines += [f"# Note: {_one_line(each)}" for each in others]
     for table, title in _TITLES.items():
+        if table == "readings":
+            lines += [
+                "",
+                f"# {title}",
+                "[readings]",
+                *(f"{name} = {_toml(value)}" for name, value in pics.readings.items()),
+            ]
+            continue
         part = getattr(pics, table)
         lines += ["", f"# {title}", f"[{table}]"]
         defaults = type(part)()

@@ -152,11 +152,11 @@ def _codec(profile: str) -> Codec:
 class Suite:
     """The suite with one node in the process, the reference node or a mutant, on one profile."""
 
-    def __init__(self, profile: str, make: MakeNode = plain_node) -> None:
+    def __init__(self, profile: str, make: MakeNode = plain_node, pics: Pics | None = None) -> None:
         codec = _codec(profile)
         self._sut = InProcess(reference_config(codec), make=make)
         upper = self._sut.upper_tester()
-        self._runner = Runner(Session(codec, self._sut.lower_tester(), upper, Pics()), self._sut)
+        self._runner = Runner(Session(codec, self._sut.lower_tester(), upper, pics or Pics()), self._sut)
         self._runner.prepare()
         self._begun = False
 

@@ -60,7 +60,7 @@ class Bench:
         self.sut = SutProperties(session, lower, self.assumptions)
         self.losses = Losses(lower, traffic, self.heard, self.sut, self.steps, session.counting)
         self.excuses = Excuses(codec, lower, traffic, self.heard, created, session, self.losses, self.assumptions)
-        self.verdicts = Verdicts(case, codec, lower, traffic, self.excuses)
+        self.verdicts = Verdicts(case, codec, lower, traffic, self.excuses, session.pics.readings)
         self.identifiers = Identifiers(session, lower, self.sut, self.verdicts, created)
         self.records = Records(codec, lower, session, self.sut, self.identifiers, self.verdicts)
         self.builder = FrameBuilder(codec)

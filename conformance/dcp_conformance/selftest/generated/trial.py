@@ -20,6 +20,7 @@ from dcp_spec.profile.loading import load_profile
 from dcp_conformance.errors import ConformanceError
 from dcp_conformance.execution.selection import ordered
 from dcp_conformance.model.case import Case, all_cases
+from dcp_conformance.model.pics import Pics
 from dcp_conformance.model.verdict import Verdict
 
 from .isolation import import_changed
@@ -44,6 +45,9 @@ _PREFIXES: Final[dict[str, tuple[str, ...]]] = defaultdict(
     srp=("TC_SRP",),
     neighbours=("TC_SRP",),
 )
+#: Alternatives of X28 and X34 by the words of profiles, where these are different.
+_HALF_RANGE: Final = {"neither": "half-range-neither", "newer": "half-range-answered", "older": "half-range-older"}
+_RECEIVE_ERRORS: Final = {"skip-element": "skip-container"}
 #: Limits of a process: CPU time for each case in seconds (the longest takes 0.1 s), and address space in octets.
 CPU_SECONDS: Final = 10
 _ADDRESS_SPACE: Final = 4 << 30
@@ -91,13 +95,30 @@ def suite_of(node: str) -> tuple[Suite, Profile]:
     from dcp_conformance.selftest.runner import Suite
 
     if node != OTHER_READINGS:
-        return Suite(node), load_profile(node)
-    profile = PROFILES[0]
+        profile = load_profile(node)
+        return Suite(node, pics=Pics(readings=declared_readings(profile))), profile
+    profile = load_profile(PROFILES[0])
     others = {each.id: each.alternatives[1].name for each in readings().values() if len(each.alternatives) > 1}
     return (
-        Suite(profile, lambda config, *rest: plain_node(msgspec.structs.replace(config, readings=others), *rest)),
-        load_profile(profile),
+        Suite(
+            profile.name,
+            lambda config, *rest: plain_node(msgspec.structs.replace(config, readings=others), *rest),
+            Pics(readings=others),
+        ),
+        profile,
     )
+
+
+def declared_readings(profile: Profile) -> dict[str, str]:
+    """Return the readings that the PICS of the unchanged node declares on ``profile``.
+
+    The node follows the first alternative of each reading, except where the profile states the behaviour (X28, X34).
+    """
+    behaviour = profile.behaviour
+    found = {each.id: each.alternatives[0].name for each in readings().values() if each.alternatives}
+    found["X28"] = _HALF_RANGE[behaviour.seqno_half_range]
+    found["X34"] = _RECEIVE_ERRORS.get(behaviour.vardis_receive_error, behaviour.vardis_receive_error)
+    return found
 
 
 def steps(site: Site, reached: Sequence[Reach] = ()) -> tuple[Step, ...]:

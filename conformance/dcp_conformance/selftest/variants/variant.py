@@ -137,6 +137,8 @@ def setup(
 ) -> Setup:
     """Return a set-up of the reference node with changes.
 
+    The PICS declares the ``readings``.
+
     ``part`` is a subclass of a part of the node that replaces the part. ``more`` has further fields of :class:`Setup`.
     """
     codec = profile if isinstance(profile, Codec) else codec_of(profile)
@@ -150,7 +152,10 @@ def setup(
     if part is not None:
         make = node_of(part)
     return Setup(
-        config, make=make or plain_node, pics=Pics(pics=pics or Capabilities(), pixit=pixit or Testing()), **more
+        config,
+        make=make or plain_node,
+        pics=Pics(pics=pics or Capabilities(), readings=readings or {}, pixit=pixit or Testing()),
+        **more,
     )
 
 

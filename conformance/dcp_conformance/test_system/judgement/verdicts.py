@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from types import MappingProxyType
 from typing import NoReturn
 
 from dcp_spec.catalogue.readings import reading as reading_of
@@ -34,12 +35,21 @@ def in_force(requirements: Sequence[str], version: SpecVersion) -> tuple[str, ..
 class Verdicts:
     """Records the checks of one case; a failed check with an excuse is inconclusive (:mod:`.excuses`)."""
 
-    def __init__(self, case: Case, codec: Codec, clock: Clock, traffic: Traffic, excuses: Excuses) -> None:
+    def __init__(
+        self,
+        case: Case,
+        codec: Codec,
+        clock: Clock,
+        traffic: Traffic,
+        excuses: Excuses,
+        declared_readings: Mapping[str, str] = MappingProxyType({}),
+    ) -> None:
         self._case = case
         self._codec = codec
         self._clock = clock
         self._traffic = traffic
         self._excuses = excuses
+        self._declared_readings = declared_readings
         self.checks: list[Check] = []
         """All checks so far."""
         self.readings: dict[str, str] = {}
@@ -143,9 +153,16 @@ class Verdicts:
         self._add(Verdict.INFO, question, observed, requirements, frames)
 
     def reading(self, identifier: str, observed: str) -> None:
-        """Report which reading of a disputed text (A.7) the implementation follows, by its name in the catalogue."""
+        """Report which reading of a disputed text (A.7) the implementation follows, by its name in the catalogue.
+
+        The check fails if the PICS declares another alternative. An observation in free words contradicts none.
+        """
         entry = reading_of(identifier)
         self.readings[identifier] = observed
+        declared = self._declared_readings.get(identifier, observed)
+        if declared != observed and any(observed == each.name for each in entry.alternatives):
+            self.check(False, f"{identifier}: {entry.title}: {declared}, as declared in the PICS", observed)
+            return
         self._add(Verdict.INFO, f"{identifier}: {entry.title}", observed, (), ())
 
     def all_hold(self) -> bool:
