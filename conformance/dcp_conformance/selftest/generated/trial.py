@@ -45,6 +45,9 @@ _PREFIXES: Final[dict[str, tuple[str, ...]]] = defaultdict(
     srp=("TC_SRP",),
     neighbours=("TC_SRP",),
 )
+#: With the second alternative of every reading the node does not follow these: without using the length field (X02) it
+#: does not compare the number of blocks (X48), and it answers although X10 permits silence.
+OVERRIDDEN: Final = frozenset({"X10", "X48"})
 #: Alternatives of X28 and X34 by the words of profiles, where these are different.
 _HALF_RANGE: Final = {"neither": "half-range-neither", "newer": "half-range-answered", "older": "half-range-older"}
 _RECEIVE_ERRORS: Final = {"skip-element": "skip-container"}
@@ -103,7 +106,7 @@ def suite_of(node: str) -> tuple[Suite, Profile]:
         Suite(
             profile.name,
             lambda config, *rest: plain_node(msgspec.structs.replace(config, readings=others), *rest),
-            Pics(readings=others),
+            Pics(readings={name: chosen for name, chosen in others.items() if name not in OVERRIDDEN}),
         ),
         profile,
     )

@@ -10,7 +10,7 @@ from __future__ import annotations
 import importlib
 import pkgutil
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from functools import cache
@@ -128,6 +128,7 @@ def setup(
     part: type | None = None,
     make: MakeNode | None = None,
     readings: dict[str, str] | None = None,
+    declared: Collection[str] | None = None,
     bp: BPConfig | None = None,
     srp: SRPConfig | None = None,
     vardis: VardisConfig | None = None,
@@ -137,7 +138,7 @@ def setup(
 ) -> Setup:
     """Return a set-up of the reference node with changes.
 
-    The PICS declares the ``readings``.
+    The PICS declares the ``readings``, or those of them with the identifiers in ``declared``.
 
     ``part`` is a subclass of a part of the node that replaces the part. ``more`` has further fields of :class:`Setup`.
     """
@@ -151,10 +152,11 @@ def setup(
     config = msgspec.structs.replace(config, **{name: value for name, value in changes.items() if value is not None})
     if part is not None:
         make = node_of(part)
+    claimed = {name: each for name, each in (readings or {}).items() if declared is None or name in declared}
     return Setup(
         config,
         make=make or plain_node,
-        pics=Pics(pics=pics or Capabilities(), readings=readings or {}, pixit=pixit or Testing()),
+        pics=Pics(pics=pics or Capabilities(), readings=claimed, pixit=pixit or Testing()),
         **more,
     )
 

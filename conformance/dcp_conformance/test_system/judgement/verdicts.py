@@ -152,15 +152,16 @@ class Verdicts:
         """Report a behaviour that the specification leaves open."""
         self._add(Verdict.INFO, question, observed, requirements, frames)
 
-    def reading(self, identifier: str, observed: str) -> None:
+    def reading(self, identifier: str, observed: str, *alike: str) -> None:
         """Report which reading of a disputed text (A.7) the implementation follows, by its name in the catalogue.
 
-        The check fails if the PICS declares another alternative. An observation in free words contradicts none.
+        The check fails if the PICS declares another alternative, unless this is one of those that look ``alike`` in
+        this case. An observation in free words contradicts no declaration.
         """
         entry = reading_of(identifier)
         self.readings[identifier] = observed
         declared = self._declared_readings.get(identifier, observed)
-        if declared != observed and any(observed == each.name for each in entry.alternatives):
+        if declared not in (observed, *alike) and any(observed == each.name for each in entry.alternatives):
             self.check(False, f"{identifier}: {entry.title}: {declared}, as declared in the PICS", observed)
             return
         self._add(Verdict.INFO, f"{identifier}: {entry.title}", observed, (), ())
