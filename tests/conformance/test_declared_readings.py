@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import multiprocessing
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import msgspec
 import pytest
 from dcp_conformance.errors import UsageError
+from dcp_conformance.model.case import SANITY
 from dcp_conformance.model.pics import Pics, load_pics
 from dcp_conformance.model.pics_file import pics_text
 from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import plain_node
+from dcp_conformance.selftest.generated.sites import sites
+from dcp_conformance.selftest.generated.trial import Step, cases, try_site
 from dcp_spec.catalogue.readings import readings
 
 from .rig import one_case
@@ -80,3 +85,23 @@ def test_a_wrong_declaration_is_a_usage_error(tmp_path: Path, text: str, message
     with pytest.raises(UsageError, match=r"mine\.pics\.toml") as error:
         load_pics(path)
     assert message in str(error.value)
+
+
+@pytest.mark.parametrize("name", ["keep-prefix", "skip-container"])
+def test_a_container_that_cannot_be_skipped_contradicts_neither(name):
+    """The end of a container of unknown type cannot be found; skipping it looks like keeping what precedes it."""
+    make = node_that_follows("X34", name)
+    result = one_case("TC_VD_ROB_BI_01-type-7", make=make, pics=Pics(readings={"X34": name}))
+    assert result.readings == {"X34": "keep-prefix"}
+    assert result.verdict is not Verdict.FAIL, result.reason
+
+
+def test_a_generated_mutant_that_switches_a_reading_is_killed():
+    before = "1 if config.reading('X03') == 'increment-then-write'"
+    switched = next(each for each in sites() if each.operator == "branch" and each.before.startswith(before))
+    numbers = tuple(place for place, case in enumerate(cases()) if case.id in (SANITY, "TC_BP_INI_BV_01"))
+    plan = (Step("dcp-2.0", numbers),)
+    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
+        outcome = pool.submit(try_site, switched, plan).result()
+    assert outcome.fate == "killed"
+    assert "as declared in the PICS" in outcome.by

@@ -45,9 +45,9 @@ _PREFIXES: Final[dict[str, tuple[str, ...]]] = defaultdict(
     srp=("TC_SRP",),
     neighbours=("TC_SRP",),
 )
-#: With the second alternative of every reading the node does not follow these: without using the length field (X02) it
-#: does not compare the number of blocks (X48), and it answers although X10 permits silence.
-OVERRIDDEN: Final = frozenset({"X10", "X48"})
+#: Readings that the node does not follow with the second alternative of every reading: blocks that end with the frame
+#: (X02) are not compared with numPayloads (X48).
+OVERRIDDEN: Final = frozenset({"X48"})
 #: Alternatives of X28 and X34 by the words of profiles, where these are different.
 _HALF_RANGE: Final = {"neither": "half-range-neither", "newer": "half-range-answered", "older": "half-range-older"}
 _RECEIVE_ERRORS: Final = {"skip-element": "skip-container"}
