@@ -46,6 +46,13 @@ class _InterruptedError(BaseException):
 @click.option("--loss", type=click.FloatRange(0, 1), metavar="P", help="Share of frames lost at each receiver.")
 @click.option("--duration", type=Seconds(0, 86_400, min_open=True), metavar="S", help="[default: 30]")
 @click.option("--seed", type=int, help="Seed of the jitter of all nodes.  [default: 1]")
+@click.option(
+    "--links",
+    type=click.Choice(["auto", "kernel", "relay"]),
+    default="auto",
+    show_default=True,
+    help="Carry frames by the kernel (bridges, netem), or by a relay that can also lose in bursts and corrupt.",
+)
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 @click.option(
     "--keep",
@@ -61,6 +68,7 @@ def command(
     loss: float | None,
     duration: float | None,
     seed: int | None,
+    links: str,
     as_json: bool,
     keep: Path | None,
 ) -> int:
@@ -69,8 +77,10 @@ def command(
     While it runs, 'dcp-node ... --control DIR/node-0.sock' controls the nodes. Afterwards everything is removed except
     the files of --keep. Needs root, or a system that allows user namespaces.
     """
+    from dcp_stack.relay import RelayAir, needs_relay
     from dcp_stack.sim.scenario.definition import ScenarioError
     from dcp_stack.sim.scenario.report import lines
+    from dcp_stack.sim.testbed.fabric import Fabric
     from dcp_stack.sim.testbed.namespaces import NamespaceError
     from dcp_stack.sim.testbed.testbed import StartError, Testbed
 
@@ -88,7 +98,9 @@ def command(
     _get_rights()
     directory = _directory(keep)
     try:
-        with _signals(), Testbed(played, directory, keep=keep is not None) as testbed:
+        relay = links == "relay" or (links == "auto" and needs_relay(played))
+        make_air = RelayAir if relay else Fabric
+        with _signals(), Testbed(played, directory, keep=keep is not None, make_air=make_air) as testbed:
             if keep is not None:
                 note(f"control sockets are {directory}/node-*.sock")
             report = testbed.run()

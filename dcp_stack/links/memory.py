@@ -19,68 +19,14 @@ from typing import NamedTuple
 
 import msgspec
 
+from dcp_codec.impairment import Channel
+
 from .base import LinkCounters, Reception
+from .quality import PERFECT, Quality
 from .topology import Full, Topology
 
 #: 2026-01-01T00:00:00Z in ns since 1970: the default wall clock at virtual time 0.
 WALL_START = 1_767_225_600_000_000_000
-
-Delay = Callable[[random.Random], int]
-"""A function that draws the delay of a frame in ns (>= 0), called for each receiver."""
-
-
-class Quality(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The losses, duplicates and delays of a directed connection. Probabilities are 0..1, times in ns.
-
-    A delay is ``delay`` plus a uniform part of ``jitter``, or drawn from ``distribution``. Frames are not kept in
-    order: a frame with a shorter delay can overtake another. ``reorder`` is the probability of an additional delay of
-    ``reorder_delay``. Both frames of a duplicate have independent delays.
-    """
-
-    loss: float = 0.0
-    duplicate: float = 0.0
-    reorder: float = 0.0
-    delay: int = 0
-    jitter: int = 0
-    reorder_delay: int = 50_000_000
-    distribution: Delay | None = None
-
-    def __post_init__(self) -> None:
-        """Raises ``ValueError`` for a probability outside 0..1 or a negative time."""
-        for name in ("loss", "duplicate", "reorder"):
-            if not 0.0 <= getattr(self, name) <= 1.0:
-                raise ValueError(f"{name} {getattr(self, name)} is not within 0..1")
-        for name in ("delay", "jitter", "reorder_delay"):
-            if getattr(self, name) < 0:
-                raise ValueError(f"{name} {getattr(self, name)} ns is negative")
-
-    @property
-    def uniform(self) -> bool:
-        """Whether all frames that are not lost arrive once and with the same delay."""
-        return not (self.duplicate or self.reorder or self.jitter or self.distribution)
-
-    def draw(self, generator: random.Random) -> int:
-        """Draw the delay of one frame in ns."""
-        if self.distribution is not None:
-            delay = self.distribution(generator)
-        else:
-            delay = self.delay + (generator.randrange(self.jitter + 1) if self.jitter else 0)
-        if self.reorder and generator.random() < self.reorder:
-            delay += self.reorder_delay
-        return delay
-
-
-PERFECT = Quality()
-
-
-def exponential(minimum: int, mean: int) -> Delay:
-    """Return a delay of ``minimum`` plus an exponentially distributed part with this mean, in ns."""
-    return lambda generator: minimum + round(generator.expovariate(1.0) * mean)
-
-
-def normal(mean: int, deviation: int, minimum: int = 0) -> Delay:
-    """Return a normally distributed delay with this mean and standard deviation in ns, never below ``minimum``."""
-    return lambda generator: max(minimum, round(generator.gauss(mean, deviation)))
 
 
 class Delivery(NamedTuple):
@@ -123,6 +69,8 @@ class MediumCounters(msgspec.Struct):
     duplicated: int = 0
     delivered: int = 0
     missed: int = 0
+    corrupted: int = 0
+    """Of the frames that were not lost, those in which bits were inverted."""
 
 
 class TraceDigest:
@@ -185,6 +133,8 @@ class Medium:
         self._seed = seed
         self._quality = quality
         self._qualities: dict[int, dict[int, Quality]] = {}
+        self._channels: dict[tuple[int, int], Channel] = {}
+        """By sender and receiver: the state of connections whose losses come in bursts, or that corrupt frames."""
         if wall_start is None:
             wall_start = WALL_START if clock is None else time_ns() - clock()
         self._wall_start = wall_start
@@ -296,13 +246,29 @@ class Medium:
     def _send_to(self, receiver: int, sender: int, octets: bytes, quality: Quality) -> None:
         """Schedule the arrivals of a frame at one receiver: none, one, or two for a duplicate."""
         generator = self._generators[sender]
-        if quality.loss and generator.random() < quality.loss:
+        if quality.has_memory:
+            copies = self._channel(sender, receiver, quality).offer(octets, self.now).copies
+            if not copies:
+                self.counters.lost += 1
+                return
+            self.counters.corrupted += copies[0].octets != octets
+            octets = copies[0].octets
+        elif quality.loss and generator.random() < quality.loss:
             self.counters.lost += 1
             return
         self._schedule(self.now + quality.draw(generator), sender, (receiver,), octets)
         if quality.duplicate and generator.random() < quality.duplicate:
             self.counters.duplicated += 1
             self._schedule(self.now + quality.draw(generator), sender, (receiver,), octets)
+
+    def _channel(self, sender: int, receiver: int, quality: Quality) -> Channel:
+        wanted = quality.channel()
+        channel = self._channels.get((sender, receiver))
+        if channel is None:
+            channel = self._channels[sender, receiver] = Channel(wanted, self._seed, f"{sender}>{receiver}")
+        elif channel.impairment != wanted:
+            channel.change(wanted)
+        return channel
 
     def _schedule(self, time: int, sender: int, receivers: tuple[int, ...], octets: bytes) -> None:
         """Add a frame in flight that arrives at ``time`` (virtual ns), but not before now."""

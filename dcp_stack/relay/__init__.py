@@ -7,7 +7,8 @@ excludes headers, and do not report which frames they lost. The relay provides a
 
 from __future__ import annotations
 
+from .air import RelayAir, needs_relay
 from .control import RelayError
 from .fabric import INTERFACE, RelayFabric
 
-__all__ = ["INTERFACE", "RelayError", "RelayFabric"]
+__all__ = ["INTERFACE", "RelayAir", "RelayError", "RelayFabric", "needs_relay"]

@@ -16,8 +16,8 @@ import msgspec
 from .messages import Answer, Command, Count, Setup
 
 #: Maximum time in s for the start of the relay, and for an answer.
-START_PATIENCE: Final = 30.0
-PATIENCE: Final = 10.0
+START_PATIENCE: Final = 180.0
+PATIENCE: Final = 60.0
 
 
 class RelayError(Exception):

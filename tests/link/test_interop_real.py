@@ -17,6 +17,7 @@ from dcp_conformance.interop.real import RealWorld
 from dcp_conformance.interop.results import CellResult
 from dcp_conformance.model.verdict import Verdict
 
+from dcp_codec.capture import open_capture
 from dcp_stack.sim.testbed import namespaces
 
 from ..waiting import eventually
@@ -43,6 +44,9 @@ def test_processes_pass_and_leave_recordings_and_logs(tmp_path: Path) -> None:
     assert result.verdict is Verdict.PASS, result.reason
     assert result.links["0>1"]["delivered"] > 0
     assert "0>2" not in result.links
+    # Stations stamp their records with the real time, which rules compare with that of the recording.
+    with open_capture(tmp_path / result.recording) as frames:
+        assert abs(next(iter(frames)).time_ns - time.time_ns()) < 300 * 10**9
     assert (tmp_path / result.recording).stat().st_size > 1000
     for station in result.stations:
         assert (tmp_path / station.recording).stat().st_size > 1000

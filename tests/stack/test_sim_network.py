@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import msgspec
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -80,6 +81,20 @@ class TestSeeds:
         report = simulation.run()
         assert report.met, report.findings
         assert simulation.agreement.reached
+
+    def test_bursts_and_corruption_harm_nobody_and_are_told(self):
+        def play() -> tuple[str, dict]:
+            scenario = default_scenario(5, topology=parse_topology("line"), duration_s=40.0, seed=3)
+            link = LinkQuality(loss=0.3, burst=5, corrupt=0.0005, corrupt_frames=0.05, flips=3)
+            simulation = Simulation(msgspec.structs.replace(scenario, link=link, events=scenario.events[:2]))
+            report = simulation.run().plain()
+            assert all(each["met"] for each in report["findings"] if "raises" in each["what"]), report["findings"]
+            return report["digest"], report["shares"]
+
+        digest, shares = play()
+        assert shares["lost"] == pytest.approx(0.3, abs=0.05)
+        assert shares["corrupted"] > 0.03
+        assert play() == (digest, shares)
 
 
 class TestServices:

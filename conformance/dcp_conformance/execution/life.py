@@ -67,16 +67,24 @@ class Loss:
 
     @property
     def group(self) -> str:
-        """A text that is equal for losses with the same probable cause.
+        """A text that is equal for losses with the same probable cause: :attr:`brief`, with all numbers replaced.
 
-        Numbers (process ids, addresses, line numbers) are replaced. Of the output only the last line that mentions a
-        fault is used, or else the last line, because several processes print in any order.
+        Process ids, addresses and line numbers differ from one loss to the next.
+        """
+        return _NUMBERS.sub("#", self.brief)
+
+    @property
+    def brief(self) -> str:
+        """The loss in one line.
+
+        Of the output only the last line that mentions a fault is used, or else the last line, because several processes
+        print in any order.
         """
         ending, said, words = self.cause.partition(_SAID)
         lines = words.split(_LINES)
         telling = next((line for line in reversed(lines) if _FAULT.search(line)), lines[-1])
         cause = f"{ending}{said}{telling}" or self.observed
-        return _NUMBERS.sub("#", f"{self.how}: {cause}")
+        return f"{self.how}: {cause}"
 
 
 class Life:

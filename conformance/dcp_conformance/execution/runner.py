@@ -33,6 +33,8 @@ from .remarks import deaths_alike, executed_again, left_changed
 #: Maximum time in seconds between a case and the death that it causes, and maximum number of suspected cases.
 SLOW_DEATH = 3.0
 _SUSPECTS = 8
+#: Cases that a remark names.
+_NAMED = 3
 DEACTIVATE = "BP-MGMT-Deactivate"
 #: The expectation of cases that cannot be executed, because the implementation is lost.
 _ALIVE = "the implementation is alive"
@@ -417,9 +419,10 @@ class Runner:
         if loss is None:
             return ""
         self.deaths_side_by_side += 1
-        cases = ", ".join(during)
-        text = f"the implementation {loss.how} while these cases were executed side by side: {cases}; {loss.observed}"
-        self.remarks.append(f"{text}. Each of them is executed alone")
+        named = ", ".join(during[:_NAMED]) + (f" and {len(during) - _NAMED} more" if len(during) > _NAMED else "")
+        many = "1 case was" if len(during) == 1 else f"{len(during)} cases were"
+        text = f"while {many} executed side by side ({named}), the implementation {loss.brief}"
+        self.remarks.append(f"{text}. Each of these cases is executed alone")
         if not self._restartable:
             self.dead = f"{text}. There is no command to restart it (--restart)"
             return self.dead

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
 from importlib import import_module
-from typing import Any
+from typing import Any, Final
 
 from dcp_conformance.errors import ConformanceError, UsageError
 from dcp_conformance.execution.signals import Stop
 
 from .cell import Cell
 from .results import CellResult
+
+#: Seconds that a scheduler has to answer.
+_PATIENCE: Final = 10
 
 
 def run_on_cluster(
@@ -25,29 +29,28 @@ def run_on_cluster(
         # By name: it says nothing of types.
         distributed: Any = import_module("distributed")
     except ImportError:
-        raise UsageError("--dask needs dask.distributed: pip install 'dcp-conformance-kit[table]'") from None
+        raise UsageError("--dask needs dask.distributed: pip install 'dcp-conformance-kit[dask]'") from None
+    with ExitStack() as stack:
+        client = _client(distributed, scheduler, min(jobs, len(cells)), stack)
+        # Equal cells are one to Dask unless it is told otherwise.
+        numbers = {client.submit(job, cell, Stop(), pure=False): number for number, cell in enumerate(cells)}
+        try:
+            for future, result in distributed.as_completed(list(numbers), with_results=True):
+                # Without a reference to the future the cluster need not keep its result.
+                yield numbers.pop(future), result
+        except (distributed.KilledWorker, distributed.CancelledError) as error:
+            raise ConformanceError(f"the Dask cluster lost a cell: {error}") from None
+        finally:
+            # What ends now need not go on.
+            client.cancel(list(numbers))
+
+
+def _client(distributed: Any, scheduler: str, jobs: int, stack: ExitStack) -> Any:
     try:
         if scheduler == "local":
-            cluster = distributed.LocalCluster(
-                n_workers=jobs, threads_per_worker=1, dashboard_address=None, silence_logs=50
+            scheduler = stack.enter_context(
+                distributed.LocalCluster(n_workers=jobs, threads_per_worker=1, dashboard_address=None, silence_logs=50)
             )
-            client = distributed.Client(cluster)
-        else:
-            cluster, client = None, distributed.Client(scheduler, timeout=10)
+        return stack.enter_context(distributed.Client(scheduler, timeout=_PATIENCE))
     except (OSError, ValueError) as error:
         raise UsageError(f"--dask {scheduler}: the scheduler cannot be reached: {error}") from None
-    try:
-        numbers = {}
-        for number, cell in enumerate(cells):
-            future = client.submit(job, cell, Stop(), pure=False)
-            numbers[future.key] = number
-            numbers[number] = future
-        futures = [numbers[number] for number in range(len(cells))]
-        for future, result in distributed.as_completed(futures, with_results=True):
-            yield numbers[future.key], result
-    except (distributed.KilledWorker, distributed.CancelledError) as error:
-        raise ConformanceError(f"the Dask cluster lost a cell: {error}") from None
-    finally:
-        client.close()
-        if cluster is not None:
-            cluster.close()

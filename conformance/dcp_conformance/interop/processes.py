@@ -17,7 +17,7 @@ from dcp_conformance.upper_tester.opening import open_upper
 from dcp_stack.sim.testbed.namespaces import enter_command
 
 #: Seconds that an answer may take, and an end.
-_ANSWER: Final = 10.0
+_ANSWER: Final = 30.0
 _END: Final = 3.0
 #: Tables of open sockets in /proc/PID/net, each with a line of headings.
 _SOCKETS: Final = ("packet", "udp", "udp6")

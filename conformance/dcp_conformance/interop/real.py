@@ -78,6 +78,7 @@ class RealWorld:
             self._closing.close()
             raise
         self._begin = time.monotonic_ns()
+        self.epoch = time.time_ns()
 
     def _build(self, stations: Sequence[tuple[str, Implementation, str]], count: int, seed: int) -> None:
         namespaces.sweep()

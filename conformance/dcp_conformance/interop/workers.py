@@ -23,8 +23,8 @@ from dcp_conformance.errors import ConformanceError
 from dcp_conformance.execution.signals import Stop, deferred
 from dcp_stack.sim.testbed import namespaces
 
-#: Seconds that workers have to remove their networks: a relay and an upper tester may each take 10 s to answer.
-_END: Final = 40.0
+#: Seconds that workers have to remove their networks: a relay and an upper tester may each take a minute to answer.
+_END: Final = 150.0
 #: Seconds in which a signal to the whole process group reaches this process as well.
 _GROUP: Final = 1.0
 

@@ -86,6 +86,11 @@ class World(Protocol):
         ...
 
     @property
+    def epoch(self) -> int:
+        """The start as the clocks of the stations have it, in ns since 1970: recordings begin there."""
+        ...
+
+    @property
     def patience(self) -> float:
         """1 in virtual time, more where machines are busy.
 

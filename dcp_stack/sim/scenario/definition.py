@@ -9,8 +9,9 @@ from typing import ClassVar, Literal, TypeVar
 
 import msgspec
 
+from dcp_codec.impairment import Impairment
 from dcp_stack.config import BPConfig, SRPConfig, VardisConfig
-from dcp_stack.links.memory import Quality
+from dcp_stack.links.quality import Quality
 from dcp_stack.links.topology import Full, Grid, Line, Neighbours, Positions
 from dcp_stack.links.topology import Topology as HeardBy
 
@@ -40,6 +41,13 @@ class LinkQuality(Strict, kw_only=True, frozen=True):
     delay_ms: float = 0.0
     jitter_ms: float = 0.0
     reorder_delay_ms: float = 50.0
+    burst: float = 0.0
+    """Mean number of frames in a burst of losses, at least 1; 0: losses are independent."""
+    corrupt: float = 0.0
+    """Probability, for each octet, that one of its bits is inverted."""
+    corrupt_frames: float = 0.0
+    """Share of frames in which ``flips`` bits are inverted."""
+    flips: int = 1
 
     def quality(self) -> Quality:
         """Return the quality for the simulated medium. Raises ValueError for an invalid probability or time."""
@@ -50,7 +58,31 @@ class LinkQuality(Strict, kw_only=True, frozen=True):
             delay=round(self.delay_ms * NS_PER_MS),
             jitter=round(self.jitter_ms * NS_PER_MS),
             reorder_delay=round(self.reorder_delay_ms * NS_PER_MS),
+            burst=self.burst,
+            corrupt=self.corrupt,
+            corrupt_frames=self.corrupt_frames,
+            flips=self.flips,
         )
+
+    def impairment(self) -> Impairment:
+        """Return the quality for a relay. Raises ValueError for an invalid probability or time."""
+        return Impairment(
+            loss=self.loss,
+            burst=self.burst,
+            duplicate=self.duplicate,
+            reorder=self.reorder,
+            delay=round(self.delay_ms * NS_PER_MS),
+            jitter=round(self.jitter_ms * NS_PER_MS),
+            reorder_delay=round(self.reorder_delay_ms * NS_PER_MS),
+            corrupt=self.corrupt,
+            corrupt_frames=self.corrupt_frames,
+            flips=self.flips,
+        )
+
+    @property
+    def only_loses(self) -> bool:
+        """Whether independent losses are its only effect."""
+        return self == LinkQuality(loss=self.loss, reorder_delay_ms=self.reorder_delay_ms, flips=self.flips)
 
 
 PERFECT = LinkQuality()

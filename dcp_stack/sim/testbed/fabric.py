@@ -16,11 +16,37 @@ frames.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Protocol
 
 from dcp_stack.sim.scenario.definition import PERFECT, LinkQuality, Scenario, ScenarioError, SetLink
 
 from .namespaces import NamespaceError, batch, create, run
+
+
+class Air(Protocol):
+    """The links of a testbed."""
+
+    @property
+    def namespaces(self) -> Sequence[str]:
+        """The namespaces of the nodes, each with an interface :data:`INTERFACE`."""
+        ...
+
+    def set_quality(self, direction: tuple[int, int] | None, quality: LinkQuality) -> None:
+        """Change the quality from one node to another, or (None) of all links that have none of their own."""
+        ...
+
+    def partition(self, groups: Sequence[Sequence[int]]) -> None:
+        """Restrict frames to the groups; nodes in no group form another one. Without groups the partition ends."""
+        ...
+
+    def close(self) -> None:
+        """End the program that carries frames; the namespaces remain."""
+        ...
+
+
+MakeAir = Callable[[Scenario, str, Sequence[bytes]], Air]
+"""Builds the links of a scenario, with the prefix of its namespaces and the addresses of its interfaces."""
 
 INTERFACE = "dcp0"
 _BRIDGE = "type bridge stp_state 0 mcast_snooping 0"
@@ -79,6 +105,9 @@ class Fabric:
             for each in (pair, pair[::-1]):
                 if each not in self._own:
                     self._shape(each, quality)
+
+    def close(self) -> None:
+        """Do nothing: the interfaces are removed with their namespaces."""
 
     def partition(self, groups: Sequence[Sequence[int]]) -> None:
         """Restrict frames to the groups; nodes in no group form another one. Without groups the partition ends."""
@@ -182,8 +211,8 @@ class Shaper:
         """Set the loss by a classifier. Raises ScenarioError for any other quality, or without cls_bpf."""
         if quality != LinkQuality(loss=quality.loss, reorder_delay_ms=quality.reorder_delay_ms):
             raise ScenarioError(
-                "this kernel lacks netem (module sch_netem); without it a testbed can lose frames, but cannot delay, "
-                "duplicate or reorder them. Load the module, or use simulate"
+                "this kernel lacks netem (module sch_netem); without it the kernel can lose frames, but cannot delay, "
+                "duplicate or reorder them. Load the module, or use --links relay"
             )
         if namespace not in self._sinks:
             lines = [f"link add {_SINK} type veth peer name drain"]
@@ -201,6 +230,8 @@ class Shaper:
 
 def netem_options(quality: LinkQuality) -> str:
     """Return a quality as options of netem. Raises ScenarioError for a combination that netem cannot provide."""
+    if quality.quality().has_memory:
+        raise ScenarioError("the kernel cannot lose frames in bursts or corrupt them here; use --links relay")
     # netem draws from delay - jitter to delay + jitter, a scenario from delay to delay + jitter.
     half = quality.jitter_ms / 2
     options = [f"delay {quality.delay_ms + half:.3f}ms {half:.3f}ms"] if quality.delay_ms or half else []

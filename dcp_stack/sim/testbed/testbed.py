@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import time
 from collections.abc import Callable, Iterator
@@ -36,7 +37,7 @@ from dcp_stack.sim.scenario.requests import request, trouble
 from dcp_stack.sim.virtual.network import node_id
 
 from .cleanup import Janitor
-from .fabric import Fabric
+from .fabric import Air, Fabric, MakeAir
 from .namespaces import own_prefix, sweep
 from .processes import END_PATIENCE, NodeProcess, seconds_between, settings_for
 
@@ -57,8 +58,12 @@ class Testbed:
 
     __test__ = False
 
-    def __init__(self, scenario: Scenario, directory: Path, *, keep: bool, record: bool = True) -> None:
+    def __init__(
+        self, scenario: Scenario, directory: Path, *, keep: bool, record: bool = True, make_air: MakeAir = Fabric
+    ) -> None:
         """``directory``: an existing directory for settings, logs, sockets and recordings; removed unless ``keep``.
+
+        ``make_air`` builds the links; by default the kernel carries the frames.
 
         ``record`` False omits the recordings. Raises ScenarioError for an invalid scenario, NamespaceError if the
         system refuses namespaces or interfaces.
@@ -82,11 +87,13 @@ class Testbed:
         sweep()
         prefix = own_prefix()
         self._janitor = Janitor(prefix, None if keep else str(directory))
+        self._closing = contextlib.ExitStack()
         try:
             identifiers = [node_id(self.profile, index) for index in range(scenario.nodes)]
             # The address of an interface has six octets, independently of the node identifier of the profile.
             addresses = [b"\x02" + index.to_bytes(5, "big") for index in range(scenario.nodes)]
-            self._fabric = Fabric(scenario, prefix, addresses)
+            self._fabric: Air = make_air(scenario, prefix, addresses)
+            self._closing.callback(self._fabric.close)
             text = self.profile.types.node_id.representation == "text"
             width = len(str(scenario.nodes - 1))
             for index, identifier in enumerate(identifiers):
@@ -94,6 +101,7 @@ class Testbed:
                 name, namespace = f"node-{index:0{width}}", self._fabric.namespaces[index]
                 self.nodes.append(NodeProcess(index, namespace, settings, directory, name, record=record))
         except BaseException:
+            self._closing.close()
             self._janitor.finish()
             raise
         self._numbers = {identifier.hex(":"): index for index, identifier in enumerate(identifiers)}
@@ -113,6 +121,7 @@ class Testbed:
             for node in self.nodes:
                 node.wait(deadline)
         finally:
+            self._closing.close()
             self._janitor.finish()
 
     # -- running -------------------------------------------------------------------------------------------------------

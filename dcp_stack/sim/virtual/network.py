@@ -14,7 +14,8 @@ from dcp_codec.codec import Codec
 from dcp_stack.config import BPConfig, NodeConfig, SRPConfig, VardisConfig
 from dcp_stack.effects import Effect, NeighbourExpired, SendBeacon, VariableChanged
 from dcp_stack.links.base import Watcher
-from dcp_stack.links.memory import PERFECT, WALL_START, Arrival, Delivery, Medium, MemoryLink, Quality, TraceDigest
+from dcp_stack.links.memory import WALL_START, Arrival, Delivery, Medium, MemoryLink, TraceDigest
+from dcp_stack.links.quality import PERFECT, Quality
 from dcp_stack.links.topology import Positions, Topology
 from dcp_stack.node import Node
 from dcp_stack.positions import PositionSource, SafetyFields

@@ -312,6 +312,8 @@ class Simulation:
         total = max(medium.expected, 1)
         shares = {"delivered": medium.delivered, "lost": medium.lost, "duplicated": medium.duplicated}
         shares["missed"] = medium.missed
+        if medium.corrupted:
+            shares["corrupted"] = medium.corrupted
         return Report(
             title=scenario.title,
             ground="simulate",

@@ -35,8 +35,8 @@ class Interval:
     """Time of the first of them, ns of :attr:`Observer.time`."""
     cause: Statement
     """The first of them."""
-    speakers: int
-    """Their senders, as a mask of bits."""
+    speakers: dict[int, int]
+    """Their senders (bits), each with the number of its beacons."""
     late_half: bool
     """Whether each of them was in the second half of its payload."""
     length: int
@@ -45,6 +45,10 @@ class Interval:
     """Number of the last frame with one of them."""
     beacons: int = 1
     """Number of beacons with one of them."""
+
+
+Exposure = tuple[tuple[int, int], ...]
+"""Speakers (bits, ascending), each with the number of its beacons that gave a node the same reason to react."""
 
 
 Occasions = dict[Kind, list[Interval]]
@@ -121,8 +125,7 @@ class Trial(NamedTuple):
     """The node that had to react."""
     kind: Kind
     var_id: int
-    speakers: int
-    """The senders of the records that called for the reaction, as a mask of bits."""
+    exposure: Exposure
     hit: bool
     """Whether the node reacted."""
     cause: Statement
@@ -133,6 +136,18 @@ class Trial(NamedTuple):
     """Length of the shortest payload with one of them, in octets."""
     once: bool = False
     """Whether only one beacon can be the cause of the reaction."""
+    delay: int = 0
+    """Of a reaction: number of beacons of the node since the first cause, including the one with the reaction; 0: not
+    known."""
+    at_once: Exposure = ()
+    """The causes of the reaction if the node composes a payload immediately before it sends it."""
+    ahead: Exposure = ()
+    """The causes of the reaction if the node composes a payload one beacon ahead."""
+
+    @property
+    def speakers(self) -> int:
+        """The senders of the records that called for the reaction, as a mask of bits."""
+        return sum(bit for bit, _ in self.exposure)
 
 
 @dataclass(slots=True, eq=False)

@@ -1,9 +1,11 @@
 """Links between nodes, inferred from all trials together by a noisy-OR model.
 
-A node reacts if it has heard at least one of the senders that gave it a reason. If p(Y, X) is the probability that Y
-receives a beacon of X, the probability of a reaction is 1 - (1 - p(Y, X1)) (1 - p(Y, X2)) ... for the senders X1, X2,
-... of the trial. Expectation maximisation finds the values of p that explain the outcomes best (Dempster, Laird and
-Rubin 1977; Heckerman 1990 for causal independence).
+A node reacts if it has heard at least one of the beacons that gave it a reason. If p(Y, X) is the probability that Y
+receives a beacon of X, the probability of a reaction is 1 - (1 - p(Y, X1))^n1 (1 - p(Y, X2))^n2 ... for the senders
+X1, X2, ... of the trial and the numbers n1, n2, ... of their beacons. (A summary is repeated in each beacon, and a
+node that sends few beacons has heard one of many before its next beacon; a create is sent once.) Expectation
+maximisation finds the values of p that explain the outcomes best (Dempster, Laird and Rubin 1977; Heckerman 1990 for
+causal independence).
 """
 
 from __future__ import annotations
@@ -13,6 +15,8 @@ import math
 from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
+from .following import Exposure
+
 #: Iterations of expectation maximisation, and the smallest probability that is computed with.
 _ROUNDS, _FLOOR = 25, 1e-9
 #: Standard deviations between an estimate and its lower bound: a one-sided confidence level of 95 %.
@@ -20,8 +24,8 @@ CAUTION = 1.64
 #: A link has ended if after its last reactions there were this many trials in windows with a share below ``_GONE``.
 _TRIALS, _GONE = 10, 0.1
 
-Outcomes = Mapping[int, tuple[int, int]]
-"""Senders as a mask of bits -> number of trials without a reaction, and with one."""
+Outcomes = Mapping[Exposure, tuple[int, int]]
+"""Senders with the numbers of their beacons -> number of trials without a reaction, and with one."""
 
 
 class Link(NamedTuple):
@@ -59,28 +63,47 @@ def bits(mask: int) -> tuple[int, ...]:
 def infer(outcomes: Outcomes) -> dict[int, tuple[float, int, float]]:
     """Return for each speaker (a bit): the probability of being heard, its trials, and the reactions that it caused."""
     trials: dict[int, int] = {}
-    for mask, (missed, hit) in outcomes.items():
-        for bit in bits(mask):
+    beacons: dict[int, int] = {}
+    for exposure, (missed, hit) in outcomes.items():
+        for bit, count in exposure:
             trials[bit] = trials.get(bit, 0) + missed + hit
+            beacons[bit] = beacons.get(bit, 0) + (missed + hit) * count
     shares = dict.fromkeys(trials, 0.5)
-    due: dict[int, float] = {}
-    hits = [(mask, hit) for mask, (_, hit) in outcomes.items() if hit]
+    received: dict[int, float] = {}
+    hits = [(exposure, hit) for exposure, (_, hit) in outcomes.items() if hit]
     for _ in range(_ROUNDS):
-        due = dict.fromkeys(trials, 0.0)
-        for mask, hit in hits:
-            reaction = max(reacts(mask, shares), _FLOOR)
-            for bit in bits(mask):
-                due[bit] += hit * shares[bit] / reaction
-        shares = {bit: min(due[bit] / count, 1.0) for bit, count in trials.items()}
+        received = dict.fromkeys(trials, 0.0)
+        for exposure, hit in hits:
+            reaction = max(reacts(exposure, shares), _FLOOR)
+            for bit, count in exposure:
+                received[bit] += hit * count * shares[bit] / reaction
+        shares = {bit: min(received[bit] / count, 1.0) for bit, count in beacons.items()}
+    due = dict.fromkeys(trials, 0.0)
+    for exposure, hit in hits:
+        # The parts of all speakers in one reaction add up to 1.
+        parts = [count * shares[bit] for bit, count in exposure]
+        whole = max(sum(parts), _FLOOR)
+        for (bit, _), part in zip(exposure, parts, strict=True):
+            due[bit] += hit * part / whole
     return {bit: (shares[bit], count, due[bit]) for bit, count in trials.items()}
 
 
-def reacts(mask: int, shares: Mapping[int, float]) -> float:
-    """Return the probability of a reaction to the speakers in ``mask``; ``shares`` has those of single speakers."""
+def reacts(exposure: Exposure, shares: Mapping[int, float]) -> float:
+    """Return the probability of a reaction to these beacons; ``shares`` has those of single beacons."""
     silent = 1.0
-    for bit in bits(mask):
-        silent *= 1.0 - shares.get(bit, 0.0)
+    for bit, count in exposure:
+        silent *= (1.0 - shares.get(bit, 0.0)) ** count
     return 1.0 - silent
+
+
+def without(exposure: Exposure, bit: int) -> Exposure:
+    """Return the beacons of the other speakers."""
+    return tuple(each for each in exposure if each[0] != bit)
+
+
+def hits_alone(bit: int, outcomes: Outcomes) -> int:
+    """Return the number of reactions to this speaker alone."""
+    return sum(hit for exposure, (_, hit) in outcomes.items() if len(exposure) == 1 and exposure[0][0] == bit)
 
 
 def lower_bound(bit: int, outcomes: Outcomes, shares: Mapping[int, float], caution: float = CAUTION) -> float:
@@ -90,13 +113,18 @@ def lower_bound(bit: int, outcomes: Outcomes, shares: Mapping[int, float], cauti
     the others, is at most ``caution``^2 / 2 below the maximum. ``caution``: in standard deviations of a normal
     distribution, 1.64 for a confidence of 95 %.
     """
-    terms = [(1.0 - reacts(mask ^ bit, shares), missed, hit) for mask, (missed, hit) in outcomes.items() if mask & bit]
+    terms = [
+        (1.0 - reacts(without(exposure, bit), shares), count, missed, hit)
+        for exposure, (missed, hit) in outcomes.items()
+        for speaker, count in exposure
+        if speaker == bit
+    ]
 
     def log_likelihood(share: float) -> float:
         """Return the log-likelihood of the outcomes if this is the share of the speaker."""
         total = 0.0
-        for silent, missed, hit in terms:
-            rest = (1.0 - share) * silent
+        for silent, count, missed, hit in terms:
+            rest = (1.0 - share) ** count * silent
             if missed:
                 total += missed * math.log(max(rest, _FLOOR))
             if hit:

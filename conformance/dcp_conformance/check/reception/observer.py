@@ -21,7 +21,7 @@ from dcp_conformance.check.statements import ASK_CREATE, ASK_UPDATE, CREATE, DEL
 from dcp_conformance.check.stations import Origin
 from dcp_conformance.model.circular import Circle
 
-from .following import Event, Interval, Kind, Occasions, Station, Trial, Variable
+from .following import Event, Exposure, Interval, Kind, Occasions, Station, Trial, Variable
 from .records import RecordSizes
 
 #: A reaction is missing if it is not in the first four beacons after the record. The third is the latest one due: one
@@ -29,6 +29,8 @@ from .records import RecordSizes
 LATE = 4
 #: Number of beacons in which a reaction may still be caused by a record before the previous beacon.
 _CARRIED = 3
+#: Maximum number of beacons of a speaker that a trial counts: with that many, nearly every link has delivered one.
+_EXPOSED = 8
 #: Maximum number of open occasions for one node, kind and variable.
 _OPEN = 8
 #: Number of beacons for which a number that a node has stated is assumed to be valid.
@@ -74,8 +76,9 @@ class Observer:
         self._unsettled: set[int] = set()
         """Variables of which not all nodes have stated the same number."""
         self._times = context.features.creation_time
-        self._carried: dict[tuple[int, int, Kind], tuple[int, int]] = {}
-        """(bit, variable, kind) -> the node's beacon with the last reaction, and the speakers right before it."""
+        self._carried: dict[tuple[int, int, Kind], tuple[int, dict[int, int]]] = {}
+        """(bit, variable, kind) -> the node's beacon with the last reaction, and the speakers right before it, each
+        with the number of its beacons."""
         self._asks_on = context.profile.spec_version >= "1.1"
         """Whether a node that hears a request for an unknown variable must request it, too (VD-RC-01, VD-RU-01)."""
         self._first: int | None = None
@@ -292,22 +295,25 @@ class Observer:
             return
         # The payload may have been composed one beacon earlier. Then the latest records cause the next reaction.
         key = (station.bit, var_id, kind)
-        before, speakers = self._carried.pop(key, (-_CARRIED, 0))
-        if station.beacons - before >= _CARRIED:
-            speakers = 0
-        once = len(intervals) == 1 and not speakers and intervals[0].beacons == 1
-        carried = 0
+        before, earlier = self._carried.pop(key, (-_CARRIED, {}))
+        ahead = dict(earlier) if station.beacons - before < _CARRIED else {}
+        delay = 0 if ahead else station.beacons - intervals[0].begin
+        once = len(intervals) == 1 and not ahead and intervals[0].beacons == 1
+        carried: dict[int, int] = {}
+        at_once: dict[int, int] = {}
         for each in intervals:
-            speakers |= each.speakers
-            if each.begin >= station.beacons - 1:
-                carried |= each.speakers
+            _add(at_once, each.speakers)
+            _add(carried if each.begin >= station.beacons - 1 else ahead, each.speakers)
+        speakers = dict(ahead)
+        _add(speakers, carried)
         if carried and len(self._carried) < MOST_VARIABLES:
             self._carried[key] = (station.beacons, carried)
         last = intervals[-1]
         self._outcome(
             Trial(
-                last.time, station, kind, var_id, speakers, True, last.cause,
+                last.time, station, kind, var_id, _exposure(speakers), True, last.cause,
                 all(each.late_half for each in intervals), min(each.length for each in intervals), once,
+                delay, _exposure(at_once), _exposure(ahead),
             )
         )  # fmt: skip
 
@@ -365,8 +371,9 @@ class Observer:
         intervals = opened[kind]
         while intervals and intervals[0].begin + LATE <= now:
             each = intervals.pop(0)
+            exposure = _exposure(each.speakers)
             self._outcome(
-                Trial(each.time, station, kind, var_id, each.speakers, False, each.cause, each.late_half, each.length)
+                Trial(each.time, station, kind, var_id, exposure, False, each.cause, each.late_half, each.length)
             )
         if not intervals:
             del opened[kind]
@@ -483,18 +490,27 @@ class Observer:
                 opened = opened_of[var_id] = {}
             intervals = opened.get(kind)
             if intervals is None:
-                opened[kind] = [Interval(beacons, time, cause, speaker, late_half, length, cause.frame)]
+                opened[kind] = [Interval(beacons, time, cause, {speaker: 1}, late_half, length, cause.frame)]
                 continue
             last = intervals[-1]
             if last.begin != beacons:
-                intervals.append(Interval(beacons, time, cause, speaker, late_half, length, cause.frame))
+                intervals.append(Interval(beacons, time, cause, {speaker: 1}, late_half, length, cause.frame))
                 if len(intervals) > _OPEN:
                     intervals.pop(0)
                 continue
-            last.speakers |= speaker
             last.late_half = last.late_half and late_half
             last.length = min(last.length, length)
             if cause.frame != last.frame:
+                last.speakers[speaker] = last.speakers.get(speaker, 0) + 1
                 last.beacons += 1
                 last.frame = cause.frame
         station.cursor = self._dropped + len(log)
+
+
+def _add(speakers: dict[int, int], more: dict[int, int]) -> None:
+    for bit, beacons in more.items():
+        speakers[bit] = speakers.get(bit, 0) + beacons
+
+
+def _exposure(speakers: dict[int, int]) -> Exposure:
+    return tuple(sorted((bit, min(beacons, _EXPOSED)) for bit, beacons in speakers.items()))

@@ -10,8 +10,8 @@ from typing import NamedTuple
 from dcp_conformance.check.base import Context, Seen
 from dcp_conformance.check.statements import Statement
 
-from .following import Kind, Station, Trial
-from .links import Link, bits, chance, infer, lower_bound, reacts
+from .following import Exposure, Kind, Station, Trial
+from .links import Link, bits, chance, hits_alone, infer, lower_bound, reacts, without
 from .observer import Observer
 
 #: A window of trials that are evaluated together: its length in ns, and its maximum number of trials of one node.
@@ -26,6 +26,8 @@ _ALONE = 2
 _BELIEF = 10_000_000_000
 #: The same time (ns) for a link with a share below ``_STEADY``: it may fail and recover in between.
 _DOUBTFUL, _STEADY = 2_500_000_000, 0.9
+#: A steady link must have the share ``_AS_GOOD`` even ``_LIKELY`` standard deviations below its estimate.
+_LIKELY, _AS_GOOD = 1.0, 0.8
 #: A shortage needs at least ``_EXPECTED`` expected reactions, of which at most the share ``_SHARE`` occurred. It is
 #: certain if its probability by chance is below ``_CHANCE``.
 _EXPECTED, _SHARE, _CHANCE = 3.0, 0.25, 1e-3
@@ -33,6 +35,9 @@ _EXPECTED, _SHARE, _CHANCE = 3.0, 0.25, 1e-3
 _UNSTEADY = 1e-6
 #: The probability that a link which was up before and after a time was up at that time.
 _UP = 0.9
+#: Reactions with the same delay that show when a node composes payloads, if they are ``_MOSTLY`` times as many as those
+#: with the other delay.
+_DELAYS, _MOSTLY = 4, 3
 #: Number of records that are kept as examples of a shortage.
 _EXAMPLES = 3
 #: Reactions that prove that the record was received.
@@ -92,6 +97,8 @@ class Tally:
     """Number of gaps with a reaction."""
     expected: float = 0.0
     """Expected number of gaps with a reaction."""
+    silence: float = 1.0
+    """The probability that none of these gaps has a reaction."""
     steady: bool = True
     """Whether all links that this rests on have hardly ever failed."""
     all_trials: int = 0
@@ -115,6 +122,7 @@ class Tally:
             self.trials += 1
             self.hits += gap.hit
             self.expected += gap.expected
+            self.silence *= 1.0 - gap.expected
             self.steady = self.steady and gap.steady
             if gap.cause is not None and not gap.hit:
                 self.speakers |= gap.speakers
@@ -136,6 +144,9 @@ class Tally:
     @property
     def chance(self) -> float:
         """An upper bound of the probability of this tally for a conforming node."""
+        if self.hits == 0:
+            # The exact probability: the bound is wide if trials differ.
+            return self.silence
         return chance(self.trials, self.expected, self.hits)
 
 
@@ -168,10 +179,10 @@ class _Shown:
 class _Known(NamedTuple):
     """The speakers that a node hears in a window."""
 
-    shares: dict[int, float]
-    """Speaker -> estimated share of its beacons that is heard."""
+    steady: set[int]
+    """Speakers whose beacons are hardly ever lost."""
     bounds: dict[int, float]
-    """Speaker -> lower bound of this share; only speakers whose reception is certain."""
+    """Speaker -> lower bound of the share of its beacons that is heard; only speakers whose reception is certain."""
     sure: dict[int, list[int]]
     """Speaker -> the times at which reception was proved, in order."""
     heard: dict[int, int]
@@ -234,6 +245,7 @@ class Reception:
     def _judge(self, trials: list[Trial]) -> None:
         """Evaluate the trials of one node in one window: update the tallies of suspicious groups, and the links."""
         station = trials[0].station
+        trials = _by_delay(trials)
         shown = self.shown.setdefault(station.node, _Shown())
         for trial in trials:
             if trial.hit:
@@ -269,25 +281,30 @@ class Reception:
         for bit, (share, count, due) in inferred.items():
             if len(self.links) < _LINKS:
                 speaker, bound = self.observer.by_bit[bit].node, lower_bound(bit, outcomes, shares)
-                alone = outcomes.get(bit, (0, 0))[1]
+                alone = hits_alone(bit, outcomes)
                 self.links.append(Link(station.node, speaker, *self._walls, share, count, due, bound, alone))
 
     def _known(self, others: list[Trial]) -> _Known:
         """Infer the speakers that a node hears in a window from the trials of its groups without suspicion."""
         outcomes = _outcomes(others)
         shares = {bit: share for bit, (share, _, _) in infer(outcomes).items()}
+        steady = {
+            bit
+            for bit, share in shares.items()
+            if share >= _STEADY and lower_bound(bit, outcomes, shares, _LIKELY) >= _AS_GOOD
+        }
         bounds = {bit: lower_bound(bit, outcomes, shares, _CAUTIOUS) for bit in shares}
         # A reaction that seems to be caused by one speaker may be caused by another one with an uncertain share.
         bounds = {
-            bit: bound for bit, bound in bounds.items() if bound >= _HEARS and outcomes.get(bit, (0, 0))[1] >= _ALONE
+            bit: bound for bit, bound in bounds.items() if bound >= _HEARS and hits_alone(bit, outcomes) >= _ALONE
         }
         # Beacons that the node has certainly received: it took another record that only this beacon carried.
         heard = {trial.cause.frame: trial.speakers for trial in others if trial.once and trial.kind in _TAKEN}
-        return _Known(shares, bounds, self._sure(others, shares), heard)
+        return _Known(steady, bounds, self._sure(others, shares), heard)
 
     def _suspect(self, key: Group, group: list[Trial], known: _Known) -> None:
         """Add the expected and observed reactions of a group in this window to its tally."""
-        shares, bounds, sure, heard = known
+        steady, bounds, sure, heard = known
         tally = self._tallies.get(key)
         if tally is None:
             if len(self._tallies) >= _GROUPS:
@@ -295,14 +312,14 @@ class Reception:
             tally = self._tallies[key] = Tally()
         gaps: dict[tuple[int, int, bool], _Gap] = {}
         for trial in group:
-            bounds_of = {bit: bounds[bit] for bit in bits(trial.speakers) if bit in bounds}
+            bounds_of = {bit: bounds[bit] for bit, _ in trial.exposure if bit in bounds}
             tally.all_trials += 1
             tally.all_hits += trial.hit
-            tally.all_expected += reacts(trial.speakers, bounds_of)
+            tally.all_expected += reacts(trial.exposure, bounds_of)
             believed = {
                 bit: bound
                 for bit, bound in bounds_of.items()
-                if _between(sure.get(bit), trial.time, _BELIEF if shares[bit] >= _STEADY else _DOUBTFUL)
+                if _between(sure.get(bit), trial.time, _BELIEF if bit in steady else _DOUBTFUL)
             }
             if (speaker := heard.get(trial.cause.frame)) is not None:
                 believed = {speaker: _UP}
@@ -312,7 +329,7 @@ class Reception:
                 best = max(believed, key=lambda bit: believed[bit])
                 place = bisect_left(sure[best], trial.time)
                 gap = gaps.setdefault((best, place, sure[best][place] == trial.time), _Gap())
-                gap.add(reacts(trial.speakers, believed), steady=shares[best] >= _STEADY)
+                gap.add(reacts(trial.exposure, believed), steady=best in steady)
             else:
                 continue
             gap.hit = gap.hit or trial.hit
@@ -328,14 +345,14 @@ class Reception:
     def _sure(self, trials: Iterable[Trial], shares: dict[int, float]) -> dict[int, list[int]]:
         """Return for each speaker the times of reactions that no other speaker explains, in order."""
         sure: dict[int, list[int]] = {}
-        alone: dict[int, tuple[int, ...]] = {}
+        alone: dict[Exposure, tuple[int, ...]] = {}
         """Speakers of a trial -> those that the other speakers of the trial cannot replace."""
         for trial in trials:
             if trial.hit:
-                mask = trial.speakers
-                if mask not in alone:
-                    alone[mask] = tuple(bit for bit in bits(mask) if reacts(mask ^ bit, shares) < 1 - _SURE)
-                for bit in alone[mask]:
+                said = trial.exposure
+                if said not in alone:
+                    alone[said] = tuple(bit for bit, _ in said if reacts(without(said, bit), shares) < 1 - _SURE)
+                for bit in alone[said]:
                     sure.setdefault(bit, []).append(trial.time)
         for times in sure.values():
             times.sort()
@@ -397,12 +414,38 @@ def _between(times: list[int] | None, time: int, belief: int) -> bool:
     return after < len(times) and times[after] - time <= belief and before > 0 and time - times[before - 1] <= belief
 
 
-def _outcomes(trials: Iterable[Trial]) -> dict[int, tuple[int, int]]:
-    """Count trials without and with a reaction by the mask of their speakers."""
-    outcomes: dict[int, tuple[int, int]] = {}
+def _by_delay(trials: list[Trial]) -> list[Trial]:
+    """Return the trials with the causes of each reaction, according to when the node composes its payloads.
+
+    If a node composes a payload immediately before it sends it, longer delays are rarer, however bad the links are. If
+    most reactions are in its second beacon, it composes payloads one beacon ahead, and what it heard right before that
+    beacon is not the cause.
+    """
+    first = sum(trial.delay == 1 for trial in trials if trial.hit)
+    second = sum(trial.delay == 2 for trial in trials if trial.hit)
+    if max(first, second) < _DELAYS:
+        return trials
+    if first >= _MOSTLY * second:
+        return [_due_to(trial, trial.at_once) for trial in trials]
+    if second >= _MOSTLY * first:
+        return [_due_to(trial, trial.ahead) for trial in trials]
+    return trials
+
+
+def _due_to(trial: Trial, causes: Exposure) -> Trial:
+    """Return the trial with the numbers of beacons of ``causes``; other speakers remain possible causes."""
+    if not trial.hit or not causes:
+        return trial
+    counts = dict(causes)
+    return trial._replace(exposure=tuple((bit, counts.get(bit, count)) for bit, count in trial.exposure))
+
+
+def _outcomes(trials: Iterable[Trial]) -> dict[Exposure, tuple[int, int]]:
+    """Count trials without and with a reaction by their speakers and the numbers of their beacons."""
+    outcomes: dict[Exposure, tuple[int, int]] = {}
     for trial in trials:
-        missed, hit = outcomes.get(trial.speakers, (0, 0))
-        outcomes[trial.speakers] = (missed, hit + 1) if trial.hit else (missed + 1, hit)
+        missed, hit = outcomes.get(trial.exposure, (0, 0))
+        outcomes[trial.exposure] = (missed, hit + 1) if trial.hit else (missed + 1, hit)
     return outcomes
 
 
