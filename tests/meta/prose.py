@@ -38,6 +38,8 @@ DONE = (
     f"{_SUITE}/selftest",
     f"{_SUITE}/cli",
     f"{_SUITE}/execution",
+    f"{_SUITE}/frames",
+    f"{_SUITE}/impairment",
     f"{_SUITE}/__init__.py",
     f"{_SUITE}/errors.py",
     f"{_SUITE}/pytest_plugin.py",
