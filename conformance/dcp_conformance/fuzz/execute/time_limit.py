@@ -1,4 +1,4 @@
-"""Ending what does not come back, in this process."""
+"""Limit the CPU time of a call in this process."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ import signal
 import threading
 from types import FrameType, TracebackType
 
-#: Seconds of CPU time for one test; sequences that are thousands of frames long take the most.
+#: Maximum CPU time of one test in seconds; sequences of thousands of frames take the longest.
 TIME_LIMIT = 8.0
 
 
 class Overtime(BaseException):
-    """Raised inside of code that does not come back: no ``except Exception`` of it keeps it."""
+    """Raised in code that exceeds its time limit. A BaseException, so that ``except Exception`` does not catch it."""
 
 
 class TimeLimit:
