@@ -29,7 +29,7 @@ from typing import Any
 from dcp_codec.codec import get_codec
 from dcp_stack.config import BPConfig, SRPConfig, VardisConfig
 from dcp_stack.effects import NeighbourSeen, VariableChanged
-from dcp_stack.links.memory import Quality
+from dcp_stack.links.quality import Quality
 from dcp_stack.links.topology import Full, Line
 from dcp_stack.node import Node
 from dcp_stack.sim.scenario.definition import Scenario, Topology

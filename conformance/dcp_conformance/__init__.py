@@ -7,8 +7,8 @@ The names below are the public interface (docs/stability.md). Read the results o
     >>> run = load_results(Path("report"))         # the folder of a report, or its results.json
     >>> [case.id for case in run.cases if case.verdict is Verdict.FAIL]
 
-:func:`case` makes a test case of a function; docs/dcp-conformance.md and the modules of :mod:`dcp_conformance.suite`
-show how one is written.
+The decorator :func:`case` turns a function into a test case. docs/dcp-conformance.md and the modules of
+:mod:`dcp_conformance.suite` show how to write test cases.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ __all__ = [
     "write_report",
 ]
 
-# Who reads results loads neither the suite nor the node.
+# Lazy imports: reading results loads neither the suite nor the node.
 __getattr__ = exported(
     __name__,
     {

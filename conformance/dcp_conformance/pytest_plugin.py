@@ -1,13 +1,12 @@
-"""The cases as pytest items, if the user wants pytest: ``-k``, ``--lf``, ``--durations`` and other plugins work.
+"""pytest plugin that executes the cases as pytest items, so that ``-k``, ``--lf``, ``--durations`` and plugins work.
 
-``dcp-conformance run`` runs cases without pytest, so that no setting of pytest changes a verdict; with ``--pytest``
-it calls pytest with this plugin. So does ``pytest -p dcp_conformance.pytest_plugin --pyargs
-dcp_conformance.suite
---dcp-in-process``. What pytest calls passed, failed and skipped is derived from the verdict and never the other way
-round.
+``dcp-conformance run`` executes cases without pytest, so that no setting of pytest can change a verdict. With
+``--pytest`` it calls pytest with this plugin. The plugin can also be used directly:
+``pytest -p dcp_conformance.pytest_plugin --pyargs dcp_conformance.suite --dcp-in-process``. The outcomes of pytest
+(passed, failed, skipped) are derived from the verdicts.
 
-With pytest-xdist (``-n 2``) each worker tests a node of ours of its own, and the results come together in the process
-that has started the workers (:mod:`dcp_conformance.execution.pytest_workers`).
+With pytest-xdist (``-n 2``) each worker tests its own reference node, and the process that has started the workers
+collects the results (:mod:`dcp_conformance.execution.pytest_workers`).
 """
 
 from __future__ import annotations
@@ -31,7 +30,7 @@ from .execution.selection import Selection
 from .execution.target import TargetOptions
 
 _PACKAGE_DIRECTORY = Path(__file__).parent
-#: Verdict -> (letter, word) for pytest's own terminal.
+#: Short and long form of each verdict in the terminal output of pytest.
 _SHOWN = {
     Verdict.PASS: (".", "PASS"),
     Verdict.INFO: ("i", "INFO"),
@@ -44,13 +43,13 @@ _SHOWN = {
 
 
 def run_with_pytest(run: ConformanceRun, options: list[str]) -> None:
-    """Run the cases with pytest in this process; ``options`` are those of the user for pytest.
+    """Execute the cases with pytest in this process; ``options`` are the user's options for pytest.
 
-    Settings of the directory that the user is in, and of its environment, do not count.
+    Settings of pytest in the current directory and in the environment are ignored.
     """
     arguments = ["--pyargs", CASES, "-c", os.devnull, "--rootdir", str(_PACKAGE_DIRECTORY)]
     arguments += ["-p", "no:cacheprovider", "--noconftest"]
-    # Where it is installed it makes a folder for its results in the current directory.
+    # If installed, pytest-benchmark would create a folder in the current directory.
     arguments += ["-p", "no:benchmark"]
     driver = Driver(run)
     kept = {name: os.environ.pop(name) for name in ("PYTEST_ADDOPTS", "PYTEST_PLUGINS") if name in os.environ}
@@ -59,7 +58,7 @@ def run_with_pytest(run: ConformanceRun, options: list[str]) -> None:
     finally:
         os.environ.update(kept)
     if not driver.finished:
-        # It has not come to a session, and has said why.
+        # No session was started; pytest has printed the reason.
         run.trouble, run.usage = f"pytest could not begin (its status is {int(status)})", True
 
 
@@ -69,7 +68,7 @@ def run_with_pytest(run: ConformanceRun, options: list[str]) -> None:
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Add the options of ``pytest -p dcp_conformance.pytest_plugin``."""
     group = parser.getgroup("dcp-conformance", "testing an implementation of DCP")
-    group.addoption("--dcp-in-process", action="store_true", help="our own node, in virtual time")
+    group.addoption("--dcp-in-process", action="store_true", help="test the reference node, in virtual time")
     for name, text in (
         ("profile", "wire profile"),
         ("interface", "network interface of the implementation"),
@@ -78,14 +77,14 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         ("pics", "PICS and PIXIT, a TOML file"),
         ("restart", "command that restarts the implementation"),
         ("expected", "file of expected results"),
-        ("artefacts", "folder with findings of the fuzzer, which become cases"),
+        ("artefacts", "folder with findings of the fuzzer, to be executed as cases"),
     ):
         group.addoption(f"--dcp-{name}", help=text)
 
 
 @pytest.hookimpl(trylast=True)
 def pytest_configure(config: pytest.Config) -> None:
-    """Take the run over from ``dcp-conformance``, or make one from the options."""
+    """Use the run of ``dcp-conformance``, or create one from the options of pytest."""
     driver = next((plugin for plugin in config.pluginmanager.get_plugins() if isinstance(plugin, Driver)), None)
     if driver is not None and _has_workers(config):
         raise pytest.UsageError(
@@ -98,12 +97,12 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def _has_workers(config: pytest.Config) -> bool:
-    """Whether this process only hands out what workers of pytest-xdist run."""
+    """Return whether this process is the controller of workers of pytest-xdist."""
     return config.getoption("dist", "no") != "no" and not hasattr(config, "workerinput")
 
 
 def _driver_of(config: pytest.Config) -> Driver:
-    """What drives the run that the options of pytest ask for. Raises ``pytest.UsageError``."""
+    """Create a run from the options of pytest, and return its plugin object. Raise ``pytest.UsageError``."""
     from .execution.pytest_workers import Controller, Worker
 
     option = config.getoption
@@ -132,8 +131,8 @@ def _driver_of(config: pytest.Config) -> Driver:
         return Driver(run)
     if target.foreign:
         raise pytest.UsageError(
-            "-n: the implementation is there only once, and workers would disturb each other; leave -n out "
-            "(only our own node can be tested by several workers, each with a node of its own)"
+            "-n: the implementation exists only once, and workers would disturb each other; leave -n out "
+            "(only the reference node can be tested by several workers, each with its own node)"
         )
     if option("dist") == "each":
         raise pytest.UsageError("--dist each: every case would have several results; leave it out")
@@ -141,7 +140,7 @@ def _driver_of(config: pytest.Config) -> Driver:
 
 
 def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> CaseFile | None:
-    """Modules with cases are ours."""
+    """Collect the cases of a module of the suite; leave other files to pytest."""
     if file_path.suffix == ".py" and CASES_DIRECTORY in file_path.parents and file_path.stem != "__init__":
         return CaseFile.from_parent(parent, path=file_path)
     return None
@@ -149,10 +148,10 @@ def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> CaseFile |
 
 @pytest.hookimpl(hookwrapper=True)
 def pytest_runtest_makereport(item: pytest.Item) -> Iterator[None]:
-    """Give the report its verdict."""
+    """Add the verdict to the report; in a worker, also the result."""
     outcome: Any = yield
     if isinstance(item, CaseItem) and item.result is not None:
-        # Workers send reports as plain data.
+        # Workers can send only plain data in reports.
         report = outcome.get_result()
         report.dcp_verdict = str(item.result.verdict)
         if hasattr(item.config, "workerinput") and report.when == "call":
@@ -160,7 +159,7 @@ def pytest_runtest_makereport(item: pytest.Item) -> Iterator[None]:
 
 
 def pytest_report_teststatus(report: pytest.TestReport) -> tuple[str, str, str] | None:
-    """Show verdicts in pytest's own terminal."""
+    """Show verdicts in the terminal output of pytest."""
     name = getattr(report, "dcp_verdict", None)
     if name is None or report.when != "call":
         return None

@@ -1,11 +1,11 @@
 """The traceability matrix: requirement x code x unit test x conformance case.
 
-It is made from what stands in the repository: ``##= ID`` in the code, the marker ``req`` of the tests, the
-requirements that cases name, and ``data/undecided.toml`` with the reasons for which a requirement has no case.
+It is generated from the repository: citations ``##= ID`` in the code, the marker ``req`` of the tests, the requirements
+of the cases, and ``data/undecided.toml`` with the reasons why a requirement has no case.
 ``python -m dcp_conformance.traceability`` (``make matrix``) writes ``docs/traceability.md`` and adds new cases to
-``data/case-ids.txt``, which remembers every identifier that a case ever had, so that none is used for another one.
+``data/case-ids.txt``. That file keeps the identifiers of all cases that ever existed, so that none is used again.
 
-Lines are not part of the matrix: it changes when a relation changes, not when code moves.
+The matrix has no line numbers: it changes when a relation changes, not when code moves.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from .errors import UsageError
 from .model.case import Case, all_cases
 
 CODE: Final = ("spec/dcp_spec", "dcp_codec", "dcp_stack")
-"""Where what fulfils a requirement stands."""
+"""Folders with code that fulfils requirements."""
 TESTS: Final = "tests"
 DOCUMENT: Final = "docs/traceability.md"
 UNDECIDED: Final = "conformance/dcp_conformance/data/undecided.toml"
@@ -39,30 +39,30 @@ _CITED = re.compile(r"##= *([A-Z]+-[A-Z]+-\d+|[A-Z]+-\d+)")
 _QUOTED = re.compile(r'"((?:DATA|UWB)-\d\d|(?:BP|SRP|VD)-[A-Z]+-\d\d)"')
 _MARKED = re.compile(r"mark\.req\(([^)]*)\)")
 _STRING = re.compile(r'"([^"]+)"')
-#: Tests of the catalogue name ids that must not exist.
+#: Tests with requirement ids that intentionally do not exist.
 _NOT_SCANNED = frozenset({"test_requirements.py", "test_citations.py", "test_traceability.py"})
 
 
-# -- what stands in the files ------------------------------------------------------------------------------------------
+# -- reading the repository --------------------------------------------------------------------------------------------
 
 
 def cited(text: str) -> set[str]:
-    """The requirement ids that Python source cites or names in a string: what it fulfils."""
+    """Return the requirement ids that Python source cites or has in a string: those that it fulfils."""
     return set(_CITED.findall(text)) | set(_QUOTED.findall(text))
 
 
 def marked(text: str) -> set[str]:
-    """The requirement ids that tests are marked with: what they decide."""
+    """Return the requirement ids that tests are marked with: those that they decide."""
     return {each for group in _MARKED.findall(text) for each in _STRING.findall(group)}
 
 
 def sources(root: Path, *folders: str) -> list[Path]:
-    """The Python files below folders of the repository, sorted, but for tests of the catalogue and of this."""
+    """Return the sorted Python files below ``folders`` of the repository, without those in ``_NOT_SCANNED``."""
     return sorted(path for folder in folders for path in (root / folder).rglob("*.py") if path.name not in _NOT_SCANNED)
 
 
 class Undecided(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A requirement that no case decides, and why."""
+    """A requirement that no case decides, with the reason."""
 
     id: str
     why: str
@@ -73,7 +73,7 @@ class _UndecidedFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def read_undecided(path: Path) -> tuple[Undecided, ...]:
-    """The reasons in ``undecided.toml``; none if there is no file. Raises :class:`UsageError` with file and key."""
+    """Return the entries of ``undecided.toml``; empty without the file. Raise :class:`UsageError` if it is invalid."""
     try:
         return msgspec.toml.decode(path.read_bytes(), type=_UndecidedFile).undecided
     except FileNotFoundError:
@@ -83,7 +83,10 @@ def read_undecided(path: Path) -> tuple[Undecided, ...]:
 
 
 def read_ledger(path: Path) -> dict[str, bool]:
-    """All identifiers that cases ever had, and whether each is retired. Raises :class:`UsageError` for other lines."""
+    """Return all identifiers that cases ever had, and whether each is retired.
+
+    Raise :class:`UsageError` for an invalid line or a duplicate.
+    """
     found: dict[str, bool] = {}
     lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
     for number, line in enumerate(lines, 1):
@@ -93,13 +96,13 @@ def read_ledger(path: Path) -> dict[str, bool]:
                 f"{path}, line {number}: {line!r}; a line is an identifier, or one followed by {RETIRED!r}"
             )
         if identifier in found:
-            raise UsageError(f"{path}, line {number}: {identifier} stands there twice")
+            raise UsageError(f"{path}, line {number}: {identifier} is a duplicate")
         found[identifier] = bool(rest)
     return found
 
 
 def ledger_text(ledger: Mapping[str, bool], used: Iterable[str]) -> str:
-    """The ledger with the identifiers that are used now added, one per line, sorted. It only ever grows."""
+    """Return the text of the ledger with the identifiers ``used`` added, one per line, sorted. It never shrinks."""
     merged = {**dict.fromkeys(used, False), **ledger}
     return "".join(f"{name} {RETIRED}\n" if retired else f"{name}\n" for name, retired in sorted(merged.items()))
 
@@ -109,7 +112,7 @@ def ledger_text(ledger: Mapping[str, bool], used: Iterable[str]) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """What there is about one requirement."""
+    """One requirement with its code, tests, cases and rules."""
 
     requirement: Requirement
     code: tuple[str, ...]
@@ -119,31 +122,31 @@ class Row:
     cases: tuple[str, ...]
     """The cases that decide it, without their variants."""
     why: str = ""
-    """Why no case decides it."""
+    """The reason why no case decides it."""
     rules: tuple[str, ...] = ()
     """The rules of ``check``, and of passive testing, that judge it in recordings."""
 
 
 @dataclass(frozen=True, slots=True)
 class Matrix:
-    """All requirements in the order of the catalogue, and what does not fit."""
+    """All requirements in the order of the catalogue, and the data for consistency checks."""
 
     rows: tuple[Row, ...]
     undecided: tuple[Undecided, ...]
     ledger: Mapping[str, bool]
     case_ids: tuple[str, ...]
     unknown: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    """Ids that the catalogue does not have, and where they stand."""
+    """Ids that the catalogue does not have, with the files that have them."""
     rule_ids: tuple[str, ...] = ()
     """The identifiers of the rules that judge recordings."""
 
     def problems(self) -> list[str]:
-        """What must not be, each with what to do about it; empty if the matrix is complete."""
+        """Return the gaps and contradictions of the matrix, each with its remedy; empty if it is complete."""
         return [*self._citations(), *self._coverage(), *self._reasons(), *self._identifiers()]
 
     def _citations(self) -> Iterable[str]:
         for name, places in self.unknown.items():
-            yield f"{name} is no requirement, but stands in {', '.join(places)}"
+            yield f"{name} is not a requirement, but is named in {', '.join(places)}"
 
     def _coverage(self) -> Iterable[str]:
         for row in self.rows:
@@ -157,10 +160,10 @@ class Matrix:
     def _reasons(self) -> Iterable[str]:
         for before, after in pairwise(each.id for each in self.undecided):
             if after <= before:
-                yield f"{UNDECIDED}: {after} stands behind {before}; entries are sorted by id, one for each"
+                yield f"{UNDECIDED}: {after} comes after {before}; sort the entries by id, with one for each id"
         for row in self.rows:
             if row.why and row.cases:
-                yield f"{UNDECIDED} has {row.requirement.id}, but {', '.join(row.cases)} decide it; take it out"
+                yield f"{UNDECIDED} has {row.requirement.id}, but {', '.join(row.cases)} decide it; remove the entry"
         for each in self.undecided:
             if not each.why.strip():
                 yield f"{UNDECIDED}: {each.id} has no reason"
@@ -176,17 +179,17 @@ class Matrix:
                 yield f"{name} is retired in {LEDGER}: identifiers are never used again, take the next number"
         for name, retired in self.ledger.items():
             if name not in used and not retired:
-                yield f"{name} is in {LEDGER}, but there is no such case: mark it {RETIRED!r}, or bring it back"
+                yield f"{name} is in {LEDGER}, but the case does not exist: mark it {RETIRED!r}, or restore the case"
 
 
 def matrix(repo_root: Path, cases: Mapping[str, Case] | None = None) -> Matrix:
-    """Look at a repository. ``cases`` are those to look at, by default all of them.
+    """Generate the matrix of a repository, with ``cases`` (default: all cases and rules).
 
-    Raises :class:`UsageError` if there is no repository at that place, or for a data file that cannot be read.
+    Raise :class:`UsageError` if ``repo_root`` is not a checkout, or for an invalid data file.
     """
     if not all((repo_root / folder).is_dir() for folder in (*CODE, TESTS)):
         raise UsageError(
-            f"{repo_root} is no checkout of this repository: {', '.join((*CODE, TESTS))} are not all there"
+            f"{repo_root} is not a checkout of this repository: it must contain {', '.join((*CODE, TESTS))}"
         )
     catalogue = requirements()
     chosen = all_cases() if cases is None else cases
@@ -234,14 +237,14 @@ def matrix(repo_root: Path, cases: Mapping[str, Case] | None = None) -> Matrix:
 
 
 def _rules() -> tuple[Case, ...]:
-    """The rules of ``check`` and of passive testing, as cases."""
+    """Return the rules of ``check`` and of passive testing, as cases."""
     from .check.judge import cases as checked
     from .passive.tester import cases as passive
 
     return (*checked(), *passive())
 
 
-# -- as a document -----------------------------------------------------------------------------------------------------
+# -- the document ------------------------------------------------------------------------------------------------------
 
 _INTRODUCTION = """\
 # Traceability
@@ -257,7 +260,7 @@ wire, at the upper interface, or only inside. *Specification* is where the newes
 
 
 def render(matrix: Matrix) -> str:
-    """The matrix as Markdown, the same for the same repository."""
+    """Return the matrix as Markdown; it depends on the repository only."""
     parts = [_INTRODUCTION, _summary(matrix)]
     for protocol, group in groupby(matrix.rows, lambda row: row.requirement.protocol):
         parts.append(f"## {protocol}\n")
@@ -314,7 +317,7 @@ def _line(row: Row) -> str:
 
 
 def _stated(requirement: str) -> str:
-    """Where the newest version that has the requirement states it."""
+    """Return file and lines where the newest version that has the requirement states it."""
     entry = origins()[requirement]
     version = max(entry.origins)
     lines: dict[str, dict[int, None]] = {}
@@ -326,7 +329,7 @@ def _stated(requirement: str) -> str:
 
 
 def _short(paths: Sequence[str]) -> list[str]:
-    """File names without their package, where that leaves no doubt."""
+    """Return the paths without their package, without duplicates."""
     return list(dict.fromkeys(path.removeprefix("spec/").partition("/")[2] or path for path in paths))
 
 
@@ -335,7 +338,7 @@ def _cell(text: str) -> str:
 
 
 def write(repo_root: Path) -> Matrix:
-    """Bring ledger and document up to date; the matrix. Raises :class:`UsageError` as :func:`matrix` does."""
+    """Update ledger and document; return the matrix. Raise :class:`UsageError` as :func:`matrix` does."""
     found = matrix(repo_root)
     used = (*found.case_ids, *found.rule_ids)
     (repo_root / LEDGER).write_text(ledger_text(found.ledger, used), encoding="utf-8")
@@ -344,18 +347,21 @@ def write(repo_root: Path) -> Matrix:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """``python -m dcp_conformance.traceability [--check] [ROOT]``: 0 if complete, 1 with problems, 2 for misuse."""
+    """Execute ``python -m dcp_conformance.traceability [--check] [ROOT]``.
+
+    Return 0 if the matrix is complete, 1 with problems, 2 for wrong usage.
+    """
     parser = argparse.ArgumentParser(
         prog="dcp_conformance.traceability", description=(__doc__ or "").partition("\n")[0]
     )
-    parser.add_argument("root", nargs="?", type=Path, default=Path(), help="the checkout (default: here)")
-    parser.add_argument("--check", action="store_true", help="write nothing, only say what is missing or outdated")
+    parser.add_argument("root", nargs="?", type=Path, default=Path(), help="the checkout (default: current directory)")
+    parser.add_argument("--check", action="store_true", help="write nothing, only report missing or outdated parts")
     options = parser.parse_args(arguments)
     try:
         found = matrix(options.root) if options.check else write(options.root)
         problems = found.problems()
         if options.check and outdated(options.root, found):
-            problems.append(f"{DOCUMENT} is not what the repository gives: run make matrix")
+            problems.append(f"{DOCUMENT} is outdated: run make matrix")
     except UsageError as error:
         print(error, file=sys.stderr)
         return 2
@@ -365,7 +371,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def outdated(repo_root: Path, found: Matrix) -> bool:
-    """Whether the committed document is another than the matrix gives."""
+    """Return whether the document in the repository differs from the matrix."""
     path = repo_root / DOCUMENT
     return not path.exists() or path.read_text(encoding="utf-8") != render(found)
 

@@ -1,4 +1,4 @@
-"""Numbers about beacons and state reports: rates, loss, age of information, what is odd. NumPy only, no drawing."""
+"""Numbers on beacons and state reports: rates, losses, age of information, anomalies. NumPy only, no drawing."""
 
 from __future__ import annotations
 
@@ -8,39 +8,41 @@ import numpy as np
 
 from .recorded import Column, Recorded
 
-#: Pieces that a recording is cut into, at most, for rates; and for ages.
+#: Maximum number of intervals of a recording for rates, and for ages.
 _BINS = 120
 _FINE = 300
-#: Beacons of each sender that one piece should have, so that a rate is one.
+#: Mean number of beacons of each sender in one interval, so that rates are meaningful.
 _PER_BIN = 10
 _SECOND = 1_000_000_000
 
 
 @dataclass(frozen=True)
 class Time:
-    """The time of a recording, from its first frame; cut into pieces of one length. Seconds, unless named ns."""
+    """The time of a recording from its first frame, divided into equal intervals by ``edges``, in seconds."""
 
     first_ns: int
+    """ns since 1970."""
     last_ns: int
+    """ns since 1970."""
     duration: float
     edges: Column
 
     def seconds(self, time: Column) -> Column:
-        """Times of capture as seconds since the first."""
+        """Convert times of capture (ns since 1970) to seconds since the first."""
         return (time - self.first_ns) / _SECOND
 
     def bins(self, time: Column) -> Column:
-        """The piece that each time of capture is in."""
+        """Return the index of the interval of each time of capture (ns since 1970)."""
         found = np.searchsorted(self.edges, self.seconds(time), "right") - 1
         return np.clip(found, 0, len(self.edges) - 2)
 
     @property
     def width(self) -> float:
-        """Seconds of a piece."""
+        """Length of an interval in seconds."""
         return float(self.edges[1] - self.edges[0])
 
     def finer(self, shortest: float) -> Column:
-        """The ends of more pieces, none shorter than so many seconds, for ages."""
+        """Return the edges of more intervals, none shorter than ``shortest`` seconds, for ages."""
         end = float(self.edges[-1])
         many = min(_FINE, end / shortest) if shortest > 0 else _FINE
         found: Column = np.linspace(0, end, max(1, int(many)) + 1)
@@ -48,7 +50,7 @@ class Time:
 
 
 def time_of(recorded: Recorded) -> Time:
-    """The time that beacons and malformed frames cover; a second if there is none."""
+    """Return the time from the first to the last beacon or malformed frame; one second without any."""
     stamps = np.concatenate([recorded.column("beacons", "time"), recorded.column("errors", "time")])
     first, last = (int(stamps.min()), int(stamps.max())) if stamps.size else (0, 0)
     duration = (last - first) / _SECOND
@@ -60,7 +62,7 @@ def time_of(recorded: Recorded) -> Time:
 
 
 def times_of(recorded: Recorded, time: Time, table: str, node: int) -> Column:
-    """When a table has something of a node: seconds, ascending."""
+    """Return the times of the rows of a node in a table: seconds, ascending."""
     columns = recorded.tables[table]
     found: Column = np.sort(time.seconds(columns["time"][columns["node"] == node]))
     return found
@@ -68,10 +70,11 @@ def times_of(recorded: Recorded, time: Time, table: str, node: int) -> Column:
 
 @dataclass(frozen=True)
 class Steps:
-    """What sequence numbers tell, one row for each beacon, in the order of frames.
+    """The differences of sequence numbers and times between beacons: one row for each beacon, in the order of frames.
 
-    ``lost`` beacons are missing in front of it; ``restart`` and ``repeated`` say how else it does not follow.
-    ``back`` is by how many ns the beacon was recorded earlier than the one before: the recorder's clock was set.
+    ``lost`` is the number of missing beacons before the beacon. ``restart``: its sequence number is lower than the
+    previous one. ``repeated``: the number is the same. ``back`` is the time in ns by which the beacon was recorded
+    before the previous one, because the recorder's clock was set.
     """
 
     lost: Column
@@ -81,7 +84,7 @@ class Steps:
 
 
 def steps_of(recorded: Recorded) -> Steps:
-    """Compare each beacon with the one before, of the same sender on the same interface."""
+    """Compare each beacon with the previous one of the same sender on the same interface."""
     table = recorded.tables["beacons"]
     many = table["node"].size
     lost, restart, repeated = np.zeros(many, np.int64), np.zeros(many, bool), np.zeros(many, bool)
@@ -93,7 +96,7 @@ def steps_of(recorded: Recorded) -> Steps:
         back[order[1:]] = np.where(same, np.maximum(at[:-1] - at[1:], 0), 0)
         if recorded.modulus:
             step = (seqno[1:] - seqno[:-1]) % recorded.modulus
-            # Half of the numbers are behind.
+            # Half of all numbers count as earlier ones.
             ahead = step < recorded.modulus // 2
             lost[order[1:]] = np.where(same & (step >= 2) & ahead, step - 1, 0)
             restart[order[1:]] = same & ~ahead
@@ -103,7 +106,7 @@ def steps_of(recorded: Recorded) -> Steps:
 
 @dataclass(frozen=True)
 class Sender:
-    """One line of the table of senders. ``loss`` is a share, ``rate`` per second; None where they cannot be known."""
+    """One row of the table of senders. ``loss`` is a share, ``rate`` is per second; None if they are unknown."""
 
     node: int
     beacons: int
@@ -117,10 +120,10 @@ class Sender:
 
 
 def senders_of(recorded: Recorded, time: Time, steps: Steps) -> list[Sender]:
-    """All senders, by their names."""
+    """Return all senders, sorted by name."""
     table, many = recorded.tables["beacons"], len(recorded.nodes)
     node, seconds = table["node"], time.seconds(table["time"])
-    # Anybody can pretend to be many senders: no loop over beacons for each of them.
+    # The number of senders can be huge, because they can be forged: avoid a loop over all beacons for each sender.
     beacons = np.bincount(node, minlength=many)
     lost = np.bincount(node, weights=steps.lost, minlength=many).astype(np.int64)
     restarts = np.bincount(node[steps.restart], minlength=many)
@@ -150,7 +153,7 @@ def senders_of(recorded: Recorded, time: Time, steps: Steps) -> list[Sender]:
 
 
 def rates(recorded: Recorded, time: Time, steps: Steps, node: int) -> tuple[Column, Column]:
-    """Beacons per second and share lost in each piece of time; NaN where nothing says anything."""
+    """Return beacons per second and the share of lost beacons in each interval; the share is NaN without beacons."""
     table = recorded.tables["beacons"]
     own = table["node"] == node
     bins = time.bins(table["time"][own])
@@ -162,9 +165,9 @@ def rates(recorded: Recorded, time: Time, steps: Steps, node: int) -> tuple[Colu
 
 
 def age(reports: Column, ends: Column) -> Column:
-    """The greatest age, in seconds, of a node's last report in each piece that ``ends`` bound; NaN before the first.
+    """Return the maximum age in seconds of a node's last report in each interval of ``ends``; NaN before the first.
 
-    ``reports`` are its times in ascending order, seconds.
+    ``reports`` are the times of the reports in seconds, ascending.
     """
     found = np.full(len(ends) - 1, np.nan)
     if not reports.size:
@@ -173,16 +176,16 @@ def age(reports: Column, ends: Column) -> Column:
     heard = last >= 0
     found[heard] = ends[1:][heard] - reports[last[heard]]
     bins = np.clip(np.searchsorted(ends, reports, "right") - 1, 0, len(found) - 1)
-    # Just before a report is heard, age is greatest.
+    # The age has a local maximum just before a report is received.
     found[bins] = np.nan_to_num(found[bins])
     np.maximum.at(found, bins[1:], np.diff(reports))
     return found
 
 
 def pair_ages(recorded: Recorded, time: Time, nodes: list[int]) -> tuple[Column, Column]:
-    """Median and 95th percentile, in seconds, of the age of [neighbour]'s last report whenever [node] sends a beacon.
+    """Return median and 95th percentile of the age of a neighbour's last report at the beacons of a node, in seconds.
 
-    NaN for a node about itself, and where there is nothing to tell.
+    Both results are indexed by [node, neighbour]. They are NaN for a node itself, and if there is no report.
     """
     heard = {node: times_of(recorded, time, "srp", node) for node in nodes}
     middle, high = np.full((2, len(nodes), len(nodes)), np.nan)
@@ -200,7 +203,7 @@ def pair_ages(recorded: Recorded, time: Time, nodes: list[int]) -> tuple[Column,
 
 @dataclass(frozen=True)
 class Part:
-    """Octets on the air of one kind: all of them, and in each piece of time."""
+    """The transmitted octets of one kind: their total, and their number in each interval."""
 
     name: str
     octets: int
@@ -208,7 +211,7 @@ class Part:
 
 
 def overhead(recorded: Recorded, time: Time) -> list[Part]:
-    """Where the octets of frames with good beacons go, most first; as the query of docs/tables.md."""
+    """Return the octets of frames with valid beacons by kind, the largest first, as the query in docs/tables.md."""
     beacons, payloads = recorded.tables["beacons"], recorded.tables["payloads"]
     containers = recorded.tables["containers"]
     many = len(time.edges) - 1
@@ -225,11 +228,11 @@ def overhead(recorded: Recorded, time: Time) -> list[Part]:
             octets = binned(numbers["time"][own], numbers["octets"][own])
             name = recorded.contents[number]
             if table == "payloads" and name == "vardis" and containers["time"].size:
-                # Its containers say it in detail; what is around them stays here.
+                # The containers are counted separately; this kind keeps the other octets of the payload.
                 octets = octets - binned(containers["time"], containers["octets"])
                 name = "around containers"
             found[_NAMES.get(name, name)] = octets
-    # Lengths of some profiles say other things, so that headers may come out a little short.
+    # Length fields of some profiles have another meaning, so that the difference can be too small or negative.
     found["headers of beacons and payloads"] = np.maximum(rest, 0)
     parts = [Part(name, int(octets.sum()), np.maximum(octets, 0)) for name, octets in found.items()]
     return sorted((part for part in parts if part.octets > 0), key=lambda part: -part.octets)
@@ -240,7 +243,7 @@ _NAMES = {"srp": "state reports (SRP)", "data": "other payloads", "vardis": "Var
 
 @dataclass(frozen=True)
 class Anomaly:
-    """Something odd in one frame. ``weight`` orders what is shown first; seconds since the first frame."""
+    """An anomaly of one frame. ``time`` is in seconds since the first frame; ``weight`` is its severity."""
 
     kind: str
     time: float
@@ -255,7 +258,7 @@ KINDS = ("malformed", "gap", "restart", "repetition", "time goes back")
 
 
 def anomaly_times(recorded: Recorded, time: Time, steps: Steps) -> dict[str, Column]:
-    """When what happened, by kind; seconds."""
+    """Return the times of anomalies by kind, in seconds since the first frame."""
     seconds = time.seconds(recorded.column("beacons", "time"))
     return {
         "malformed": time.seconds(recorded.column("errors", "time")),
@@ -267,7 +270,7 @@ def anomaly_times(recorded: Recorded, time: Time, steps: Steps) -> dict[str, Col
 
 
 def worst(recorded: Recorded, time: Time, steps: Steps, many: int) -> list[Anomaly]:
-    """At most ``many`` of each kind, the gravest, in the order of frames."""
+    """Return up to ``many`` anomalies of each kind, the most severe ones, in the order of frames."""
     beacons, errors = recorded.tables["beacons"], recorded.tables["errors"]
     found: list[Anomaly] = []
     for row in range(min(many, errors["frame"].size)):
@@ -286,7 +289,7 @@ def worst(recorded: Recorded, time: Time, steps: Steps, many: int) -> list[Anoma
                 "gap": f"{lost} missing before sequence number {number}",
                 "restart": f"continues with sequence number {number}",
                 "repetition": f"sequence number {number} again",
-                "time goes back": f"recorded {steps.back[row] / _SECOND:.6f} s earlier than the sender's beacon before",
+                "time goes back": f"recorded {steps.back[row] / _SECOND:.6f} s before the sender's previous beacon",
             }[kind]
             at = float(time.seconds(beacons["time"][row : row + 1])[0])
             found.append(Anomaly(kind, at, int(beacons["frame"][row]), int(beacons["node"][row]), words, lost))

@@ -1,4 +1,4 @@
-"""What a report says of one recording: its sections, from the numbers of the other modules."""
+"""Create the chapter of a report on one recording: its summary and sections, from the numbers of the other modules."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 
 def chapter(recorded: Recorded, number: int = 0) -> Chapter:
-    """All that is said of one recording. ``number`` keeps the names of several apart."""
+    """Return the chapter on one recording. ``number`` makes the names of plots and sections unique on the page."""
     outcome = recorded.outcome
     time, steps = analysis.time_of(recorded), analysis.steps_of(recorded)
     senders = analysis.senders_of(recorded, time, steps)
@@ -30,7 +30,7 @@ def chapter(recorded: Recorded, number: int = 0) -> Chapter:
     values, passed = variables.dissemination(recorded, time, sayings)
     lines = variables.lines(recorded, values, passed, DRAWN)
     most = sorted(senders, key=lambda sender: -sender.beacons)[:DRAWN]
-    # Nodes that only others talk about come last.
+    # Nodes that sent no beacon, but are in reports of others, come last.
     known = {sender.node for sender in senders}
     silent = [node for node in np.unique(recorded.column("srp", "node")).tolist() if node not in known]
     nodes = ([sender.node for sender in senders if sender in most] + silent)[:DRAWN]
@@ -78,7 +78,7 @@ def _facts(recorded: Recorded, time: Time) -> list[tuple[str, str]]:
 
 
 def _lost(recorded: Recorded, steps: Steps) -> tuple[int, float]:
-    """Beacons lost, and their share in percent."""
+    """Return the number of lost beacons, and their share in percent."""
     beacons, lost = recorded.column("beacons", "node").size, int(steps.lost.sum())
     return lost, 100 * lost / (beacons + lost) if beacons else 0.0
 
@@ -104,17 +104,17 @@ def _problems(recorded: Recorded, steps: Steps) -> list[str]:
     found = [plain(problem) for problem in outcome.problems]
     if outcome.other == outcome.frames:
         listed = ", ".join(f"{kind} ({many})" for kind, many in list(outcome.others.items())[:6])
-        nothing = f"All {outcome.frames:,} are other traffic." if outcome.frames else "There are no frames at all."
-        there = f"There is: {listed}." if listed else nothing
+        nothing = f"All {outcome.frames:,} frames are other traffic." if outcome.frames else "It has no frames at all."
+        there = f"It has: {listed}." if listed else nothing
         found.append(f"There are no DCP frames of profile {outcome.profile} in this recording. {there}")
     elif outcome.other:
-        found.append(f"{outcome.other:,} of {outcome.frames:,} frames are other traffic than DCP.")
+        found.append(f"{outcome.other:,} of {outcome.frames:,} frames are not DCP.")
     if recorded.transmissions_only:
         found.append(f"Losses are unknown: {NO_LOSSES}.")
     if steps.back.any():
         found.append(
             "Time goes back in this recording: the clock of the recorder was set. Rates, ages, delays and the order of "
-            "events mislead where it was."
+            "events are wrong at these times."
         )
     return found
 
@@ -127,7 +127,7 @@ def _figures(
     values: variables.Values,
     passed: variables.Passings,
 ) -> list[tuple[str, str]]:
-    """What recordings are compared by."""
+    """Return the figures of the comparison of recordings, as (name, text)."""
     recorded = easel.recorded
     lost, share = _lost(recorded, steps)
     octets = sum(part.octets for part in analysis.overhead(recorded, easel.time))
@@ -147,17 +147,17 @@ def _figures(
         ("beacons lost", f"{lost:,} ({short(share, 2)} %)" if recorded.tells_losses else "unknown"),
         ("malformed frames", f"{recorded.outcome.malformed:,}"),
         ("values of variables", f"{values.variable.size:,}"),
-        ("values that a node never said", f"{could - said:,} of {could:,}"),
-        ("time with another number than the producer's", f"{short(100 * differs / known)} %"),
+        ("values that a node never sent", f"{could - said:,} of {could:,}"),
+        ("time with another sequence number than the producer's", f"{short(100 * differs / known)} %"),
         ("stale at the end (node and variable)", f"{sum(pair.differs_at_end for pair in held.pairs):,}"),
         ("dissemination delay, median", quantile(0.5)),
         ("dissemination delay, 95th percentile", quantile(0.95)),
-        ("octets on the air", f"{octets:,}"),
+        ("transmitted octets", f"{octets:,}"),
     ]
 
 
 def stamp(time: int) -> str:
-    """A time of capture (ns since 1970) in UTC."""
+    """Return a time of capture (ns since 1970) as text in UTC."""
     seconds, rest = divmod(time, 1_000_000_000)
     try:
         return f"{_EPOCH + timedelta(seconds=seconds):%Y-%m-%d %H:%M:%S}.{rest:09d} UTC"

@@ -1,4 +1,4 @@
-"""One interactive plot with Bokeh: how lines, dots and boxes look, and what the pointer shows."""
+"""One interactive plot with Bokeh: the style of lines, dots and boxes, and the tooltips."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from .recorded import Column
 _FONT = "system-ui, -apple-system, 'Segoe UI', Roboto, 'Noto Sans', sans-serif"
 _TEXT = {"text_color": light("ink"), "text_font": _FONT}
 _LABEL = {"label_text_color": light("ink"), "label_text_font": _FONT}
-#: Applies to every plot; the script of the page exchanges the colours for the dark scheme.
+#: Theme of every plot; the script of the page replaces the colours in the dark scheme.
 _THEME = Theme(
     json={
         "attrs": {
@@ -72,32 +72,32 @@ _THEME = Theme(
     }
 )
 
-#: Times are drawn in milliseconds since the first frame, which is how Bokeh tells durations.
+#: Milliseconds of a second: Bokeh's durations are in milliseconds.
 _MS = 1000.0
-#: Pixels that a legend may take, so that it is whole on a telephone.
+#: Maximum width of a legend in pixels, so that it fits on a telephone.
 _LEGEND = 300
-#: Hatches of areas that lie upon each other.
+#: Hatches of stacked areas.
 _HATCHES = (None, "/", "x", "-", ".", "\\", "|", "o")
 _CLOCK = "%H:%M:%S.%3N"
 
 
 @dataclass
 class Plot:
-    """One plot of the page. ``summary`` says in words what it shows, for those who do not see it."""
+    """One plot of the page. ``summary`` describes it in text, for readers without sight of it."""
 
     name: str
     title: str
     caption: str
     summary: str
     figure: Any
-    #: Values of the vertical axis, to give the plots of two recordings the same one; None for rows.
+    #: Range of the values, to give the plots of two recordings the same vertical axis; None for plots with rows.
     limits: tuple[float, float] | None
     over_time: bool
-    #: Whether the vertical axis starts at 0 where nothing is below.
+    #: Whether the vertical axis starts at 0 if no value is negative.
     from_zero: bool = True
 
     def item(self, target: str) -> dict[str, Any]:
-        """What BokehJS embeds, as JSON: what ``bokeh.embed.json_item`` returns, without two checks of all models."""
+        """Return the plot as JSON for BokehJS, as ``bokeh.embed.json_item`` does without two checks."""
         document = Document(theme=_THEME, title="")
         document.add_root(self.figure)
         item = {
@@ -112,7 +112,7 @@ class Plot:
 
 
 def _numbered(value: Any, known: dict[str, str]) -> Any:
-    """JSON with models numbered from 1, so that the same recording gives the same page: Bokeh counts on."""
+    """Number the models in JSON from 1, so that the same recording always gives the same page."""
     if isinstance(value, list):
         return [_numbered(each, known) for each in value]
     if not isinstance(value, dict):
@@ -126,13 +126,13 @@ def _numbered(value: Any, known: dict[str, str]) -> Any:
 
 
 def safe_text(text: str) -> str:
-    """A text that Bokeh does not take for TeX."""
+    """Replace characters that Bokeh would interpret as TeX."""
     return text.replace("$", "＄")
 
 
 @dataclass
 class Chart:
-    """Collects what is drawn in one plot. ``duration`` (s) gives it a time axis; ``rows`` name horizontal rows."""
+    """Builder of one plot. ``duration`` (s) gives it a time axis; ``rows`` are the names of horizontal rows."""
 
     name: str
     title: str
@@ -189,10 +189,10 @@ class Chart:
             self.figure.yaxis.formatter = NumeralTickFormatter(format="0,0.[000]")
             self.figure.yaxis[0].ticker.desired_num_ticks = 5
 
-    # -- what can be drawn ------------------------------------------------------------------------------------------
+    # -- drawing ----------------------------------------------------------------------------------------------------
 
     def line(self, number: int, name: str, x: Column, y: Column, *, step: bool = False, **shown: Any) -> None:
-        """A line of series ``number``; ``shown`` are further columns for the pointer. NaN interrupts it."""
+        """Draw a line of series ``number``; ``shown`` are further columns of the tooltip. NaN interrupts the line."""
         source = self._source(name, x, y, shown)
         style = {
             "line_color": series_colour(number), "line_dash": DASHES[number // 10 % len(DASHES)], "line_width": 1.8,
@@ -200,30 +200,30 @@ class Chart:
         draw = self.figure.step if step else self.figure.line
         options = {"mode": "after"} if step else {}
         drawn = draw("x", "y", source=source, **style, **options)
-        # A mark for each series, few enough to be told apart.
+        # A few markers identify each series without colour.
         marks = self._marks(number, source, np.linspace(0, x.size - 1, min(x.size, 9)).astype(int))
         if step:
-            # Bokeh does not find steps under the pointer; it finds these.
+            # Bokeh has no tooltips for steps: use invisible dots.
             drawn_there = self.figure.scatter("x", "y", source=source, size=9, color=light("card"), alpha=0)
         self._pointer([drawn_there if step else drawn], shown)
         self._entry(name, [drawn, marks], y)
 
     def dots(self, number: int, name: str, x: Column, y: Column, **shown: Any) -> None:
-        """Dots of series ``number``."""
+        """Draw dots of series ``number``; ``shown`` are further columns of the tooltip."""
         source = self._source(name, x, y, shown)
         drawn = self._scatter(source, SYMBOLS[number % 10][0], series_colour(number), size=6, fill_alpha=0.55)
         self._pointer([drawn], shown)
         self._entry(name, [drawn], y)
 
     def levels(self, number: int, name: str, edges: Column, values: Column) -> None:
-        """A line that is level between each two of ``edges`` (s), as for means; NaN interrupts it."""
+        """Draw a line that is constant in each interval of ``edges`` (s), as for means; NaN interrupts the line."""
         self.line(number, name, edges, np.append(values, values[-1:]), step=True)
 
     def boxes(
         self, role: str, left: Column, right: Column, bottom: Column, top: Column, *, legend: str = "",
         hatch: str | None = None, **shown: Any,
     ) -> None:  # fmt: skip
-        """Boxes in the colour of a role, with a hatch that says the same; ``shown`` is for the pointer."""
+        """Draw boxes in the colour of a role, with an equivalent hatch; ``shown`` are columns of the tooltip."""
         scale = _MS if self.duration is not None else 1.0
         source = ColumnDataSource({"left": left * scale, "right": right * scale, "bottom": bottom, "top": top, **shown})
         drawn = self._quads(source, light(role), hatch, 6, 1.2)
@@ -232,7 +232,7 @@ class Chart:
             self._entries.append((legend, [drawn]))
 
     def areas(self, series: Sequence[tuple[str, Column]], edges: Column) -> None:
-        """Steps stacked upon each other, one for each name; values between each two of ``edges`` (s)."""
+        """Draw stacked steps, one for each name, with one value for each interval of ``edges`` (s)."""
         below = np.zeros(edges.size - 1)
         for number, (name, values) in enumerate(series):
             above = below + values
@@ -247,17 +247,17 @@ class Chart:
         self._ends += [0.0, float(below.max(initial=0))]
 
     def marks_at(self, symbol: str, role: str, x: Column, y: Column, *, size: int = 9, **shown: Any) -> None:
-        """Symbols in the colour of a role at places that matter."""
+        """Draw symbols in the colour of a role; ``shown`` are columns of the tooltip."""
         source = ColumnDataSource({"x": x * _MS if self.duration is not None else x, "y": y, **shown})
         drawn = self._scatter(source, symbol, light(role), size=size, line_width=1.5)
         self._pointer([drawn], shown)
 
     def plot(self) -> Plot:
-        """The finished plot."""
+        """Return the complete plot, with legend and axes."""
         if self._entries:
             items = [LegendItem(label=safe_text(name), renderers=drawn) for name, drawn in self._entries]
             columns = max(1, min(4, _LEGEND // (36 + 7 * max(len(name) for name, _ in self._entries))))
-            # Below the plot, where it hides nothing; a click hides a series.
+            # Below the plot, where it covers no data; a click hides a series.
             self.figure.add_layout(Legend(items=items, ncols=columns, click_policy="hide", location="left"), "below")
             self.figure.height += 22 * -(-len(items) // columns)
         limits = None
@@ -272,7 +272,7 @@ class Chart:
             scale(plot, limits)
         return plot
 
-    # -- how ----------------------------------------------------------------------------------------------------------
+    # -- internal -----------------------------------------------------------------------------------------------------
 
     def _source(self, name: str, x: Column, y: Column, shown: dict[str, Any]) -> ColumnDataSource:
         scaled = x * _MS if self.duration is not None else x
@@ -299,7 +299,7 @@ class Chart:
         )  # fmt: skip
 
     def _pointer(self, drawn: list[Any], shown: dict[str, Any], *, span: bool = False) -> None:
-        """What is shown under the pointer: the name, when, the value, and the further columns."""
+        """Add a tooltip with the name, the time, the value, and further columns."""
         rows = [(name, f"@{{{name}}}{_number_format(values)}") for name, values in shown.items()]
         at = "@left{" + _CLOCK + "} to @right{" + _CLOCK + "}" if span else "@x{" + _CLOCK + "}"
         if self.duration is not None:
@@ -335,17 +335,17 @@ class Chart:
 
 
 def scale(plot: Plot, limits: tuple[float, float]) -> None:
-    """Give a plot these limits of its vertical axis, with some room."""
+    """Set the range of the vertical axis to ``limits``, with some margin."""
     low, high = limits
     if plot.from_zero and low >= 0:
         low, high = 0.0, high or 1.0
-    # Never so narrow that both ends are one number.
+    # The range must not be so narrow that the labels of both ends are equal.
     room = 0.06 * max(high - low, 1e-3, 1e-6 * abs(low), 1e-6 * abs(high))
     plot.figure.y_range = Range1d(low - (room if low or not plot.from_zero else 0), high + room)
 
 
 def _compact(values: Any) -> Any:
-    """Whole numbers in four octets where they fit."""
+    """Convert integers to four octets if they fit."""
     if isinstance(values, np.ndarray) and values.dtype.kind == "i" and values.size and abs(values).max() < 1 << 31:
         return values.astype(np.int32)
     return values

@@ -1,12 +1,12 @@
-"""The colours of a page, light and dark, and the symbols that say the same without colour.
+"""The colours of a page in the light and dark schemes, and symbols that are equivalent to the colours of series.
 
-Text and lines have a contrast of at least 4.5 to 1 to what is behind them, in both schemes.
+Text and lines have a contrast of at least 4.5 to 1 with their background in both schemes.
 """
 
 from __future__ import annotations
 
-#: Role -> light, dark. Roles are CSS variables of the page; the plots are drawn with the light ones, and the script of
-#: the page exchanges them.
+#: Light and dark colour by role. Roles are CSS variables of the page. The plots have the light colours, and the script
+#: of the page replaces them in the dark scheme.
 SCHEMES: dict[str, tuple[str, str]] = {
     "paper": ("#fbfbfa", "#14171a"),
     "card": ("#ffffff", "#1c2024"),
@@ -28,24 +28,24 @@ SCHEMES: dict[str, tuple[str, str]] = {
     "s8": ("#7a4b21", "#cc9a6e"),
     "s9": ("#5a6c00", "#b5cc4d"),
 }
-#: Roles whose text or lines must be read; against each of BACKGROUNDS.
+#: Roles of text and lines, which must be legible on each of BACKGROUNDS.
 FOREGROUNDS = ("ink", "soft", "fail", "accent", *(f"s{number}" for number in range(10)))
 BACKGROUNDS = ("paper", "card", "code")
 
-#: Marker of Bokeh, the same as a character: one for each series, in the order of colours.
+#: Marker of Bokeh and the equivalent character of each series, in the order of colours.
 SYMBOLS = (
     ("circle", "●"), ("square", "■"), ("triangle", "▲"), ("diamond", "◆"), ("inverted_triangle", "▼"),
     ("plus", "✚"), ("star", "★"), ("hex", "⬢"), ("x", "✖"), ("asterisk", "✱"),
 )  # fmt: skip
-#: How lines are dashed: the first ten series, the next ten.
+#: Dashes of lines: of the first ten series, and of the next ten.
 DASHES = ("solid", "dashed")
 
 
 def light(role: str) -> str:
-    """The colour of a role in the light scheme."""
+    """Return the colour of a role in the light scheme."""
     return SCHEMES[role][0]
 
 
 def series_colour(number: int) -> str:
-    """The colour of a series, in the light scheme; it repeats after ten."""
+    """Return the colour of a series in the light scheme; colours repeat after ten series."""
     return light(f"s{number % 10}")

@@ -1,4 +1,4 @@
-"""Who holds what: the number of each variable that each node says it holds, held against that of the producer."""
+"""Compare the sequence number that each node holds of each variable, according to its beacons, with the producer's."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from .analysis import Time, times_of
 from .recorded import Column, Recorded
 from .series import usual_interval
 
-#: Nodes and variables that are compared: those of which most was heard.
+#: Maximum numbers of nodes and variables that are compared: those with the most records.
 _NODES, _VARIABLES = 60, 200
-#: A node that says nothing of a variable for so long (s), or for so many of its beacons, may have forgotten it.
+#: Time in seconds, and number of its beacons, without a record about a variable after which a node's state is unknown.
 _FORGOTTEN, _FORGOTTEN_BEACONS = 10.0, 20
-#: A difference is worth a row of the list if it lasts so long (s), and for so many beacons of the node.
+#: Minimum duration of a listed difference: in seconds, and in beacons of the node.
 _PATIENCE, _PATIENCE_BEACONS = 2.0, 10
 
 Span = tuple[float, float]
@@ -27,9 +27,10 @@ Span = tuple[float, float]
 class Pair:
     """One node and one variable of another node. Spans are in seconds since the first frame.
 
-    ``known``: the node says which number it holds. ``differs``: that number is not the producer's, or the node has
-    never said one. ``held`` and ``produced`` are the last numbers of the two: DELETED, or None if there was none.
-    ``values`` counts the values of the producer that the node could have said, ``said`` those that it did say.
+    ``known``: spans in which the node's sequence number is known. ``differs``: spans in which it is not the producer's,
+    or the node has not sent any. ``held`` and ``produced`` are the last numbers of node and producer: DELETED, or None
+    without any. ``values`` is the number of values of the producer that the node could have sent, ``said`` the number
+    of those that it has sent.
     """
 
     variable: int
@@ -41,13 +42,13 @@ class Pair:
     produced: int | None = None
     values: int = 0
     said: int = 0
-    #: Whether the last numbers differ while the node is still heard, and have for long.
+    #: Whether the last numbers differ, and have differed for long while the node sent beacons.
     differs_at_end: bool = False
-    #: What was said when, by the node (None: nothing) and by the producer.
+    #: The claims of the node (None: none) and of the producer.
     claims: tuple[_Claims | None, _Claims] | None = None
 
     def at(self, second: float) -> tuple[int | None, int | None]:
-        """The numbers that node and producer had said last before this time."""
+        """Return the last numbers of node and producer before this time; None without any."""
         assert self.claims is not None
         rows = [-1 if each is None else int(np.searchsorted(each.time, second, "left")) - 1 for each in self.claims]
         held, produced = (
@@ -59,9 +60,10 @@ class Pair:
 
 @dataclass(frozen=True)
 class Divergence:
-    """A node held another number than the producer for long. ``missed`` values of the producer it did not say.
+    """A long difference between the numbers of a node and of the producer.
 
-    ``frame`` is that in which the producer said the first of them, ``produced`` the producer's number when it ended.
+    ``missed`` is the number of the producer's values that the node did not send. ``frame`` is the frame in which the
+    producer sent the first of them. ``produced`` is the producer's number at the end of the difference.
     """
 
     variable: int
@@ -78,36 +80,37 @@ class Divergence:
 
 @dataclass
 class Holding:
-    """What all nodes hold. ``left_out`` counts pairs of a node and a variable that were not compared."""
+    """The comparison of all nodes. ``left_out`` is the number of pairs of node and variable that were not compared."""
 
     pairs: list[Pair] = field(default_factory=list)
     divergences: list[Divergence] = field(default_factory=list)
-    #: Variables of which no CREATE was heard, or whose producer said nothing of them.
+    #: Variables without a received VarCreate, or without a record of their producer.
     without_producer: list[int] = field(default_factory=list)
     left_out: int = 0
 
 
 @dataclass(frozen=True)
 class _Claims:
-    """What one node says of one variable: ascending times (s), numbers, frames."""
+    """The claims of one node about one variable: ascending times (s), sequence numbers, and frames."""
 
     time: Column
     number: Column
     frame: Column
 
     def changes(self) -> _Claims:
+        """Return the claims that differ from the one before."""
         new = np.ones(self.number.size, bool)
         new[1:] = self.number[1:] != self.number[:-1]
         return _Claims(self.time[new], self.number[new], self.frame[new])
 
     def at(self, times: Column) -> Column:
-        """The place of the last claim at each time, -1 before the first."""
+        """Return the index of the last claim at each time; -1 before the first."""
         found: Column = np.searchsorted(self.time, times, "right") - 1
         return found
 
 
 def holding(recorded: Recorded, time: Time) -> Holding:
-    """Compare what every node says it holds with what the producer says."""
+    """Compare the sequence numbers that nodes hold with those of the producers."""
     held, found = recorded.tables["held"], Holding()
     claims = dict(_claims(held, time))
     spoken, chatter = np.unique(held["node"], return_counts=True)
@@ -135,7 +138,7 @@ def holding(recorded: Recorded, time: Time) -> Holding:
 def _claims(held: dict[str, Column], time: Time) -> Iterator[tuple[tuple[int, int], _Claims]]:
     order = np.lexsort((held["frame"], held["node"], held["variable"]))
     variable, node = held["variable"][order], held["node"][order]
-    # The clock of the recorder may have been set back; time of claims does not go back.
+    # The clock of the recorder may have been set back: make the times of claims ascend.
     seconds, number, frame = time.seconds(held["time"][order]), held["seqno"][order], held["frame"][order]
     turns = np.flatnonzero((np.diff(variable) != 0) | (np.diff(node) != 0)) + 1
     for start, end in zip([0, *turns.tolist()], [*turns.tolist(), order.size], strict=True):
@@ -147,7 +150,7 @@ def _claims(held: dict[str, Column], time: Time) -> Iterator[tuple[tuple[int, in
 
 
 def _compare(pair: Pair, produced: _Claims, said: _Claims | None, beacons: Column) -> list[Divergence]:
-    """Fill in the pair; returns the differences that last."""
+    """Set the fields of the pair; return the long differences."""
     end, interval = float(beacons[-1]), usual_interval(beacons)
     pair.produced = int(produced.number[-1])
     heard = np.zeros(produced.time.size, bool)
@@ -167,7 +170,7 @@ def _compare(pair: Pair, produced: _Claims, said: _Claims | None, beacons: Colum
     could = (produced.time <= end) & (produced.time >= float(beacons[0])) & (produced.number >= 0)
     pair.values, pair.said = int(could.sum()), int((could & heard).sum())
     pair.differs = _joined(pieces[differs])
-    # What it says in its last beacon counts, too.
+    # The last beacon may end the difference.
     final = np.array([end])
     agrees = said is not None and not _differ(said.number[said.at(final)], produced.number[produced.at(final)])[0]
     open_end = bool(len(pieces) and differs[-1] and pieces[-1, 1] == end and not agrees)
@@ -179,7 +182,7 @@ def _compare(pair: Pair, produced: _Claims, said: _Claims | None, beacons: Colum
         pair.differs_at_end |= to_the_end
         inside = (produced.time >= start) & (produced.time < stop)
         missed = inside & ~heard
-        # What differs at the start is the value before, or the first one said during it.
+        # The first missed value was sent before the start of the difference, or during it.
         first = int(np.argmax(missed)) if missed.any() else int(max(produced.at(np.array([start]))[0], 0))
         last = int(said.at(np.array([stop - 1e-9]))[0]) if said is not None else -1
         found.append(
@@ -200,15 +203,15 @@ def _compare(pair: Pair, produced: _Claims, said: _Claims | None, beacons: Colum
 
 
 def _differ(held: Column, produced: Column) -> Column:
-    """Whether numbers differ. Nodes that deleted a variable, or do not know it, hold the same: nothing."""
+    """Return whether numbers differ. A deleted variable and an unknown one count as equal."""
     found: Column = (held != produced) & ((held >= 0) | (produced >= 0))
     return found
 
 
 def _with_deletions(said: _Claims, produced: _Claims, end: float) -> _Claims:
-    """Take a node that falls silent about a variable after its deletion for one that deleted it.
+    """Add a deletion to the claims of a node that sends no record about a variable after the producer deleted it.
 
-    ``end`` is its last beacon: nothing is silent after that.
+    ``end`` is the time of the node's last beacon.
     """
     times, frames = [], []
     ends = [*produced.time[1:].tolist(), np.inf]
@@ -233,7 +236,7 @@ def _with_deletions(said: _Claims, produced: _Claims, end: float) -> _Claims:
 
 
 def _pieces(produced: _Claims, said: _Claims, end: float, forgotten: float) -> tuple[Column, Column]:
-    """Pieces of time in which it is known what the node holds, (start, end) each, and whether that differs."""
+    """Return the spans (start, end) in which the node's number is known, and whether it differs in each."""
     gaps = np.append(said.time[1:], max(end, float(said.time[-1]))) - said.time
     silent = (gaps > forgotten) & (said.number != DELETED)
     times = np.concatenate([produced.time, said.changes().time, said.time[silent], said.time[silent] + forgotten])
@@ -247,7 +250,7 @@ def _pieces(produced: _Claims, said: _Claims, end: float, forgotten: float) -> t
 
 
 def _heard(produced: _Claims, said: _Claims) -> Column:
-    """Which values of the producer the node said after it."""
+    """Return which values of the producer the node has sent after the producer."""
     order = np.lexsort((produced.time, produced.number))
     span = max(float(produced.time[-1]), float(said.time[-1])) + 1
     known = (produced.number[order] + 1) * span + produced.time[order]
@@ -259,7 +262,7 @@ def _heard(produced: _Claims, said: _Claims) -> Column:
 
 
 def _joined(pieces: Column) -> list[Span]:
-    """Pieces of time with those that touch made one."""
+    """Join adjacent spans."""
     apart = pieces[1:, 0] != pieces[:-1, 1]
     starts = pieces[np.concatenate([[True], apart])[: len(pieces)], 0]
     ends = pieces[np.concatenate([apart, [True]])[: len(pieces)], 1]
@@ -267,7 +270,7 @@ def _joined(pieces: Column) -> list[Span]:
 
 
 def shares(spans: list[Span], edges: Column) -> Column:
-    """The share of each piece between ``edges`` that the spans cover."""
+    """Return the share of each interval of ``edges`` that the spans cover, 0 to 1."""
     if not spans:
         return np.zeros(edges.size - 1)
     ends = np.array(spans).ravel()

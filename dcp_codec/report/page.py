@@ -1,4 +1,4 @@
-"""The page of a report: chapters of recordings, sections of plots and tables; one file that needs nothing else."""
+"""The page of a report: chapters on recordings, with sections of plots and tables, in one self-contained file."""
 
 from __future__ import annotations
 
@@ -17,8 +17,9 @@ from .colours import SCHEMES, SYMBOLS
 
 @dataclass
 class Cell:
-    """One cell of a table. ``series`` is the colour and symbol of what the row is about; ``number`` aligns it to the
-    right; ``bad`` marks it in red; ``code`` is a command to copy; ``bar`` is a share of 1 drawn behind it.
+    """One cell of a table. ``series`` is the number of the series whose colour and symbol it has; ``number`` aligns it
+    to the right; ``bad`` marks it in red; ``code``: it is a command to copy; ``bar`` is a share (0 to 1) that is drawn
+    as a bar in the background.
     """
 
     text: str
@@ -31,13 +32,13 @@ class Cell:
 
     @property
     def symbol(self) -> str:
-        """The symbol of the series."""
+        """The character of the series."""
         return SYMBOLS[(self.series or 0) % len(SYMBOLS)][1]
 
 
 @dataclass
 class Table:
-    """A table with its caption and heading. ``matrix``: the first cell of each row is a heading, too."""
+    """A table with caption and headings. ``matrix``: the first cell of each row is a heading, too."""
 
     caption: str
     heads: list[Cell]
@@ -47,7 +48,7 @@ class Table:
 
 @dataclass
 class Section:
-    """One section; ``words`` are what there is to say, also where there is nothing to draw."""
+    """One section. ``words`` are paragraphs of text, also if there is nothing to draw."""
 
     id: str
     title: str
@@ -58,7 +59,7 @@ class Section:
 
 @dataclass
 class Chapter:
-    """What is said of one recording. ``figures`` are what recordings are compared by: (what, as text)."""
+    """The chapter on one recording. ``figures`` are those of the comparison of recordings, as (name, text)."""
 
     name: str
     facts: list[tuple[str, str]]
@@ -70,17 +71,17 @@ class Chapter:
 
     @property
     def plots(self) -> list[Plot]:
-        """All plots, in the order of the page."""
+        """All plots in the order of the page."""
         return [plot for section in self.sections for plot in section.plots]
 
 
 def table(caption: str, heads: Sequence[str], rows: list[list[Cell]], *, matrix: bool = False) -> Table:
-    """A table whose headings are aligned as their columns."""
+    """Return a table whose headings have the alignment of their columns. ``rows`` must not be empty."""
     return Table(caption, [Cell(head, number=rows[0][place].number) for place, head in enumerate(heads)], rows, matrix)
 
 
 def render(chapters: Sequence[Chapter]) -> str:
-    """The page; everything that comes from recordings is escaped. Two recordings stand side by side."""
+    """Render the page; text from recordings is escaped. Two recordings are shown side by side."""
     environment = Environment(
         loader=PackageLoader("dcp_codec.report"),
         autoescape=True,
@@ -114,18 +115,19 @@ def render(chapters: Sequence[Chapter]) -> str:
 
 
 def _library() -> str:
-    """BokehJS without widgets, tables and TeX. "</" would end the script element that it stands in."""
+    """Return BokehJS without widgets, tables and TeX, for a script element."""
+    # "</" would end the script element.
     found = Resources(mode="inline", components=["bokeh"], minified=True).js_raw
     return "\n".join(found).replace("</", "<\\/")
 
 
 def _script_json(value: Any) -> str:
-    """JSON that can stand in a script element."""
+    """Return JSON that is safe in a script element."""
     return json.dumps(value, separators=(",", ":")).replace("<", "\\u003c")
 
 
 def _one_scale(chapters: Sequence[Chapter]) -> None:
-    """Give the plots of two recordings that show the same thing the same axes."""
+    """Give corresponding plots of two recordings the same axes."""
     longest = max(chapter.duration for chapter in chapters)
     known = [{plot.name.partition("-")[2]: plot for plot in chapter.plots} for chapter in chapters]
     for name in known[0].keys() & known[1].keys():

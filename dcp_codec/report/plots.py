@@ -19,21 +19,22 @@ from .recorded import NOBODY, Column, Recorded
 from .series import extremes, in_unit, ordinal, runs, seconds_text, short, usual_interval
 from .variables import Passings, Values, counted, numeric
 
-#: Nodes and variables that are drawn one by one; rows of who holds what.
+#: Maximum number of nodes and of variables that are drawn, and of rows in the plot of held values.
 DRAWN, ROWS = 20, 40
-#: Points that one plot may have, and pieces of each series at least: more are thinned to extremes of each piece.
+#: Maximum number of points in a plot, and minimum number of intervals of each series. Longer series are reduced to the
+#: extremes of each interval.
 _POINTS, _PIECES = 6_000, 60
-#: Reports of each node that a piece of time should have, so that its greatest age is one.
+#: Number of reports of each node in an interval, so that the maximum age is meaningful.
 _REPORTS = 4
-#: Marks of the kinds of anomalies.
+#: Markers of the kinds of anomalies.
 _KIND_SYMBOLS = ("x", "diamond", "triangle", "square", "inverted_triangle")
-#: Positions beyond this many units are not on this planet.
+#: Maximum absolute value of plausible coordinates.
 _FAR = 1e8
 
 
 @dataclass
 class Easel:
-    """What all plots of one recording share: time, and who is drawn in which colour."""
+    """The common data of all plots of one recording: time, and the colours of nodes and variables."""
 
     recorded: Recorded
     time: Time
@@ -47,21 +48,21 @@ class Easel:
         self.short = short_names({node: self.recorded.nodes[node] for node in self.nodes})
 
     def name(self, node: int) -> str:
-        """How a node is called in plots and narrow tables."""
+        """Return the short name of a node for plots and narrow tables."""
         return self.short.get(node) or (self.recorded.nodes[node] if node >= 0 else NOBODY)
 
     def times(self, table: str) -> dict[int, Column]:
-        """When a table has something of each node that is drawn; without those of which it has nothing."""
+        """Return the times of the rows of each drawn node in a table; nodes without rows are left out."""
         found = {node: analysis.times_of(self.recorded, self.time, table, node) for node in self.nodes}
         return {node: times for node, times in found.items() if times.size}
 
     def chart(self, name: str, title: str, caption: str, **options: object) -> Chart:
-        """A new plot of this recording over time."""
+        """Return the builder of a new plot of this recording over time."""
         return Chart(f"{self.prefix}{name}", title, caption, **{"duration": self.time.duration, **options})  # type: ignore[arg-type]
 
 
 def short_names(names: dict[int, str]) -> dict[int, str]:
-    """The shortest ends of identifiers that tell them apart, two octets at least."""
+    """Return the shortest suffixes that distinguish identifiers, with at least two octets."""
     for octets in range(2, 256):
         found = {}
         for node, name in names.items():
@@ -75,36 +76,36 @@ def short_names(names: dict[int, str]) -> dict[int, str]:
 
 
 class Thinned:
-    """Thins the series of one plot, and counts what is left."""
+    """Reduces the series of one plot to fewer points, and counts the points."""
 
     def __init__(self, series: int) -> None:
         self._pieces = max(_PIECES, _POINTS // (4 * max(1, series)))
         self.drawn = self.total = 0
 
     def rows(self, rows: Column, x: Column, y: Column, also: Column | None = None) -> Column:
-        """Those of ``rows`` that are drawn; ``also`` are places among them that are drawn in any case."""
+        """Return the rows to draw; ``also`` has the indices of rows that are always drawn."""
         places = self.places(x, y)
         kept: Column = rows[places if also is None else np.union1d(places, also)]
         self.drawn, self.total = self.drawn + kept.size, self.total + rows.size
         return kept
 
     def places(self, x: Column, y: Column) -> Column:
-        """The places of a series that are drawn."""
+        """Return the indices of the points of a series to draw."""
         return extremes(x, y, self._pieces)
 
     @property
     def words(self) -> str:
-        """What to say where a series was thinned; nothing where none was."""
+        """Note for the caption if points were left out; otherwise empty."""
         if self.drawn >= self.total:
             return ""
         share = self.total / max(1, self.drawn)
-        return f" 1 of {short(share)} drawn: the first, last, least and greatest of each piece of time."
+        return f" 1 of {short(share)} drawn: the first, last, minimum and maximum of each interval."
 
 
 def over_time(
     easel: Easel, name: str, title: str, caption: str, label: str, ends: Column, series: dict[int, Column]
 ) -> Plot:
-    """One line for each node, level in each piece of time that ``ends`` bound."""
+    """Plot one line for each node, which is constant in each interval of ``ends``."""
     chart = easel.chart(name, title, caption, label=label)
     for node, each in series.items():
         chart.levels(easel.nodes.index(node), easel.name(node), ends, each)
@@ -112,7 +113,7 @@ def over_time(
 
 
 def holdings(easel: Easel, found: holding.Holding) -> tuple[Plot | None, int]:
-    """Who holds what over time, the rows that differ longest; and how many rows are left out."""
+    """Plot the held values over time for the longest differences; also return the number of omitted rows."""
     pairs = [pair for pair in found.pairs if pair.known or pair.differs]
     longest = sorted(pairs, key=lambda each: -sum(b - a for a, b in each.differs))[:ROWS]
     rows = sorted(longest, key=lambda each: (each.variable, easel.recorded.nodes[each.node]))
@@ -121,12 +122,12 @@ def holdings(easel: Easel, found: holding.Holding) -> tuple[Plot | None, int]:
     time = easel.time
     edges = np.linspace(0, time.duration or 1.0, max(120, min(600, 9_000 // len(rows))) + 1)
     caption = (
-        "One row for each variable and node. Blue: the node says the number that the producer said last. Red and "
-        "hatched: it says another number, or none at all; the height is the share of the time. White: it says nothing "
-        f"of the variable. Each piece is {seconds_text(float(edges[1]))} long."
+        "One row for each variable and node. Blue: the node sends the last sequence number of the producer. Red and "
+        "hatched: it sends another number, or has sent none at all; the height is the share of the time. White: it "
+        f"sends no record about the variable. Each interval is {seconds_text(float(edges[1]))} long."
     )
     names = [f"{pair.variable} at {easel.name(pair.node)}{' ≠' if pair.differs_at_end else ''}" for pair in rows]
-    chart = easel.chart("holding", "Who holds what", caption, rows=names, height=110 + 19 * len(rows))
+    chart = easel.chart("holding", "Values held by each node", caption, rows=names, height=110 + 19 * len(rows))
     same: list[tuple[float, float, int]] = []
     other: list[tuple[float, float, int]] = []
     share: list[float] = []
@@ -135,13 +136,13 @@ def holdings(easel: Easel, found: holding.Holding) -> tuple[Plot | None, int]:
     for row, pair in enumerate(rows):
         known, differs = (holding.shares(spans, edges) for spans in (pair.known, pair.differs))
         same += [(edges[a], edges[b], row) for a, b in runs(known > 0)]
-        # Neighbouring pieces of the same share are one box.
+        # Adjacent intervals with the same share are one box.
         turns = np.flatnonzero(np.diff(np.round(differs, 3), prepend=-1.0, append=-1.0))
         for a, b in pairwise(turns.tolist()):
             if differs[a]:
                 other.append((edges[a], edges[b], row))
                 share.append(float(differs[a]))
-                # While they differ for the last time in it.
+                # The numbers during the last difference in the box.
                 numbers = map(number_text, pair.at(next(y for x, y in reversed(pair.differs) if x < edges[b])))
                 for texts, text in zip((held, produced), numbers, strict=True):
                     texts.append(text)
@@ -158,17 +159,17 @@ def holdings(easel: Easel, found: holding.Holding) -> tuple[Plot | None, int]:
 def _boxes(
     chart: Chart, role: str, boxes: Sequence[tuple[float, float, int]], share: Column, *, row: list[str], **options: Any
 ) -> None:
-    """Boxes as high as their share of a row; ``row`` are the names of rows."""
+    """Draw boxes with a height of their share of a row; ``row`` has the names of rows."""
     if boxes:
         left, right, place = np.array(boxes, np.float64).T
-        # A short difference stays visible.
+        # A minimum height keeps short differences visible.
         top = place + 0.42 - 0.84 * np.maximum(share, 0.12)
         names = np.array([row[int(each)] for each in place])
         chart.boxes(role, left, right, place + 0.42, top, row=names, **options)
 
 
 def beacon_rate(easel: Easel, steps: Steps) -> list[Plot]:
-    """Beacons per second, and the share of them that is lost."""
+    """Plot the beacons per second, and the share of lost beacons if there are any."""
     recorded, time = easel.recorded, easel.time
     found = {node: analysis.rates(recorded, time, steps, node) for node in easel.times("beacons")}
     rate = {node: each for node, (each, _) in found.items()}
@@ -176,20 +177,20 @@ def beacon_rate(easel: Easel, steps: Steps) -> list[Plot]:
     plots = [over_time(easel, "beacon-rate", "Beacons heard", mean, "beacons per second", time.edges, rate)]
     if recorded.modulus and steps.lost.any():
         loss = {node: 100 * each for node, (_, each) in found.items()}
-        caption = f"Sequence numbers that are missing, of all in {seconds_text(time.width)}."
+        caption = f"Share of missing sequence numbers in {seconds_text(time.width)}."
         plots.append(over_time(easel, "loss", "Beacons lost", caption, "lost (%)", time.edges, loss))
     return plots
 
 
 def presence(easel: Easel) -> Plot:
-    """Who was heard when."""
+    """Plot the times at which beacons of each node were received."""
     time = easel.time
     seconds = easel.times("beacons")
-    # No finer than beacons come, or each interval would be a gap.
+    # Intervals must be longer than those between beacons, otherwise each of these would be a gap.
     ends = time.finer(3 * max(map(usual_interval, seconds.values()), default=0))
     names = [easel.name(node) for node in seconds]
     caption = "Times without a beacon are blank."
-    chart = easel.chart("heard", "Who was heard when", caption, rows=names, height=90 + 24 * len(names))
+    chart = easel.chart("heard", "Times of received beacons", caption, rows=names, height=90 + 24 * len(names))
     bars = [
         (ends[a], ends[b], row)
         for row, at in enumerate(seconds.values())
@@ -202,16 +203,16 @@ def presence(easel: Easel) -> Plot:
 
 
 def ages(easel: Easel) -> Plot:
-    """The age of each node's last report over time."""
+    """Plot the age of each node's last report over time."""
     seconds = easel.times("srp")
     ends = easel.time.finer(_REPORTS * max(map(usual_interval, seconds.values()), default=0))
-    caption = f"Since the last state report that was heard; the greatest age in each {seconds_text(ends[1] - ends[0])}."
+    caption = f"Time since the last received state report; the maximum in each {seconds_text(ends[1] - ends[0])}."
     found = {node: analysis.age(each, ends) for node, each in seconds.items()}
     return over_time(easel, "age", "Age of information", caption, "age of the last report (s)", ends, found)
 
 
 def positions(easel: Easel) -> list[Plot]:
-    """Where nodes were: in plan, and their height."""
+    """Plot the positions of nodes in plan, and their heights if the profile has them."""
     reports, time = easel.recorded.tables["srp"], easel.time
     place = {
         node: rows[np.argsort(reports["time"][rows], kind="stable")]
@@ -227,7 +228,7 @@ def positions(easel: Easel) -> list[Plot]:
         at, x, y, z = time.seconds(reports["time"][rows]), *(reports[axis][rows] for axis in "xyz")
         drawn[node] = plan.rows(rows, at, x, also=plan.places(at, y))
         high[node] = height.rows(rows, at, z)
-    caption = f"The square is where a node was last.{plan.words}"
+    caption = f"The square is the last position of a node.{plan.words}"
     chart = Chart(
         f"{easel.prefix}plan", "Positions in plan", caption, label=f"y{in_unit(unit.get('position.y'))}", height=380
     )
@@ -240,7 +241,7 @@ def positions(easel: Easel) -> list[Plot]:
     plots = [chart.plot()]
     if "position.z" not in unit:
         return plots
-    caption = f"As state reports say it.{height.words}"
+    caption = f"From the state reports.{height.words}"
     chart = easel.chart("height", "Height", caption, label=f"z{in_unit(unit['position.z'])}", from_zero=False)
     for node, rows in high.items():
         chart.line(easel.nodes.index(node), easel.name(node), time.seconds(reports["time"][rows]), reports["z"][rows])
@@ -248,7 +249,7 @@ def positions(easel: Easel) -> list[Plot]:
 
 
 def usable(reports: dict[str, Column]) -> Column:
-    """Which reports say a place that can be drawn; a height may be missing."""
+    """Return which reports have a position that can be drawn; the height may be missing."""
     good = np.ones(reports["x"].size, bool)
     for axis in "xy":
         good &= np.abs(np.nan_to_num(reports[axis], nan=np.inf)) < _FAR
@@ -256,7 +257,7 @@ def usable(reports: dict[str, Column]) -> Column:
 
 
 def values(easel: Easel, found: Values) -> list[Plot]:
-    """Sequence numbers, and values that fit a number, over time."""
+    """Plot sequence numbers, and values that can be read as numbers, over time."""
     modulus, thinned, series = easel.recorded.number_modulus, Thinned(len(easel.variables)), []
     for number, each in enumerate(easel.variables):
         rows, count, created = counted(easel.recorded, found, each)
@@ -266,7 +267,7 @@ def values(easel: Easel, found: Values) -> list[Plot]:
     if any(created.size for *_, created, _ in series):
         again = " A star: the variable was created again, and its numbers start again."
     caption = (
-        f"Each value when it was first heard. Numbers count modulo {modulus:,} and are drawn as if they did not."
+        f"Each value when it was first received. The numbers count modulo {modulus:,} and are drawn unwrapped."
         f"{again}{thinned.words}"
     )
     chart = easel.chart("seqno", "Sequence numbers of variables", caption, label="sequence number, unwrapped")
@@ -296,7 +297,7 @@ def values(easel: Easel, found: Values) -> list[Plot]:
     ]
     high = float(np.nanmax(found.number[np.isin(found.variable, numbers)]))
     caption = (
-        "Those whose values all have one length of at most 8 octets, read as unsigned, most significant octet first."
+        "Variables whose values all have the same length of at most 8 octets, read as unsigned big-endian integers."
         f"{thinned.words}"
     )
     chart = easel.chart("values", "Values of variables", caption, label="value", from_zero=False)
@@ -311,7 +312,7 @@ def values(easel: Easel, found: Values) -> list[Plot]:
 
 
 def delays(easel: Easel, passed: Passings) -> list[Plot]:
-    """How long values take to be passed on."""
+    """Plot the delays of the dissemination of values."""
     ours = passed.counted & np.isin(passed.node, easel.nodes)
     nodes = [node for node in easel.nodes if (ours & (passed.node == node)).any()]
     series, thinned = [], Thinned(len(nodes))
@@ -319,7 +320,7 @@ def delays(easel: Easel, passed: Passings) -> list[Plot]:
         rows = np.flatnonzero(ours & (passed.node == node))
         rows = rows[np.argsort(passed.time[rows], kind="stable")]
         series.append((node, thinned.rows(rows, passed.time[rows], passed.delay[rows])))
-    caption = f"From the first beacon with a value to the first of each other node that passes it on.{thinned.words}"
+    caption = f"From the first beacon with a value to the first beacon of each other node with it.{thinned.words}"
     chart = easel.chart("delay", "Dissemination delay of each value", caption, label="delay (s)")
     for node, rows in series:
         chart.dots(
@@ -328,11 +329,11 @@ def delays(easel: Easel, passed: Passings) -> list[Plot]:
         )  # fmt: skip
     plots = [chart.plot()]
     caption = (
-        "Share of values that the 1st, 2nd, ... further node had passed on within this delay. The order in which nodes "
-        "pass a value on is not a number of hops."
+        "Share of values that the 1st, 2nd, ... further node had forwarded within this delay. The order in which nodes "
+        "forward a value is not a number of hops."
     )
     ranked = Chart(
-        f"{easel.prefix}delay-order", "Delay by order of passing on", caption, label="values (%)", height=300
+        f"{easel.prefix}delay-order", "Delay by order of forwarding", caption, label="values (%)", height=300
     )
     for number, rank in enumerate(np.unique(passed.order[ours]).tolist()[:DRAWN]):
         delay = np.sort(passed.delay[ours & (passed.order == rank)])
@@ -346,16 +347,16 @@ def delays(easel: Easel, passed: Passings) -> list[Plot]:
 
 
 def load(easel: Easel, parts: Sequence[Part]) -> Plot:
-    """Octets on the air over time."""
+    """Plot the transmitted octets of each kind over time."""
     time = easel.time
-    caption = f"Mean over {seconds_text(time.width)}, one kind upon the other."
+    caption = f"Mean over {seconds_text(time.width)}, stacked by kind."
     chart = easel.chart("load", "Load over time", caption, label="bit/s", unit="bit/s")
     chart.areas([(part.name, part.over_time * 8 / time.width) for part in parts], time.edges)
     return chart.plot()
 
 
 def anomalies(easel: Easel, times: dict[str, Column]) -> Plot:
-    """When something was odd."""
+    """Plot the times of anomalies by kind."""
     thinned = Thinned(len(KINDS))
     kept = {kind: thinned.rows(at, at, np.zeros(at.size)) for kind in KINDS for at in [np.sort(times[kind])]}
     caption = (
@@ -363,7 +364,7 @@ def anomalies(easel: Easel, times: dict[str, Column]) -> Plot:
         f"of the recorder that was set back.{thinned.words}"
     )
     names = [f"{kind} ({times[kind].size:,})" for kind in KINDS]
-    chart = easel.chart("anomalies", "When something was odd", caption, rows=names, height=230)
+    chart = easel.chart("anomalies", "Times of anomalies", caption, rows=names, height=230)
     for row, (kind, symbol) in enumerate(zip(KINDS, _KIND_SYMBOLS, strict=True)):
         role = "fail" if kind in ("malformed", "gap") else "accent"
         chart.marks_at(symbol, role, kept[kind], np.full(kept[kind].size, row))
@@ -371,5 +372,5 @@ def anomalies(easel: Easel, times: dict[str, Column]) -> Plot:
 
 
 def number_text(number: int | None) -> str:
-    """A held number as a table shows it."""
+    """Return the text of a held sequence number for tables."""
     return "nothing" if number is None else {DELETED: "deleted", UNKNOWN: "not known"}.get(number, str(number))

@@ -1,4 +1,4 @@
-"""Who reacts to whom: what a node says next after only one other node has said something new to it."""
+"""Reactions between nodes: does a node send a new value after only one other node has sent it?"""
 
 from __future__ import annotations
 
@@ -9,37 +9,39 @@ import numpy as np
 from .recorded import Column, Recorded
 from .variables import Sayings
 
-#: Values that are looked at; of more, evenly chosen ones.
+#: Maximum number of examined values; of more values, every n-th is examined.
 _VALUES = 20_000
-#: Beacons by which reactions may come later than the next one.
+#: Maximum delay of a reaction after the next beacon, in beacons.
 _LONGEST_WAIT = 3
-#: Trials from which something is concluded; shares from which on a node reacts, and up to which it does not.
+#: Minimum number of trials for a conclusion; minimum share for "reacts"; maximum share for "does not react".
 ENOUGH, REACTS, DEAF = 5, 0.5, 0.1
 
 
 @dataclass(frozen=True)
 class Reactions:
-    """Counts by [node, other]. A trial is an interval between two beacons of the node in which, of all others, only
-    the other one sent a value that was new to the node; a reaction is that the second beacon shows that the node has
-    it. Values that several had sent in an interval tell nothing about one of them.
+    """Counts by [node, other].
+
+    A trial is an interval between two beacons of the node in which only the other node sent a value that was new to the
+    node. It has a reaction if the second beacon shows that the node has the value. Values that several nodes sent in an
+    interval are not counted.
     """
 
     trials: Column
     reacted: Column
 
     def share(self, node: int, other: int) -> float | None:
-        """The share of trials with a reaction; None where there are too few to say."""
+        """Return the share of trials with a reaction; None with fewer than ``ENOUGH`` trials."""
         many = int(self.trials[node, other])
         return int(self.reacted[node, other]) / many if many >= ENOUGH else None
 
     def hears(self, node: int) -> list[int]:
-        """Those to whom the node reacts, at least sometimes."""
+        """Return the indices of the nodes to which the node reacts at least sometimes."""
         shares = ((other, self.share(node, other)) for other in range(len(self.trials)))
         return [other for other, share in shares if share is not None and share > DEAF]
 
 
 def reactions(recorded: Recorded, sayings: Sayings, nodes: list[int]) -> Reactions:
-    """Count trials and reactions among ``nodes``; the places in that list are the indices of the result."""
+    """Count trials and reactions among ``nodes``; the result is indexed like this list."""
     said, held, beacons = (recorded.tables[name] for name in ("said", "held", "beacons"))
     trials, reacted = np.zeros((2, len(nodes), len(nodes)), np.int64)
     if not said["frame"].size:
@@ -67,7 +69,7 @@ def reactions(recorded: Recorded, sayings: Sayings, nodes: list[int]) -> Reactio
         open_ = (node != each) & (producer != each) & (after + wait < sent.size) & (after > 0)
         after = np.minimum(after, sent.size - 1 - wait)
         new = open_ & (rank > level.at(variable, sent[np.maximum(after + wait - 1, 0)]))
-        # What matters of an interval and a variable is the newest value in it.
+        # Use only the newest value of each variable in an interval.
         where = np.flatnonzero(new)
         order = where[np.lexsort((place[node[where]], rank[where], after[where], variable[where]))]
         if not order.size:
@@ -88,10 +90,10 @@ def reactions(recorded: Recorded, sayings: Sayings, nodes: list[int]) -> Reactio
 
 
 def _waits(recorded: Recorded, sayings: Sayings) -> dict[int, int]:
-    """How many beacons of each node leave after it heard something before one shows it, as a rule.
+    """Return the usual number of beacons that each node sends after receiving a value before one that shows it.
 
-    Some implementations prepare the next beacon before they send the last. It is seen from values that one node alone
-    had said.
+    Some implementations compose a beacon before they send the previous one. The number is derived from values that only
+    one other node had sent before.
     """
     said, beacons = recorded.tables["said"], recorded.tables["beacons"]
     frame, node = said["frame"][sayings.rows], said["node"][sayings.rows]
@@ -109,11 +111,11 @@ def _waits(recorded: Recorded, sayings: Sayings) -> dict[int, int]:
 
 
 def _ranks(said: dict[str, Column], held: dict[str, Column], sayings: Sayings) -> Column:
-    """The rank of the value that each claim is about: the last of that variable and number that was heard by then."""
+    """Return the rank of the value of each claim: the last value with this variable and number up to the claim."""
     first = sayings.rows[sayings.first]
     keys = np.stack([said["variable"][first], said["seqno"][first], said["frame"][first]])
     claims = np.stack([held["variable"], held["seqno"], held["frame"]])
-    # Both in one order; of equal ones the value comes before the claim.
+    # Sort both together; of equal keys, the value comes before the claim.
     both = np.concatenate([keys, claims], axis=1)
     claim = np.arange(both.shape[1]) >= first.size
     order = np.lexsort((claim, both[2], both[1], both[0]))
@@ -139,7 +141,7 @@ class _Level:
         self._rank = np.maximum.accumulate(kind * top + rank[order] + 1) % top - 1
 
     def at(self, variable: Column, frame: Column) -> Column:
-        """The rank shown in or before the frame, -1 for none."""
+        """Return the rank of each variable that was shown in or before the frame; -1 for none."""
         kind = np.minimum(np.searchsorted(self._names, variable), self._names.size - 1)
         known = self._names[kind] == variable
         place = np.searchsorted(self._keys, kind * self._span + np.minimum(frame, self._span - 1), "right") - 1

@@ -1,4 +1,4 @@
-"""What a report needs of the tables of one recording, in compact columns."""
+"""Read the columns of one recording that a report needs, in a compact form."""
 
 from __future__ import annotations
 
@@ -21,24 +21,24 @@ from dcp_codec.table.job import Advance, Outcome, others, resolve
 
 Column = npt.NDArray[Any]
 
-#: Longest value that is also read as a number.
+#: Maximum length in octets of a value that is also read as a number.
 NUMBER_OCTETS = 8
-#: What stands for a sender that cannot be known.
+#: Name of an unknown sender.
 NOBODY = "unknown"
-#: Rows of all tables that are kept of one recording: about four for each beacon, some 55 octets each while it is read.
+#: Maximum number of rows of one recording: about four for each beacon, with some 55 octets each while it is read.
 MOST_ROWS = 20_000_000
-#: Tables of records by which a node says what it holds of a variable, as dcp_codec.analysis.holdings takes them.
+#: Tables of records that show which version of a variable a node holds; see dcp_codec.analysis.holdings.
 HOLDING = ("creates", "updates", "summaries", "deletes", "req_updates", "req_creates")
-#: What the tables without sequence numbers say instead.
+#: States that records without sequence number stand for.
 _INSTEAD = {"deletes": DELETED, "req_creates": UNKNOWN}
 _SECOND = 1_000_000_000
-#: Characters of a description that are kept.
+#: Maximum length of a description in characters.
 _DESCRIPTION = 120
 
 
 @dataclass
 class Variable:
-    """The last that was said about a variable. ``producer`` is a number of ``Recorded.nodes``, -1 if not heard."""
+    """The last records about a variable. ``producer`` is an index of ``Recorded.nodes``, -1 without a VarCreate."""
 
     producer: int = -1
     description: str = ""
@@ -46,14 +46,14 @@ class Variable:
 
 
 class Texts:
-    """Numbers for texts, in the order in which they were met."""
+    """Numbers texts in the order of their first occurrence."""
 
     def __init__(self) -> None:
         self.texts: list[str] = []
         self._numbers: dict[str, int] = {}
 
     def number(self, text: str | None) -> int:
-        """The number of a text, a new one if it was never met."""
+        """Return the number of a text; a new text gets the next number."""
         known = NOBODY if text is None else text
         if known not in self._numbers:
             self._numbers[known] = len(self.texts)
@@ -61,9 +61,9 @@ class Texts:
         return self._numbers[known]
 
     def numbers(self, column: pa.Array) -> Column:
-        """Numbers for a column of text in a dictionary."""
+        """Return the numbers of a dictionary column of texts."""
         many = len(column.dictionary)
-        # The last place is for null.
+        # The last element is for null.
         known = np.array([self.number(text) for text in column.dictionary.to_pylist()] + [-1], np.int32)
         indices = _array(column.indices, many).astype(np.int64)
         if known.size and (indices == many).any():
@@ -74,38 +74,38 @@ class Texts:
 
 @dataclass
 class Recorded:
-    """The compact columns of a recording. Times are ns since 1970, nodes are numbers of ``nodes``."""
+    """The compact columns of a recording. Times are ns since 1970, nodes are indices of ``nodes``."""
 
     outcome: Outcome
     codec: Codec
     nodes: list[str]
     reasons: list[str]
     contents: list[str]
-    #: Columns by table: beacons, payloads, containers, srp, said (values), held (what nodes say they hold), errors.
+    #: Columns by table: beacons, payloads, containers, srp, said (sent values), held (held numbers), errors.
     tables: dict[str, dict[str, Column]]
     variables: dict[int, Variable]
     requirements: dict[str, str]
-    #: Units of x, y, z by role, for a profile whose safety data names them.
+    #: Units by role (``position.x``, ...), for a profile whose safety data has these roles.
     units: dict[str, str]
-    #: The number of different sequence numbers of beacons, and of variables; 0 for a profile without.
+    #: The moduli of the sequence numbers of beacons and of variables; 0 for a profile without sequence numbers.
     modulus: int
     number_modulus: int
-    #: Options of dcp-codec that decode this recording as this report did.
+    #: Options of dcp-codec with which this recording was decoded.
     options: str = ""
-    #: The recording has each transmission once, whoever received it: nothing about losses follows from it.
+    #: Whether the recording has each transmission once, independent of receptions: then losses are unknown.
     transmissions_only: bool = False
 
     @property
     def tells_losses(self) -> bool:
-        """Whether gaps in sequence numbers of beacons say what was lost."""
+        """Whether gaps in the sequence numbers of beacons are losses."""
         return bool(self.modulus) and not self.transmissions_only
 
     def column(self, table: str, name: str) -> Column:
-        """One column; empty if the profile has no such table."""
+        """Return one column; empty if the profile does not have the table."""
         return self.tables[table][name]
 
 
-#: Columns that are kept of each table, and their types.
+#: The columns of each table, with their types.
 _KEPT: dict[str, dict[str, Any]] = {
     "beacons": {"frame": np.int64, "time": np.int64, "node": np.int32, "interface": np.uint32, "seqno": np.int64}
     | {"octets": np.uint32, "around": np.uint32},
@@ -136,15 +136,16 @@ class _Gatherer:
             each.role: each for each in self.codec.profile.srp.safety_data if each.role
         }
         self.modulus = self.number_modulus = 0
-        #: Rows of all tables so far.
+        #: Number of rows of all tables.
         self.rows = 0
 
     def add(self, batch: Batch) -> None:
+        """Append the required columns of a batch."""
         tables = batch.tables
         self._beacons(tables["beacons"])
         self._lengths("payloads", tables["payloads"], "content", "length")
         self._errors(tables["errors"])
-        # Not every profile has these.
+        # Some profiles do not have these tables.
         if "containers" in tables:
             self._lengths("containers", tables["containers"], "icName", "octets")
         if "srp" in tables:
@@ -157,7 +158,7 @@ class _Gatherer:
             self._creations(tables["creates"])
 
     def table(self, name: str) -> dict[str, Column]:
-        """The columns of a table, which are gone from here: no two tables are in memory twice."""
+        """Return the columns of a table and remove its pieces, so that only one table is in memory twice."""
         pieces = self.pieces.pop(name)
         return {
             column: np.concatenate([np.empty(0, kind), *pieces.pop(column)]) for column, kind in _KEPT[name].items()
@@ -166,11 +167,11 @@ class _Gatherer:
     def _keep(self, table: str, **columns: Column) -> None:
         self.rows += len(next(iter(columns.values())))
         for name, values in columns.items():
-            # A copy: the memory of a batch is used again when nobody refers to it.
+            # Copy the values, because the memory of the batch is reused.
             self.pieces[table][name].append(np.array(values, _KEPT[table][name]))
 
     def _keys(self, rows: pa.RecordBatch) -> dict[str, Column]:
-        """The columns that most tables have: which frame, when, and from whom."""
+        """Return the columns of most tables: frame, time and sender."""
         return {
             "frame": _integers(rows["frame"]),
             "time": _integers(rows["time"]),
@@ -215,7 +216,7 @@ class _Gatherer:
             self._variable(each).value = rows["value"][row].as_py() or b""
 
     def _held(self, tables: dict[str, pa.RecordBatch]) -> None:
-        """Keep what nodes say they hold: where it changes, and once a second, so that silence is seen."""
+        """Append the held numbers of nodes: each change, and one row per second, so that silence can be detected."""
         if not tables:
             return
         numbers = []
@@ -238,7 +239,7 @@ class _Gatherer:
             kept[1:] &= each[1:] == each[:-1]
         kept = ~kept
         kept[0] = True
-        # The last word before a silence, and of this batch.
+        # Also keep the last row before a silence, and that of the batch.
         ends = (np.diff(variable) != 0) | (np.diff(node) != 0) | (np.diff(time) > _SECOND)
         kept |= np.append(ends, True)
         rows = {"frame": frame, "time": time, "node": node, "variable": variable, "seqno": number}
@@ -268,9 +269,9 @@ def _integers(column: pa.Array) -> Column:
 
 
 def _array(column: pa.Array, null: float = np.nan) -> Column:
-    """The numbers of a column, read-only, with ``null`` for those that are missing.
+    """Return the numbers of a column, read-only, with ``null`` for missing ones.
 
-    ``to_numpy`` would import pandas, where that is installed, which takes as long as reading some thousand beacons.
+    ``to_numpy`` would import pandas, if installed, which takes as long as reading some thousand beacons.
     """
     if column.null_count:
         found: Column = np.nan_to_num(column.to_numpy(zero_copy_only=False), nan=null)
@@ -279,7 +280,7 @@ def _array(column: pa.Array, null: float = np.nan) -> Column:
 
 
 def _creation_times(rows: pa.RecordBatch) -> Column:
-    """When the variable was created, as the record says it; 0 where a create does not say it, -1 for an update."""
+    """Return the creation times in the records; 0 for a VarCreate without creation time, -1 for a VarUpdate."""
     if "prodId" not in rows.schema.names:
         return np.full(rows.num_rows, -1, np.int64)
     if "creationTime" not in rows.schema.names:
@@ -288,7 +289,7 @@ def _creation_times(rows: pa.RecordBatch) -> Column:
 
 
 def _numbers(column: pa.Array) -> tuple[Column, Column]:
-    """The length of each value, and those of 1 to 8 octets as unsigned numbers, most significant octet first."""
+    """Return the length of each value, and values of 1 to 8 octets as unsigned big-endian numbers; NaN for others."""
     _, offsets, data = column.buffers()
     ends = np.frombuffer(offsets, np.int32)[column.offset : column.offset + len(column) + 1].astype(np.int64)
     octets = np.frombuffer(data, np.uint8) if data is not None and data.size else np.zeros(1, np.uint8)
@@ -303,7 +304,7 @@ def _numbers(column: pa.Array) -> tuple[Column, Column]:
 
 
 def _last_rows(variable: Column) -> list[tuple[int, int]]:
-    """Each variable of a batch and the last row that is about it."""
+    """Return each variable of a batch with the index of its last row."""
     found, rows = np.unique(variable[::-1], return_index=True)
     return [(int(each), len(variable) - 1 - int(row)) for each, row in zip(found, rows, strict=True)]
 
@@ -316,11 +317,11 @@ def gather(
     *,
     most: int = MOST_ROWS,
 ) -> Recorded:
-    """Read a recording. ``advance`` is told how many octets of the file were read since it was last called.
+    """Read a recording. ``advance`` is called with the number of octets read since its last call.
 
-    Memory grows with the recording up to ``most`` rows; what comes after them is not read, and ``outcome.problems``
-    says so. Raises :class:`~dcp_codec.capture.CaptureError` where nothing can be read; what is wrong further on is in
-    ``outcome``.
+    Memory grows with the recording up to ``most`` rows. Later frames are not read, which is reported in
+    ``outcome.problems``, like other problems of the recording. Raise :class:`~dcp_codec.capture.CaptureError` if the
+    recording cannot be opened.
     """
     codec, link, note = resolve(path, profile, ether_type)
     outcome = Outcome(path, codec.profile.name, [note] if note else [])
@@ -350,7 +351,7 @@ def gather(
         outcome=outcome,
         codec=codec,
         tables={name: gatherer.table(name) for name in _KEPT},
-        # Where identifiers are texts, anything may be in them.
+        # Identifiers that are texts may have any characters.
         nodes=[plain(text) for text in gatherer.nodes.texts],
         reasons=gatherer.reasons.texts,
         contents=gatherer.contents.texts,

@@ -1,4 +1,4 @@
-"""The sections of a report on one recording: tables, words and plots, from the numbers of the other modules."""
+"""The sections of a report on one recording: tables, text and plots, from the numbers of the other modules."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from .plots import DRAWN, Easel, number_text
 from .recorded import Recorded
 from .series import seconds_text, short
 
-#: Anomalies of each kind and differences that are listed; octets of a value that are shown.
+#: Maximum number of listed anomalies of each kind, and of shown octets of a value.
 _LISTED, _OCTETS = 10, 16
 
 
 def command(recorded: Recorded, frame: int, variable: int | None = None) -> Cell:
-    """The command that shows a frame; nothing for standard input, which cannot be read again."""
+    """Return a cell with the command that shows a frame; empty for standard input, which cannot be read again."""
     path = recorded.outcome.path
     if path == "-":
         return Cell("")
@@ -30,11 +30,10 @@ def command(recorded: Recorded, frame: int, variable: int | None = None) -> Cell
 
 
 def holding_section(easel: Easel, found: holding.Holding) -> Section:
-    section = Section("holding", "Who holds what")
+    """Return the section on the values that nodes hold."""
+    section = Section("holding", "Values held by each node")
     if not found.pairs:
-        section.words.append(
-            "No node said which number of another node's variable it holds: there is nothing to compare."
-        )
+        section.words.append("No node has sent a sequence number of another node's variable, so none can be compared.")
         return section
     stale = [pair for pair in found.pairs if pair.differs_at_end]
     if stale:
@@ -46,7 +45,7 @@ def holding_section(easel: Easel, found: holding.Holding) -> Section:
             f"variables ({listed})."
         )
     else:
-        section.words.append("At the end every node holds the number that the producer said last.")
+        section.words.append("At the end every node holds the last sequence number of the producer.")
     section.tables.append(_at_the_end(easel, found))
     plot, hidden = plots.holdings(easel, found)
     if plot is not None:
@@ -60,11 +59,11 @@ def holding_section(easel: Easel, found: holding.Holding) -> Section:
         if len(found.divergences) > 2 * _LISTED:
             section.words.append(f"The list has {2 * _LISTED} of {len(found.divergences):,} differences, the longest.")
     else:
-        section.words.append("Every value of a producer, or a newer one, soon reached every node.")
+        section.words.append("Every value of a producer, or a newer one, reached every node within a short time.")
     section.tables += _never_said(easel, found)
     if found.without_producer:
         listed = ", ".join(map(str, found.without_producer[:12]))
-        section.words.append(f"Nothing to compare with: no producer was heard of variable {listed}.")
+        section.words.append(f"Not compared, because no producer was received: variable {listed}.")
     return section
 
 
@@ -84,7 +83,7 @@ def _at_the_end(easel: Easel, found: holding.Holding) -> Table:
                 row.append(Cell(f"{'≠ ' if bad else ''}{number_text(pair.held)}", number=True, bad=bad))
         rows.append(row)
     heads = ["variable", "producer", "its number", *(easel.name(node) for node in easel.nodes)]
-    caption = "The number of each variable that each node said last. ≠ in red: it differs from the producer's."
+    caption = "The last sequence number of each variable that each node sent. ≠ in red: it differs from the producer's."
     return table(caption, heads, rows, matrix=True)
 
 
@@ -103,7 +102,7 @@ def _never_arrived(easel: Easel, found: Sequence[holding.Divergence]) -> Table:
         for each in found[: 2 * _LISTED]
     ]
     caption = (
-        "Values that never arrived, or arrived late. The command shows the frame in which the producer said the first "
+        "Values that never arrived, or arrived late. The command shows the frame in which the producer sent the first "
         "of them."
     )
     heads = ["variable", "node", "since (s)", "arrived", "it holds", "the producer", "values missed", "command"]
@@ -121,18 +120,19 @@ def _never_said(easel: Easel, found: holding.Holding) -> list[Table]:
         return f"{short(100 * (could - said) / could, 2)} % ({could - said:,} of {could:,})" if could else "-"
 
     caption = (
-        "Loss per pair, end to end: values of the column's node that the row's node never said it holds. A value that "
-        "was replaced before the node's next beacon counts, too."
+        "End-to-end loss per pair: values of the column's node that the row's node never sent. A value that was "
+        "replaced before the node's next beacon counts, too."
     )
     return [_by_node(easel, caption, producers, cell)]
 
 
 def reactions_section(easel: Easel, found: reactions.Reactions) -> Section:
-    section = Section("reactions", "Who reacts to whom")
+    """Return the section on the reactions of nodes to each other."""
+    section = Section("reactions", "Reactions between nodes")
     if easel.recorded.column("beacons", "node").size:
         section.plots.append(plots.presence(easel))
     if not found.trials.any():
-        section.words.append("No node passed on what another had said: nothing tells who hears whom.")
+        section.words.append("No node forwarded a value of another node, so that reception cannot be inferred.")
         return section
 
     def cell(node: int, other: int) -> str:
@@ -151,10 +151,10 @@ def reactions_section(easel: Easel, found: reactions.Reactions) -> Section:
         if (close := found.hears(place))
     ]
     caption = (
-        "Row: the node that reacts; column: to whom. Counted are intervals between two beacons of the row's node in "
-        "which the column's node alone said a value that was new to it, and how often the row's node then showed that "
-        "it has the value. ● reacts, ◐ sometimes, ○ does not, ? too little to say. What is missing to 100 % is the "
-        "loss between the two, seen from what the recorder heard."
+        "Row: the node that reacts; column: the node that it reacts to. Counted are intervals between two beacons of "
+        "the row's node in which only the column's node sent a value that was new to it, and how often the next beacon "
+        "of the row's node has the value. ● reacts, ◐ sometimes, ○ does not react, ? too few intervals. The difference "
+        "to 100 % is the loss between the two, based on the frames that the recorder received."
     )
     section.words.append(f"Reacts: {'; '.join(reacts)}." if reacts else "No node reacted often enough to be sure.")
     section.tables.append(_by_node(easel, caption, easel.nodes, cell))
@@ -162,6 +162,7 @@ def reactions_section(easel: Easel, found: reactions.Reactions) -> Section:
 
 
 def senders_section(easel: Easel, senders: Sequence[Sender], steps: Steps) -> Section:
+    """Return the section on the beacons of each sender."""
     section = Section("senders", "Beacons")
     if not senders:
         section.words.append("There is no well-formed beacon.")
@@ -182,16 +183,16 @@ def senders_section(easel: Easel, senders: Sequence[Sender], steps: Steps) -> Se
         for sender in senders
         if sender.node in easel.nodes
     ]
-    section.tables.append(table("What was heard of each sender", heads, rows))
+    section.tables.append(table("Received beacons by sender", heads, rows))
     rest = [sender for sender in senders if sender.node not in easel.nodes]
     if rest:
         beacons, lost = sum(each.beacons for each in rest), sum(each.lost for each in rest)
         section.words.append(
-            f"The {len(rows)} senders with most beacons are drawn; {len(rest):,} more sent {beacons:,} beacons that "
-            f"were heard and {lost:,} that are missing."
+            f"The {len(rows)} senders with most beacons are drawn; {len(rest):,} more sent {beacons:,} received "
+            f"beacons and {lost:,} that are missing."
         )
     if not easel.recorded.modulus:
-        section.words.append("Beacons of this profile have no sequence numbers: what is lost cannot be seen.")
+        section.words.append("Beacons of this profile have no sequence numbers, so that losses are unknown.")
     elif easel.recorded.tells_losses and not steps.lost.any():
         section.words.append("No sequence number of a beacon is missing.")
     section.plots += plots.beacon_rate(easel, steps)
@@ -199,6 +200,7 @@ def senders_section(easel: Easel, senders: Sequence[Sender], steps: Steps) -> Se
 
 
 def ages_section(easel: Easel, found: reactions.Reactions) -> Section:
+    """Return the section on the age of state reports."""
     section = Section("age", "Age of information")
     recorded = easel.recorded
     if not recorded.column("srp", "node").size:
@@ -216,7 +218,7 @@ def ages_section(easel: Easel, found: reactions.Reactions) -> Section:
     if np.isfinite(high).any():
         caption = (
             "95th percentile age (s) of what the row's node could know about the column's node. Lower bound: it "
-            "assumes that the node heard everything the recorder heard"
+            "assumes that the node received everything that the recorder received"
             f"{'; pairs that do not react to each other are left out' if inferred else ''}."
         )
         section.tables.append(_by_node(easel, caption, easel.nodes, cell))
@@ -224,11 +226,12 @@ def ages_section(easel: Easel, found: reactions.Reactions) -> Section:
 
 
 def positions_section(easel: Easel) -> Section:
+    """Return the section on the positions of nodes."""
     section = Section("positions", "Positions")
     recorded = easel.recorded
     many = recorded.column("srp", "node").size
     if not {"position.x", "position.y"} <= recorded.units.keys():
-        section.words.append(f"Profile {recorded.outcome.profile} names no fields of state reports that are positions.")
+        section.words.append(f"State reports of profile {recorded.outcome.profile} have no fields with positions.")
     elif not many:
         section.words.append("There are no state reports (SRP), so there are no positions.")
     else:
@@ -236,8 +239,8 @@ def positions_section(easel: Easel) -> Section:
         wrong = many - int(plots.usable(recorded.tables["srp"]).sum())
         if wrong:
             section.words.append(
-                f"{wrong:,} of {many:,} state reports have coordinates that are not numbers or beyond all bounds; they "
-                "are not drawn."
+                f"{wrong:,} of {many:,} state reports have coordinates that are not numbers or out of range; they are "
+                "not drawn."
             )
     return section
 
@@ -245,9 +248,10 @@ def positions_section(easel: Easel) -> Section:
 def variables_section(
     easel: Easel, lines: Sequence[variables.VariableLine], values: variables.Values, passed: variables.Passings
 ) -> Section:
+    """Return the section on the values of variables and their dissemination."""
     section = Section("variables", "Variables")
     if not lines:
-        section.words.append("No node said anything about a variable (VarDis).")
+        section.words.append("No node sent a record about a variable (VarDis).")
         return section
     heads = ["variable", "producer", "description", "values", "octets", "last value", "median delay", "95th percentile"]
     names = easel.recorded.nodes
@@ -264,7 +268,7 @@ def variables_section(
         ]
         for place, line in enumerate(lines)
     ]
-    section.tables.append(table("Variables, their last values, and how long values take to be passed on", heads, rows))
+    section.tables.append(table("Variables, their last values, and the delays of their dissemination", heads, rows))
     rest = len(easel.recorded.variables) - len(lines)
     if rest:
         more = values.variable.size - sum(line.values for line in lines)
@@ -273,21 +277,22 @@ def variables_section(
     if passed.counted.any():
         section.plots += plots.delays(easel, passed)
     else:
-        section.words.append("No value was heard from its producer and then from another node: there are no delays.")
+        section.words.append("No value was received from its producer and then from another node: there are no delays.")
     late = int((~values.from_producer).sum())
     if late:
         section.words.append(
-            f"{late:,} of {values.variable.size:,} values were first heard from another node than the producer (again, "
-            "or the recorder missed it); delays leave them out."
+            f"{late:,} of {values.variable.size:,} values were first received from another node than the producer "
+            "(repeated, or lost at the recorder); they are left out of the delays."
         )
     return section
 
 
 def overhead_section(easel: Easel) -> Section:
+    """Return the section on the octets of each kind."""
     section = Section("overhead", "Overhead")
     parts = analysis.overhead(easel.recorded, easel.time)
     if not parts:
-        section.words.append("There is no well-formed beacon to count the octets of.")
+        section.words.append("There is no well-formed beacon whose octets could be counted.")
         return section
     total = sum(part.octets for part in parts)
     rows = [
@@ -299,22 +304,23 @@ def overhead_section(easel: Easel) -> Section:
         for place, part in enumerate(parts)
         for share in [100 * part.octets / total]
     ]
-    caption = f"{total:,} octets in frames with good beacons; each kind of container with its header"
+    caption = f"{total:,} octets in frames with valid beacons; each kind of container with its header"
     section.tables.append(table(caption, ["kind", "octets", "share"], rows))
     section.plots.append(plots.load(easel, parts))
     size = int(easel.recorded.column("said", "size").sum())
     if size:
-        section.words.append(f"{short(total / size)} octets on the air for each octet of a variable's value.")
+        section.words.append(f"{short(total / size)} transmitted octets for each octet of a variable's value.")
     return section
 
 
 def anomalies_section(easel: Easel, steps: Steps) -> Section:
+    """Return the section on anomalies: malformed frames, gaps, restarts, repetitions, and set clocks."""
     section = Section("anomalies", "Anomalies")
     recorded = easel.recorded
     times = analysis.anomaly_times(recorded, easel.time, steps)
     if not any(each.size for each in times.values()):
-        told = ", no gap, restart or repetition in sequence numbers," if recorded.modulus else ""
-        section.words.append(f"None: there is no malformed frame{told} and time does not go back.")
+        numbers = ", no gap, restart or repetition in sequence numbers," if recorded.modulus else ""
+        section.words.append(f"None: there is no malformed frame{numbers} and time does not go back.")
         return section
     section.plots.append(plots.anomalies(easel, times))
     reasons = recorded.column("errors", "reason")
@@ -341,15 +347,15 @@ def anomalies_section(easel: Easel, steps: Steps) -> Section:
         ]
         for each in worst
     ]
-    heads = ["frame", "time (s)", "sender", "what", "in detail", "command"]
-    section.tables.append(table("What was odd, and the command that shows the frame", heads, rows))
+    heads = ["frame", "time (s)", "sender", "kind", "detail", "command"]
+    section.tables.append(table("Anomalies, each with the command that shows its frame", heads, rows))
     if sum(each.size for each in times.values()) > len(worst):
         section.words.append(f"The list has the first {_LISTED} of each kind, and the largest gaps.")
     return section
 
 
 def _by_node(easel: Easel, caption: str, columns: Sequence[int], cell: Callable[[int, int], str]) -> Table:
-    """A table with one row for each node that is drawn, and columns of nodes; ``cell`` gives the text of the two."""
+    """Return a table with a row for each drawn node and a column for each of ``columns``; ``cell`` has the texts."""
     rows = [
         [Cell(easel.name(node), mono=True, series=place), *(_number(cell(node, other)) for other in columns)]
         for place, node in enumerate(easel.nodes)

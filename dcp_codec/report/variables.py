@@ -1,4 +1,4 @@
-"""Numbers about variables: which values there were, who passed them on, and how long that took. NumPy only."""
+"""Numbers on variables: their values, the nodes that forwarded them, and the delays. NumPy only."""
 
 from __future__ import annotations
 
@@ -10,15 +10,16 @@ from .analysis import Time
 from .recorded import NUMBER_OCTETS, Column, Recorded
 from .series import unwrapped
 
-#: A sequence number that is heard again after so long (ns) is that of another value, as in docs/tables.md.
+#: A sequence number that is received again after this time (ns) is that of another value, as in docs/tables.md.
 _SILENCE = 5_000_000_000
 
 
 @dataclass(frozen=True)
 class Values:
-    """Each value of each variable when it was first heard, in the order of time; ``time`` in seconds.
+    """The first reception of each value of each variable, in the order of time (``time`` in seconds).
 
-    ``node`` said it first, ``number`` is the value as an unsigned number, NaN if it has more than eight octets.
+    ``node`` is the node that sent the value first. ``number`` is the value as an unsigned number; NaN if it has more
+    than eight octets.
     """
 
     variable: Column
@@ -28,18 +29,18 @@ class Values:
     frame: Column
     number: Column
     size: Column
-    #: Time of creation where a CREATE said the value first, 0 if it does not say that time; -1 for an UPDATE.
+    #: Creation time if the first record of the value is a VarCreate (0 without creation time); -1 for a VarUpdate.
     creation: Column
-    #: Whether the node that said it first is the producer, or the producer is not known.
+    #: Whether the node that sent the value first is the producer, or the producer is unknown.
     from_producer: Column
 
 
 @dataclass(frozen=True)
 class Passings:
-    """Each first passing on of a value by another node than the first: when (s), by whom, how long after that (s).
+    """The first time that each node forwarded a value: time (s), node, and delay after the first node (s).
 
-    ``order`` counts the nodes that had said the value before. That is no number of hops: two neighbours of the first
-    node are 1 and 2. ``counted`` are those of values that came from their producer.
+    ``order`` is the number of nodes that had sent the value before. It is not a number of hops: two neighbours of the
+    first node have 1 and 2. ``counted``: whether the value was first sent by its producer.
     """
 
     variable: Column
@@ -53,10 +54,10 @@ class Passings:
 
 @dataclass(frozen=True)
 class Sayings:
-    """All that was said of values, by variable, number and frame: ``rows`` of the table ``said`` in that order.
+    """All records with values: ``rows`` are those of the table ``said``, sorted by variable, number and frame.
 
-    ``value`` numbers the values, ``first`` are the places at which each of them was heard first, ``rank`` is the place
-    of each value among those of its variable, in the order in which they were first heard.
+    ``value`` is the number of the value of each row. ``first`` is the index of the first row of each value. ``rank`` is
+    the position of each value among those of its variable, in the order of their first reception.
     """
 
     rows: Column
@@ -65,7 +66,7 @@ class Sayings:
     rank: Column
 
     def firsts(self, node: Column, nodes: int) -> Column:
-        """Where each node says each value for the first time, by value and frame. ``node`` is who says each row."""
+        """Return the index of the first row of each value and node, by value and frame. ``node``: senders of rows."""
         key = self.value * max(1, nodes) + node
         order = np.argsort(key, kind="stable")
         new = np.ones(order.size, bool)
@@ -75,7 +76,7 @@ class Sayings:
 
 
 def sayings(recorded: Recorded) -> Sayings:
-    """Tell values apart: a number that is heard again after five seconds of silence is that of another value."""
+    """Number the values: a sequence number that is received again after five seconds of silence is another value."""
     said = recorded.tables["said"]
     rows = np.lexsort((said["frame"], said["seqno"], said["variable"]))
     variable, seqno, stamp = (said[name][rows] for name in ("variable", "seqno", "time"))
@@ -91,7 +92,7 @@ def sayings(recorded: Recorded) -> Sayings:
 
 
 def dissemination(recorded: Recorded, time: Time, found: Sayings | None = None) -> tuple[Values, Passings]:
-    """Follow each value of each variable from the node that said it first."""
+    """Return the values of all variables, and their forwarding by nodes after the first."""
     said = recorded.tables["said"]
     found = found or sayings(recorded)
     value, first = found.value, found.first
@@ -127,9 +128,9 @@ def dissemination(recorded: Recorded, time: Time, found: Sayings | None = None) 
 
 
 def counted(recorded: Recorded, values: Values, variable: int) -> tuple[Column, Column, Column]:
-    """Rows of one variable, their sequence numbers unwrapped, and where the variable was created again.
+    """Return the rows of one variable, their unwrapped sequence numbers, and where the variable was created again.
 
-    A creation is a new one where its creation time is another, or, in profiles without, where its number goes back.
+    It was created again if a VarCreate has another creation time or, in profiles without it, a lower sequence number.
     """
     rows = np.flatnonzero(values.variable == variable)
     seqno, creation = values.seqno[rows], values.creation[rows]
@@ -152,7 +153,7 @@ def _from_producer(recorded: Recorded, variable: Column, node: Column) -> Column
 
 @dataclass(frozen=True)
 class VariableLine:
-    """One line of the table of variables. Delays in seconds, None if nobody passed anything on."""
+    """One row of the table of variables. Delays are in seconds; None if no node forwarded a value."""
 
     number: int
     producer: int
@@ -165,7 +166,7 @@ class VariableLine:
 
 
 def lines(recorded: Recorded, values: Values, passed: Passings, many: int) -> list[VariableLine]:
-    """The ``many`` variables with most values, those first."""
+    """Return the ``many`` variables with the most values, in descending order."""
     numbers, counts = np.unique(values.variable, return_counts=True)
     found = []
     for row in np.lexsort((numbers, -counts))[:many].tolist():
@@ -190,6 +191,6 @@ def lines(recorded: Recorded, values: Values, passed: Passings, many: int) -> li
 
 
 def numeric(values: Values, variable: int) -> bool:
-    """Whether all values of a variable have one length that fits a number."""
+    """Return whether all values of a variable have the same length of 1 to 8 octets."""
     sizes = np.unique(values.size[values.variable == variable])
     return sizes.size == 1 and 1 <= int(sizes[0]) <= NUMBER_OCTETS

@@ -1,7 +1,7 @@
 """Recordings as tables: columnar decoding in machine code that is generated from the layout of a profile.
 
-Needs the extra ``table`` (Numba, NumPy, Arrow), which is imported when a name is first used. ``dcp_codec.open_table``
-and ``dcp-codec table`` are built on it; docs/tables.md describes the tables.
+The package needs the extra ``table`` (Numba, NumPy, Arrow), which is imported when a name is first used. It is the base
+of ``dcp_codec.open_table`` and ``dcp-codec table``; docs/tables.md describes the tables.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Many recordings to tables: which files, in which order, by which workers, and everything or nothing in its place."""
+"""Convert many recordings to tables: find the files, distribute them to workers, and write the output in one step."""
 
 from __future__ import annotations
 
@@ -29,34 +29,40 @@ from .writing import Format, write_database
 
 Engine = Literal["local", "dask"]
 
-#: Seconds between two looks at how far the workers are.
+#: Interval in seconds at which the progress of the workers is read.
 _LOOK = 0.2
 
 
 class Order(msgspec.Struct, frozen=True):
-    """What is wanted: the recordings, where the tables go, and how they are made."""
+    """The recordings to convert, the output, and the options of the conversion."""
 
     recordings: tuple[str, ...]
     out: Path
+    """File or folder of the output."""
     form: Format
     profile: str = "auto"
+    """Name of a profile, a profile file, or "auto" to guess it for each recording."""
     ether_type: int | None = None
     tables: tuple[str, ...] | None = None
+    """The tables to write; None: all."""
     jobs: int = 1
+    """Number of workers."""
     engine: Engine = "local"
     scheduler: str | None = None
+    """Address of a Dask scheduler; None starts a local cluster."""
     force: bool = False
+    """Whether to replace existing output."""
 
     @property
     def single(self) -> bool:
-        """Whether the one table that is wanted goes to one file."""
+        """Whether a single table is written to one file."""
         return self.form != "duckdb" and self.out.suffix.lower() == f".{self.form}"
 
 
 def find_recordings(names: Sequence[str]) -> list[str]:
-    """The recordings that are meant: files, all below folders, and what patterns match; each once, in this order.
+    """Return the recordings that file names, folders and glob patterns denote, without duplicates, in their order.
 
-    Raises TableError for a folder or pattern without recordings. A file need not be there: opening it will say so.
+    Raise TableError for a folder or pattern without recordings. A missing file is reported when it is opened.
     """
     found: dict[str, None] = {}
     for name in names:
@@ -65,11 +71,11 @@ def find_recordings(names: Sequence[str]) -> list[str]:
                 str(path) for path in Path(name).rglob("*") if without_compression(path).suffix.lower() in SUFFIXES
             )
             if not below:
-                raise TableError(f"{name}: there are no recordings in it ({', '.join(SUFFIXES)})")
+                raise TableError(f"{name}: the folder has no recordings ({', '.join(SUFFIXES)})")
         elif not Path(name).exists() and glob.has_magic(name):
             below = sorted(path for path in glob.glob(name, recursive=True) if Path(path).is_file())  # noqa: PTH207
             if not below:
-                raise TableError(f"{name}: nothing matches this pattern")
+                raise TableError(f"{name}: no file matches this pattern")
         else:
             below = [name]
         found |= dict.fromkeys(below)
@@ -77,11 +83,11 @@ def find_recordings(names: Sequence[str]) -> list[str]:
 
 
 def make(order: Order, advance: Advance = lambda _octets: None) -> list[Outcome]:
-    """Make the tables. ``advance`` is told how many octets of recordings were read since it was last called.
+    """Write the tables; return the outcomes in the order of the recordings.
 
-    The outcomes are in the order of the recordings. Nothing stands at ``order.out`` before everything does; if no
-    recording could be read, nothing does in the end. Raises TableError, and ImportError for an engine or format whose
-    package is not there.
+    ``advance`` is called with the number of octets read since its last call. ``order.out`` appears only when it is
+    complete; if no recording can be read, it is not written. Raise TableError, and ImportError for an engine or format
+    whose package is not installed.
     """
     _check(order)
     try:
@@ -98,22 +104,22 @@ def make(order: Order, advance: Advance = lambda _octets: None) -> list[Outcome]
 
 def _check(order: Order) -> None:
     if order.single and (order.tables is None or len(order.tables) != 1):
-        raise TableError(f"{order.out}: one file has one table: name it with --tables, or give a folder")
+        raise TableError(f"{order.out}: a file holds one table: name it with --tables, or give a folder")
     if order.profile != "auto" and order.tables is not None:
         known = {table.name for table in Shape(get_codec(order.profile).beacon_plan).tables} | {ERRORS}
         for name in order.tables:
             if name not in known:
                 raise TableError(f"profile {order.profile} has no table {name}, only {', '.join(sorted(known))}")
     if order.form == "duckdb":
-        # Asked for before anything is decoded.
+        # Report a missing package before decoding anything.
         import_module("duckdb")
     out = order.out
     if out.exists() and not (out.is_file() or out.is_dir()):
-        raise TableError(f"{out}: is neither a file nor a folder, and is not replaced")
+        raise TableError(f"{out}: is neither a file nor a folder and cannot be replaced")
     if not out.exists() or order.force:
         return
     if not out.is_dir():
-        raise TableError(f"{out}: is there already; --force replaces it")
+        raise TableError(f"{out}: exists already; --force replaces it")
     if order.form == "duckdb":
         raise TableError(f"{out}: is a folder; a DuckDB database is a file")
     if any(out.iterdir()):
@@ -122,7 +128,7 @@ def _check(order: Order) -> None:
 
 @contextmanager
 def _workshop(out: Path) -> Iterator[Path]:
-    """A folder beside ``out``, so that moving into place is renaming; gone afterwards, whatever happens."""
+    """Provide a temporary folder beside ``out``, so that the output can be renamed into place; delete it on exit."""
     folder = Path(tempfile.mkdtemp(prefix=f".{out.name}.", dir=out.parent))
     try:
         yield folder
@@ -165,7 +171,7 @@ def _run(order: Order, jobs: Sequence[Job], advance: Advance) -> list[Outcome]:
     compiling: Any = context.Value("b", 0)
     others = set(multiprocessing.active_children())
     with ProcessPoolExecutor(workers, context, initializer=_Worker.prepare, initargs=(done, compiling)) as pool:
-        # The longest first, so that no worker is left alone with it at the end.
+        # Start with the largest recording: started last, it would occupy one worker alone.
         order_of_work = sorted(range(len(jobs)), key=lambda index: -_size(jobs[index].path))
         futures: dict[int, Future[Outcome]] = {index: pool.submit(_Worker.work, jobs[index]) for index in order_of_work}
         try:
@@ -173,10 +179,10 @@ def _run(order: Order, jobs: Sequence[Job], advance: Advance) -> list[Outcome]:
             return [futures[index].result() for index in range(len(jobs))]
         except BrokenExecutor:
             raise TableError(
-                "a process that decodes died: too little memory, or a file that was cut while read"
+                "a worker process died: too little memory, or a file that was truncated while it was read"
             ) from None
         except BaseException:
-            # Interrupted, or out of disk: what is still at work would be waited for.
+            # Interrupted, or no space left: without terminate() the executor would wait for its running jobs.
             pool.shutdown(wait=False, cancel_futures=True)
             for process in set(multiprocessing.active_children()) - others:
                 process.terminate()
@@ -184,26 +190,28 @@ def _run(order: Order, jobs: Sequence[Job], advance: Advance) -> list[Outcome]:
 
 
 def _threads(workers: int) -> int:
-    """How many threads each of so many processes should have for writing: none where each process has one core."""
+    """Return the number of writing threads for each of ``workers`` processes: 0 if each has only one processor."""
     share = len(os.sched_getaffinity(0)) // workers
     return share if share > 1 else 0
 
 
 class _Worker:
-    """A process of the pool; ``done`` counts the octets that all of them have read."""
+    """The functions of a process of the pool; ``done`` counts the octets that all processes have read."""
 
     done: Any = None
 
     @classmethod
     def prepare(cls, done: Any, compiling: Any) -> None:
-        """Begin; ``compiling`` becomes 1 when a process has to compile."""
-        # Ctrl-C goes to all processes of a terminal; the first one sees to it.
+        """Initialise a process; ``compiling`` is set to 1 if it has to compile the decoder."""
+        # Ctrl-C is sent to all processes of a terminal; the parent handles it.
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         cls.done = done
         announce(lambda _: setattr(compiling, "value", 1))
 
     @classmethod
     def work(cls, job: Job) -> Outcome:
+        """Execute one job, and count the octets that it reads."""
+
         def count(octets: int) -> None:
             with cls.done.get_lock():
                 cls.done.value += octets
@@ -214,12 +222,12 @@ class _Worker:
 def _watch(
     futures: Sequence[Future[Outcome]], done: Callable[[], int], compiling: Callable[[], bool], advance: Advance
 ) -> None:
-    """Wait for all, and tell how far they are and that some compile."""
-    seen, pending, said = 0, set(futures), False
+    """Wait for all futures; report progress, and log once that a process compiles."""
+    seen, pending, logged = 0, set(futures), False
     while pending:
         _, pending = wait(pending, timeout=_LOOK, return_when=FIRST_COMPLETED)
-        if compiling() and not said:
-            said = True
+        if compiling() and not logged:
+            logged = True
             LOG.info(COMPILING)
         now = done()
         advance(now - seen)
@@ -233,11 +241,11 @@ def _size(path: str) -> int:
         return 0
 
 
-# -- delivery -----------------------------------------------------------------------------------------------------
+# -- output -------------------------------------------------------------------------------------------------------
 
 
 def _deliver(order: Order, folder: Path, outcomes: Sequence[Outcome]) -> None:
-    """Put what was made into its place, in one step."""
+    """Combine the files of the workers as the format requires, and rename the result to ``order.out``."""
     parts: dict[str, list[Path]] = {}
     for outcome in outcomes:
         for name, path in outcome.files.items() if outcome.failure is None else ():
@@ -260,7 +268,7 @@ def _deliver(order: Order, folder: Path, outcomes: Sequence[Outcome]) -> None:
 
 
 def _concatenate(parts: Sequence[Path], target: Path, form: Format) -> None:
-    """Parts of one table to one file; where profiles differ, columns are those that any of them has."""
+    """Write the parts of one table to one file, with the columns of all parts."""
     import pyarrow as pa
     from pyarrow import parquet
 
@@ -287,11 +295,11 @@ def _concatenate(parts: Sequence[Path], target: Path, form: Format) -> None:
 
 def _replace(made: Path, out: Path) -> None:
     if made.is_dir() and out.is_dir():
-        # A folder cannot be renamed onto one that has something in it.
+        # A folder cannot be renamed to a folder that is not empty.
         aside = made.with_name("replaced")
         out.rename(aside)
     elif out.is_dir():
-        raise TableError(f"{out}: is a folder, and what is to be written is a file")
+        raise TableError(f"{out}: is a folder, but the output is a file")
     elif made.is_dir() and out.exists():
         aside = made.with_name("replaced")
         out.rename(aside)

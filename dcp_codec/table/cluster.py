@@ -1,4 +1,4 @@
-"""Recordings decoded by a Dask cluster: one task for each, on folders that all workers see."""
+"""Decode recordings with a Dask cluster: one task for each, in folders that all workers can access."""
 
 from __future__ import annotations
 
@@ -12,17 +12,18 @@ import msgspec
 
 from .job import Advance, Job, Outcome, TableError, run
 
-#: Seconds that a scheduler has to answer.
+#: Timeout of the connection to a scheduler in seconds.
 _PATIENCE = 10
 
 
 def run_on_cluster(jobs: Sequence[Job], workers: int, scheduler: str | None, advance: Advance) -> list[Outcome]:
-    """The outcomes of ``jobs`` in their order. ``scheduler`` is the address of a cluster; None starts a local one.
+    """Execute the jobs, and return their outcomes in the same order.
 
-    Paths are made absolute, and have to mean the same to every worker. Raises ImportError without dask.distributed,
-    and TableError if there is no scheduler at the address or its workers die.
+    ``scheduler`` is the address of a Dask scheduler; None starts a local cluster of ``workers`` processes. Paths are
+    made absolute, and must be valid for every worker. ``advance`` is called with the size of each decoded recording.
+    Raise ImportError without dask.distributed, and TableError if the scheduler cannot be reached or its workers die.
     """
-    # By name, since it says nothing of types.
+    # Imported by name, because the package has no type hints.
     distributed: Any = import_module("distributed")
     whole = [
         msgspec.structs.replace(
@@ -44,7 +45,7 @@ def run_on_cluster(jobs: Sequence[Job], workers: int, scheduler: str | None, adv
                 client = stack.enter_context(distributed.Client(scheduler, timeout=_PATIENCE))
             except (OSError, ValueError) as error:
                 raise TableError(f"the Dask scheduler {scheduler} cannot be reached: {error}") from error
-        # Two equal jobs are one to Dask unless it is told otherwise.
+        # pure=False: Dask would otherwise execute equal jobs only once.
         futures = [client.submit(run, job, pure=False) for job in whole]
         sizes = {future.key: _size(job.path) for future, job in zip(futures, whole, strict=True)}
         for future in distributed.as_completed(futures):

@@ -1,4 +1,4 @@
-"""Columns in memory: what the decoder fills, and the same octets as Arrow arrays."""
+"""Columns in memory: the arrays that the decoder fills, and Arrow arrays that share their memory."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _INTEGERS = {
 }
 _FLOATS = {4: pa.float32(), 8: pa.float64()}
 
-#: What a text that is not UTF-8 is called when it is given as hex, as in JSON.
+#: Suffix of the column that has texts that are not UTF-8 as hex, as in JSON.
 HEX = "Hex"
 
 IDENTIFIER = pa.dictionary(pa.int32(), pa.string())
@@ -31,7 +31,7 @@ TIME = pa.timestamp("ns")
 
 
 def arrow_type(column: Column) -> pa.DataType:
-    """The Arrow type of a column."""
+    """Return the Arrow type of a column."""
     match column.kind:
         case "int":
             return _INTEGERS[column.size, column.signed]
@@ -52,9 +52,9 @@ def arrow_type(column: Column) -> pa.DataType:
 
 
 def arrow_fields(column: Column) -> list[pa.Field]:
-    """The Arrow fields of a column: one, and of a text a second for what is no text."""
+    """Return the Arrow fields of a column: one, and for a text a second one for octets that are not UTF-8."""
     metadata = {key: value for key, value in (("unit", column.unit), ("doc", column.doc)) if value}
-    # Saying that there are no nulls saves whoever writes or reads a file from looking for them.
+    # Writers and readers need not search for nulls in a field that cannot have them.
     nullable = column.only is not None or column.kind == "text"
     field = pa.field(column.name, arrow_type(column), nullable=nullable, metadata=metadata or None)
     if column.kind != "text":
@@ -63,34 +63,38 @@ def arrow_fields(column: Column) -> list[pa.Field]:
 
 
 def schema_of(table: Table) -> pa.Schema:
-    """The Arrow schema of a table."""
+    """Return the Arrow schema of a table."""
     return pa.schema([field for column in table.columns for field in arrow_fields(column)])
 
 
 class Memory(NamedTuple):
-    """Memory of a batch: that of each table, the columns in it, and octets of varying number by their column."""
+    """The memory of a batch."""
 
     tables: list[Octets]
+    """The memory of each table."""
     columns: list[npt.NDArray[Any]]
+    """The columns, views of the memory of their tables, by number."""
     octets: dict[int, Octets]
+    """The octets of columns with values of variable length, by number."""
 
 
 class _Piece(NamedTuple):
-    """Memory, and the columns that lie in it by number."""
+    """A piece of memory, and the columns in it by number."""
 
     whole: Octets
     parts: dict[int, npt.NDArray[Any]]
 
     def unused(self) -> bool:
-        """Whether nobody looks at it."""
-        # An Arrow array refers to a view, and a view to the whole.
+        """Return whether no batch refers to the memory."""
+        # An Arrow array refers to a view, and a view to the whole memory.
         return sys.getrefcount(self.whole) <= _UNSHARED + len(self.parts)
 
 
 class Storage:
-    """Memory for the columns of a decoder, used again when nobody looks at it any more.
+    """Memory for the columns of a decoder, which is reused when no batch refers to it.
 
-    Fresh memory costs as much as filling it, and who streams batches to a file looks at two at a time at most.
+    Allocating new memory takes as long as filling it, and a program that writes batches to a file uses at most two at a
+    time.
     """
 
     def __init__(self, tables: Sequence[Table]) -> None:
@@ -101,7 +105,7 @@ class Storage:
         self._size = (0, 0)
 
     def take(self, rows: int, space: int) -> Memory:
-        """For each column room for so many rows, and for those of varying octets space for so many of these."""
+        """Return memory for ``rows`` rows of each table, and ``space`` octets for each column of variable length."""
         if self._size != (rows, space):
             self._spare.clear()
             self._size = rows, space
@@ -111,7 +115,7 @@ class Storage:
         return Memory([piece.whole for piece in pieces], [parts[number] for number in sorted(parts)], octets)
 
     def _free(self, key: tuple[int, bool], make: Callable[[], _Piece]) -> _Piece:
-        """Memory that nobody uses."""
+        """Return a piece of memory that is not in use; allocate one if necessary."""
         spare = self._spare.setdefault(key, [])
         for piece in spare:
             if piece.unused():
@@ -123,17 +127,16 @@ class Storage:
         return made
 
 
-#: References to memory that only a piece has: its own, and that of asking.
+#: Reference count of unshared memory: the reference of the piece, and that of the call of getrefcount.
 _UNSHARED = 2
-#: Where rows are collected (``parquet_output.Pile``), batches with few that are copied together, and with many that are
-#: kept.
+#: In ``parquet_output.Pile``: number of small batches that are copied together, and of large batches that are kept.
 TOGETHER, KEPT = 4, 8
-#: Batches whose memory is remembered: the one being made, those that wait, and those that a thread is writing.
+#: Maximum number of batches whose memory is kept: the current one, waiting ones, and those that a thread writes.
 _SPARE = 2 * max(TOGETHER, KEPT) + 1
 
 
 def _table_memory(table: Table, rows: int) -> _Piece:
-    """Memory for ``rows`` rows: integers (floats as their bits), octets, ends of octets of varying number."""
+    """Allocate memory for ``rows`` rows: integers (floats as bit patterns), octets, end offsets of variable lengths."""
     starts, size = table_layout(table, rows)
     whole = _fresh(size)
     parts: dict[int, npt.NDArray[Any]] = {}
@@ -152,16 +155,17 @@ def _octets_memory(space: int) -> _Piece:
 
 
 def _fresh(size: int) -> Octets:
-    """Memory of the system's: others ask for huge pages, of which columns with few rows would fill a little each."""
+    """Allocate memory of the system allocator. Others use huge pages, which are wasted on columns with few rows."""
     return np.frombuffer(pa.allocate_buffer(size, pa.system_memory_pool()), np.uint8)
 
 
 def arrow_arrays(
     column: Column, rows: int, memory: Sequence[npt.NDArray[Any]], octets: Octets | None, used: int, pool: Pool | None
 ) -> list[pa.Array]:
-    """The first ``rows`` values as Arrow arrays, without copying; one for each of :func:`arrow_fields`.
+    """Return the first ``rows`` values as Arrow arrays without copying, one for each of :func:`arrow_fields`.
 
-    ``memory`` are the storages of all columns, ``octets`` the ``used`` octets behind a column of varying ones.
+    ``memory`` has the arrays of all columns. ``octets`` has the octets of a column of variable length, of which
+    ``used`` are valid. ``pool`` has the identifiers of a column of addresses or nodes.
     """
     values = memory[column.number]
     match column.kind:
@@ -190,7 +194,7 @@ def _plain(column: Column, rows: int, values: npt.NDArray[Any]) -> pa.Array:
 
 
 def _present(column: Column, rows: int, memory: Sequence[npt.NDArray[Any]]) -> pa.Buffer | None:
-    """The validity of a column that only some rows have; None where all have it."""
+    """Return the validity bitmap of a column that only some rows have; None if all rows have it."""
     if column.only is None:
         return None
     which, index = column.only
@@ -198,7 +202,7 @@ def _present(column: Column, rows: int, memory: Sequence[npt.NDArray[Any]]) -> p
 
 
 def _texts(ends: npt.NDArray[np.int32], data: Octets) -> list[pa.Array]:
-    """What is UTF-8 as text, and what is not as hex."""
+    """Return two arrays: values that are UTF-8 as texts, and other values as hex."""
     rows = len(ends) - 1
     if not data.size or data.max() < 0x80:
         texts = pa.Array.from_buffers(pa.string(), rows, [None, pa.py_buffer(ends), pa.py_buffer(data)])

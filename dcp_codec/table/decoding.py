@@ -1,4 +1,4 @@
-"""Blocks of frames to record batches: the compiled decoder around which everything else is arranged."""
+"""Decode blocks of frames to Arrow record batches with the compiled decoder."""
 
 from __future__ import annotations
 
@@ -25,10 +25,11 @@ from .kernel.shape import ERRORS, Shape
 
 Integers = npt.NDArray[np.int64]
 
-#: Octets of a recording up to which the decoder runs as plain Python. That takes less than a second (25 µs for a frame
-#: of 90 octets); Numba takes as long to load what it compiled earlier, and ten seconds to compile it.
+#: Maximum size of a recording, in octets, for decoding with plain Python. That takes less than a second (25 µs for a
+#: frame of 90 octets). Numba takes as long to load code that it compiled earlier, and ten seconds to compile it.
 LITTLE = 1 << 20
-#: Rows of a table, and octets of a column of varying octets, that a batch holds at most (unless one frame has more).
+#: Maximum number of rows of a table, and of octets of a column of variable length, in a batch. A single frame may have
+#: more.
 ROOM, SPACE = 1 << 19, 1 << 22
 
 ERRORS_SCHEMA = pa.schema(
@@ -37,9 +38,9 @@ ERRORS_SCHEMA = pa.schema(
         pa.field("time", TIME, metadata={"doc": "time of capture, UTC", "unit": "ns"}),
         pa.field("sender", IDENTIFIER, metadata={"doc": "sender of the beacon, where it can be read"}),
         pa.field("payload", pa.uint32(), metadata={"doc": "index of the bad payload block, null for the header"}),
-        pa.field("reason", pa.dictionary(pa.int32(), pa.string()), metadata={"doc": "what is wrong, a fixed word"}),
+        pa.field("reason", pa.dictionary(pa.int32(), pa.string()), metadata={"doc": "kind of the error, a fixed word"}),
         pa.field("path", pa.string(), metadata={"doc": "the field, with indices"}),
-        pa.field("offset", pa.int64(), metadata={"doc": "where it starts, in octets from the start of the frame"}),
+        pa.field("offset", pa.int64(), metadata={"doc": "start of the field, in octets from the start of the frame"}),
         pa.field("needed", pa.int64(), metadata={"doc": "octets, or the number that is right"}),
         pa.field("available", pa.int64(), metadata={"doc": "octets, or the number that is there"}),
         pa.field("requirement", pa.dictionary(pa.int32(), pa.string()), metadata={"doc": "id of the catalogue"}),
@@ -50,8 +51,8 @@ ERRORS_SCHEMA = pa.schema(
 class Block(NamedTuple):
     """Frames in one buffer: frame ``i`` is ``buffer[starts[i]:stops[i]]``.
 
-    ``lengths`` are octets on the wire, ``times`` ns since 1970. ``position`` is how many octets of the file are
-    behind us after this block, ``buffer`` is read-only.
+    ``lengths`` are octets on the wire, ``times`` ns since 1970. ``position`` is the number of octets of the file that
+    were read up to the end of this block. ``buffer`` is read-only.
     """
 
     buffer: npt.NDArray[np.uint8]
@@ -66,9 +67,9 @@ class Block(NamedTuple):
 
 
 class Batch(NamedTuple):
-    """What ``frames`` frames gave: record batches by the name of the table, and what gave none.
+    """The rows of ``frames`` frames: record batches by the name of the table.
 
-    ``other`` frames are not DCP. ``malformed`` ones have rows of ``errors``, and those of their sound parts.
+    ``malformed`` frames have rows in ``errors``, and rows of their valid parts. ``other`` frames are not DCP.
     """
 
     tables: dict[str, pa.RecordBatch]
@@ -78,16 +79,16 @@ class Batch(NamedTuple):
 
 
 def worth_compiling(octets: int | None) -> bool:
-    """Whether a recording of so many octets (None: not known) takes less time with machine code than without."""
+    """Return whether machine code saves time for a recording of this size in octets (None: unknown)."""
     return octets is None or octets > LITTLE
 
 
 class ColumnDecoder:
-    """Decodes frames to columns with one codec; ``link`` replaces the profile's idea of where beacons are.
+    """Decodes frames to columns with one codec. ``link`` replaces the link of the profile.
 
-    ``interpret`` runs the generated source as plain Python, which is slow and compiles nothing; the rows are the same.
-    :func:`worth_compiling` says whether a recording is large enough for machine code. Not for use by several threads
-    at a time.
+    ``interpret`` runs the generated source as plain Python, which is slow but needs no compilation; the rows are the
+    same. Use :func:`worth_compiling` to choose. ``room`` and ``space`` limit a batch (see ``ROOM`` and ``SPACE``). A
+    decoder must not be used by several threads at a time.
     """
 
     def __init__(
@@ -113,7 +114,7 @@ class ColumnDecoder:
         self._nodes = Pool(width, self._node_text)
 
     def batches(self, block: Block) -> Iterator[Batch]:
-        """Decode a block. Its buffer is not used any more when the iteration has ended."""
+        """Decode a block and yield its batches. The buffer of the block is not used after the end of the iteration."""
         first, space, stage, fresh = 0, self._space, self._stage, False
         while first < block.frames:
             memory = self._storage.take(stage.capacity, space)
@@ -122,18 +123,18 @@ class ColumnDecoder:
             moved = after > first
             if moved:
                 made = self._batch(block, first, after, memory, bad)
-                # Whoever takes the batch is alone with its memory, or Storage could not tell when it is free.
+                # Drop our reference, so that Storage can detect when the caller has released the batch.
                 del memory
                 yield made
                 del made
                 first = after
                 space, stage = self._space, self._stage
             elif status == FULL:
-                # One frame that is larger than everything: the next one has the usual room again.
+                # A single frame does not fit: decode it with a larger stage, and the next ones with the usual one.
                 size = int(block.stops[first] - block.starts[first])
                 space, stage = max(space, size), self._stage_for(size)
             if status == POOL_FULL:
-                # Fresh ones; larger ones if not even one frame fits into those.
+                # Use empty pools, or larger ones if not even one frame fits into empty pools.
                 grow = fresh and not moved
                 self._addresses = self._addresses.grown() if grow else self._addresses.fresh()
                 self._nodes = self._nodes.grown() if grow else self._nodes.fresh()
@@ -142,7 +143,7 @@ class ColumnDecoder:
             fresh = status == POOL_FULL
 
     def _stage_for(self, octets: int) -> Stage:
-        """A stage for frames of so many octets."""
+        """Return a stage for frames of up to ``octets`` octets."""
         return Stage(self.shape, max(octets, OF_A_FRAME), self._moved, self._room)
 
     def _call(
@@ -208,7 +209,7 @@ class ColumnDecoder:
         return Batch(tables, after - first, malformed, other)
 
     def _damaged(self, block: Block, bad: Integers) -> dict[str, pa.RecordBatch]:
-        """The rows of the frames that are not plainly good."""
+        """Return the rows of the frames that the compiled decoder has rejected, by table."""
         frames = DamagedFrames(self.codec, self.link, self.shape, self.schemas, self._node_text)
         for index in bad.tolist():
             frames.add(

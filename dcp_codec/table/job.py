@@ -1,4 +1,4 @@
-"""One recording to one file per table: what each worker does, in this process, another, or on another machine."""
+"""Convert one recording to one file for each table: the work of a worker in this process, another, or a cluster."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from .decoding import ColumnDecoder, worth_compiling
 from .input.sources import Recording
 from .writing import SUFFIXES, Format, Writer, file_schema, open_writer, with_file
 
-#: Frames that are looked at to tell what there is in a recording without beacons.
-_LOOKED_AT = 10_000
+#: Number of frames that are examined to describe the traffic of a recording without beacons.
+_EXAMINED = 10_000
 
 Advance = Callable[[int], object]
 
@@ -31,12 +31,12 @@ class TableError(Exception):
 
 
 class Job(msgspec.Struct, frozen=True):
-    """What to do with one recording; it can be sent to another process.
+    """The conversion of one recording; it can be sent to another process.
 
-    ``profile`` is a name, a profile file, or "auto"; ``tables`` are those that are wanted, None for all. The files
-    are ``folder/TABLE/STEM.SUFFIX``, or ``folder/TABLE.SUFFIX`` if ``stem`` is None. ``file`` is what the recording is
-    called in the column of that name, None for no such column. ``threads`` write tables while the recording is decoded;
-    with 0 rows are written between decoding one block and the next, which takes less processor time.
+    ``profile`` is a name, a profile file, or "auto". ``tables`` are the tables to write, None for all. The files are
+    ``folder/TABLE/STEM.SUFFIX``, or ``folder/TABLE.SUFFIX`` if ``stem`` is None. ``file`` is the name of the recording
+    in the column ``file``, None for no such column. ``threads`` is the number of threads that write tables during
+    decoding; with 0, rows are written after each block, which takes less processor time.
     """
 
     path: str
@@ -51,7 +51,7 @@ class Job(msgspec.Struct, frozen=True):
 
 
 class Outcome(msgspec.Struct):
-    """What came of a job. ``failure`` says why nothing did; ``notes`` and ``problems`` are for people."""
+    """The outcome of a job. ``failure`` is the reason of a failure; ``notes`` and ``problems`` are for the user."""
 
     path: str
     profile: str = ""
@@ -61,7 +61,7 @@ class Outcome(msgspec.Struct):
     frames: int = 0
     malformed: int = 0
     other: int = 0
-    #: Other traffic by EtherType, where there is no DCP at all; and where it was looked for.
+    #: Numbers of other frames by EtherType, if the recording has no DCP at all; and the link that was assumed for DCP.
     others: dict[str, int] = msgspec.field(default_factory=dict)
     link: Link | None = None
     rows: dict[str, int] = msgspec.field(default_factory=dict)
@@ -69,9 +69,9 @@ class Outcome(msgspec.Struct):
 
 
 def resolve(path: str | Path, profile: str, ether_type: int | None) -> tuple[Codec, Link, str]:
-    """The codec of a recording, where its beacons are, and what the guess says ("" if there was none).
+    """Return the codec of a recording, its link, and a description of the guess ("" with a given profile).
 
-    Raises CaptureError and ProfileError.
+    Raise CaptureError and ProfileError.
     """
     if profile != "auto":
         codec = get_codec(profile)
@@ -85,9 +85,10 @@ def resolve(path: str | Path, profile: str, ether_type: int | None) -> tuple[Cod
 
 
 def run(job: Job, advance: Advance = lambda _octets: None) -> Outcome:
-    """Decode one recording into its files. ``advance`` is told how many octets of the file were read since.
+    """Decode one recording into its files. ``advance`` is called with the number of octets read since its last call.
 
-    A recording that cannot be opened is an outcome, not an exception; what the disk refuses is an OSError.
+    A recording that cannot be opened is reported in the outcome, not by an exception. Raise OSError if a file cannot be
+    written.
     """
     outcome = Outcome(job.path)
     try:
@@ -146,7 +147,7 @@ def _path(job: Job, table: str) -> Path:
 
 
 def others(path: str, link: Link) -> dict[str, int]:
-    """What a recording without beacons has instead, by EtherType."""
+    """Count the frames of a recording without beacons by EtherType, the most frequent first."""
     found: dict[str, int] = {}
     with open_capture(path) as reader:
         for frame in reader:
@@ -154,6 +155,6 @@ def others(path: str, link: Link) -> dict[str, int]:
             if isinstance(framing, OtherTraffic):
                 kind = framing.reason if framing.ether_type is None else f"0x{framing.ether_type:04x}"
                 found[kind] = found.get(kind, 0) + 1
-            if reader.frames_read >= _LOOKED_AT:
+            if reader.frames_read >= _EXAMINED:
                 break
     return dict(sorted(found.items(), key=lambda item: -item[1]))

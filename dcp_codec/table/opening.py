@@ -1,4 +1,4 @@
-"""``open_table``: one table of recordings for programs that speak Arrow, pandas or Polars."""
+"""``open_table``: one table of recordings for programs that use Arrow, pandas or Polars."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ Source = str | Path | Sequence[str | Path]
 
 
 class OpenTable:
-    """One table of one or more recordings. Each use of it reads the recordings anew, so that none is held in memory.
+    """One table of one or more recordings. Each use reads the recordings again, so that none is kept in memory.
 
-    Anything that takes an Arrow stream takes the object itself (``polars.DataFrame(table)``,
+    The object can be used wherever an Arrow stream is accepted (``polars.DataFrame(table)``,
     ``pyarrow.table(table)``, ``duckdb.sql("SELECT * FROM table")`` with ``table = opened.arrow()``). ``schema`` is
-    the Arrow schema; columns are described in docs/tables.md.
+    the Arrow schema; docs/tables.md describes the columns.
     """
 
     def __init__(self, name: str, recordings: Sequence[tuple[str, Codec, Link]]) -> None:
         self.name = name
         #: The profile of each recording by its path.
         self.profiles = {path: codec.profile.name for path, codec, _ in recordings}
-        #: What was wrong with the recordings the last time they were read to their end, by path.
+        #: Problems of the recordings when they were last read completely, by path.
         self.problems: dict[str, list[str]] = {}
         self._recordings = recordings
         several = len(recordings) > 1
@@ -50,7 +50,7 @@ class OpenTable:
         return f"<{self.name} of {', '.join(self.profiles)}>"
 
     def batches(self) -> Iterator[pa.RecordBatch]:
-        """The rows in the order of the recordings, in pieces that keep memory bounded."""
+        """Yield the rows in the order of the recordings, in batches of limited size."""
         for path, codec, link in self._recordings:
             with Recording(path) as recording:
                 decoder = ColumnDecoder(codec, link, interpret=not worth_compiling(recording.size))
@@ -74,26 +74,26 @@ class OpenTable:
         return pa.RecordBatch.from_arrays(arrays, schema=self.schema)
 
     def arrow(self) -> pa.Table:
-        """All rows as an Arrow table."""
+        """Return all rows as an Arrow table."""
         pile = Pile(self.schema)
         for batch in self.batches():
             pile.add(batch)
         return pile.table()
 
     def reader(self) -> pa.RecordBatchReader:
-        """The rows as an Arrow stream, decoded as they are asked for."""
+        """Return the rows as an Arrow stream, which decodes them on demand."""
         return pa.RecordBatchReader.from_batches(self.schema, self.batches())
 
     def __arrow_c_stream__(self, requested_schema: object | None = None) -> object:
-        """The Arrow PyCapsule interface."""
+        """Return the rows as a capsule of the Arrow PyCapsule interface."""
         return self.reader().__arrow_c_stream__(requested_schema)
 
     def pandas(self) -> Any:
-        """All rows as a ``pandas.DataFrame``; identifiers are categories. Raises ImportError without pandas."""
+        """Return all rows as a ``pandas.DataFrame``; identifiers are categories. Raise ImportError without pandas."""
         return self.arrow().to_pandas()
 
     def polars(self) -> Any:
-        """All rows as a ``polars.DataFrame``, sharing memory. Raises ImportError without Polars."""
+        """Return all rows as a ``polars.DataFrame`` that shares memory. Raise ImportError without Polars."""
         import polars
 
         return polars.from_arrow(self.arrow())
@@ -104,16 +104,16 @@ def open_table(
 ) -> OpenTable:
     """Open one table of a recording, of a folder or pattern of recordings, or of a list of them.
 
-    ``profile`` is the name of a wire profile, a profile file, or "auto" to find it out for each recording. Nothing
-    but the first frames is read before the table is used.
+    ``profile`` is the name of a wire profile, a profile file, or "auto" to detect it for each recording. Only the first
+    frames are read before the table is used.
 
-    Raises ``ValueError`` for a table that does not exist, :class:`~dcp_codec.table.archive.TableError` where there
-    are no recordings, :class:`~dcp_codec.capture.CaptureError` for one that cannot be read at all, and
-    ``dcp_spec.profile.loading.ProfileError`` for a profile that cannot be had.
+    Raise ``ValueError`` for an unknown table, :class:`~dcp_codec.table.archive.TableError` if there are no recordings,
+    :class:`~dcp_codec.capture.CaptureError` for one that cannot be read at all, and
+    ``dcp_spec.profile.loading.ProfileError`` for an unknown or invalid profile.
     """
     known = TABLES if profile == "auto" else table_names(get_codec(profile).profile)
     if table not in known:
-        raise ValueError(f"{table!r} is none of the tables {', '.join(known)}")
+        raise ValueError(f"{table!r} is not one of the tables {', '.join(known)}")
     names = [str(path)] if isinstance(path, str | Path) else [str(each) for each in path]
     found = []
     for recording in find_recordings(names):

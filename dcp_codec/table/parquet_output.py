@@ -1,4 +1,4 @@
-"""Parquet files from record batches: how columns are encoded, and row groups written beside decoding."""
+"""Write record batches to Parquet files: encodings of columns, and row groups that threads write during decoding."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ import pyarrow as pa
 
 from .columns import KEPT, TOGETHER
 
-#: Rows that are collected before they are written: a row group of Parquet is worth reading on its own.
+#: Number of rows that are collected for one row group. Larger row groups are read faster.
 GROUP = 1 << 18
-#: Rows of a batch that is worth the memory that it lies in.
+#: Minimum number of rows of a large batch, which is kept without copying.
 MANY = GROUP // KEPT
 
 
 class Pile:
-    """Rows that are collected.
+    """A collection of rows.
 
-    A batch lies in memory with room for many more rows than it may have. Few rows are not to hold on to much memory, so
-    batches with few are copied together, some at a time.
+    The memory of a batch may have room for many more rows than the batch has. So that few rows do not occupy much
+    memory, small batches are copied into larger ones.
     """
 
     def __init__(self, schema: pa.Schema) -> None:
@@ -46,15 +46,15 @@ class Pile:
             self._batches.append(batch)
 
     def table(self) -> pa.Table:
-        """All rows, with one dictionary for each column of identifiers."""
+        """Return all rows, with one dictionary for each column of identifiers."""
         return pa.Table.from_batches([*self._batches, *self._few], self._schema).unify_dictionaries()
 
 
 class ParquetTable:
     """A Parquet file with row groups of about ``GROUP`` rows.
 
-    With an ``executor`` its threads encode and write the row groups, one of a file at a time: the caller goes on
-    collecting rows, and waits if the next row group is complete before the last one is written. What a thread raises is
+    With an ``executor``, its threads encode and write the row groups, one of a file at a time. The caller continues to
+    collect rows, and waits if a row group is complete before the previous one is written. An exception in a thread is
     raised by the next call.
     """
 
@@ -68,13 +68,13 @@ class ParquetTable:
         self._pending: Future[None] | None = None
 
     def write(self, batch: pa.RecordBatch) -> None:
-        """Append rows."""
+        """Append rows; write a row group when enough are collected."""
         self._pile.add(batch)
         if self._pile.rows >= GROUP:
             self.flush()
 
     def flush(self) -> None:
-        """Write the rows that are collected, or have a thread write them."""
+        """Write the collected rows, or let a thread write them."""
         self._wait()
         pile, self._pile = self._pile, Pile(self._schema)
         if not pile.rows:
@@ -93,26 +93,26 @@ class ParquetTable:
             self._writer.close()
 
     def _write(self, pile: Pile) -> None:
-        # Identifiers have one dictionary in a row group, or they would be written out.
+        # With several dictionaries in a row group, identifiers would be written as texts.
         self._writer.write_table(pile.table(), row_group_size=2 * GROUP)
 
     def _wait(self) -> None:
-        """Wait until no row group of this file is being written, and raise what writing it raised."""
+        """Wait until the pending row group is written; raise its exception if that failed."""
         pending, self._pending = self._pending, None
         if pending is not None:
             pending.result()
 
 
 def options(schema: pa.Schema) -> dict[str, Any]:
-    """Return the options of ``ParquetWriter``: the encodings that every common reader knows, chosen by size and time.
+    """Return the options of ``ParquetWriter``: encodings of all common readers, chosen by size and time.
 
-    * Identifiers are dictionaries already, and their indices are written as they are.
-    * Numbers that count up are small as differences.
-    * Floats are split into their octets: the high ones repeat, the low ones are noise. Integers would gain as well, but
-      DuckDB before 2.0 reads this encoding of floats only.
-    * lz4 for all columns: zstd at level 1 takes up to twice as long for octets and leaves as much of them.
-    * The least and the greatest value of a row group are written for the time alone, by which queries cut recordings:
-      finding them takes a quarter as long as writing.
+    * Identifiers are dictionaries already; their indices are written unchanged.
+    * Ascending numbers are written as differences, which are small.
+    * The octets of floats are written separately: the high ones repeat, the low ones are noise. Integers would benefit,
+      too, but DuckDB before 2.0 reads this encoding for floats only.
+    * All columns are compressed with lz4: zstd at level 1 takes up to twice as long for octets with the same size.
+    * Minimum and maximum of a row group are written for the time only, which queries use to select parts of recordings:
+      determining them takes a quarter as long as writing.
     """
     identifiers = [field.name for field in schema if pa.types.is_dictionary(field.type)]
     differences = [field.name for field in schema if _counts_up(field, schema)]
@@ -123,15 +123,15 @@ def options(schema: pa.Schema) -> dict[str, Any]:
         "column_encoding": dict.fromkeys(differences, "DELTA_BINARY_PACKED")
         | dict.fromkeys(floats, "BYTE_STREAM_SPLIT"),
         "write_statistics": ["time"] if "time" in schema.names else False,
-        # Values that are encoded at a time; the thousand that is usual costs a tenth more.
+        # Number of values that are encoded at a time; the default of about a thousand takes a tenth longer.
         "write_batch_size": 1 << 16,
     }
 
 
 def _counts_up(field: pa.Field, schema: pa.Schema) -> bool:
-    """Whether each value of a column is likely to be a little more than the one before."""
+    """Return whether the values of a column probably increase by small steps."""
     if pa.types.is_timestamp(field.type):
-        # All records of a beacon have its time.
+        # All records of a beacon have the same time.
         return "record" not in schema.names
     if not pa.types.is_integer(field.type):
         return False

@@ -1,4 +1,4 @@
-"""One recording to files: a writer for each table, fed with record batches."""
+"""Writers of record batches to files: one for each table of a recording."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Writer(Protocol):
         """Append rows."""
 
     def flush(self) -> None:
-        """Write the rows that are collected, or have a thread write them."""
+        """Write the collected rows, or let a thread write them."""
 
     def close(self) -> None:
         """Finish the file."""
@@ -71,7 +71,7 @@ def _csv_array(array: pa.Array, wanted: pa.DataType) -> pa.Array:
 
 
 def _safe(array: pa.Array) -> pa.Array:
-    """Texts as :func:`dcp_codec.common.spreadsheet.safe_cell` has them."""
+    """Return texts in the form of :func:`dcp_codec.common.spreadsheet.safe_cell`, which is not read as a formula."""
     import pyarrow.compute as pc
 
     formulas = pc.match_substring_regex(array, f"^[{re.escape(FORMULA_STARTS)}]")
@@ -81,7 +81,7 @@ def _safe(array: pa.Array) -> pa.Array:
 
 
 def hexadecimal(array: pa.Array) -> pa.Array:
-    """A binary array as text: two digits for each octet."""
+    """Return a binary array as text, with two hexadecimal digits for each octet."""
     validity, offsets, data = array.buffers()
     ends = np.frombuffer(offsets, np.int32, len(array) + 1, array.offset * 4)
     octets = np.frombuffer(data, np.uint8) if data is not None else np.empty(0, np.uint8)
@@ -100,15 +100,15 @@ SUFFIXES: Mapping[str, str] = {"parquet": ".parquet", "csv": ".csv", "duckdb": "
 
 
 def open_writer(form: Format, path: Path, schema: pa.Schema, executor: Executor | None = None) -> Writer:
-    """Open a writer of the format; tables of a DuckDB database are Parquet files until all are there.
+    """Open a writer of the format; tables of a DuckDB database are Parquet files until all are complete.
 
-    Threads of the ``executor`` write Parquet files, if it is given.
+    Threads of ``executor`` write Parquet files; None: the caller's thread.
     """
     return CsvTable(path, schema) if form == "csv" else ParquetTable(path, schema, executor)
 
 
 def with_file(batch: pa.RecordBatch, schema: pa.Schema, name: str) -> pa.RecordBatch:
-    """A batch with the column ``file`` in front that ``schema`` has."""
+    """Return a batch with the additional first column ``file``, which has the value ``name``."""
     codes = pa.Array.from_buffers(pa.int32(), batch.num_rows, [None, pa.py_buffer(np.zeros(batch.num_rows, np.int32))])
     column = pa.DictionaryArray.from_arrays(codes, text_array([name]))
     return pa.RecordBatch.from_arrays([column, *batch.columns], schema=schema)
@@ -118,12 +118,12 @@ FILE = pa.field("file", pa.dictionary(pa.int32(), pa.string()), nullable=False, 
 
 
 def file_schema(schema: pa.Schema) -> pa.Schema:
-    """The schema of a table of several recordings."""
+    """Return the schema of a table of several recordings, with the column ``file``."""
     return pa.schema([FILE, *schema])
 
 
 def joint_schema(schemas: Sequence[pa.Schema]) -> pa.Schema:
-    """The columns of all tables, integers as wide as the widest. What one table has not is null in its rows."""
+    """Return the columns of all tables, with the widest integer types. Missing columns are null in a table's rows."""
     found = pa.unify_schemas(schemas, promote_options="permissive")
     return pa.schema(
         [
@@ -134,18 +134,18 @@ def joint_schema(schemas: Sequence[pa.Schema]) -> pa.Schema:
 
 
 def write_database(path: Path, parts: Mapping[str, Sequence[Path]]) -> None:
-    """A DuckDB database with the tables that are in ``parts``, Parquet files by the name of the table.
+    """Write a DuckDB database with the tables in ``parts``, which has Parquet files by the name of the table.
 
-    Raises ImportError without DuckDB.
+    Raise ImportError without DuckDB.
     """
     import duckdb
 
     with duckdb.connect(str(path)) as database:
-        # Rows stay in the order of the recordings and frames.
+        # Keep the rows in the order of recordings and frames.
         database.execute("SET preserve_insertion_order = true")
         for name, files in parts.items():
             listed = [str(file) for file in files]
-            # The name is one of ours, and the files are an argument.
+            # No injection: the name is a table name of ours, and the files are a parameter.
             database.execute(
                 f'CREATE TABLE "{name}" AS SELECT * FROM read_parquet($files, union_by_name = true)',  # noqa: S608
                 {"files": listed},

@@ -10,7 +10,7 @@ main = CommandLine(
     package="dcp_stack.cli",
     commands={
         "run": "Run a node on an interface or over UDP.",
-        "wait": "Wait until a node can be talked to.",
+        "wait": "Wait until a node answers at its control socket.",
         "stop": "End a node.",
         "status": "Show the state of a node.",
         "monitor": "Watch a node: neighbours, variables, rates, drops.",
@@ -20,11 +20,11 @@ main = CommandLine(
         "param": "Get and set the parameters of BP, SRP and VarDis.",
         "activate": "Activate BP and VarDis.",
         "deactivate": "Deactivate BP and VarDis.",
-        "reset": "Bring a node back to the state after its start.",
+        "reset": "Restore the state of a node after its start.",
         "simulate": "Run a network of nodes in virtual time.",
         "testbed": "Run nodes in network namespaces on a virtual Ethernet.",
     },
-    about="Run a DCP node (Drone Coordination Protocol), and talk to one that runs.",
-    exit_status="0 OK; 1 a service answered with a status other than OK; 2 wrong usage, or a configuration, link or "
-    "request that cannot be used; 3 no node could be reached.",
+    about="Run a DCP node (Drone Coordination Protocol), and control a running one.",
+    exit_status="0 OK; 1 a service answered with a status other than OK; 2 wrong usage, or an invalid "
+    "configuration, link or request; 3 no node could be reached.",
 )

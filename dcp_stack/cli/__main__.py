@@ -1,4 +1,4 @@
-"""``python -m dcp_stack.cli`` is ``dcp-node``."""
+"""Run ``dcp-node`` as ``python -m dcp_stack.cli``."""
 
 from . import main
 

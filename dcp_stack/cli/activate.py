@@ -2,4 +2,4 @@
 
 from .activation import activation
 
-command = activation("Activate", "Let BP and VarDis (or one of them) send, receive and serve.")
+command = activation("Activate", "Activate BP and VarDis, or one of them.")

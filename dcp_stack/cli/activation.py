@@ -1,4 +1,4 @@
-"""What ``dcp-node activate`` and ``deactivate`` share."""
+"""The common part of ``dcp-node activate`` and ``deactivate``."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from .common import EXIT_STATUS, NOT_OK, connect, finish, is_ok, node_options
 
 
 def activation(verb: str, about: str) -> click.Command:
-    """The command for BP-MGMT- and VD-MGMT-Activate, or those that deactivate."""
+    """Return the command that calls BP-MGMT- and VD-MGMT- with ``verb``, Activate or Deactivate."""
 
     @click.command(verb.lower(), epilog=EXIT_STATUS, help=about)
     @click.argument("which", required=False, type=click.Choice(["bp", "vardis"]))
@@ -20,7 +20,7 @@ def activation(verb: str, about: str) -> click.Command:
         methods = [f"{prefix}-MGMT-{verb}" for prefix in prefixes]
         with connect(control) as client:
             if which is None:
-                # A node may run without VarDis, or follow a version without the service.
+                # A node may run without VarDis, or follow a version without these services.
                 served = client.call("UT-Hello")["methods"]
                 methods = [method for method in methods if method in served] or methods
             results = {method: client.call(method) for method in methods}

@@ -66,15 +66,15 @@ def list_(control: str, as_json: bool) -> int:
 @command.command("register", epilog=EXIT_STATUS)
 @click.argument("prot_id", type=int, metavar="PROTID")
 @click.option("--name", default="", callback=utf8, help="Name of the protocol.")
-@click.option("--max-size", type=int, default=100, show_default=True, help="Longest payload in octets.")
+@click.option("--max-size", type=int, default=100, show_default=True, help="Maximum payload length in octets.")
 @click.option("--mode", type=click.Choice([*MODES]), default="once", show_default=True, help="Queueing mode.")
 @click.option("--entries", type=int, default=8, show_default=True, help="Length of the queue, for the queueing modes.")
-@click.option("--multiple", is_flag=True, help="Several payloads may share a beacon.")
+@click.option("--multiple", is_flag=True, help="Allow several payloads in one beacon.")
 @node_options
 def register(
     prot_id: int, name: str, max_size: int, mode: str, entries: int, multiple: bool, control: str, as_json: bool
 ) -> int:
-    """Register PROTID. It stays until it is deregistered; 'bp watch' shows what arrives for it."""
+    """Register PROTID. It stays registered until it is deregistered; 'bp watch' shows its received payloads."""
     return simple(
         control,
         as_json,
@@ -92,7 +92,7 @@ def register(
 @click.argument("prot_id", type=int, metavar="PROTID")
 @node_options
 def deregister(prot_id: int, control: str, as_json: bool) -> int:
-    """Deregister PROTID; payloads that wait are forgotten."""
+    """Deregister PROTID; its waiting payloads are discarded."""
     return simple(control, as_json, "BP-DeregisterProtocol", protId=prot_id)
 
 
@@ -101,7 +101,7 @@ def deregister(prot_id: int, control: str, as_json: bool) -> int:
 @octets_options("--payload")
 @node_options
 def send(prot_id: int, octets: str | None, text: str | None, control: str, as_json: bool) -> int:
-    """Hand down a payload for the next beacons."""
+    """Submit a payload for the next beacons."""
     payload = octets_given("--payload", octets, text)
     return simple(control, as_json, "BP-TransmitPayload", protId=prot_id, payload=payload)
 
@@ -110,7 +110,7 @@ def send(prot_id: int, octets: str | None, text: str | None, control: str, as_js
 @click.argument("prot_id", type=int, metavar="PROTID")
 @node_options
 def clear(prot_id: int, control: str, as_json: bool) -> int:
-    """Forget the payloads that wait."""
+    """Discard the waiting payloads."""
     return simple(control, as_json, "BP-ClearBuffer", protId=prot_id)
 
 
@@ -118,7 +118,7 @@ def clear(prot_id: int, control: str, as_json: bool) -> int:
 @click.argument("prot_id", type=int, metavar="PROTID")
 @node_options
 def query(prot_id: int, control: str, as_json: bool) -> int:
-    """Show how many payloads wait."""
+    """Show the number of waiting payloads."""
     with connect(control) as client:
         result = client.call("BP-QueryNumberBufferedPayloads", protId=prot_id)
     return finish("BP-QueryNumberBufferedPayloads", result, as_json, str(result.get("number", "")))
@@ -128,12 +128,12 @@ def query(prot_id: int, control: str, as_json: bool) -> int:
 @click.argument("prot_ids", type=int, nargs=-1, required=True, metavar="PROTID...")
 @click.option("--count", type=click.IntRange(min=1), metavar="N", help="End after N payloads.")
 @click.option("--for", "seconds", type=Seconds(0), metavar="S", help="End after S seconds.")
-@click.option("--sent", is_flag=True, help="Show own transmissions, too.")
+@click.option("--sent", is_flag=True, help="Also show transmissions of this node.")
 @node_options
 def watch(
     prot_ids: tuple[int, ...], count: int | None, seconds: float | None, sent: bool, control: str, as_json: bool
 ) -> int:
-    """Show the payloads that arrive for registered protocols (not SRP and VarDis, which keep theirs).
+    """Show the payloads received for registered protocols (except SRP and VarDis, which process their own).
 
     With --json, one object per line.
     """

@@ -1,4 +1,4 @@
-"""What the subcommands share: failures, the connection to a node, tables and JSON."""
+"""Common parts of the subcommands: errors, the connection to a node, tables and JSON."""
 
 from __future__ import annotations
 
@@ -26,47 +26,47 @@ NOT_OK, UNREACHABLE = 1, 3
 EXIT_STATUS = f"Exit status: {main.exit_status}"
 
 F = TypeVar("F", bound=Callable[..., Any])
-#: Characters to which a column of a table may be cut.
+#: Characters down to which a column of a table may be narrowed.
 _NARROWEST = 12
 _USAGE = frozenset({PARSE_ERROR, INVALID_REQUEST, METHOD_NOT_FOUND, INVALID_PARAMS})
 
 
-#: Tell something on stderr, where it does not disturb output that is piped on.
+#: Write a message to stderr, apart from output that is piped.
 note = main.note
 
 
 def _found(_ctx: click.Context, _param: click.Parameter, value: str | None) -> str:
-    """The socket given, or that of the node that runs without a path of its own."""
+    """Return the given socket, or the default socket of a running node. Raises ExpectedError if there is none."""
     if value is not None:
         return value
     path = find_socket()
     if path is None:
         looked = " and ".join(map(str, places()))
         raise ExpectedError(
-            f"no node found at {looked}; start one with 'dcp-node run', or say where it is: --control PATH", UNREACHABLE
+            f"no node found at {looked}; start one with 'dcp-node run', or give its socket: --control PATH", UNREACHABLE
         )
     return str(path)
 
 
 def control_option(function: F) -> F:
-    """``--control``: which node."""
+    """Add the option ``--control``, the socket of the node."""
     return click.option(
         "--control",
         envvar="DCP_NODE_CONTROL",
         callback=_found,
         metavar="PATH",
-        help="Control socket of the node.  [env: DCP_NODE_CONTROL; default: that of the node that runs without "
+        help="Control socket of the node.  [env: DCP_NODE_CONTROL; default: the socket of a node that runs without "
         "--control]",
     )(function)
 
 
 def node_options(function: F) -> F:
-    """``--control`` and ``--json``."""
-    return control_option(click.option("--json", "as_json", is_flag=True, help="The result as JSON.")(function))
+    """Add the options ``--control`` and ``--json``."""
+    return control_option(click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")(function))
 
 
 class Seconds(click.FloatRange):
-    """A duration in s that a system can wait for."""
+    """A duration in s, short enough to wait for."""
 
     name = "seconds"
 
@@ -74,15 +74,15 @@ class Seconds(click.FloatRange):
         super().__init__(min=least, max=most, min_open=min_open)
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """The number; refuses what is out of range, and what is no number."""
+        """Return the number; fails if it is not a number or out of range."""
         number = super().convert(value, param, ctx)
         if math.isnan(number):
-            self.fail(f"{value!r} is no number of seconds", param, ctx)
+            self.fail(f"{value!r} is not a number of seconds", param, ctx)
         return number
 
 
 def utf8(_ctx: click.Context, _param: click.Parameter, value: str) -> str:
-    """Refuse a text that cannot be sent as one: the shell hands over any octets."""
+    """Refuse text that is not UTF-8: arguments from the shell can have any octets."""
     try:
         value.encode()
     except UnicodeEncodeError:
@@ -91,7 +91,7 @@ def utf8(_ctx: click.Context, _param: click.Parameter, value: str) -> str:
 
 
 def octets_options(option: str) -> Callable[[F], F]:
-    """``--text TEXT`` and, named ``option``, octets in hex; :func:`octets_given` reads them."""
+    """Add ``--text TEXT`` and, named ``option``, octets in hex; :func:`octets_given` evaluates them."""
 
     def add(function: F) -> F:
         what = option.removeprefix("--")
@@ -102,11 +102,11 @@ def octets_options(option: str) -> Callable[[F], F]:
 
 
 def octets_given(option: str, octets: str | None, text: str | None) -> str:
-    """What the two options of :func:`octets_options` say, as hex."""
+    """Return the octets given with the options of :func:`octets_options`, as hex."""
     if (octets is None) == (text is None):
         raise click.UsageError(f"give the {option.removeprefix('--')} with {option} HEX or --text TEXT")
     if octets is None:
-        # Octets that are no UTF-8 are sent as they were typed.
+        # Octets that are not UTF-8 are sent unchanged.
         return (text or "").encode("utf-8", "surrogateescape").hex()
     try:
         return bytes.fromhex(octets.replace(":", "")).hex()
@@ -115,7 +115,7 @@ def octets_given(option: str, octets: str | None, text: str | None) -> str:
 
 
 def watching(client: ControlClient, seconds: float | None) -> Iterator[Notification]:
-    """What the node tells, for so many seconds (None: for ever)."""
+    """Yield the notifications of the node for ``seconds`` s (None: without limit)."""
     deadline = None if seconds is None else time.monotonic() + seconds
     while True:
         left = None if deadline is None else deadline - time.monotonic()
@@ -126,15 +126,15 @@ def watching(client: ControlClient, seconds: float | None) -> Iterator[Notificat
 
 
 def watched(shown: int, count: int | None, what: str) -> int:
-    """The exit status after :func:`watching` showed ``shown`` things, of which ``count`` were asked for."""
+    """Return the exit status after :func:`watching`; raises ExpectedError if fewer than ``count`` were shown."""
     if count is not None and shown < count:
-        raise ExpectedError(f"{shown} of {count} {what} in the time given", NOT_OK)
+        raise ExpectedError(f"{shown} of {count} {what} within the given time", NOT_OK)
     return 0
 
 
 @contextmanager
 def connect(path: str) -> Iterator[ControlClient]:
-    """A connection to the node, with its failures as ours."""
+    """Connect to the node; its errors become ExpectedError with the exit status for them."""
     try:
         with ControlClient(path) as client:
             yield client
@@ -150,7 +150,7 @@ def is_ok(result: dict[str, Any]) -> bool:
 
 
 def finish(method: str, result: dict[str, Any], as_json: bool, text: str | None = None) -> int:
-    """Show a result and return the exit status it calls for; ``text`` is what to show people if it is OK."""
+    """Show a result and return its exit status; ``text`` is shown instead of the status if it is OK."""
     if as_json:
         click.echo(json.dumps(result, ensure_ascii=False))
     elif is_ok(result):
@@ -163,7 +163,7 @@ def finish(method: str, result: dict[str, Any], as_json: bool, text: str | None 
 
 
 def _meaning(status: str) -> str:
-    """What the specification says of a status."""
+    """Return the meaning of a status from the specification; empty for an unknown status."""
     from dcp_spec.status import BPStatus, SRPStatus, VardisStatus
 
     for kind in (BPStatus, SRPStatus, VardisStatus):
@@ -175,7 +175,7 @@ def _meaning(status: str) -> str:
 
 
 def simple(control: str, as_json: bool, method: str, /, **params: Any) -> int:
-    """Call one method and show what came back."""
+    """Call a method, show its result, and return the exit status."""
     with connect(control) as client:
         return finish(method, client.call(method, **params), as_json)
 
@@ -183,9 +183,9 @@ def simple(control: str, as_json: bool, method: str, /, **params: Any) -> int:
 def columns(
     header: Sequence[str], rows: Sequence[Sequence[str]], *, right: Sequence[int] = (), give: Sequence[int] = ()
 ) -> str:
-    """A table as lines; ``right`` are the numbers of the columns that are aligned to the right.
+    """Format a table as lines; ``right`` are the indices of right-aligned columns.
 
-    On a terminal it is as narrow as that, if the columns ``give`` can be cut so far.
+    On a terminal the columns ``give`` are narrowed until the table fits, if they can be.
     """
     cells = [header, *rows]
     widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
@@ -203,7 +203,7 @@ def columns(
 
 
 def fitted(widths: Sequence[int], room: int, give: Sequence[int]) -> list[int]:
-    """The widths of columns that have ``room`` together: the widest of those in ``give`` are narrowed, down to 12."""
+    """Return the widths of columns for a total of ``room``: the widest columns of ``give`` are narrowed down to 12."""
     narrowed = list(widths)
     for _ in range(sum(widths) - room):
         widest = max(give, key=lambda number: narrowed[number], default=None)
@@ -214,23 +214,23 @@ def fitted(widths: Sequence[int], room: int, give: Sequence[int]) -> list[int]:
 
 
 def clipped(text: str, width: int) -> str:
-    """A text in so many characters, with dots for what is left out."""
+    """Truncate a text to ``width`` characters; dots mark the omission."""
     return text if len(text) <= width else text[: width - 3] + "..."
 
 
 def counted(number: int, noun: str) -> str:
-    """``1 neighbour``, ``2 neighbours``."""
+    """Return a number with its noun: ``1 neighbour``, ``2 neighbours``."""
     return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
 def say(text: str) -> None:
-    """Show a line at once, also into a pipe: somebody may be waiting for it."""
+    """Print a line and flush, because the reader of a pipe may be waiting for it."""
     sys.stdout.write(text + "\n")
     sys.stdout.flush()
 
 
 def span(milliseconds: float) -> str:
-    """A duration for people."""
+    """Format a duration in a readable unit."""
     if milliseconds < 10_000:
         return f"{milliseconds / 1000:.1f} s"
     seconds = round(milliseconds / 1000)
@@ -244,7 +244,7 @@ def span(milliseconds: float) -> str:
 
 
 def shown_value(hexadecimal: str, limit: int = 64) -> str:
-    """A value as hex, and as text where it is one; nothing in it reaches the terminal as a control sequence."""
+    """Format a value as hex, and as text if it is printable; control characters never reach the terminal."""
     octets = bytes.fromhex(hexadecimal)
     text = octets.decode("utf-8", "replace")
     readable = text.isprintable() and "\ufffd" not in text and bool(text)
@@ -253,5 +253,5 @@ def shown_value(hexadecimal: str, limit: int = 64) -> str:
 
 
 def printable(text: str, limit: int = 60) -> str:
-    """Text from the air for a terminal: what is not printable is escaped."""
+    """Escape control characters of a received text, and truncate it to ``limit`` characters."""
     return clipped(plain(text), limit)

@@ -2,4 +2,4 @@
 
 from .activation import activation
 
-command = activation("Deactivate", "Let BP and VarDis (or one of them) rest; what they know is kept.")
+command = activation("Deactivate", "Deactivate BP and VarDis, or one of them; their state is kept.")

@@ -1,4 +1,4 @@
-"""``dcp-node monitor``: a node on the terminal, as it goes on."""
+"""``dcp-node monitor``: a live view of a node on the terminal."""
 
 from __future__ import annotations
 
@@ -32,19 +32,19 @@ if TYPE_CHECKING:
 
 
 SHOWN: Final = 200
-"""Rows of a table at most: each takes time. The title says if there are more."""
+"""Maximum number of rows in a table: each takes time to draw. The title reports if there are more."""
 
 
 @click.command("monitor", epilog=EXIT_STATUS)
 @click.option("--interval", type=Seconds(0.1), default=1.0, show_default=True, metavar="S")
-@click.option("--count", type=click.IntRange(min=1), metavar="N", help="End after N looks.")
+@click.option("--count", type=click.IntRange(min=1), metavar="N", help="End after N updates.")
 @node_options
 def command(interval: float, count: int | None, control: str, as_json: bool) -> int:
-    """Watch neighbours with age and loss, variables, beacon rates and what is ignored; Ctrl-C or q ends it.
+    """Show neighbours with age and loss, variables, beacon rates and ignored input; Ctrl-C or q ends it.
 
-    On a terminal the view is renewed in place; if it is longer than the terminal the last line says so, and arrows,
-    Page Up and Page Down move it. With --count each look is printed as a whole. Into a pipe goes
-    one line per look, or with --json one object.
+    On a terminal the view is updated in place. If it is longer than the terminal, its last line shows how much is
+    hidden; arrows, Page Up and Page Down scroll it. With --count each update is printed in full. Output to a pipe has
+    one line per update, or with --json one object.
     """
     with connect(control) as client:
         rates = Rates()
@@ -76,26 +76,27 @@ def command(interval: float, count: int | None, control: str, as_json: bool) -> 
 
 
 class Rates:
-    """Rates per second, from what counters were at the look before."""
+    """Rates per second, computed from the change of counters since the previous update."""
 
     def __init__(self) -> None:
         self._before: dict[str, tuple[int, int]] = {}
         self._now: dict[str, tuple[int, int]] = {}
 
     def look(self) -> None:
-        """A new look begins; what was not asked for at the last one is forgotten (neighbours come and go)."""
+        """Start an update; counters that were not used in the previous update are discarded."""
         self._before, self._now = self._now, {}
 
     def of(self, name: str, value: int, now: int) -> float | None:
-        """The rate of a counter at the monotonic time ``now`` (ns); None at the first look."""
+        """Return the rate of a counter at the monotonic time ``now`` (ns); None the first time."""
         before, self._now[name] = self._before.get(name), (value, now)
         if before is None or now <= before[1]:
             return None
-        # A counter that went back was reset.
+        # A counter that decreased was reset.
         return max(value - before[0], 0) * 1e9 / (now - before[1])
 
 
 def _lines(client: ControlClient, rates: Rates, interval: float, count: int | None, as_json: bool) -> int:
+    """Print a line or object per update until ``count`` updates; return the exit status."""
     looks = 0
     while True:
         status = client.call("UT-Status")
@@ -107,6 +108,7 @@ def _lines(client: ControlClient, rates: Rates, interval: float, count: int | No
 
 
 def _line(status: dict[str, Any], rates: Rates) -> str:
+    """Format a status as one line with counters and rates."""
     rates.look()
     counters, now = status["node"]["bp"]["counters"], status["now"]
     parts = [time.strftime("%H:%M:%S", time.localtime(status["wall"] / 1e9)), status["nodeId"]]
@@ -126,7 +128,7 @@ def _line(status: dict[str, Any], rates: Rates) -> str:
 
 
 def view(status: dict[str, Any], rates: Rates, width: int) -> RenderableType:
-    """The whole view in ``width`` columns; with fewer than 80, the tables have fewer columns."""
+    """Return the whole view for ``width`` columns; below 80 the tables have fewer columns."""
     from rich.console import Group
 
     rates.look()
@@ -149,9 +151,9 @@ def _table(
     give: tuple[int, ...],
     spare: tuple[int, ...],
 ) -> Table:
-    """A table no wider than ``width``: the columns ``give`` are cut, then those in ``spare`` left out, first one first.
+    """Return a table of at most ``width``: the columns ``give`` are narrowed, then those in ``spare`` omitted in order.
 
-    ``rows`` are cells, and whether they are of less interest.
+    ``rows`` are cells, each row with a flag that shows it dimmed.
     """
     from rich import box
     from rich.table import Table
@@ -163,7 +165,7 @@ def _table(
         box=box.SIMPLE_HEAD,
         padding=(0, 1, 0, 0),
     )
-    # Left to itself, rich narrows all columns alike, and short numbers disappear.
+    # rich itself would narrow all columns alike, and short numbers would disappear.
     natural = [max(map(len, cells)) for cells in zip(headers, *(row for row, _ in rows), strict=True)]
     kept, widths = _columns_that_fit(natural, width, give, spare)
     for number in kept:
@@ -175,13 +177,14 @@ def _table(
 
 
 def _title(number: int, noun: str) -> str:
+    """Format the title of a table, with a note if it has more than ``SHOWN`` rows."""
     return counted(number, noun) + (f", the first {SHOWN}:" if number > SHOWN else "")
 
 
 def _columns_that_fit(
     natural: list[int], width: int, give: tuple[int, ...], spare: tuple[int, ...]
 ) -> tuple[list[int], dict[int, int]]:
-    """Which columns stay, and how wide they are; behind each, rich needs two places."""
+    """Return the columns that are kept, and their widths; rich needs two characters between columns."""
     kept, leaving = list(range(len(natural))), list(spare)
     while True:
         room = width - 2 * len(kept) - 1
@@ -193,6 +196,7 @@ def _columns_that_fit(
 
 
 def _head(status: dict[str, Any], rates: Rates) -> RenderableType:
+    """Return the lines above the tables: identity, beacon rates, problems."""
     from rich.text import Text
 
     bp, runtime, now = status["node"]["bp"], status["runtime"], status["now"]
@@ -228,7 +232,7 @@ def _per_second(rate: float | None) -> str:
 
 
 def _neighbours(status: dict[str, Any], rates: Rates, width: int) -> RenderableType:
-    """Senders of beacons and of state reports in one table: a neighbour may be only one of them."""
+    """Return one table of the senders of beacons and state reports: a neighbour may send only one of them."""
     now = status["now"]
     reports = {each["node_id"]: each for each in status["node"].get("srp", {}).get("neighbours", ())}
     losses = {each["node_id"]: each for each in status["node"]["bp"]["losses"]}
@@ -285,6 +289,7 @@ def _variables(status: dict[str, Any], width: int) -> RenderableType:
 
 
 def _ignored(status: dict[str, Any], rates: Rates) -> RenderableType:
+    """Return the line with numbers and rates of ignored input."""
     from rich.text import Text
 
     text = Text("ignored  ", style="bold")

@@ -12,15 +12,15 @@ from .common import EXIT_STATUS, Seconds, columns, connect, counted, finish, is_
 
 
 @click.command("neighbours", epilog=EXIT_STATUS)
-@click.option("--watch", is_flag=True, help="Show it again and again.")
+@click.option("--watch", is_flag=True, help="Show the table repeatedly.")
 @click.option("--interval", type=Seconds(0.05), default=1.0, show_default=True, metavar="S")
 @click.option("--count", type=click.IntRange(min=1), metavar="N", help="With --watch: end after N tables.")
 @node_options
 def command(watch: bool, interval: float, count: int | None, control: str, as_json: bool) -> int:
-    """Show the neighbours from whom state reports came lately.
+    """Show the neighbours from which state reports were received recently.
 
-    lost are reports missing by their sequence numbers, loss is the share of beacons lost lately. With --watch and
-    --json, one object per line.
+    lost: reports missing by their sequence numbers; loss: share of beacons lost recently. With --watch and --json, one
+    object per line.
     """
     with connect(control) as client:
         shown = 0
@@ -60,12 +60,12 @@ def _table(result: dict[str, Any]) -> str:
 
 
 def percent(share: float | None) -> str:
-    """A share as percentage, nothing for none."""
+    """Format a share (0..1) as percentage; empty for None."""
     return "" if share is None else f"{100 * share:.0f} %"
 
 
 def place(neighbour: dict[str, Any]) -> str:
-    """Where a neighbour is, or what it reports instead."""
+    """Format the position of a neighbour, or its safety data if the profile has no position."""
     if "position" in neighbour:
         return " ".join(f"{coordinate:.1f}" for coordinate in neighbour["position"])
     return " ".join(f"{name}={value}" for name, value in neighbour["sData"].items())[:40]

@@ -1,4 +1,4 @@
-"""``dcp-node param``: parameters under the specification's names."""
+"""``dcp-node param``: parameters with the names of the specification."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def command() -> None:
 @click.argument("name", required=False, metavar="[NAME]")
 @node_options
 def get(name: str | None, control: str, as_json: bool) -> int:
-    """Show all parameters, or the one with this NAME."""
+    """Show all parameters, or the parameter NAME."""
     with connect(control) as client:
         found = {**_of(client, "BP"), **_of(client, "SRP"), **_of(client, "VD")}
     if name is not None and name not in found:
@@ -45,7 +45,7 @@ def get(name: str | None, control: str, as_json: bool) -> int:
 
 
 def _of(client: ControlClient, protocol: str) -> dict[str, Any]:
-    """The parameters of a protocol, none if the node runs without it."""
+    """Return the parameters of a protocol; none if the node runs without it."""
     try:
         found: dict[str, Any] = client.call(f"{protocol}-GetParameters")["parameters"]
     except ServiceError as error:
@@ -60,7 +60,7 @@ def _of(client: ControlClient, protocol: str) -> dict[str, Any]:
 @click.argument("value")
 @node_options
 def set_(name: str, value: str, control: str, as_json: bool) -> int:
-    """Set parameter NAME; a VALUE out of bounds is refused and the old one kept."""
+    """Set parameter NAME; a VALUE out of bounds is refused and the old one is kept."""
     try:
         protocol = parameter(name).protocol
     except UnknownParameterError as error:
@@ -74,7 +74,7 @@ def _number(text: str) -> int | float:
             number = kind()
         except ValueError:
             continue
-        # An integer is finite, however large.
+        # An integer is always finite; math.isfinite would fail for large ones.
         if isinstance(number, int) or math.isfinite(number):
             return number
-    raise click.BadParameter(f"{text!r} is no number", param_hint="VALUE")
+    raise click.BadParameter(f"{text!r} is not a number", param_hint="VALUE")

@@ -10,5 +10,5 @@ from .common import EXIT_STATUS, node_options, simple
 @click.command("reset", epilog=EXIT_STATUS)
 @node_options
 def command(control: str, as_json: bool) -> int:
-    """Bring the node back to the state after its start: nothing registered, known or counted."""
+    """Restore the state of the node after its start: no registrations, variables, neighbours and counts."""
     return simple(control, as_json, "UT-Reset")

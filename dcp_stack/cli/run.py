@@ -1,4 +1,4 @@
-"""``dcp-node run``: a node on an interface or over UDP, until it is told to end."""
+"""``dcp-node run``: run a node on an interface or over UDP until a signal ends it."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ log = logging.getLogger("dcp_stack.node")
 @click.command(
     "run",
     epilog="Exit status: 0 ended in an orderly way (SIGTERM, SIGINT, SIGHUP, or the end of input with --control "
-    "stdio); 2 the node could not be started. Flags go before the file. See docs/dcp-node.md.",
+    "stdio); 2 the node could not be started. Options override the file. See docs/dcp-node.md.",
 )
-@click.option("-c", "--config", metavar="FILE", help="Settings as TOML; unknown keys are refused.")
-@click.option("-i", "--interface", metavar="IF", help="Ethernet frames on this interface.")
+@click.option("-c", "--config", metavar="FILE", help="Settings in TOML; unknown keys are refused.")
+@click.option("-i", "--interface", metavar="IF", help="Send and receive Ethernet frames on interface IF.")
 @click.option("--link", metavar="LINK", help="Another link: udp[:GROUP[:PORT]], replay:FILE, or eth:IF with options.")
-@click.option("--node-id", metavar="ID", help="Own identifier.  [default: address of IF, or a random one]")
+@click.option("--node-id", metavar="ID", help="Node identifier.  [default: address of IF, or random]")
 @click.option("-p", "--profile", metavar="NAME|FILE", help="Wire profile.  [default: dcp-2.0]")
 @click.option(
     "--control",
@@ -36,25 +36,25 @@ log = logging.getLogger("dcp_stack.node")
     help="Control socket, or standard input and output.  [default: dcp-node.sock in $XDG_RUNTIME_DIR; for root "
     "without one, /run/dcp/node.sock]",
 )
-@click.option("--beacon-period", type=float, metavar="MS", help="BPPAR_BEACON_PERIOD.  [default: 100]")
-@click.option("--network-id", metavar="N", help="BPPAR_NETWORK_ID, decimal or 0x hex.")
+@click.option("--beacon-period", type=float, metavar="MS", help="Beacon period, BPPAR_BEACON_PERIOD.  [default: 100]")
+@click.option("--network-id", metavar="N", help="Network identifier, BPPAR_NETWORK_ID: decimal, or hex after 0x.")
 @click.option(
-    "--position", metavar="SOURCE", help="Own position: track:..., csv:FILE, capture:FILE, stdin, mavlink:..."
+    "--position", metavar="SOURCE", help="Source of positions: track:..., csv:FILE, capture:FILE, stdin, mavlink:..."
 )
 @click.option("--neighbour-file", metavar="PATH", help="Publish the neighbour table as a memory-mapped file.")
-@click.option("--record", metavar="FILE.mcap|DIR/", help="Record what is sent and received; to a new file in DIR.")
-@click.option("--metrics", type=click.IntRange(0, 65535), metavar="PORT", help="OpenMetrics at 127.0.0.1:PORT.")
-@click.option("--user", metavar="NAME", help="Go on as this user once everything is open (started as root).")
-@click.option("--seed", type=int, metavar="N", help="Seed of the jitter, to repeat a run.")
+@click.option("--record", metavar="FILE.mcap|DIR/", help="Record sent and received frames; in DIR to a new file.")
+@click.option("--metrics", type=click.IntRange(0, 65535), metavar="PORT", help="Serve OpenMetrics at 127.0.0.1:PORT.")
+@click.option("--user", metavar="NAME", help="Change to this user once everything is open (requires root).")
+@click.option("--seed", type=int, metavar="N", help="Seed of the jitter, for repeatable runs.")
 @click.option("--log-level", type=click.Choice(["debug", "info", "warning", "error"]), help="[default: info]")
 @click.option("--log-format", type=click.Choice(["text", "json"]), help="[default: text, as key=value]")
-@click.option("--log-file", metavar="FILE", help="Append the log to this file instead.")
-@click.option("--daemon", is_flag=True, help="Go on in the background; the command ends when the node is ready.")
-@click.option("--print-config", is_flag=True, help="Show the settings as TOML and end.")
+@click.option("--log-file", metavar="FILE", help="Append the log to this file instead of stderr.")
+@click.option("--daemon", is_flag=True, help="Run in the background; the command ends when the node is ready.")
+@click.option("--print-config", is_flag=True, help="Print the settings as TOML and end.")
 def command(config: str | None, network_id: str | None, daemon: bool, print_config: bool, **flags: Any) -> int:
     """Run a node until SIGTERM or SIGINT; then it deregisters its protocols and closes the recording.
 
-    A shell script starts a command with & so that it ignores SIGINT: end such a node with 'dcp-node stop' or SIGTERM.
+    Shells start a background command (with &) with SIGINT ignored: end such a node with 'dcp-node stop' or SIGTERM.
 
     \b
       dcp-node run --interface wlan0 --daemon && dcp-node var create 7 --text hello --descr greeting
@@ -75,7 +75,7 @@ def command(config: str | None, network_id: str | None, daemon: bool, print_conf
     from dcp_stack.runtime.daemon import LogFileError, in_background, log_to
 
     if daemon and settings.control == "stdio":
-        raise ExpectedError("--control stdio needs the standard input that --daemon gives up")
+        raise ExpectedError("--control stdio needs standard input, which --daemon closes")
     try:
         if settings.log_file is not None:
             log_to(settings.log_file)
@@ -87,7 +87,7 @@ def command(config: str | None, network_id: str | None, daemon: bool, print_conf
 
 
 def _run(settings: Settings, on_ready: Callable[[str], None]) -> int:
-    """Run the node; ``on_ready`` is called with a line about it when it can be talked to."""
+    """Run the node; ``on_ready`` is called with a line that describes it once it answers requests."""
     from dcp_stack.runtime import logs
     from dcp_stack.runtime.opening import NodeError, open_node
 
@@ -109,35 +109,37 @@ def _run(settings: Settings, on_ready: Callable[[str], None]) -> int:
 
 
 def _with_control(settings: Settings) -> Settings:
-    """The settings with the default control socket, unless there is another one or another node has it."""
+    """Return the settings with the default control socket, unless one is set or another node uses it."""
     if settings.control == "none":
         return msgspec.structs.replace(settings, control=None)
     if settings.control is not None:
         return settings
     path = default_socket()
     if path is None:
-        log.info("no control socket: XDG_RUNTIME_DIR is not set; --control PATH makes one")
+        log.info("no control socket: XDG_RUNTIME_DIR is not set; give one with --control PATH")
         return settings
     if is_answered(path):
-        log.warning("no control socket: another node has %s; --control PATH makes one", path)
+        log.warning("no control socket: another node uses %s; give one with --control PATH", path)
         return settings
     if path == SYSTEM:
-        # systemd makes it for the unit; root by hand makes it here.
+        # The systemd unit creates this folder; if root starts the node by hand it may be missing.
         with contextlib.suppress(OSError):
             path.parent.mkdir(mode=0o755, exist_ok=True)
     return msgspec.structs.replace(settings, control=str(path))
 
 
 def _whole(value: float | None) -> float | int | None:
+    """Convert a float without fraction to int, as settings expect."""
     return int(value) if value is not None and value.is_integer() else value
 
 
 def _number(text: str | None) -> int | None:
+    """Parse a decimal or prefixed integer; None stays None."""
     if text is None:
         return None
     try:
         return int(text, 0)
     except ValueError:
         raise click.BadParameter(
-            f"{text!r} is no number (for example 0x1111 or 4369)", param_hint="--network-id"
+            f"{text!r} is not a number (for example 0x1111 or 4369)", param_hint="--network-id"
         ) from None

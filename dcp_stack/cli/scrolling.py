@@ -1,4 +1,4 @@
-"""A view that is longer than the terminal: the part that is shown, and the keys that move it."""
+"""Scrolling of a view that is longer than the terminal, and its keys."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
 from rich.segment import Segment
 from rich.text import Text
 
-#: What terminals send -> what it means.
+#: Octets that terminals send -> action.
 KEYS: Final = {
     b"\x1b[A": "up",
     b"\x1bOA": "up",
@@ -39,7 +39,7 @@ KEYS: Final = {
 
 
 class Window:
-    """The part of a view that fits, with a last line about the rest if it does not."""
+    """The visible part of a view, with a last line about the hidden parts."""
 
     def __init__(self) -> None:
         self.top = 0
@@ -47,18 +47,18 @@ class Window:
         self._total = self._room = 0
 
     def move(self, key: str) -> None:
-        """Follow a key of :data:`KEYS`."""
+        """Scroll according to an action of :data:`KEYS`."""
         page = max(self._room - 1, 1)
         steps = {"up": -1, "down": 1, "page up": -page, "page down": page, "top": -self.top, "end": self._total}
         self.top += steps.get(key, 0)
         self._stay_inside()
 
     def shown(self, view: RenderableType) -> Part:
-        """The part of a view to draw now."""
+        """Return the part of ``view`` to draw now."""
         return Part(self, view)
 
     def fit(self, total: int, height: int) -> tuple[int, int]:
-        """Note how long the view and how high the terminal is; which lines to draw, from and to."""
+        """Store the lengths of view and terminal in lines; return the first and the end line to draw."""
         self._total = total
         self._room = height if total <= height else height - 1
         self._stay_inside()
@@ -69,7 +69,7 @@ class Window:
 
 
 class Part:
-    """What rich draws."""
+    """The renderable that draws the visible part."""
 
     def __init__(self, window: Window, view: RenderableType) -> None:
         self._window = window
@@ -91,7 +91,7 @@ class Part:
 
 @contextlib.contextmanager
 def keyboard() -> Iterator[int | None]:
-    """Standard input, read key by key without echo; None if it is no terminal."""
+    """Yield standard input, set to read single keys without echo; None if it is not a terminal."""
     if not sys.stdin.isatty():
         yield None
         return
@@ -105,7 +105,7 @@ def keyboard() -> Iterator[int | None]:
 
 
 def key_within(fd: int | None, seconds: float) -> str | None:
-    """The key that is pressed within so many seconds, by its meaning; None if none with a meaning is."""
+    """Return the action of the next known key within ``seconds`` s; None if none is pressed."""
     deadline = time.monotonic() + seconds
     while (left := deadline - time.monotonic()) > 0:
         if fd is None:

@@ -30,11 +30,11 @@ def scenario_of(
     variables: int = 2,
     warm_up: float | None = None,
 ) -> Scenario:
-    """The scenario of a file or the default one, with what was said on the command line instead.
+    """Return the scenario of a file or the default one, with the options of the command line applied.
 
-    Raises :class:`ExpectedError` if that is no scenario.
+    Raises :class:`ExpectedError` if the scenario is invalid.
     """
-    # Here, as in the command: --help needs neither nodes nor networks.
+    # Imported here, as in the command: --help should not load them.
     import msgspec
     from dcp_spec.profile.loading import ProfileError
 
@@ -74,41 +74,41 @@ def scenario_of(
 
 @click.command(
     "simulate",
-    epilog="Exit status: 0 everything that is expected is so, 1 something is not, 2 wrong usage, a bad scenario or a "
-    "recording that could not be written to its end.",
+    epilog="Exit status: 0 all expectations are met, 1 one is not, 2 wrong usage, an invalid scenario or a recording "
+    "that could not be completed.",
 )
 @click.argument("scenario", required=False, metavar="[SCENARIO]")
-@click.option("-n", "--nodes", type=click.IntRange(min=1), help="How many nodes.")
-@click.option("--topology", metavar="full|line|grid[:COLUMNS]|FILE", help="Who hears whom.  [default: full]")
+@click.option("-n", "--nodes", type=click.IntRange(min=1), help="Number of nodes.")
+@click.option("--topology", metavar="full|line|grid[:COLUMNS]|FILE", help="Neighbourhoods.  [default: full]")
 @click.option("-p", "--profile", metavar="NAME|FILE", help="Wire profile.  [default: dcp-2.0]")
 @click.option("--loss", type=click.FloatRange(0, 1), metavar="P", help="Share of frames lost at each receiver.")
-@click.option("--duration", type=Seconds(0, min_open=True), metavar="S", help="Virtual seconds.")
+@click.option("--duration", type=Seconds(0, min_open=True), metavar="S", help="Duration in virtual seconds.")
 @click.option(
     "--warm-up",
     type=Seconds(0),
     metavar="S",
-    help="Count values, consistency and traffic from this virtual second on.",
+    help="Evaluate values, consistency and traffic only after this virtual second.",
 )
-@click.option("--seed", type=int, help="Everything random follows from it.  [default: 1]")
+@click.option("--seed", type=int, help="Seed of all random decisions.  [default: 1]")
 @click.option(
     "--variables",
     type=click.IntRange(0, 255),
     default=2,
     show_default=True,
-    help="Variables that are updated every 5 s, without a SCENARIO.",
+    help="Number of variables, updated every 5 s; only without a SCENARIO.",
 )
-@click.option("--json", "as_json", is_flag=True, help="The result as JSON.")
+@click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 @click.option(
     "--record",
     type=click.Path(file_okay=False, path_type=Path),
     metavar="DIR",
-    help="Write DIR/node-N.mcap for each node: all that it sent and received.",
+    help="Record the frames that each node sent and received to DIR/node-N.mcap.",
 )
 @click.option(
     "--record-medium",
     type=click.Path(dir_okay=False, path_type=Path),
     metavar="FILE",
-    help="Write each transmission once.",
+    help="Record each transmission once, as seen on the medium.",
 )
 def command(
     scenario: str | None,
@@ -124,10 +124,10 @@ def command(
     record: Path | None,
     record_medium: Path | None,
 ) -> int:
-    """Play a SCENARIO (docs/scenarios.md) on a simulated medium, as fast as the machine can.
+    """Run a SCENARIO (docs/scenarios.md) on a simulated medium, as fast as possible.
 
-    The same seed gives the same trace digest. Without a SCENARIO nodes move about, and a few variables are created
-    and updated; options replace what a SCENARIO says.
+    The same seed gives the same trace digest. Without a SCENARIO the nodes move, and a few variables are created and
+    updated. Options override the SCENARIO.
     """
     from dcp_stack.links.base import LinkError
     from dcp_stack.sim.scenario.definition import ScenarioError

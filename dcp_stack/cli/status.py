@@ -13,7 +13,7 @@ from .common import EXIT_STATUS, connect, counted, finish, node_options, span
 @click.command("status", epilog=EXIT_STATUS)
 @node_options
 def command(control: str, as_json: bool) -> int:
-    """Show who the node is, what it sent, received and ignored, and who is around."""
+    """Show the node's identity, neighbours and variables, and what it sent, received and ignored."""
     with connect(control) as client:
         result = client.call("UT-Status")
     return finish("UT-Status", result, as_json, None if as_json else "\n".join(_lines(result)))
@@ -57,7 +57,7 @@ def _lines(status: dict[str, Any]) -> list[str]:
 
 
 def _sent(counters: dict[str, int], link: dict[str, Any]) -> str:
-    """How many beacons left the node, and how many did not."""
+    """Format the numbers of beacons that were sent and that could not be sent."""
     made, failed = counters.get("beacons-sent", 0), link.get("send_errors", 0)
     return f"{max(made - failed, 0)} sent" + (f" ({failed} could not be sent)" if failed else "")
 
@@ -76,7 +76,7 @@ def _link(link: dict[str, Any]) -> str:
 
 
 def own_address(link: dict[str, Any]) -> str:
-    """What to say of frames from the node's own address; on loopback interfaces they are its own."""
+    """Describe frames received from the node's own address; empty on loopback, where they are its own."""
     count = link.get("own_address", 0)
     if not count or link.get("name") == "eth:lo":
         return ""
@@ -84,5 +84,5 @@ def own_address(link: dict[str, Any]) -> str:
 
 
 def as_line(status: dict[str, Any]) -> str:
-    """A status as one JSON line."""
+    """Return a status as one JSON line."""
     return json.dumps(status, ensure_ascii=False)

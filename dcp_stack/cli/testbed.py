@@ -1,4 +1,4 @@
-"""``dcp-node testbed``: node processes in network namespaces of their own, on a virtual Ethernet."""
+"""``dcp-node testbed``: node processes in separate network namespaces, on a virtual Ethernet."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from dcp_codec.common.commandline import ExpectedError
 from .common import Seconds, note
 from .simulate import NOT_MET, scenario_of
 
-#: Set for the copy of this command that runs in a user namespace.
+#: Environment variable that is set for the copy of this command in a user namespace.
 _INSIDE = "DCP_TESTBED_INSIDE"
 _SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 
 
 class _InterruptedError(BaseException):
-    """A signal asks the testbed to end."""
+    """A signal that ends the testbed."""
 
     def __init__(self, number: int) -> None:
         super().__init__(number)
@@ -36,22 +36,29 @@ class _InterruptedError(BaseException):
 
 @click.command(
     "testbed",
-    epilog="Exit status: 0 everything that is expected is so, 1 something is not, 2 wrong usage, a bad scenario or "
-    "no right to make network namespaces, 128 + N ended by signal N.",
+    epilog="Exit status: 0 all expectations are met, 1 one is not, 2 wrong usage, an invalid scenario or no "
+    "privilege to create network namespaces, 128 + N ended by signal N.",
 )
 @click.argument("nodes", required=False, type=click.IntRange(1, 200), metavar="[N]")
-@click.option("--scenario", metavar="FILE", help="What happens, and what is expected (docs/scenarios.md).")
-@click.option("--topology", metavar="bus|line|grid[:COLUMNS]|FILE", help="Who hears whom.  [default: bus]")
+@click.option("--scenario", metavar="FILE", help="Scenario with events and expectations (docs/scenarios.md).")
+@click.option("--topology", metavar="bus|line|grid[:COLUMNS]|FILE", help="Neighbourhoods.  [default: bus]")
 @click.option("-p", "--profile", metavar="NAME|FILE", help="Wire profile.  [default: dcp-2.0]")
 @click.option("--loss", type=click.FloatRange(0, 1), metavar="P", help="Share of frames lost at each receiver.")
 @click.option("--duration", type=Seconds(0, 86_400, min_open=True), metavar="S", help="[default: 30]")
-@click.option("--seed", type=int, help="Of the nodes' jitter.  [default: 1]")
-@click.option("--json", "as_json", is_flag=True, help="The result as JSON.")
+@click.option("--seed", type=int, help="Seed of the jitter of all nodes.  [default: 1]")
+@click.option(
+    "--links",
+    type=click.Choice(["auto", "kernel", "relay"]),
+    default="auto",
+    show_default=True,
+    help="Carry frames by the kernel (bridges, netem), or by a relay that can also lose in bursts and corrupt.",
+)
+@click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 @click.option(
     "--keep",
     type=click.Path(file_okay=False, path_type=Path),
     metavar="DIR",
-    help="Have recordings (node-N.mcap), logs, settings and control sockets there, and leave them.",
+    help="Keep recordings (node-N.mcap), logs, settings and control sockets in DIR.",
 )
 def command(
     nodes: int | None,
@@ -61,16 +68,19 @@ def command(
     loss: float | None,
     duration: float | None,
     seed: int | None,
+    links: str,
     as_json: bool,
     keep: Path | None,
 ) -> int:
-    """Start N nodes, each a process in a network namespace with one interface, and play a scenario on them.
+    """Start N nodes, each a process in a network namespace with one interface, and run a scenario on them.
 
-    While it runs, 'dcp-node ... --control DIR/node-0.sock' talks to the nodes. Afterwards nothing is left but what
-    --keep asks for. Needs root, or a system that allows user namespaces.
+    While it runs, 'dcp-node ... --control DIR/node-0.sock' controls the nodes. Afterwards everything is removed except
+    the files of --keep. Needs root, or a system that allows user namespaces.
     """
+    from dcp_stack.relay import RelayAir, needs_relay
     from dcp_stack.sim.scenario.definition import ScenarioError
     from dcp_stack.sim.scenario.report import lines
+    from dcp_stack.sim.testbed.fabric import Fabric
     from dcp_stack.sim.testbed.namespaces import NamespaceError
     from dcp_stack.sim.testbed.testbed import StartError, Testbed
 
@@ -84,11 +94,13 @@ def command(
         seed=seed,
     )
     if played.nodes > 200:
-        raise ExpectedError(f"{played.nodes} nodes are {played.nodes} processes; a testbed takes up to 200")
+        raise ExpectedError(f"a testbed runs each node as a process, at most 200 nodes, not {played.nodes}")
     _get_rights()
     directory = _directory(keep)
     try:
-        with _signals(), Testbed(played, directory, keep=keep is not None) as testbed:
+        relay = links == "relay" or (links == "auto" and needs_relay(played))
+        make_air = RelayAir if relay else Fabric
+        with _signals(), Testbed(played, directory, keep=keep is not None, make_air=make_air) as testbed:
             if keep is not None:
                 note(f"control sockets are {directory}/node-*.sock")
             report = testbed.run()
@@ -105,19 +117,20 @@ def command(
 
 
 def _directory(keep: Path | None) -> Path:
+    """Return the folder of the testbed: ``keep``, created if necessary, or a temporary one."""
     if keep is None:
         return Path(tempfile.mkdtemp(prefix="dcp-testbed-"))
     try:
         keep.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ExpectedError(f"{keep}: {error.strerror}") from None
-    # Settings of the nodes hold it, wherever they run.
+    # Absolute, because the settings files of the nodes contain it.
     return keep.absolute()
 
 
 @contextlib.contextmanager
 def _signals() -> Iterator[None]:
-    """Turn signals into an exception, so that everything is removed on the way out; only the first one counts."""
+    """Turn the first signal into an exception, so that the testbed is removed; ignore further ones."""
 
     def interrupt(number: int, _frame: FrameType | None) -> None:
         for each in _SIGNALS:
@@ -133,7 +146,7 @@ def _signals() -> Iterator[None]:
 
 
 def _get_rights() -> None:
-    """Go on if namespaces can be made; otherwise begin again in a user namespace, if that is possible."""
+    """Return if namespaces can be created; otherwise run this command again in a user namespace, or raise."""
     from dcp_stack.sim.testbed.namespaces import permitted
 
     if permitted():
@@ -141,18 +154,18 @@ def _get_rights() -> None:
     if shutil.which("ip") is None:
         raise ExpectedError("testbed: ip is not installed (Debian: iproute2)")
     unshare = shutil.which("unshare")
-    # No namespace for processes: it would need a process in between, which keeps signals from this one.
+    # No PID namespace: it would need another process in between, which would receive the signals.
     flags = ["--user", "--map-root-user", "--net", "--mount"]
     possible = unshare is not None and not os.environ.get(_INSIDE)
     if possible and subprocess.run([unshare or "", *flags, "true"], capture_output=True, check=False).returncode == 0:  # noqa: S603
-        # Where ip keeps its namespaces belongs to root; this /run is ours alone.
+        # ip keeps its namespaces in /run, which belongs to root: mount a private one.
         script = 'mount -t tmpfs none /run && exec "$@"'
         inner = ["sh", "-c", script, "sh", sys.executable, "-m", "dcp_stack.cli", *sys.argv[1:]]
         os.environ[_INSIDE] = "1"
         sys.stdout.flush()
         os.execv(unshare or "", ["unshare", *flags, "--", *inner])  # noqa: S606
     raise ExpectedError(
-        "testbed: network namespaces cannot be made here: run as root, or let users have namespaces "
+        "testbed: network namespaces cannot be created: run as root, or allow users to have namespaces "
         "(sysctl user.max_user_namespaces, kernel.unprivileged_userns_clone or "
         "kernel.apparmor_restrict_unprivileged_userns=0)"
     )

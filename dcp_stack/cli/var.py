@@ -54,15 +54,15 @@ def command() -> None:
 @click.option(
     "--repcnt",
     type=int,
-    help="In how many beacons each change is sent.  [default: 3, or less if profile or parameter say so]",
+    help="Number of beacons that contain each change.  [default: 3, or less if profile or parameter require it]",
 )
-@click.option("--timeout", type=int, default=0, metavar="MS", help="Deleted when not updated for so long; 0: never.")
+@click.option("--timeout", type=int, default=0, metavar="MS", help="Delete it after MS without update; 0: never.")
 @click.option(
     "--field",
     "fields",
     multiple=True,
     metavar="NAME=VALUE",
-    help="A field that the profile adds to VarSpec: a number, or octets in hexadecimal digits after 0x.  [default: 0]",
+    help="A field that the profile adds to VarSpec: a number, or octets in hex after 0x.  [default: 0]",
 )
 @node_options
 def create(
@@ -92,7 +92,7 @@ def create(
 
 
 def _field(given: str) -> tuple[str, int | float | str]:
-    """Name and value of a field that the profile adds to VarSpec."""
+    """Return name and value of a field that the profile adds to VarSpec."""
     name, equals, value = given.partition("=")
     if not name or not equals:
         raise click.BadParameter(f"needs NAME=VALUE, such as priority=3, not {given!r}", param_hint="--field")
@@ -105,19 +105,19 @@ def _field(given: str) -> tuple[str, int | float | str]:
     try:
         return name, float(value)
     except ValueError:
-        message = f"needs a number, or octets as 0x and hexadecimal digits, after {name}=, not {value!r}"
+        message = f"needs a number, or octets in hex after 0x, as value of {name}, not {value!r}"
         raise click.BadParameter(message, param_hint="--field") from None
 
 
 def _repetitions(client: ControlClient) -> int:
-    """As often as is sensible on a lossy link, and not more than the node allows."""
+    """Return the default of repCnt: what the profile recommends, else 3, at most the maximum of the node."""
     most = client.call("VD-GetParameters")["parameters"].get("VARDISPAR_MAX_REPETITIONS", 3)
     profile = _profile(client)
     return min(3 if profile is None else profile.among.repetitions or 3, int(most))
 
 
 def _profile(client: ControlClient) -> Profile | None:
-    """The node's profile; None for one of its own, in a file that only the node knows."""
+    """Return the profile of the node; None if it is defined in a file of the node."""
     from dcp_spec.profile.loading import ProfileError, load_profile
 
     try:
@@ -127,7 +127,7 @@ def _profile(client: ControlClient) -> Profile | None:
 
 
 def _ignored_by_others(client: ControlClient, descr: str, repcnt: int | None) -> Iterator[str]:
-    """Why other nodes may ignore a variable that this node has created without complaint."""
+    """Yield reasons why other nodes may ignore a variable although this node has created it."""
     if not descr:
         yield "other nodes ignore a variable without a description"
     if repcnt is None:
@@ -139,7 +139,7 @@ def _ignored_by_others(client: ControlClient, descr: str, repcnt: int | None) ->
         yield f"nodes with the limits of this profile take at most {most} repetitions, not {repcnt}"
     elif profile.among.repetitions is not None and repcnt > profile.among.repetitions:
         most = profile.among.repetitions
-        yield f"unless set up otherwise, nodes of this profile refuse variables with more than {most} repetitions"
+        yield f"unless configured otherwise, nodes of this profile refuse variables with more than {most} repetitions"
 
 
 @command.command("update", epilog=EXIT_STATUS)
@@ -147,13 +147,13 @@ def _ignored_by_others(client: ControlClient, descr: str, repcnt: int | None) ->
 @octets_options("--value")
 @node_options
 def update(var_id: int, octets: str | None, text: str | None, control: str, as_json: bool) -> int:
-    """Give variable ID, which this node produces, a new value."""
+    """Set the value of variable ID, which this node produces."""
     return simple(control, as_json, "RTDB-Update", varId=var_id, value=octets_given("--value", octets, text))
 
 
 @command.command("get", epilog=EXIT_STATUS)
 @click.argument("var_id", type=int, metavar="ID")
-@click.option("--text", "as_text", is_flag=True, help="The value as text (UTF-8) instead of hex.")
+@click.option("--text", "as_text", is_flag=True, help="Show the value as text (UTF-8) instead of hex.")
 @node_options
 def get(var_id: int, as_text: bool, control: str, as_json: bool) -> int:
     """Show the value of variable ID."""
@@ -177,7 +177,7 @@ def delete(var_id: int, control: str, as_json: bool) -> int:
 @click.argument("var_id", type=int, metavar="ID")
 @node_options
 def describe(var_id: int, control: str, as_json: bool) -> int:
-    """Show everything about variable ID, also after it was deleted."""
+    """Show all data of variable ID, also after its deletion."""
     with connect(control) as client:
         result = client.call("RTDB-DescribeVariable", varId=var_id)
     lines = [f"{name:<12}  {_member(name, value)}" for name, value in result.get("variable", {}).items()]
@@ -195,7 +195,7 @@ def _member(name: str, value: Any) -> str:
 @command.command("list", epilog=EXIT_STATUS)
 @node_options
 def list_(control: str, as_json: bool) -> int:
-    """List all variables with their values, deleted ones included."""
+    """List all variables with their values, including deleted ones."""
     with connect(control) as client:
         result = client.call("RTDB-DescribeDatabase")
         found = sorted(result.get("variables", ()), key=lambda each: each["varId"])
@@ -218,7 +218,7 @@ def list_(control: str, as_json: bool) -> int:
 
 
 def _described(client: ControlClient, variable: dict[str, Any]) -> dict[str, Any]:
-    """With value and counters; a variable may have gone meanwhile (up to 1.3)."""
+    """Return a variable with value and counters, or unchanged if it was removed since it was listed (up to 1.3)."""
     answer = client.call("RTDB-DescribeVariable", varId=variable["varId"])
     found: dict[str, Any] = answer.get("variable", variable)
     return found
@@ -230,20 +230,20 @@ def _described(client: ControlClient, variable: dict[str, Any]) -> dict[str, Any
 @click.option("--for", "seconds", type=Seconds(0), metavar="S", help="End after S seconds.")
 @node_options
 def watch(var_ids: tuple[int, ...], count: int | None, seconds: float | None, control: str, as_json: bool) -> int:
-    """Show what variables (all, or those with these IDs) are, and then every change.
+    """Show the current state of variables (all, or those with these IDs), and then every change.
 
     With --json, one object per line.
     """
     shown = 0
     with connect(control) as client:
-        # First the wish, then the state: a change in between is told twice rather than never.
+        # Subscribe before reading the state: a change in between is then shown twice instead of never.
         client.call("UT-Subscribe", variables=True)
         listed = client.call("RTDB-DescribeDatabase")
         if not is_ok(listed):
             note(f"RTDB-DescribeDatabase: {listed['status']}; showing changes only")
         elif missing := sorted(set(var_ids) - {each["varId"] for each in listed["variables"]}):
-            # Nobody knows whether one will be created; who mistyped it would wait for ever.
-            note(f"not in the database so far: {', '.join(map(str, missing))}")
+            # It may be created later, but with a mistyped ID the command would wait without limit.
+            note(f"not in the database yet: {', '.join(map(str, missing))}")
         for each in listed.get("variables", ()):
             if not var_ids or each["varId"] in var_ids:
                 _show_change({"event": "is", **_described(client, each)}, as_json)

@@ -1,4 +1,4 @@
-"""``dcp-node wait``: until a node can be talked to."""
+"""``dcp-node wait``: wait until a node answers."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from dcp_stack.control.places import default_socket
 
 from .common import EXIT_STATUS, UNREACHABLE, Seconds
 
-#: Seconds between two tries.
+#: Seconds between two attempts.
 _AGAIN = 0.05
 
 
 @click.command("wait", epilog=EXIT_STATUS)
-@click.option("--timeout", type=Seconds(0), default=30.0, show_default=True, metavar="S", help="How long to wait.")
+@click.option("--timeout", type=Seconds(0), default=30.0, show_default=True, metavar="S", help="Maximum waiting time.")
 @click.option(
     "--control", envvar="DCP_NODE_CONTROL", metavar="PATH", help="Control socket of the node.  [env: DCP_NODE_CONTROL]"
 )
@@ -25,7 +25,7 @@ def command(timeout: float, control: str | None) -> int:
     """Wait until the node answers at its control socket, for scripts that start it in the background."""
     path = control or default_socket()
     if path is None:
-        raise ExpectedError("which node? there is no XDG_RUNTIME_DIR; say --control PATH")
+        raise ExpectedError("no default control socket: XDG_RUNTIME_DIR is not set; give --control PATH")
     deadline = time.monotonic() + timeout
     while True:
         try:

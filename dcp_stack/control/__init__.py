@@ -1,6 +1,6 @@
 """Control interface and upper tester interface of a node: JSON-RPC 2.0, one message per line, without sockets.
 
-The contract is written up in ``conformance/UPPER-TESTER.md``.
+``conformance/UPPER-TESTER.md`` specifies the interface.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ __all__ = [
     "ServiceError",
 ]
 
-# A client needs nothing of the node that it talks to.
+# Imported on demand: a client does not need the modules of the server.
 __getattr__ = exported(
     __name__,
     {

@@ -14,20 +14,20 @@ from dcp_codec.common.lines import LineBuffer, LineTooLongError
 from .jsonrpc import RpcError, parse, request_message
 
 PATIENCE = 10.0
-"""Seconds that a node may take to answer."""
+"""Default time in s for an answer of the node."""
 LONGEST_ANSWER = 1 << 30
-"""Octets of a line of the node: a database of 65,536 variables has some ten million."""
+"""Maximum length of a line from the node in octets: a database of 65,536 variables has about ten million."""
 
 
 class ControlError(Exception):
-    """The node cannot be reached, or it stopped answering; the message says where and what to look at."""
+    """The node cannot be reached, or it stopped answering; the message names the socket, the cause and a remedy."""
 
 
 class ServiceError(Exception):
     """The node answered with a JSON-RPC error: ``code``, ``message`` and ``data`` are its members."""
 
     def __init__(self, code: int, message: str, data: Any = None) -> None:
-        # All arguments, so that the error can be sent from one process to another.
+        # Pass all arguments, so that the error can be pickled and sent to another process.
         super().__init__(code, message, data)
         self.code = code
         self.message = message
@@ -38,17 +38,17 @@ class ServiceError(Exception):
 
 
 class Notification(NamedTuple):
-    """Something the node told without being asked."""
+    """A message that the node sent without a request, such as an indication."""
 
     method: str
     params: dict[str, Any]
 
 
 class ControlClient:
-    """A connection to a node. Not for several threads at once."""
+    """A connection to a node; not thread-safe."""
 
     def __init__(self, path: str | Path, *, patience: float = PATIENCE) -> None:
-        """Raises ControlError if nobody listens at ``path``; ``patience`` is in s, for each answer."""
+        """Connect to ``path``; ``patience``: s for each answer. Raises ControlError if no node listens."""
         self.path = Path(path)
         self._patience = patience
         self._lines = LineBuffer(LONGEST_ANSWER)
@@ -59,17 +59,18 @@ class ControlClient:
             self._connect(patience)
         except OSError as error:
             self._socket.close()
-            why = "is no socket" if _is_something_else(self.path) else _why_not(error)
+            why = "is not a socket" if _is_something_else(self.path) else _why_not(error)
             raise ControlError(f"{path}: {why}") from None
 
     def _connect(self, patience: float) -> None:
+        """Connect the socket, and wait up to ``patience`` s while the queue of the node is full."""
         deadline = time.monotonic() + patience
         while True:
             try:
                 self._socket.settimeout(patience)
                 self._socket.connect(os.fspath(self.path))
             except BlockingIOError:
-                # Many others are waiting to be let in; with a timeout, the system does not wait by itself.
+                # Many clients are waiting to be accepted; a socket with a timeout returns at once instead of waiting.
                 if time.monotonic() > deadline:
                     raise
                 time.sleep(0.01)
@@ -77,13 +78,13 @@ class ControlClient:
                 return
 
     def fileno(self) -> int:
-        """The descriptor of the socket."""
+        """Return the descriptor of the socket."""
         return self._socket.fileno()
 
     def call(self, method: str, /, **params: Any) -> dict[str, Any]:
-        """The result of a method; parameters under the specification's names.
+        """Call a method and return its result; parameters have the names of the specification.
 
-        Raises ServiceError for an error of the node, ControlError if there is no answer.
+        Raises ServiceError if the node answers with an error, ControlError if it does not answer.
         """
         self._last_id += 1
         try:
@@ -96,9 +97,9 @@ class ControlClient:
             message = self._message(deadline)
             if message is None:
                 raise ControlError(f"{self.path}: the node did not answer {method} within {self._patience:g} s")
-            # Without an id: a request that the node could not read, which can only be this one.
+            # A node answers a request that it could not parse without an id; it can only be this request.
             if message.get("id") not in (self._last_id, None):
-                # An answer to what an earlier call gave up waiting for.
+                # A late answer to an earlier call that timed out.
                 continue
             match message:
                 case {"error": {"code": int(code), "message": str(text), **more}}:
@@ -109,7 +110,7 @@ class ControlClient:
                     raise self._no_node()
 
     def wait(self, timeout: float | None = None) -> Notification | None:
-        """The next notification; None if there is none within ``timeout`` s (None: wait for ever)."""
+        """Return the next notification; None if there is none within ``timeout`` s (None: wait without limit)."""
         if self._notifications:
             return self._notifications.popleft()
         deadline = None if timeout is None else time.monotonic() + timeout
@@ -119,7 +120,7 @@ class ControlClient:
         return self._notifications.popleft()
 
     def _message(self, deadline: float | None, *, once: bool = False) -> dict[str, Any] | None:
-        """The next response; None at the deadline. Notifications are put aside, ``once``: any message will do."""
+        """Return the next response; None at the deadline. Notifications are queued; with ``once`` they end the wait."""
         while True:
             try:
                 line = self._lines.next()
@@ -142,10 +143,10 @@ class ControlClient:
             return message
 
     def _no_node(self) -> ControlError:
-        return ControlError(f"{self.path}: what answers there does not speak as a node does")
+        return ControlError(f"{self.path}: the program that listens there is not a node; check the path")
 
     def _fill(self, deadline: float | None) -> bool:
-        """Read more; False at the deadline. Raises ControlError at the end of the connection."""
+        """Read more octets; return False at the deadline. Raises ControlError at the end of the connection."""
         left = None if deadline is None else deadline - time.monotonic()
         if left is not None and left <= 0:
             return False
@@ -162,7 +163,7 @@ class ControlClient:
         return True
 
     def close(self) -> None:
-        """End the connection; may be called twice."""
+        """Close the connection; may be called twice."""
         self._socket.close()
 
     def __enter__(self) -> Self:
@@ -173,6 +174,7 @@ class ControlClient:
 
 
 def _is_something_else(path: Path) -> bool:
+    """Whether the path exists and is not a socket."""
     try:
         return not path.is_socket() and path.exists()
     except OSError:
@@ -180,12 +182,13 @@ def _is_something_else(path: Path) -> bool:
 
 
 def _why_not(error: OSError) -> str:
+    """Describe an error of the connection for the user."""
     if isinstance(error, FileNotFoundError):
         return "there is no such socket; is a node running with --control on this path?"
     if isinstance(error, ConnectionRefusedError):
-        return "nobody listens there; the node that made this socket has ended"
+        return "no program listens there; the node that made this socket has ended"
     if isinstance(error, PermissionError):
-        return "permission denied; the socket is for the user that runs the node"
+        return "permission denied; only the user of the node and its control_group may use the socket"
     if isinstance(error, ConnectionResetError | BrokenPipeError):
         return "the node has closed the connection"
     return error.strerror or str(error)

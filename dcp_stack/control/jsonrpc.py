@@ -1,9 +1,9 @@
-"""JSON-RPC 2.0, one message per line: requests out of lines, and the messages back.
+"""JSON-RPC 2.0, one message per line: parsing of requests and encoding of messages.
 
-No library fits: those that speak over streams (pygls, python-lsp-jsonrpc) frame by Content-Length and bring threads or
-asyncio along; jsonrpcserver answers single strings but knows no notifications to clients, checks every message with
-jsonschema, and that costs more memory than the whole node. What is left of JSON-RPC without those is this file; types
-are checked by msgspec.
+No library fits. Those for streams (pygls, python-lsp-jsonrpc) frame by Content-Length and require threads or asyncio.
+jsonrpcserver answers single strings but cannot send notifications to clients, and it checks every message with
+jsonschema, which takes more memory than the whole node. The remainder of JSON-RPC is this module; msgspec checks the
+types.
 """
 
 from __future__ import annotations
@@ -19,21 +19,21 @@ METHOD_NOT_FOUND: Final = -32601
 INVALID_PARAMS: Final = -32602
 INTERNAL_ERROR: Final = -32603
 TOO_MUCH: Final = -32000
-"""The answers of one batch are longer than they may be; the rest of it was not carried out."""
+"""The answers of a batch exceed the limit; the rest of the batch was not carried out."""
 REFUSED: Final = -32001
-"""A parameter cannot have the value; ``data`` says which bound it violates."""
+"""A parameter cannot have the value; ``data`` names the violated bound."""
 NO_ANSWER: Final = -32002
-"""The service does not answer in this state (readings X10 and X30 ``no-response``)."""
+"""The service does not answer in this state (readings X10 and X30, choice ``no-response``)."""
 
 MAX_LINE: Final = 1 << 20
-"""Octets of a request, without the end of its line."""
+"""Maximum length of a request in octets, without the end of its line."""
 
 RequestId = int | float | str | None
 _ENCODER: Final = msgspec.json.Encoder()
 
 
 class RpcError(Exception):
-    """A request that gets an error instead of a result."""
+    """A request that is answered with an error instead of a result."""
 
     def __init__(self, code: int, message: str, data: Any = UNSET) -> None:
         super().__init__(message)
@@ -43,7 +43,7 @@ class RpcError(Exception):
 
 
 class Call(msgspec.Struct, frozen=True):
-    """A valid request. Without ``id`` (UNSET) it wants no answer."""
+    """A valid request. Without ``id`` (UNSET) it is a notification and gets no answer."""
 
     method: str
     params: Any
@@ -51,36 +51,36 @@ class Call(msgspec.Struct, frozen=True):
 
 
 def parse(line: bytes) -> Any:
-    """The JSON value of a line. Raises RpcError."""
+    """Return the JSON value of a line. Raises RpcError if it is not JSON."""
     try:
         return msgspec.json.decode(line)
     except RecursionError:
         raise RpcError(PARSE_ERROR, "the message is nested too deeply") from None
     except (msgspec.MsgspecError, ValueError) as error:
-        # ValueError: octets that are no UTF-8, and integers of thousands of digits.
+        # ValueError: octets that are not UTF-8, and integers of thousands of digits.
         raise RpcError(PARSE_ERROR, f"not JSON: {error}") from None
 
 
 def read_call(message: Any) -> Call:
-    """The request in a JSON value. Raises RpcError."""
+    """Return the request in a JSON value. Raises RpcError if the value is not a valid request."""
     if not isinstance(message, dict):
-        raise RpcError(INVALID_REQUEST, f"a request is an object, not {_kind(message)}")
+        raise RpcError(INVALID_REQUEST, f"a request must be an object, not {_kind(message)}")
     if message.get("jsonrpc") != "2.0":
         raise RpcError(INVALID_REQUEST, 'the request has no "jsonrpc": "2.0"')
     identifier = message.get("id", UNSET)
     if identifier is not UNSET and not _is_id(identifier):
-        raise RpcError(INVALID_REQUEST, '"id" is a string, a number of at most 64 bits, or null')
+        raise RpcError(INVALID_REQUEST, '"id" must be a string, a number of at most 64 bits, or null')
     method = message.get("method")
     if not isinstance(method, str):
-        raise RpcError(INVALID_REQUEST, '"method" is the name of a method, a string')
+        raise RpcError(INVALID_REQUEST, '"method" must be a string, the name of a method')
     unknown = message.keys() - {"jsonrpc", "id", "method", "params"}
     if unknown:
-        raise RpcError(INVALID_REQUEST, f"a request has no member {min(unknown)[:80]!r}")
+        raise RpcError(INVALID_REQUEST, f"unknown member {min(unknown)[:80]!r} in the request")
     return Call(method, message.get("params", {}), identifier)
 
 
 def id_of(message: Any) -> RequestId:
-    """The id to answer an invalid request with, None if it has none to go by."""
+    """Return the id for the answer to an invalid request; None if it has no valid id."""
     identifier = message.get("id") if isinstance(message, dict) else None
     return identifier if _is_id(identifier) else None
 
@@ -88,7 +88,7 @@ def id_of(message: Any) -> RequestId:
 def _is_id(value: Any) -> bool:
     if isinstance(value, bool):
         return False
-    # Larger integers cannot be written back as they were.
+    # Larger integers cannot be written back unchanged.
     return value is None or isinstance(value, str | float) or (isinstance(value, int) and abs(value) < 1 << 63)
 
 
@@ -98,12 +98,12 @@ def _kind(value: Any) -> str:
 
 
 def result_message(identifier: RequestId, result: Any) -> bytes:
-    """A response with a result, without the end of the line."""
+    """Return a response with a result, without the end of the line."""
     return _ENCODER.encode({"jsonrpc": "2.0", "id": identifier, "result": result})
 
 
 def error_message(identifier: RequestId, error: RpcError) -> bytes:
-    """A response with an error, without the end of the line."""
+    """Return a response with an error, without the end of the line."""
     shown: dict[str, Any] = {"code": error.code, "message": error.message}
     if error.data is not UNSET:
         shown["data"] = error.data
@@ -111,10 +111,10 @@ def error_message(identifier: RequestId, error: RpcError) -> bytes:
 
 
 def notification_message(method: str, params: Any) -> bytes:
-    """A notification, without the end of the line."""
+    """Return a notification, without the end of the line."""
     return _ENCODER.encode({"jsonrpc": "2.0", "method": method, "params": params})
 
 
 def request_message(identifier: RequestId, method: str, params: Any) -> bytes:
-    """A request, without the end of the line."""
+    """Return a request, without the end of the line."""
     return _ENCODER.encode({"jsonrpc": "2.0", "id": identifier, "method": method, "params": params})

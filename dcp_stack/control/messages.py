@@ -1,9 +1,9 @@
-"""What can be said at the control interface: parameters and results of every method, and the notifications.
+"""The messages of the control interface: parameters and results of every method, and the notifications.
 
-These structs are the contract. Messages are checked against them, and the JSON Schema in
-``conformance/dcp_conformance/data/upper-tester.schema.json`` is made of them (:mod:`dcp_stack.control.schema`).
-Members are named as in the specification; octets are hex, node identifiers hex with or without colons, times of day
-ns since 1970, durations ms unless a name says otherwise.
+These structs define the interface. Messages are checked against them, and the JSON Schema in
+``conformance/dcp_conformance/data/upper-tester.schema.json`` is generated from them (:mod:`dcp_stack.control.schema`).
+Members have the names of the specification. Octets are hex, node identifiers hex with or without colons, times of day
+ns since 1970, and durations ms unless the name has another unit.
 """
 
 from __future__ import annotations
@@ -29,17 +29,17 @@ WallNs = Annotated[int, Meta(description="ns since 1970-01-01T00:00:00Z.")]
 Millis = Annotated[int, Meta(description="Milliseconds.")]
 OwnFields = Annotated[
     dict[str, int | float | str],
-    Meta(description="Fields that the profile adds to VarSpec, by name; octets in hexadecimal digits."),
+    Meta(description="Fields that the profile adds to VarSpec, by name; octets in hex."),
 ]
 UTStatus = Annotated[str, Meta(pattern="^UT-STATUS-OK$")]
 
 
 class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, rename="camel"):
-    """Base of the parameters of a method: a member that is not known is an error."""
+    """Base of the parameters of a method; an unknown member is an error."""
 
 
 class Result(msgspec.Struct, frozen=True, kw_only=True, rename="camel"):
-    """Base of results: a member without a value is left out."""
+    """Base of results; members without a value are omitted."""
 
 
 class Nothing(Params, frozen=True):
@@ -62,7 +62,7 @@ class ForVariable(Params, frozen=True):
 
 
 class BPConfirm(Result, frozen=True):
-    """A confirm of BP with nothing but its status."""
+    """A confirm of BP that contains only the status."""
 
     status: BPStatus
 
@@ -86,7 +86,7 @@ class RegisterProtocolConfirm(Result, frozen=True):
 
 
 class RegisteredProtocol(Result, frozen=True):
-    """One entry of BP-ListRegisteredProtocols.confirm; ``buffered`` is the number of payloads that wait."""
+    """One entry of BP-ListRegisteredProtocols.confirm; ``buffered`` is the number of waiting payloads."""
 
     protocol_id: int
     protocol_name: str
@@ -106,14 +106,14 @@ class ListRegisteredProtocolsConfirm(Result, frozen=True):
 
 
 class TransmitPayload(Params, frozen=True):
-    """Parameters of BP-TransmitPayload; the length is that of ``payload``."""
+    """Parameters of BP-TransmitPayload; the service parameter length is the length of ``payload``."""
 
     prot_id: ProtId
     payload: Octets
 
 
 class QueryNumberBufferedPayloadsConfirm(Result, frozen=True):
-    """BP-QueryNumberBufferedPayloads.confirm; the number is there if the status is OK."""
+    """BP-QueryNumberBufferedPayloads.confirm; contains the number if the status is OK."""
 
     status: BPStatus
     number: int | UnsetType = UNSET
@@ -137,7 +137,7 @@ class BPParametersConfirm(Result, frozen=True):
 
 
 class SRPConfirm(Result, frozen=True):
-    """A confirm of SRP with nothing but its status."""
+    """A confirm of SRP that contains only the status."""
 
     status: SRPStatus
 
@@ -150,7 +150,7 @@ class SRPParametersConfirm(Result, frozen=True):
 
 
 Number = int | float | str
-"""A number, or one of the texts NaN, Infinity and -Infinity."""
+"""A number, or one of the texts NaN, Infinity and -Infinity, which JSON has no numbers for."""
 
 
 class UpdateSafetyData(Params, frozen=True):
@@ -160,13 +160,13 @@ class UpdateSafetyData(Params, frozen=True):
 
 
 class NeighbourTableRequest(Params, frozen=True):
-    """Parameters of SRP-NeighbourTable: with ``nodeId`` only the entry of this node."""
+    """Parameters of SRP-NeighbourTable; with ``nodeId`` only the entry of this node is returned."""
 
     node_id: NodeId | UnsetType = UNSET
 
 
 class Neighbour(Result, frozen=True):
-    """An entry of the neighbour table. What follows ``receptionTime`` an implementation may leave out."""
+    """An entry of the neighbour table. An implementation may omit the members after ``receptionTime``."""
 
     node_id: NodeId
     s_data: dict[str, Number]
@@ -180,14 +180,14 @@ class Neighbour(Result, frozen=True):
     lost: Annotated[int, Meta(description="Records missing by their sequence numbers.")] | UnsetType = UNSET
     restarts: int | UnsetType = UNSET
     mean_interval: Annotated[float, Meta(description="ms between records.")] | UnsetType = UNSET
-    beacon_loss: Annotated[float, Meta(description="Share of beacons lost lately, 0..1.")] | UnsetType = UNSET
+    beacon_loss: Annotated[float, Meta(description="Share of beacons lost recently, 0..1.")] | UnsetType = UNSET
     position: tuple[float, float, float] | UnsetType = UNSET
     velocity: tuple[float, float, float] | UnsetType = UNSET
     distance: Annotated[float, Meta(description="m between us and the neighbour.")] | UnsetType = UNSET
 
 
 class NeighbourTableConfirm(Result, frozen=True):
-    """SRP-NeighbourTable; with INACTIVE there is no table."""
+    """SRP-NeighbourTable.confirm; without entries if the status is INACTIVE."""
 
     status: SRPStatus
     neighbours: tuple[Neighbour, ...] = ()
@@ -197,7 +197,7 @@ class NeighbourTableConfirm(Result, frozen=True):
 
 
 class VardisConfirm(Result, frozen=True):
-    """A confirm of VarDis with nothing but its status."""
+    """A confirm of VarDis that contains only the status."""
 
     status: VardisStatus
 
@@ -210,7 +210,7 @@ class VardisParametersConfirm(Result, frozen=True):
 
 
 class Create(Params, frozen=True):
-    """Parameters of RTDB-Create. ``prodId`` counts up to 1.1 only, ``timeout`` since 2.0."""
+    """Parameters of RTDB-Create. ``prodId`` is used up to version 1.1, ``timeout`` since 2.0."""
 
     var_id: VarId
     rep_cnt: int
@@ -229,7 +229,7 @@ class Update(Params, frozen=True):
 
 
 class ReadConfirm(Result, frozen=True):
-    """RTDB-Read.confirm; value and time are there if the status is OK."""
+    """RTDB-Read.confirm; contains value and time if the status is OK."""
 
     status: VardisStatus
     value: Octets | UnsetType = UNSET
@@ -237,10 +237,10 @@ class ReadConfirm(Result, frozen=True):
 
 
 class Variable(Result, frozen=True):
-    """A variable: its VarSpec, and what an implementation tells beside it.
+    """A variable: its VarSpec, and further members depending on the service and the implementation.
 
-    A description that is not UTF-8 stands in ``descrHex`` instead. ``creationTime`` is in the units of the profile;
-    it and ``timeout`` exist since 2.0. RTDB-DescribeVariable tells all the rest as well.
+    ``descrHex`` replaces a description that is not UTF-8. ``creationTime`` is in the units of the profile; it and
+    ``timeout`` exist since 2.0. RTDB-DescribeVariable returns all other members.
     """
 
     var_id: VarId
@@ -261,24 +261,24 @@ class Variable(Result, frozen=True):
 
 
 class DescribeDatabaseConfirm(Result, frozen=True):
-    """RTDB-DescribeDatabase.confirm: all variables, deleted ones included; none unless the status is OK."""
+    """RTDB-DescribeDatabase.confirm: all variables, including deleted ones; empty unless the status is OK."""
 
     status: VardisStatus
     variables: tuple[Variable, ...] = ()
 
 
 class DescribeVariableConfirm(Result, frozen=True):
-    """RTDB-DescribeVariable.confirm; the variable is there if the status is OK."""
+    """RTDB-DescribeVariable.confirm; contains the variable if the status is OK."""
 
     status: VardisStatus
     variable: Variable | UnsetType = UNSET
 
 
-# -- the upper tester itself ------------------------------------------------------------------------------------------
+# -- the upper tester -------------------------------------------------------------------------------------------------
 
 
 class HelloConfirm(Result, frozen=True):
-    """UT-Hello: who answers. ``methods`` are those that this node serves."""
+    """UT-Hello: the identity of the implementation; ``methods`` are the methods that it has."""
 
     status: UTStatus
     name: str
@@ -290,21 +290,24 @@ class HelloConfirm(Result, frozen=True):
 
 
 class UTConfirm(Result, frozen=True):
-    """A confirm of the upper tester with nothing but its status."""
+    """A confirm of the upper tester that contains only the status."""
 
     status: UTStatus
 
 
 class Subscribe(Params, frozen=True):
-    """Parameters of UT-Subscribe: what this connection wants to be told beside its own indications, from now on."""
+    """Parameters of UT-Subscribe: the events that this connection is notified of from now on.
+
+    Indications of protocols that it registered are sent without a subscription.
+    """
 
     variables: Annotated[bool, Meta(description="UT-VariableChanged")] = False
     neighbours: Annotated[bool, Meta(description="UT-NeighbourSeen and UT-NeighbourExpired")] = False
-    prot_ids: Annotated[tuple[int, ...], Meta(description="Indications of these protocols, whoever registered.")] = ()
+    prot_ids: Annotated[tuple[int, ...], Meta(description="Indications of these protocols, from any client.")] = ()
 
 
 class StatusConfirm(Result, frozen=True):
-    """UT-Status: the state of the node as this implementation sees it, for people and displays."""
+    """UT-Status: the state of the node in the form of this implementation, for display."""
 
     status: UTStatus
     node_id: NodeId
@@ -313,10 +316,10 @@ class StatusConfirm(Result, frozen=True):
     now: Annotated[int, Meta(description="Monotonic ns, the clock of the times in ``node``.")]
     wall: WallNs
     node: Annotated[dict[str, Any], Meta(description="Snapshots of bp, srp and vardis.")]
-    drops: Annotated[dict[str, int], Meta(description="What was ignored, by layer/reason.")]
-    runtime: Annotated[dict[str, Any], Meta(description="Link, clients, recording and the like.")]
+    drops: Annotated[dict[str, int], Meta(description="Numbers of ignored parts of frames, by layer/reason.")]
+    runtime: Annotated[dict[str, Any], Meta(description="State of link, clients, recording and positions.")]
     obstacles: Annotated[
-        list[dict[str, Any]], Meta(description="Variables that do not get through to neighbours; usually none.")
+        list[dict[str, Any]], Meta(description="Variables that do not reach a neighbour; usually none.")
     ] = []
 
 
@@ -324,7 +327,7 @@ class StatusConfirm(Result, frozen=True):
 
 
 class ReceivePayloadIndication(Result, frozen=True):
-    """BP-ReceivePayload.indication; ``senderId`` is the node whose beacon it was in."""
+    """BP-ReceivePayload.indication; ``senderId`` is the node that sent the beacon."""
 
     prot_id: ProtId
     length: int
@@ -340,7 +343,7 @@ class PayloadTransmittedIndication(Result, frozen=True):
 
 
 class VariableChangedNotification(Result, frozen=True):
-    """A variable was created, updated or deleted, here or by others. A deletion has no value."""
+    """A variable was created, updated or deleted, by this node or another. A deletion has no value."""
 
     event: Annotated[str, Meta(pattern="^(created|updated|deleted)$")]
     var_id: VarId
@@ -350,13 +353,13 @@ class VariableChangedNotification(Result, frozen=True):
 
 
 class NeighbourSeenNotification(Result, frozen=True):
-    """A state report was taken; ``new`` if there was no entry of this node."""
+    """A state report was accepted; ``new`` if the table had no entry of this node."""
 
     node_id: NodeId
     new: bool
 
 
 class NeighbourExpiredNotification(Result, frozen=True):
-    """The entry of a node was dropped for its age."""
+    """The entry of a node was removed from the neighbour table because of its age."""
 
     node_id: NodeId

@@ -1,4 +1,4 @@
-"""Where the control socket of a node is if the user does not say."""
+"""Default places of the control socket of a node."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import Final
 
 SYSTEM: Final = Path("/run/dcp/node.sock")
-"""The socket of a node that runs as a service of the system, or as root."""
+"""The socket of a node that runs as a system service or as root."""
 
 
 def default_socket() -> Path | None:
-    """Where a node listens by default: in the user's runtime folder, or :data:`SYSTEM` for root without one.
+    """Return the default socket of a node: in the user's runtime folder, or :data:`SYSTEM` for root without one.
 
-    None for a user without a runtime folder (XDG_RUNTIME_DIR): a folder that all may write to is no place for it.
+    None for other users without a runtime folder (XDG_RUNTIME_DIR): a folder that all users may write to is not safe.
     """
     own = _own()
     if own is not None:
@@ -24,13 +24,13 @@ def default_socket() -> Path | None:
 
 
 def places() -> list[Path]:
-    """Where a client looks for a node, in this order: the user's own, then that of the system."""
+    """Return the places where a client looks for a node, in this order: the user's own, then that of the system."""
     own = _own()
     return [SYSTEM] if own is None else [own, SYSTEM]
 
 
 def find_socket() -> Path | None:
-    """The first of :func:`places` at which there is something; None if there is nothing."""
+    """Return the first of :func:`places` that exists; None if none does."""
     return next((path for path in places() if path.exists()), None)
 
 
@@ -41,7 +41,7 @@ def is_answered(path: Path) -> bool:
         try:
             trial.connect(os.fspath(path))
         except BlockingIOError:
-            # Somebody does, and has too many clients at the moment.
+            # A program listens, but has too many clients at the moment.
             return True
         except OSError:
             return False
@@ -49,6 +49,7 @@ def is_answered(path: Path) -> bool:
 
 
 def _own() -> Path | None:
+    """Return the socket in the user's runtime folder; None if there is no such folder."""
     folder = os.environ.get("XDG_RUNTIME_DIR", "")
-    # The specification of this variable asks for an absolute path.
+    # The specification of this variable (XDG Base Directory) requires an absolute path.
     return Path(folder) / "dcp-node.sock" if folder.startswith("/") and Path(folder).is_dir() else None

@@ -1,4 +1,4 @@
-"""The control interface as JSON Schema (draft 2020-12), made of the structs that check its messages.
+"""The control interface as JSON Schema (draft 2020-12), generated from the structs that check its messages.
 
 ``python -m dcp_stack.control.schema > conformance/dcp_conformance/data/upper-tester.schema.json``
 """
@@ -9,6 +9,8 @@ import sys
 from typing import Any
 
 import msgspec
+
+from dcp_codec.common.schemas import schema_components
 
 from .jsonrpc import (
     INTERNAL_ERROR,
@@ -26,13 +28,13 @@ DIALECT = "https://json-schema.org/draft/2020-12/schema"
 
 
 def upper_tester_schema() -> dict[str, Any]:
-    """A schema for any line: a request, a response, a notification or a batch of them.
+    """Return the schema of a line: a request, a response, a notification or a batch of them.
 
-    ``$defs`` has, for method M, ``M.request`` (the whole message) and ``M.result`` (the member ``result``), and for
-    notification N the definition N.
+    ``$defs`` contains ``M.request`` (the whole message) and ``M.result`` (the member ``result``) for each method M, and
+    N for each notification N.
     """
     types = [each for method in METHODS.values() for each in (method.params, method.result)]
-    _, definitions = msgspec.json.schema_components([*types, *NOTIFICATIONS.values()], ref_template="#/$defs/{name}")
+    _, definitions = schema_components([*types, *NOTIFICATIONS.values()])
     identifier = {"type": ["string", "number", "null"]}
     defs: dict[str, Any] = {"id": identifier, "error": _error(), **definitions}
     for name, method in METHODS.items():
@@ -105,10 +107,10 @@ def _response() -> dict[str, Any]:
 def _error() -> dict[str, Any]:
     codes = {
         PARSE_ERROR: "not JSON",
-        INVALID_REQUEST: "no valid request",
-        METHOD_NOT_FOUND: "no such method here",
-        INVALID_PARAMS: "wrong parameters",
-        INTERNAL_ERROR: "a mistake of the implementation",
+        INVALID_REQUEST: "not a valid request",
+        METHOD_NOT_FOUND: "the node has no such method",
+        INVALID_PARAMS: "invalid parameters",
+        INTERNAL_ERROR: "internal error of the implementation",
         TOO_MUCH: "the answers of the batch are too long; this request was not carried out",
         REFUSED: "a parameter cannot have the value",
         NO_ANSWER: "the service does not answer in this state",
@@ -126,7 +128,7 @@ def _error() -> dict[str, Any]:
 
 
 def schema_text() -> str:
-    """The schema as it is committed."""
+    """Return the schema as the text of the committed file."""
     return msgspec.json.format(msgspec.json.encode(upper_tester_schema(), order="sorted"), indent=2).decode() + "\n"
 
 

@@ -1,9 +1,9 @@
-"""The control interface without sockets: sessions take octets of their clients and have octets for them.
+"""The control interface without sockets: sessions process octets from clients and produce octets for them.
 
-Who asks gets the confirm. Indications about a protocol go to the session that registered it, and to those that asked
-for them with UT-Subscribe. A registration outlives its session, as the specification expects of clients that restart
-(BP-REC-01): what then arrives for it is told to subscribers only. UT-Reset takes back all registrations, and leaves
-sessions with their subscriptions alone.
+A confirm is sent to the session of its request. Indications of a protocol are sent to the session that registered it,
+and to those that subscribed with UT-Subscribe. A registration outlives its session, as the specification expects of
+clients that restart (BP-REC-01); further indications are then sent to subscribers only. UT-Reset cancels all
+registrations, but neither sessions nor their subscriptions.
 """
 
 from __future__ import annotations
@@ -51,20 +51,20 @@ from .services import Times, perform, plain_number
 log = logging.getLogger(__name__)
 
 MAX_BATCH: Final = 256
-"""Requests in one batch."""
+"""Maximum number of requests in a batch."""
 MAX_BATCH_ANSWER: Final = 16 << 20
-"""Octets of the answer to one batch, beyond which the rest is not carried out."""
+"""Octets of the answer to a batch after which the rest of the batch is not carried out."""
 HIGH_WATER: Final = 256 << 10
-"""Octets that wait for a client, beyond which its requests are not looked at."""
+"""Octets of pending output above which no more requests of a client are answered."""
 MAX_BACKLOG: Final = 4 << 20
-"""Octets that wait for a client, beyond which a notification is one too many and the client is given up."""
+"""Octets of pending output above which a further notification disconnects the client."""
 
 
 class ControlSession:
-    """One client. :meth:`feed` is all a transport needs that has no limits of its own.
+    """One client. A transport without limits needs only :meth:`feed`.
 
-    Otherwise: :meth:`receive` what it says, :meth:`process` until it returns False, send from :attr:`output` and say
-    how much with :meth:`sent`, and do not read while :attr:`wants_input` is False.
+    Other transports pass input to :meth:`receive`, call :meth:`process` until it returns False, send from
+    :attr:`output` and report the sent octets to :meth:`sent`. They must not read while :attr:`wants_input` is False.
     """
 
     def __init__(self, server: ControlServer) -> None:
@@ -72,22 +72,22 @@ class ControlSession:
         self._lines = LineBuffer(MAX_LINE)
         self.output = bytearray()
         self.overrun = False
-        """The client does not read what it asked to be told: give it up."""
+        """Whether the client does not read its notifications; the transport should then disconnect it."""
         self.subscription = m.Subscribe()
         self._ended = False
 
     @property
     def wants_input(self) -> bool:
-        """Whether reading makes sense: earlier answers are on their way, and requests do not pile up."""
+        """Whether to read more input: pending output and waiting requests are below their limits."""
         return not self._ended and len(self.output) <= HIGH_WATER and len(self._lines) <= HIGH_WATER * 8
 
     @property
     def finished(self) -> bool:
-        """Whether the client has ended its side and all that it asked for is answered and taken away."""
+        """Whether the client has ended its input, and all its requests are answered and sent."""
         return self._ended and not self.output and not len(self._lines)
 
     def feed(self, data: bytes, *, now: int, wall: int) -> bytes:
-        """Take octets and return everything there is for the client, notifications that waited included."""
+        """Process octets of the client; return all output for it, including pending notifications."""
         self.receive(data)
         answers = bytearray()
         while True:
@@ -98,16 +98,16 @@ class ControlSession:
                 return bytes(answers)
 
     def receive(self, data: bytes) -> None:
-        """Take octets of the client."""
+        """Add octets from the client."""
         self._lines.add(data)
 
     def end_of_input(self) -> None:
-        """The client says nothing more; what it said last is a line also without its end."""
+        """Mark the end of input; a last line without its end is processed as well."""
         self._ended = True
         self._lines.end()
 
     def process(self, *, now: int, wall: int, most: int = 64) -> bool:
-        """Answer up to ``most`` lines; whether there may be more to do right now. Never raises."""
+        """Answer up to ``most`` lines; return whether more could be answered at once. Never raises."""
         for _ in range(most):
             if len(self.output) > HIGH_WATER:
                 return False
@@ -123,11 +123,11 @@ class ControlSession:
         return True
 
     def sent(self, count: int) -> None:
-        """The first ``count`` octets of ``output`` are on their way."""
+        """Remove the first ``count`` octets of ``output``, which the transport has sent."""
         del self.output[:count]
 
     def notify(self, message: bytes) -> None:
-        """Append a notification; a client with too much waiting is marked as overrun instead."""
+        """Append a notification; a client with too much pending output is marked as overrun instead."""
         if self.overrun:
             return
         if len(self.output) > MAX_BACKLOG:
@@ -138,7 +138,7 @@ class ControlSession:
             self._server.pressing = True
 
     def close(self) -> None:
-        """The client is gone; its registrations stay."""
+        """Remove the session from the server; registrations of the client remain."""
         self._server.forget(self)
 
     def _write(self, message: bytes) -> None:
@@ -147,7 +147,7 @@ class ControlSession:
             self.output += b"\n"
 
     def _answer(self, line: bytes, times: Times) -> bytes:
-        """The answer to a line, empty if it wants none."""
+        """Return the answer to a line; empty for notifications."""
         try:
             message = parse(line)
             if not isinstance(message, list):
@@ -162,7 +162,7 @@ class ControlSession:
         size = 0
         for each in message:
             if size > MAX_BATCH_ANSWER:
-                answer = error_message(id_of(each), RpcError(TOO_MUCH, "not carried out: the batch answers too much"))
+                answer = error_message(id_of(each), RpcError(TOO_MUCH, "not carried out: the answers are too long"))
             else:
                 answer = self._answer_one(each, times)
             size += len(answer)
@@ -171,6 +171,7 @@ class ControlSession:
         return b"[" + b",".join(answers) + b"]" if answers else b""
 
     def _answer_one(self, message: Any, times: Times) -> bytes:
+        """Return the answer to one request; empty for notifications."""
         try:
             call = read_call(message)
         except RpcError as error:
@@ -181,21 +182,21 @@ class ControlSession:
         except RpcError as error:
             return b"" if call.id is UNSET else error_message(call.id, error)
         except Exception as error:
-            # A mistake of ours must not take the node down; the client learns that it was none of its own.
+            # An internal error must not end the node; the client gets an error that shows it was not its fault.
             log.exception("%s failed", call.method)
             shown = RpcError(INTERNAL_ERROR, f"{type(error).__name__}: {error}")
             return b"" if call.id is UNSET else error_message(call.id, shown)
 
 
 class ControlServer:
-    """All sessions of one node. The node is driven by somebody else, who hands its effects to :meth:`indicate`."""
+    """All sessions of one node. The caller drives the node, and passes its effects to :meth:`indicate`."""
 
     def __init__(self, node: Node, *, runtime: Callable[[], dict[str, Any]] = dict) -> None:
-        """``runtime`` tells UT-Status about what is around the node."""
+        """``runtime`` returns the member ``runtime`` of UT-Status."""
         self.node = node
         self._dropped: defaultdict[tuple[str, str], int] = defaultdict(int)
         self.pressing = False
-        """Much waits for a client. The transport should send before it lets more happen, and set this back."""
+        """Whether a client has much pending output. The transport should then send it first, and reset this."""
         self._runtime = runtime
         self._sessions: dict[ControlSession, None] = {}
         self._owners: dict[int, ControlSession] = {}
@@ -208,33 +209,33 @@ class ControlServer:
 
     @property
     def drops(self) -> dict[str, int]:
-        """How often something received was ignored, by ``layer/reason``."""
+        """Numbers of ignored parts of received frames, by ``layer/reason``."""
         return {f"{layer}/{reason}": number for (layer, reason), number in self._dropped.items()}
 
     @property
     def listening(self) -> bool:
-        """Whether somebody is to be told of what arrives."""
+        """Whether a client waits for indications or notifications."""
         return bool(self._owners) or self._wants_variables or self._wants_neighbours or self._wants_protocols
 
     def open(self) -> ControlSession:
-        """A client has come."""
+        """Open a session for a new client."""
         session = ControlSession(self)
         self._sessions[session] = None
         return session
 
     def forget(self, session: ControlSession) -> None:
-        """A client is gone."""
+        """Remove the session of a client that has gone."""
         self._sessions.pop(session, None)
         self._owners = {prot_id: owner for prot_id, owner in self._owners.items() if owner is not session}
         self._note_wishes()
 
     def perform(self, session: ControlSession, call: Call, times: Times) -> m.Result:
-        """Carry out one request of a client. Raises RpcError."""
+        """Carry out one request of a client. Raises RpcError for unknown methods, invalid parameters and refusals."""
         method = METHODS.get(call.method)
         if method is None:
-            raise RpcError(METHOD_NOT_FOUND, f"no method {call.method[:80]!r}; UT-Hello lists those there are")
+            raise RpcError(METHOD_NOT_FOUND, f"no method {call.method[:80]!r}; UT-Hello lists the methods")
         if isinstance(call.params, list):
-            raise RpcError(INVALID_PARAMS, "parameters are given by name, in an object")
+            raise RpcError(INVALID_PARAMS, "parameters must be given by name, in an object")
         try:
             params = msgspec.convert(call.params, method.params)
         except msgspec.ValidationError as error:
@@ -247,7 +248,7 @@ class ControlServer:
             return self._status(times)
         result = perform(self.node, call.method, params, times)
         if getattr(result, "status", None) is None:
-            # A client would take it for a mistake of the connection, not of the node.
+            # Otherwise the client would report an invalid answer instead of an error of the node.
             raise TypeError(f"{call.method} was confirmed without a status")
         if isinstance(params, m.RegisterProtocol) and result.status.is_ok:  # type: ignore[attr-defined]
             self._owners[params.prot_id] = session
@@ -260,10 +261,13 @@ class ControlServer:
         return result
 
     def indicate(self, effects: Iterable[Effect], *, now: int, wall: int) -> None:
-        """Tell those whom it concerns what the node did; drops are counted."""
+        """Send the effects of the node to the clients that listen for them; count drops.
+
+        ``now`` and ``wall`` are the same time in ns, monotonic and since 1970.
+        """
         for effect in effects:
             if type(effect) is Dropped:
-                # Most of what there is: each record of a beacon that says nothing new.
+                # Checked first because most frequent: any record of a beacon without news is dropped.
                 self._dropped[effect.layer, effect.reason] += 1
                 continue
             if not self._sessions:
@@ -317,20 +321,21 @@ class ControlServer:
         _tell([each for each in self._sessions if each.subscription.neighbours], name, notification)
 
     def _listeners(self, prot_id: int) -> list[ControlSession]:
-        """Who is to hear of a protocol, each once."""
+        """Return the sessions that receive indications of a protocol."""
         owner = self._owners.get(prot_id)
         if not self._wants_protocols:
             return [] if owner is None else [owner]
         return [each for each in self._sessions if each is owner or prot_id in each.subscription.prot_ids]
 
     def _note_wishes(self) -> None:
-        """Remember whether anybody wants to be told at all: most of the time nobody does."""
+        """Store whether any client is subscribed; usually none is, and effects need no further checks."""
         wishes = [session.subscription for session in self._sessions]
         self._wants_variables = any(wish.variables for wish in wishes)
         self._wants_neighbours = any(wish.neighbours for wish in wishes)
         self._wants_protocols = any(wish.prot_ids for wish in wishes)
 
     def _status(self, times: Times) -> m.StatusConfirm:
+        """Return the result of UT-Status."""
         config = self.node.config
         return m.StatusConfirm(
             status=m.UT_OK,
@@ -356,7 +361,7 @@ def _tell(sessions: Iterable[ControlSession], name: str, params: m.Result) -> No
 
 
 def _finite(value: Any) -> Any:
-    """Plain data with texts for the floats that JSON has no number for."""
+    """Convert snapshots for JSON, with text for non-finite floats."""
     if isinstance(value, dict):
         return {str(key): _finite(each) for key, each in value.items()}
     if isinstance(value, list | tuple):

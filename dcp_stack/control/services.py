@@ -27,14 +27,14 @@ from .methods import METHODS
 
 
 class Times(NamedTuple):
-    """The moment of a request in ns: ``now`` monotonic, ``wall`` since 1970."""
+    """The time of a request in ns: ``now`` monotonic, ``wall`` since 1970."""
 
     now: int
     wall: int
 
 
 def perform(node: Node, method: str, params: Any, times: Times) -> m.Result:
-    """Carry out ``method`` with ``params``, which are of its type. Raises RpcError, and nothing else for bad values."""
+    """Carry out ``method``; ``params`` must have its type. Raises only RpcError, also for values that are refused."""
     try:
         return _HANDLERS[method](node, params, times)
     except NoResponseError as error:
@@ -44,20 +44,20 @@ def perform(node: Node, method: str, params: Any, times: Times) -> m.Result:
     except UnknownParameterError as error:
         raise RpcError(INVALID_PARAMS, str(error)) from None
     except ValueError as error:
-        # What the fields of a message cannot express: the cores raise before they change anything. A TypeError is a
-        # mistake of ours: the types of parameters were checked with the message.
+        # Values that the types of a message cannot exclude: the protocols raise before they change anything. A
+        # TypeError would be an internal error: the types of parameters were checked with the message.
         raise RpcError(INVALID_PARAMS, str(error)) from None
 
 
 def supported(node: Node) -> tuple[str, ...]:
-    """The methods that make sense for the node: its version has the service, and it runs the protocol."""
+    """Return the methods of the node: its version has the service, and it runs the protocol."""
     features = node.config.features
     missing: set[str] = set()
     if not features.clear_buffer:
         missing.add("BP-ClearBuffer")
     if not features.bp_activation:
         missing |= {"BP-MGMT-Activate", "BP-MGMT-Deactivate"}
-    # The flag of 1.1 is internal to VarDis, 1.0 has none.
+    # Activation of VarDis is internal in 1.1 and does not exist in 1.0.
     if features.vardis_activation != "service":
         missing |= {"VD-MGMT-Activate", "VD-MGMT-Deactivate"}
     absent = [
@@ -67,12 +67,12 @@ def supported(node: Node) -> tuple[str, ...]:
 
 
 def octets_of(text: str) -> bytes:
-    """Octets from hex, with or without colons."""
+    """Return the octets of hex digits with or without colons."""
     return bytes.fromhex(text.replace(":", ""))
 
 
 def plain_number(value: Any) -> Any:
-    """A number as JSON can have it, octets as hex."""
+    """Convert a value for JSON: octets to hex, non-finite floats to text."""
     if isinstance(value, bytes):
         return value.hex()
     if isinstance(value, float) and not math.isfinite(value):
@@ -139,7 +139,7 @@ def _set_bp_parameter(node: Node, params: m.SetParameter, _times: Times) -> m.Re
 
 
 def _refuse(violation: Violation | None) -> None:
-    """Tell of a value that was not taken: the specification has no status for it (BP-PAR-07)."""
+    """Raise RpcError for a refused value: the specification defines no status for it (BP-PAR-07)."""
     if violation is not None:
         data = {
             "parameter": violation.parameter,
@@ -154,6 +154,7 @@ def _refuse(violation: Violation | None) -> None:
 
 
 def _srp(node: Node) -> StateReporting:
+    """Return the SRP of the node. Raises RpcError if it runs without."""
     if node.srp is None:
         raise RpcError(METHOD_NOT_FOUND, "this node runs without SRP")
     return node.srp
@@ -169,7 +170,7 @@ def _update_safety_data(node: Node, params: m.UpdateSafetyData, times: Times) ->
 
 
 def _field_value(node: Node, name: str, value: m.Number) -> Any:
-    """A value as SRP takes it: texts are floats without a number, or octets of opaque fields."""
+    """Convert a value for SRP: text stands for octets of opaque fields, or for non-finite floats."""
     if not isinstance(value, str):
         return value
     kinds = {field.name: field.type for field in node.config.profile.srp.safety_data}
@@ -222,7 +223,7 @@ def _neighbour(
 
 
 def _finite(value: float) -> Any:
-    # Places at the two ends of what a float can hold are further apart than it can hold.
+    # The distance of two positions near the limits of a float can exceed these limits.
     return value if math.isfinite(value) else UNSET
 
 
@@ -239,6 +240,7 @@ def _set_srp_parameter(node: Node, params: m.SetParameter, _times: Times) -> m.R
 
 
 def _vardis(node: Node) -> Vardis:
+    """Return the VarDis of the node. Raises RpcError if it runs without."""
     if node.vardis is None:
         raise RpcError(METHOD_NOT_FOUND, "this node runs without VarDis")
     return node.vardis
@@ -306,7 +308,7 @@ def _describe_variable(node: Node, params: m.ForVariable, _times: Times) -> m.Re
 
 
 def _spec(node: Node, spec: VarSpec) -> dict[str, Any]:
-    """The members of a Variable that come from its VarSpec."""
+    """Return the members of a Variable that come from its VarSpec."""
     shown: dict[str, Any] = {"var_id": spec.var_id, "prod_id": spec.prod_id.hex(":"), "rep_cnt": spec.rep_cnt}
     try:
         shown["descr"] = spec.descr.decode()
@@ -330,6 +332,7 @@ def _deactivate_vardis(node: Node, _params: m.Nothing, _times: Times) -> m.Resul
 
 
 def _management(node: Node) -> Vardis:
+    """Return the VarDis of the node. Raises RpcError if its version has no activation service."""
     vardis = _vardis(node)
     if node.config.features.vardis_activation != "service":
         version = node.config.profile.spec_version

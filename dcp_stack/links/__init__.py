@@ -1,1 +1,1 @@
-"""Links: what carries bearer payloads between nodes. Each is imported when it is used."""
+"""Links carry bearer payloads between nodes. Each module is imported only when its link is used."""

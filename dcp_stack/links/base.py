@@ -1,4 +1,4 @@
-"""The contract of a link."""
+"""The interface of links: sending and receiving bearer payloads."""
 
 from __future__ import annotations
 
@@ -8,11 +8,14 @@ import msgspec
 
 
 class LinkError(Exception):
-    """A link cannot be opened or used; the message says what, where and what to do."""
+    """A link cannot be opened or used. The message names the link, the cause and, if known, a remedy."""
 
 
 class LinkCounters(msgspec.Struct):
-    """What a link knows of its traffic; ``kernel_drops`` are frames the system lost before we read them."""
+    """Traffic counters of a link, in frames since it was opened; ``outages`` counts losses of the interface.
+
+    ``kernel_drops`` are frames that the system dropped before this program read them.
+    """
 
     sent: int = 0
     received: int = 0
@@ -21,11 +24,11 @@ class LinkCounters(msgspec.Struct):
     kernel_drops: int = 0
     outages: int = 0
     own_address: int = 0
-    """Of ``ignored``, frames that came in from our own address: another node has the same one, or it is loopback."""
+    """The part of ``ignored`` that had our own source address: another node uses the same one, or it is loopback."""
 
 
 class Reception(msgspec.Struct, frozen=True, gc=False):
-    """A bearer payload that arrived: ``wall`` is the time in ns since 1970, ``source`` the address of the sender."""
+    """A received bearer payload: ``wall`` is the reception time in ns since 1970, ``source`` the sender's address."""
 
     octets: bytes
     wall: int
@@ -35,70 +38,70 @@ class Reception(msgspec.Struct, frozen=True, gc=False):
 class Link(Protocol):
     """Unacknowledged single-hop broadcast (UWB-01).
 
-    A link never delivers what it sent itself, never raises after it was opened (a failed send is counted), and comes
-    back by itself when the interface below it does.
+    A link never delivers its own transmissions. After it was opened it raises nothing: failed transmissions are
+    counted, and it resumes by itself when its interface returns.
     """
 
     @property
     def name(self) -> str:
-        """What the link is on, for people: ``eth:wlan0``, ``udp:239.73.126.1:18771``."""
+        """A short name with the interface or group, for messages: ``eth:wlan0``, ``udp:239.73.126.1:18771``."""
         ...
 
     @property
     def counters(self) -> LinkCounters:
-        """The counters as of now; take them anew for each look, some are only brought up to date here."""
+        """The current counters. Read this property again for each use: some counters are only updated by reading it."""
         ...
 
     @property
     def max_packet_size(self) -> int:
-        """The longest bearer payload in octets that :meth:`send` takes (UWB-03)."""
+        """The longest bearer payload in octets that :meth:`send` accepts (UWB-03)."""
         ...
 
     @property
     def source(self) -> bytes:
-        """Our own address, as it is in ``Reception.source`` at those who hear us; empty if the link has none."""
+        """Our own address, as other nodes see it in ``Reception.source``; empty if the link has none."""
         ...
 
     @property
     def up(self) -> bool:
-        """Whether it can carry frames as far as it knows; False from the first sign of an outage to its end."""
+        """Whether the link can carry frames, as far as it knows; False from the first sign of an outage to its end."""
         ...
 
     def fileno(self) -> int:
-        """A descriptor that is readable when :meth:`receive` has something; -1 if the link has none.
+        """Return a descriptor that is readable when :meth:`receive` has frames; -1 if the link has none.
 
         It stays the same until :meth:`close`, also across outages.
         """
         ...
 
     def receive(self) -> list[Reception]:
-        """What has arrived, without waiting; empty when there is nothing.
+        """Return the frames that have arrived, without waiting; empty if there are none.
 
-        Of a flood a portion is handed out (some hundred), and the descriptor stays readable.
+        One call returns at most some hundred frames; if more have arrived, the descriptor stays readable.
         """
         ...
 
     def send(self, octets: bytes) -> bool:
-        """Broadcast one bearer payload; False if it could not be sent."""
+        """Broadcast one bearer payload; return False if it could not be sent."""
         ...
 
     def close(self) -> None:
-        """Give everything back; may be called twice. Afterwards nothing arrives and nothing is sent."""
+        """Release all resources; may be called twice. Afterwards the link neither receives nor sends."""
         ...
 
 
 @runtime_checkable
 class TimedLink(Link, Protocol):
-    """A link without a descriptor that knows when to ask it instead."""
+    """A link that has no descriptor; its user calls :meth:`receive` at the time of :meth:`poll_timeout`."""
 
     def poll_timeout(self) -> int | None:
-        """When :meth:`receive` has something next, in ns of the link's clock (monotonic); None: not before a send."""
+        """Return the time of the next arrival in ns of the link's clock (monotonic); None: not before a send."""
         ...
 
 
 class Watcher(Protocol):
-    """Sees every frame of a link in both directions (recording, counting)."""
+    """An object that sees every frame of a link in both directions, to record or count it."""
 
     def saw(self, octets: bytes, wall: int, *, outgoing: bool, source: bytes) -> None:
-        """Take note of one frame."""
+        """Process one frame that the link received or sent; ``wall`` is in ns since 1970."""
         ...

@@ -1,4 +1,4 @@
-"""Ethernet frames of one EtherType on an interface, through a socket that scapy opens. Linux only."""
+"""Ethernet frames of one EtherType on an interface, through a socket opened by scapy. Linux only."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from .base import LinkError, Reception
 from .sockets import PORTION, SocketLink
 
 BROADCAST = b"\xff" * 6
-#: More frames than fit into the receive buffer.
+#: An upper bound of the number of frames in a receive buffer.
 _MOST_WAITING = 100_000
 
 
@@ -25,12 +25,13 @@ def open_ethernet(
 ) -> EthernetLink:
     """Open a link for frames with ``ether_type`` on ``interface``.
 
-    The kernel passes only these; among them those for other stations, those of a VLAN, those from our own address and
-    those that are longer than any beacon are ignored (counted). ``source`` is the address frames are sent from
-    (6 octets), by default that of the interface, or on one that has none (``lo``) a random one. ``max_packet_size`` is
-    the longest bearer payload in octets, by default the interface's MTU.
+    The kernel passes only frames of this type. Of these the link ignores and counts: frames to other stations, frames
+    with a VLAN identifier, frames from our own address, and frames that are too long for a beacon. ``source`` is the
+    source address of sent frames (6 octets), by default that of the interface, or a random one if it has none (``lo``).
+    ``max_packet_size`` is the longest bearer payload in octets, by default the MTU of the interface.
 
-    Raises :class:`LinkError`: no such interface, one that is down or not Ethernet, no privilege, no scapy, not Linux.
+    Raises :class:`LinkError` if the interface does not exist, is down or is not Ethernet, if the privilege or scapy is
+    missing, or if the system is not Linux; ``ValueError`` for a malformed ``source`` or ``ether_type``.
     """
     if source is not None and len(source) != 6:
         raise ValueError(f"source address {source.hex(':')} has {len(source)} octets, not 6")
@@ -44,10 +45,10 @@ def open_ethernet(
 
 
 class EthernetLink(SocketLink):
-    """See :func:`open_ethernet`, which makes them. ``Reception.source`` is the source address of the frame."""
+    """A link made by :func:`open_ethernet`. ``Reception.source`` is the source address of the frame."""
 
     def __init__(self, interface: str, ether_type: int, source: bytes | None, max_packet_size: int | None) -> None:
-        """Raises :class:`LinkError` or ``OSError``."""
+        """Raises :class:`LinkError` or ``OSError`` if the socket cannot be opened."""
         self._interface = interface
         self._ether_type = ether_type
         self._given_source = source
@@ -84,10 +85,10 @@ class EthernetLink(SocketLink):
         return opened.raw
 
     def _find_address(self) -> None:
-        """The source of frames; an interface may come back with another address than before. Raises ``OSError``."""
+        """Set the source address of frames, which can differ after an outage of the interface. Raises ``OSError``."""
         _, address = interfaces.hardware_address(self._interface)
         self._source = self._given_source or _usable(address) or self._source or _random_address()
-        # What comes for it the kernel takes for that of another station.
+        # The kernel reports frames to this address as frames to another station (PACKET_OTHERHOST).
         self._foreign = b"" if self._source == address else self._source
         ##= UWB-01
         ##= UWB-02
@@ -103,9 +104,9 @@ class EthernetLink(SocketLink):
         receive, own = source.recvmsg, self._source
         for _ in range(PORTION):
             frame, ancillary, flags, (_, _, kind, _, sender) = receive(LONGEST, ANCILLARY)
-            # Frames that go out on this interface are not shown to sockets of one EtherType, but they come in again
-            # on loopback interfaces and in networks that reflect. The kernel takes what has a VLAN tag for that of
-            # another station, unless the tag has a priority only.
+            # Sockets of one EtherType do not receive frames that leave on this interface. Loopback interfaces and
+            # networks that reflect frames deliver them again. The kernel reports frames with a VLAN tag as frames to
+            # another station, unless the tag has only a priority.
             if (
                 kind == OUTGOING
                 or sender == own
@@ -135,7 +136,7 @@ class EthernetLink(SocketLink):
         if not interfaces.is_up(self._interface):
             raise OSError(errno.ENETDOWN, os.strerror(errno.ENETDOWN))
         self._find_address()
-        # What it has to say of the time it was down is known, and frames that wait there since before are no news.
+        # The error of the outage is known already, and frames received before the outage are outdated.
         source.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
         with contextlib.suppress(BlockingIOError):
             for _ in range(_MOST_WAITING):
@@ -145,9 +146,10 @@ class EthernetLink(SocketLink):
 
 
 def _usable(address: bytes) -> bytes | None:
+    """Return the address, or None if it is all zeros, as on ``lo``."""
     return address if any(address) else None
 
 
 def _random_address() -> bytes:
-    """A locally administered unicast address."""
+    """Return a random, locally administered unicast address."""
     return b"\x02" + os.urandom(5)

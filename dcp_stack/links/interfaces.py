@@ -1,20 +1,20 @@
-"""Word from the system that its network interfaces changed."""
+"""Notification of changes to the network interfaces of the system."""
 
 from __future__ import annotations
 
 import contextlib
 import socket
 
-# Of <linux/rtnetlink.h>; the socket module has none of them.
+# From <linux/rtnetlink.h>; the socket module does not define them.
 _AF_NETLINK, _NETLINK_ROUTE = 16, 0
 _RTMGRP_LINK, _RTMGRP_IPV4_IFADDR = 0x1, 0x10
 
 
 class InterfaceWatch:
-    """Becomes readable when an interface or an IPv4 address comes, goes or changes (rtnetlink, no privilege needed)."""
+    """A descriptor that is readable after an interface or IPv4 address changed (rtnetlink; no privilege needed)."""
 
     def __init__(self) -> None:
-        """Raises ``OSError`` where the system has no such thing."""
+        """Raises ``OSError`` if the system has no rtnetlink."""
         self._socket = socket.socket(_AF_NETLINK, socket.SOCK_RAW, _NETLINK_ROUTE)
         try:
             self._socket.setblocking(False)
@@ -24,25 +24,25 @@ class InterfaceWatch:
             raise
 
     def fileno(self) -> int:
-        """The descriptor to wait for."""
+        """Return the descriptor to wait for."""
         return self._socket.fileno()
 
     def changed(self) -> bool:
-        """Whether something happened since the last call; what exactly is for the caller to find out."""
+        """Whether an interface or address changed since the last call; the caller determines the change."""
         seen = False
-        # Not for ever: whoever asks has frames to read, too.
+        # Bounded: the caller also has frames to read.
         for _ in range(64):
             try:
                 self._socket.recv(1)
             except BlockingIOError:
                 break
             except OSError:
-                # ENOBUFS: so much happened that the kernel lost some of it.
+                # ENOBUFS: there were so many notifications that the kernel dropped some.
                 return True
             seen = True
         return seen
 
     def close(self) -> None:
-        """Give the descriptor back."""
+        """Close the descriptor."""
         with contextlib.suppress(OSError):
             self._socket.close()

@@ -1,9 +1,9 @@
 """A broadcast medium in memory and in virtual time, for tests and for simulations of many nodes.
 
 Order of calls: nodes join, then :meth:`Medium.broadcast` any number of times, :meth:`Medium.poll_timeout` for the time
-of the next arrival, and :meth:`Medium.deliver` at that time. What happens depends on the seed, on the configuration
-and on these calls alone: each sender has a random generator of its own, which is asked for receivers in ascending
-order. Another node's traffic therefore does not change what becomes of a frame.
+of the next arrival, and :meth:`Medium.deliver` at that time. The results depend only on the seed, the configuration
+and these calls: each sender has its own random generator, which is used for its receivers in ascending order.
+Traffic of other nodes therefore does not change the outcome for a frame.
 """
 
 from __future__ import annotations
@@ -19,72 +19,18 @@ from typing import NamedTuple
 
 import msgspec
 
+from dcp_codec.impairment import Channel
+
 from .base import LinkCounters, Reception
+from .quality import PERFECT, Quality
 from .topology import Full, Topology
 
-#: 2026-01-01T00:00:00Z in ns since 1970: the wall clock at virtual time 0, unless said otherwise.
+#: 2026-01-01T00:00:00Z in ns since 1970: the default wall clock at virtual time 0.
 WALL_START = 1_767_225_600_000_000_000
-
-Delay = Callable[[random.Random], int]
-"""How long a frame is under way, in ns >= 0, drawn anew for each receiver."""
-
-
-class Quality(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What a directed connection does to frames. Probabilities are 0..1, times in ns.
-
-    A delay is ``delay`` plus a uniform part of ``jitter``, or what ``distribution`` draws. Frames overtake one another
-    as their delays have it. ``reorder`` is the probability that a frame is held up for another ``reorder_delay``.
-    Each of the two frames of a duplicate has a delay of its own.
-    """
-
-    loss: float = 0.0
-    duplicate: float = 0.0
-    reorder: float = 0.0
-    delay: int = 0
-    jitter: int = 0
-    reorder_delay: int = 50_000_000
-    distribution: Delay | None = None
-
-    def __post_init__(self) -> None:
-        """Raises ``ValueError`` for what is no probability or no time."""
-        for name in ("loss", "duplicate", "reorder"):
-            if not 0.0 <= getattr(self, name) <= 1.0:
-                raise ValueError(f"{name} {getattr(self, name)} is not within 0..1")
-        for name in ("delay", "jitter", "reorder_delay"):
-            if getattr(self, name) < 0:
-                raise ValueError(f"{name} {getattr(self, name)} ns is negative")
-
-    @property
-    def uniform(self) -> bool:
-        """Whether all frames that are not lost take the same time, once."""
-        return not (self.duplicate or self.reorder or self.jitter or self.distribution)
-
-    def draw(self, generator: random.Random) -> int:
-        """The delay of one frame in ns."""
-        if self.distribution is not None:
-            delay = self.distribution(generator)
-        else:
-            delay = self.delay + (generator.randrange(self.jitter + 1) if self.jitter else 0)
-        if self.reorder and generator.random() < self.reorder:
-            delay += self.reorder_delay
-        return delay
-
-
-PERFECT = Quality()
-
-
-def exponential(minimum: int, mean: int) -> Delay:
-    """A delay of ``minimum`` and an exponential part with this mean, in ns."""
-    return lambda generator: minimum + round(generator.expovariate(1.0) * mean)
-
-
-def normal(mean: int, deviation: int, minimum: int = 0) -> Delay:
-    """A delay with this mean and standard deviation in ns, never below ``minimum``."""
-    return lambda generator: max(minimum, round(generator.gauss(mean, deviation)))
 
 
 class Delivery(NamedTuple):
-    """A frame arrives at one node. ``time`` and ``sent`` (when it was transmitted) are virtual, in ns."""
+    """The arrival of a frame at one node. ``time`` and ``sent`` (when it was transmitted) are virtual, in ns."""
 
     time: int
     sender: int
@@ -94,27 +40,27 @@ class Delivery(NamedTuple):
 
 
 class Arrival(NamedTuple):
-    """A frame arrives at several nodes at one moment. ``time`` and ``sent`` are virtual, in ns."""
+    """The simultaneous arrival of a frame at several nodes. ``time`` and ``sent`` are virtual, in ns."""
 
     time: int
     sender: int
     receivers: tuple[int, ...]
-    """Those that are there, ascending."""
+    """The receiving nodes that have not left, ascending."""
     reception: Reception
     """Shared by all receivers."""
     sent: int
 
     def deliveries(self) -> Iterator[Delivery]:
-        """The same for each receiver."""
+        """Yield a :class:`Delivery` for each receiver."""
         for receiver in self.receivers:
             yield Delivery(self.time, self.sender, receiver, self.reception, self.sent)
 
 
 class MediumCounters(msgspec.Struct):
-    """``expected`` is what a perfect medium would have delivered: neighbours of the sender, for each frame.
+    """Counters of frames. ``expected`` is the number of deliveries of a perfect medium: all neighbours, for each frame.
 
-    ``expected + duplicated == lost + missed + delivered`` and what is still under way; ``missed`` came to a node that
-    had left.
+    ``expected + duplicated == lost + missed + delivered`` plus the deliveries still in flight; ``missed`` are those to
+    nodes that had left.
     """
 
     frames: int = 0
@@ -123,10 +69,12 @@ class MediumCounters(msgspec.Struct):
     duplicated: int = 0
     delivered: int = 0
     missed: int = 0
+    corrupted: int = 0
+    """Of the frames that were not lost, those in which bits were inverted."""
 
 
 class TraceDigest:
-    """A hash of all arrivals in their order; equal digests mean that the same things happened at the same times."""
+    """A hash of all arrivals in order; equal digests mean the same arrivals at the same times."""
 
     _RECORD = struct.Struct("<QIII")
     """Time, sender, number of receivers, octets of the frame; then the receivers (4 octets each) and the frame."""
@@ -136,7 +84,7 @@ class TraceDigest:
         self.deliveries = 0
 
     def __call__(self, arrival: Arrival) -> None:
-        """Take note of one frame and whom it reached."""
+        """Add one arrival to the hash."""
         octets, receivers = arrival.reception.octets, arrival.receivers
         self._hash.update(self._RECORD.pack(arrival.time, arrival.sender, len(receivers), len(octets)))
         self._hash.update(struct.pack(f"<{len(receivers)}I", *receivers))
@@ -144,12 +92,12 @@ class TraceDigest:
         self.deliveries += len(receivers)
 
     def hexdigest(self) -> str:
-        """SHA-256 of what was seen so far."""
+        """Return the SHA-256 of the arrivals so far."""
         return self._hash.hexdigest()
 
 
 class _Flight(NamedTuple):
-    """A frame under way to receivers whom it reaches at the same time; compared by time, then by order of sending."""
+    """A frame in flight to receivers that it reaches at the same time; ordered by time, then by order of sending."""
 
     time: int
     number: int
@@ -160,11 +108,11 @@ class _Flight(NamedTuple):
 
 
 class Medium:
-    """The medium. Nodes have numbers from 0, in the order in which they joined.
+    """The simulated medium. Nodes have numbers from 0, in the order in which they joined.
 
-    ``observer`` sees every arrival in order (:class:`TraceDigest` is one). ``wall_start`` is the wall clock at time 0
-    in ns since 1970. ``clock`` (ns, monotonic) makes the links of this medium run by themselves, for programs in real
-    time, and the wall clock the real one; without it somebody calls :meth:`deliver` or :meth:`advance`.
+    ``observer`` is called with every arrival in order (:class:`TraceDigest` is one). ``wall_start`` is the wall clock
+    at time 0 in ns since 1970. With ``clock`` (ns, monotonic) the medium runs in real time: its links deliver by
+    themselves and use the real wall clock. Without it the user calls :meth:`deliver` or :meth:`advance`.
     """
 
     def __init__(
@@ -185,6 +133,8 @@ class Medium:
         self._seed = seed
         self._quality = quality
         self._qualities: dict[int, dict[int, Quality]] = {}
+        self._channels: dict[tuple[int, int], Channel] = {}
+        """By sender and receiver: the state of connections whose losses come in bursts, or that corrupt frames."""
         if wall_start is None:
             wall_start = WALL_START if clock is None else time_ns() - clock()
         self._wall_start = wall_start
@@ -198,21 +148,21 @@ class Medium:
         self._flights: list[_Flight] = []
         self._number = 0
 
-    # -- who is there, and who hears whom --------------------------------------------------------------------------
+    # -- nodes and neighbourhoods ----------------------------------------------------------------------------------
 
     def join(self, *, name: str = "", source: bytes | None = None) -> MemoryLink:
-        """Add a node; its link. ``source`` is the address of its frames, by default 02:00 and its number."""
+        """Add a node; return its link. ``source`` is the address of its frames, by default 02:00 and its number."""
         index = len(self._nodes)
         link = MemoryLink(self, index, name or f"memory:{index}", source or b"\x02\x00" + index.to_bytes(4, "big"))
         self._nodes.append(link)
-        self._generators.append(random.Random(f"{self._seed}/{index}"))  # noqa: S311 - to be repeatable is the point
+        self._generators.append(random.Random(f"{self._seed}/{index}"))  # noqa: S311 - has to be repeatable
         return link
 
     def __len__(self) -> int:
         return len(self._nodes)
 
     def set_quality(self, sender: int, receiver: int, quality: Quality | None) -> None:
-        """Give one direction between two nodes a quality of its own; None takes it back.
+        """Set the quality from ``sender`` to ``receiver``; None restores the quality of the medium.
 
         ``Quality(loss=1)`` in one direction makes a connection asymmetric.
         """
@@ -225,9 +175,9 @@ class Medium:
             del self._qualities[sender]
 
     def partition(self, *groups: Iterable[int]) -> None:
-        """From now on frames stay inside their group; nodes in none of ``groups`` form one more together.
+        """Restrict frames to the group of their sender from now on; nodes in none of ``groups`` form another group.
 
-        What is under way still arrives. Raises ``ValueError`` for a node in two groups.
+        Frames in flight still arrive. Raises ``ValueError`` for a node in two groups.
         """
         members: dict[int, int] = {}
         for number, group in enumerate(groups, start=1):
@@ -239,12 +189,12 @@ class Medium:
         self._rows.clear()
 
     def heal(self) -> None:
-        """End the partition."""
+        """End the partition: frames cross groups again."""
         self._groups = None
         self._rows.clear()
 
     def neighbours(self, sender: int) -> tuple[int, ...]:
-        """The nodes in reach of ``sender`` now, ascending."""
+        """Return the nodes in range of ``sender`` now, ascending."""
         state = (self.topology.version, len(self._nodes))
         if state != self._rows_of:
             self._rows.clear()
@@ -260,7 +210,7 @@ class Medium:
         return row
 
     def carried_to(self, sender: int) -> tuple[int, ...]:
-        """The nodes that can hear ``sender`` now: in reach, switched on, and not over a connection that loses all."""
+        """Return the nodes that can receive from ``sender`` now: in range, not closed, with a loss below 1."""
         special = self._qualities.get(sender, {})
         usual = self._quality
         return tuple(
@@ -272,7 +222,7 @@ class Medium:
     # -- frames ----------------------------------------------------------------------------------------------------
 
     def broadcast(self, sender: int, octets: bytes, now: int) -> None:
-        """``sender`` transmits at ``now`` (ns, virtual; never before the last time given)."""
+        """Transmit from ``sender`` at ``now`` (ns, virtual); raises ValueError if an earlier call had a later time."""
         self._go_to(now)
         receivers = self.neighbours(sender)
         counters = self.counters
@@ -281,7 +231,7 @@ class Medium:
         generator, quality = self._generators[sender], self._quality
         special = self._qualities.get(sender)
         if special is None and quality.uniform:
-            # One entry for all, however many.
+            # A single entry for all receivers: large simulations spend most of their time here.
             if quality.loss:
                 loss, draw = quality.loss, generator.random
                 heard = tuple([receiver for receiver in receivers if draw() >= loss])
@@ -294,8 +244,16 @@ class Medium:
             self._send_to(receiver, sender, octets, (special or {}).get(receiver, quality))
 
     def _send_to(self, receiver: int, sender: int, octets: bytes, quality: Quality) -> None:
+        """Schedule the arrivals of a frame at one receiver: none, one, or two for a duplicate."""
         generator = self._generators[sender]
-        if quality.loss and generator.random() < quality.loss:
+        if quality.has_memory:
+            copies = self._channel(sender, receiver, quality).offer(octets, self.now).copies
+            if not copies:
+                self.counters.lost += 1
+                return
+            self.counters.corrupted += copies[0].octets != octets
+            octets = copies[0].octets
+        elif quality.loss and generator.random() < quality.loss:
             self.counters.lost += 1
             return
         self._schedule(self.now + quality.draw(generator), sender, (receiver,), octets)
@@ -303,31 +261,42 @@ class Medium:
             self.counters.duplicated += 1
             self._schedule(self.now + quality.draw(generator), sender, (receiver,), octets)
 
+    def _channel(self, sender: int, receiver: int, quality: Quality) -> Channel:
+        wanted = quality.channel()
+        channel = self._channels.get((sender, receiver))
+        if channel is None:
+            channel = self._channels[sender, receiver] = Channel(wanted, self._seed, f"{sender}>{receiver}")
+        elif channel.impairment != wanted:
+            channel.change(wanted)
+        return channel
+
     def _schedule(self, time: int, sender: int, receivers: tuple[int, ...], octets: bytes) -> None:
-        # The number is unique, so that a heap never compares further, and equal times keep the order of sending.
+        """Add a frame in flight that arrives at ``time`` (virtual ns), but not before now."""
+        # The number is unique, so the heap compares nothing after it, and frames of equal time keep the order of
+        # sending.
         heapq.heappush(self._flights, _Flight(max(time, self.now), self._number, sender, receivers, octets, self.now))
         self._number += 1
 
     def oldest_in_flight(self) -> int:
-        """When the oldest frame that is still under way was sent (virtual ns); now, if none is."""
+        """Return when the oldest frame in flight was sent (virtual ns); the current time if there is none."""
         return min((flight.sent for flight in self._flights), default=self.now)
 
     def poll_timeout(self) -> int | None:
-        """The virtual time of the next arrival in ns, None when nothing is under way."""
+        """Return the virtual time of the next arrival in ns; None if no frame is in flight."""
         return self._flights[0].time if self._flights else None
 
     def deliver(self, now: int) -> list[Delivery]:
-        """What has arrived by ``now``: by time of arrival, then in the order of sending, then by receiver."""
+        """Return the deliveries up to ``now``: by time of arrival, then in the order of sending, then by receiver."""
         return [delivery for arrival in self.arrivals(now) for delivery in arrival.deliveries()]
 
     def arrivals(self, now: int) -> list[Arrival]:
-        """As :meth:`deliver`, with all receivers of a frame at one moment together."""
+        """Return the same as :meth:`deliver`, with all simultaneous receivers of a frame in one :class:`Arrival`."""
         self._go_to(now)
         arrivals: list[Arrival] = []
         flights, nodes, observer = self._flights, self._nodes, self._observer
         while flights and flights[0].time <= now:
             time, _, sender, receivers, octets, sent = heapq.heappop(flights)
-            # Shared by all whom it reaches.
+            # One object for all receivers.
             reception = Reception(octets, self._wall_start + time, nodes[sender].source)
             there = tuple([receiver for receiver in receivers if not nodes[receiver].closed])
             self.counters.missed += len(receivers) - len(there)
@@ -340,12 +309,12 @@ class Medium:
         return arrivals
 
     def advance(self, now: int) -> None:
-        """Deliver to the links, for those who use them: :meth:`MemoryLink.receive` then has it."""
+        """Deliver all frames up to ``now`` to the links, where :meth:`MemoryLink.receive` returns them."""
         for delivery in self.deliver(now):
             self._nodes[delivery.receiver].put(delivery.reception)
 
     def tick(self) -> int:
-        """Advance to the time of the clock, if there is one; the time of now."""
+        """Advance to the time of the clock, if there is one; return the current virtual time in ns."""
         if self._clock is not None:
             self.advance(max(self.now, self._clock()))
         return self.now
@@ -357,14 +326,14 @@ class Medium:
 
 
 class MemoryLink:
-    """The link of one node of a :class:`Medium`. Has no descriptor; :meth:`poll_timeout` says when to look.
+    """The link of one node of a :class:`Medium`. It has no descriptor; :meth:`poll_timeout` returns the next arrival.
 
-    Received frames wait here until they are taken; ``inbox_limit`` of them at most, then they are lost as in the
-    buffer of a socket (``kernel_drops``).
+    Received frames wait here until :meth:`receive`. At most ``inbox_limit`` frames wait; more are dropped and counted
+    in ``kernel_drops``, as in the buffer of a socket.
     """
 
     def __init__(self, medium: Medium, index: int, name: str, source: bytes, inbox_limit: int = 65_536) -> None:
-        """Made by :meth:`Medium.join`."""
+        """Called by :meth:`Medium.join` only."""
         self.name = name
         self.counters = LinkCounters()
         self.max_packet_size = medium.max_packet_size
@@ -377,26 +346,26 @@ class MemoryLink:
 
     @property
     def up(self) -> bool:
-        """Whether it is open."""
+        """Whether the link is open."""
         return not self.closed
 
     def fileno(self) -> int:
-        """There is none."""
+        """Return -1: the medium has no descriptor to wait for."""
         return -1
 
     def poll_timeout(self) -> int | None:
-        """When to call :meth:`receive`, in the medium's time."""
+        """Return the time at which to call :meth:`receive`, in ns of the medium's time; None: not before a send."""
         return self._medium.now if self._inbox else self._medium.poll_timeout()
 
     def put(self, reception: Reception) -> None:
-        """A frame arrives (called by the medium)."""
+        """Add an arriving frame to the inbox (called by the medium)."""
         if len(self._inbox) >= self._inbox_limit:
             self.counters.kernel_drops += 1
         else:
             self._inbox.append(reception)
 
     def receive(self) -> list[Reception]:
-        """What has arrived by the medium's time."""
+        """Return the frames that have arrived by the medium's time."""
         if self.closed:
             return []
         self._medium.tick()
@@ -406,7 +375,7 @@ class MemoryLink:
         return receptions
 
     def send(self, octets: bytes) -> bool:
-        """Broadcast at the medium's time; False if the link is closed or the packet too long."""
+        """Broadcast at the medium's time; return False if the link is closed or the packet too long."""
         if self.closed or len(octets) > self.max_packet_size:
             self.counters.send_errors += 1
             return False
@@ -415,6 +384,6 @@ class MemoryLink:
         return True
 
     def close(self) -> None:
-        """Leave: from now on this node hears nothing."""
+        """Leave the medium: the node receives no more frames."""
         self.closed = True
         self._inbox.clear()

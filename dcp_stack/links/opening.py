@@ -1,4 +1,4 @@
-"""Links as people name them on a command line."""
+"""Opening a link from the text given on the command line."""
 
 from __future__ import annotations
 
@@ -10,38 +10,38 @@ from dcp_stack.config import NodeConfig
 
 from .base import Link, LinkError
 
-#: What :func:`open_link` understands, for help texts.
+#: The forms that :func:`open_link` accepts, for help texts.
 FORMS: Mapping[str, str] = {
     "eth:IF[,source=MAC|node][,type=0xNNNN][,size=N]": "Ethernet frames on an interface; needs a privilege",
     "udp[:GROUP[:PORT]][,interface=ADDRESS][,ttl=N][,size=N]": "UDP multicast or broadcast; stays on this host",
-    "replay:FILE[,speed=X][,source=MAC]": "a recording, as if it happened now",
+    "replay:FILE[,speed=X][,source=MAC]": "a recording, replayed with its timing",
 }
 
 Options = dict[str, str]
 
 
 def open_link(spec: str, config: NodeConfig) -> Link:
-    """Open the link that ``spec`` names (:data:`FORMS`) for a node; the profile says how beacons are told.
+    """Open the link that ``spec`` names (:data:`FORMS`) for a node; its profile defines the framing of beacons.
 
-    Frames on ``eth`` are sent from the address of the interface, except in profiles without a beacon header, where it
-    is all that identifies the sender: there from the node identifier if it is an address.
+    Frames on ``eth`` are sent from the address of the interface. Profiles without a beacon header are an exception:
+    there only the source address identifies the sender, so it is the node identifier if that is a unicast address.
 
-    Raises :class:`LinkError` for a text that names no link, and if it cannot be opened.
+    Raises :class:`LinkError` if ``spec`` does not name a link, or if the link cannot be opened.
     """
     body, options = _split(spec)
     kind, _, rest = body.partition(":")
     if kind == "replay":
-        # The name of a file may look like options, too.
+        # File names may contain text that looks like an option.
         body, options = _split(spec, _OPENERS[kind][0])
         rest = body.partition(":")[2]
     opener = _OPENERS.get(kind)
     if opener is None:
         forms = "\n".join(f"  {form}  {about}" for form, about in FORMS.items())
-        raise LinkError(f"{spec!r} is not a link; there are\n{forms}")
+        raise LinkError(f"{spec!r} is not a link; known forms are\n{forms}")
     known, open_it = opener
     for name in options:
         if name not in known:
-            raise LinkError(f"{spec}: {kind} has no option {name!r}; there are {', '.join(known)}")
+            raise LinkError(f"{spec}: {kind} has no option {name!r}; known options are {', '.join(known)}")
     try:
         return open_it(rest, options, config)
     except ValueError as error:
@@ -49,7 +49,7 @@ def open_link(spec: str, config: NodeConfig) -> Link:
 
 
 def _split(spec: str, known: tuple[str, ...] = ()) -> tuple[str, Options]:
-    """The text without its options, and the options; if ``known`` are given, up to the first that is none of them."""
+    """Return the text without its options, and the options; with ``known``, stop at the first unknown option."""
     options: Options = {}
     while found := re.fullmatch(r"(.*),([a-z]+)=([^,]*)", spec, re.DOTALL):
         rest, name, value = found.groups()
@@ -64,14 +64,14 @@ def _open_eth(interface: str, options: Options, config: NodeConfig) -> Link:
     from .ethernet import open_ethernet
 
     if not interface:
-        raise LinkError("eth: which interface? as in eth:wlan0")
+        raise LinkError("eth: interface missing; name it as in eth:wlan0")
     profile, node = config.profile, config.node_id
     try:
         ether_type = parse_ether_type(options["type"]) if "type" in options else profile.link.ether_type
     except ValueError as error:
         raise LinkError(f"eth:{interface}: type: {error}") from None
     if ether_type is None:
-        raise LinkError(f"eth:{interface}: profile {profile.name} knows no EtherType; name it, as in ,type=0x88b5")
+        raise LinkError(f"eth:{interface}: profile {profile.name} defines no EtherType; name it, as in ,type=0x88b5")
     source = _address(options, node)
     if "source" not in options and not profile.bp.header and len(node) == 6 and not node[0] & 1:
         source = node
@@ -95,7 +95,7 @@ def _open_replay(path: str, options: Options, config: NodeConfig) -> Link:
     from .replay import open_replay
 
     if not path:
-        raise LinkError("replay: which file? as in replay:flight.mcap")
+        raise LinkError("replay: file missing; name it as in replay:flight.mcap")
     source = _address(options, config.node_id) or b""
     return open_replay(path, config.profile.link, speed=float(options.get("speed", "1")), source=source)
 
@@ -108,11 +108,12 @@ _OPENERS: Mapping[str, tuple[tuple[str, ...], Callable[[str, Options, NodeConfig
 
 
 def _number(options: Options, name: str, default: int | None) -> int | None:
+    """Return the integer in an option, decimal or with a prefix such as 0x; ``default`` if absent."""
     return int(options[name], 0) if name in options else default
 
 
 def _address(options: Options, node: bytes) -> bytes | None:
-    """The address in ``source``: a MAC address, or that of the node."""
+    """Return the address in option ``source``: a MAC address, or the node identifier for ``node``; None if absent."""
     text = options.get("source")
     if text is None:
         return None

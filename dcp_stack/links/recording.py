@@ -1,4 +1,4 @@
-"""A link that writes down what it carries, in both directions, to an MCAP file."""
+"""A link that records its frames, in both directions, to an MCAP file."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ from .base import Link, LinkCounters, LinkError, Reception, TimedLink, Watcher
 
 log = logging.getLogger(__name__)
 
-#: ns after which what was seen is handed to the system: what a node that is killed can lose. Each time ends a chunk,
-#: and the index of chunks stays in memory until the end, so a long recording does it less often: in the end hardly
+#: ns after which recorded frames are flushed: the most that a killed node can lose. Each flush ends a chunk, and the
+#: index of chunks stays in memory until the end. A long recording therefore flushes less often; in the end hardly
 #: more often than chunks are full.
 FLUSH_INTERVAL, LONGEST_FLUSH_INTERVAL = 1_000_000_000, 30_000_000_000
-#: In between it is this share of the age of the recording: a second for half an hour, then more.
+#: Between the two limits the interval is this fraction of the recording's age: 1 s for the first half hour, then more.
 _FLUSHES_PER_AGE = 1800
 
 
 def recording_path(place: str | Path, node_id: bytes, wall: int) -> Path:
-    """The file to record to: ``place``, or, if that is a folder or ends with "/", a new one in it.
+    """Return the file to record to: ``place``, or, if that is a folder or ends with "/", a new file in it.
 
-    Its name has the node and the UTC of ``wall`` (ns since 1970). A clock that starts at the same time after each boot
-    makes no two recordings one: then a number follows.
+    The name of a new file contains the node identifier and ``wall`` (ns since 1970) as UTC. If that file exists, as
+    when a clock starts at the same time after each boot, a number is appended.
     """
     path = Path(place)
     if not (path.is_dir() or str(place).endswith("/")):
@@ -42,13 +42,13 @@ def recording_path(place: str | Path, node_id: bytes, wall: int) -> Path:
 
 
 class Recorder:
-    """Writes frames to an MCAP file, raw and decoded; a :class:`~dcp_stack.links.base.Watcher`.
+    """A :class:`~dcp_stack.links.base.Watcher` that writes frames to an MCAP file, raw and decoded.
 
-    In memory is one chunk (128 KiB) and the index of chunks that stands at the end of an MCAP file: 0.6 to 1 KB for
-    each flush, which at 30 frames/s is 2 to 3 MB in the first hour and 6 to 10 MB in the first day, and 50 octets for
-    each node with a position. There is no thread: whoever uses it calls :meth:`tick` now and then, as
-    :class:`RecordingLink` does. What cannot be written (a full disk) is logged once,
-    stands in ``problem`` and ends the recording; nothing is raised after the file was created.
+    It keeps one chunk (128 KiB) in memory, and the index of chunks for the end of the MCAP file: 0.6 to 1 KB for each
+    flush, which at 30 frames/s is 2 to 3 MB in the first hour and 6 to 10 MB in the first day. Each node with a
+    position takes another 50 octets. There is no thread: the user calls :meth:`tick` regularly, as
+    :class:`RecordingLink` does. If frames cannot be written (disk full), the recording ends: the error is logged once
+    and kept in ``problem``. Nothing is raised after the file was created.
     """
 
     def __init__(
@@ -61,10 +61,10 @@ class Recorder:
         overwrite: bool = False,
         clock: Callable[[], int] = time.monotonic_ns,
     ) -> None:
-        """``decoded``: write what viewers show beside the raw frames, which takes 0.2 ms a frame instead of 6 us.
+        """``decoded``: also write decoded messages for viewers, which takes 0.2 ms per frame instead of 6 us.
 
-        ``about`` becomes metadata.
-        Raises :class:`LinkError` if the file cannot be created, or exists and is not to be overwritten.
+        ``about`` is added to the metadata of the file.
+        Raises :class:`LinkError` if the file cannot be created, or if it exists and ``overwrite`` is False.
         """
         self.path = Path(path)
         self.frames = 0
@@ -75,7 +75,7 @@ class Recorder:
         self._pending = False
         self._writer: CaptureWriter | None = None
         if not overwrite and self.path.exists():
-            raise LinkError(f"{path}: exists already; a recording does not replace another one")
+            raise LinkError(f"{path}: exists already; name a new file, recordings are not overwritten")
         try:
             self._writer = create_capture(
                 self.path,
@@ -92,7 +92,7 @@ class Recorder:
         return self._writer is not None
 
     def saw(self, octets: bytes, wall: int, *, outgoing: bool, source: bytes) -> None:  # noqa: ARG002
-        """Write one bearer payload with its envelope; direction is told by ``source``, the sender's address."""
+        """Write one bearer payload in an envelope with the sender's address ``source``; ``wall``: ns since 1970."""
         if self._writer is None:
             return
         data = self._envelope.frame(octets, source)
@@ -106,7 +106,7 @@ class Recorder:
         self._pending = True
 
     def tick(self) -> None:
-        """Hand what was seen to the system if the last time was a second ago (up to 30 s in a recording of hours)."""
+        """Flush recorded frames if the last flush was at least 1 s ago (up to 30 s in a recording of hours)."""
         now = self._clock()
         interval = max(FLUSH_INTERVAL, min((now - self._begun_at) // _FLUSHES_PER_AGE, LONGEST_FLUSH_INTERVAL))
         if now - self._flushed_at < interval:
@@ -131,6 +131,7 @@ class Recorder:
             self._report(error)
 
     def _stop(self, error: CaptureError) -> None:
+        """End the recording because of an error."""
         writer, self._writer = self._writer, None
         self._report(error)
         if writer is not None:
@@ -138,6 +139,7 @@ class Recorder:
                 writer.close()
 
     def _report(self, error: CaptureError) -> None:
+        """Log an error of the file and keep it in ``problem``."""
         self.problem = str(error)
         log.error("recording ends after %d frames: %s", self.frames, error)
 
@@ -147,7 +149,7 @@ class Recording(Watcher, Protocol):
     """A watcher that writes files."""
 
     def tick(self) -> None:
-        """Time has passed."""
+        """Flush recorded frames if it is time; called regularly."""
         ...
 
     def close(self) -> None:
@@ -156,7 +158,7 @@ class Recording(Watcher, Protocol):
 
 
 class RecordingLink:
-    """``link``, watched: everything it hands out and everything it sent goes to ``watcher`` as well.
+    """``link`` with a watcher: all frames that it receives and sends are also passed to ``watcher``.
 
     Closing it closes the link and, if it is a :class:`Recording`, the recording.
     """
@@ -169,7 +171,7 @@ class RecordingLink:
         source: bytes | None = None,
         wall: Callable[[], int] = time.time_ns,
     ) -> None:
-        """``source`` is the address our own frames are recorded with, by default that of the link."""
+        """``source``: the address recorded for our own frames, by default that of the link."""
         self.link = link
         self.watcher = watcher
         self._source = source
@@ -178,39 +180,39 @@ class RecordingLink:
 
     @property
     def name(self) -> str:
-        """That of the link."""
+        """The name of the link."""
         return self.link.name
 
     @property
     def counters(self) -> LinkCounters:
-        """Those of the link."""
+        """The counters of the link."""
         return self.link.counters
 
     @property
     def max_packet_size(self) -> int:
-        """That of the link."""
+        """The longest bearer payload of the link in octets."""
         return self.link.max_packet_size
 
     @property
     def source(self) -> bytes:
-        """That of the link."""
+        """The address of the link."""
         return self.link.source
 
     @property
     def up(self) -> bool:
-        """That of the link."""
+        """Whether the link can carry frames."""
         return self.link.up
 
     def fileno(self) -> int:
-        """That of the link."""
+        """Return the descriptor of the link; -1 if it has none."""
         return self.link.fileno()
 
     def poll_timeout(self) -> int | None:
-        """That of the link, None if it has none."""
+        """Return the time of the next arrival in ns of the link's clock; None if the link has a descriptor."""
         return self.link.poll_timeout() if isinstance(self.link, TimedLink) else None
 
     def receive(self) -> list[Reception]:
-        """What has arrived."""
+        """Return the frames that have arrived, and record them."""
         receptions = self.link.receive()
         for reception in receptions:
             self.watcher.saw(reception.octets, reception.wall, outgoing=False, source=reception.source)
@@ -218,8 +220,8 @@ class RecordingLink:
         return receptions
 
     def send(self, octets: bytes) -> bool:
-        """Broadcast; what could not be sent is not recorded."""
-        # Before it is sent: answers must not be older in the recording than what they answer.
+        """Broadcast ``octets``; record it only if it was sent. Return False if it was not."""
+        # Taken before sending: in the recording an answer must not be older than the frame it answers.
         wall = self._wall()
         sent = self.link.send(octets)
         if sent:
@@ -236,5 +238,6 @@ class RecordingLink:
                 self._recording.close()
 
     def _tick(self) -> None:
+        """Let the recording flush if it is time."""
         if self._recording is not None:
             self._recording.tick()

@@ -1,4 +1,4 @@
-"""A recording as a link: its frames arrive again, at the distances they had."""
+"""A recording as a link: its frames are received again, with their original timing."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from .base import LinkCounters, LinkError, Reception
 
 log = logging.getLogger(__name__)
 
-#: Receptions handed out in one call at the most, so that a fast replay does not keep the node from its timers.
+#: Maximum number of receptions per call, so that a fast replay does not delay the timers of the node.
 PORTION = 512
 
 
 class ReplayLink:
-    """See :func:`open_replay`, which makes them. Has no descriptor; :meth:`poll_timeout` says when to look."""
+    """A link made by :func:`open_replay`. It has no descriptor; :meth:`poll_timeout` returns the next arrival."""
 
     def __init__(
         self,
@@ -60,32 +60,32 @@ class ReplayLink:
 
     @property
     def finished(self) -> bool:
-        """Whether the recording has ended and all of it was handed out."""
+        """Whether all frames of the recording have been received."""
         return self._finished
 
     @property
     def problems(self) -> list[CaptureProblem]:
-        """What is wrong with the recording so far; complete when it is finished."""
+        """The problems found in the recording so far; complete once :attr:`finished` is True."""
         return self._capture.problems
 
     @property
     def up(self) -> bool:
-        """Whether it is open."""
+        """Whether the link is open."""
         return not self._closed
 
     def fileno(self) -> int:
-        """There is none."""
+        """Return -1: a recording has no descriptor to wait for."""
         return -1
 
     def poll_timeout(self) -> int | None:
-        """When the next frame arrives, in ns of the clock; None at the end. The first call starts the replay."""
+        """Return the arrival time of the next frame in ns of the clock; None at the end. The first call starts it."""
         upcoming = self._upcoming()
         return upcoming[0] if upcoming is not None else None
 
     def receive(self) -> list[Reception]:
-        """What has arrived, at most ``PORTION`` of it. The first call starts the replay."""
+        """Return the frames that have arrived, at most ``PORTION``. The first call starts the replay."""
         receptions: list[Reception] = []
-        # Looked at first, for time to start before it is asked for.
+        # Before the clock is read: this call starts the replay if it has not started.
         self._upcoming()
         now = self._clock()
         while len(receptions) < PORTION:
@@ -98,7 +98,7 @@ class ReplayLink:
         return receptions
 
     def send(self, octets: bytes) -> bool:
-        """Nobody is there to hear it: counted. Who wants to keep it wraps the link in a recording."""
+        """Count a transmission; it reaches no receiver. To record it, wrap the link in a ``RecordingLink``."""
         if self._closed or len(octets) > self.max_packet_size:
             self.counters.send_errors += 1
             return False
@@ -106,11 +106,12 @@ class ReplayLink:
         return True
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
         self._closed = True
         self._end()
 
     def _upcoming(self) -> tuple[int, Reception] | None:
+        """Return the next frame and its arrival time; None at the end. Starts the replay if it has not started."""
         if self._finished or self._next is not None:
             return self._next
         if self._started is None:
@@ -126,7 +127,7 @@ class ReplayLink:
         return None
 
     def _payload(self, frame: Frame) -> tuple[bytes | None, bytes]:
-        """The bearer payload and the sender, unless it is other traffic, cut short by the recorder, or our own."""
+        """Return bearer payload and sender; None as payload if foreign, truncated by the recorder, or our own."""
         framing = locate(frame.data, self._framing)
         if isinstance(framing, OtherTraffic) or frame.orig_len > len(frame.data):
             return None, b""
@@ -136,16 +137,18 @@ class ReplayLink:
         return frame.data[framing.start : framing.end], sender
 
     def _scheduled(self, time_ns: int, octets: bytes, sender: bytes, start: int, wall: int) -> tuple[int, Reception]:
+        """Return arrival time and reception of a frame recorded at ``time_ns``, for a replay started at ``start``."""
         if self._first is None:
             self._first = time_ns
         offset = time_ns - self._first
         if self._speed != 1.0:
             offset = 0 if math.isinf(self._speed) else int(offset / self._speed)
-        # Where times in the recording go back, order counts for more.
+        # If timestamps in the recording decrease, the order of frames has priority.
         offset = self._last_offset = max(self._last_offset, offset)
         return start + offset, Reception(octets, time_ns if self._original_times else wall + offset, sender)
 
     def _end(self) -> None:
+        """Close the recording, and log its problems."""
         if self._finished:
             return
         self._finished, self._next = True, None
@@ -164,11 +167,11 @@ def open_replay(
 ) -> ReplayLink:
     """Open the recording ``path`` (pcap, pcapng, MCAP) as a link.
 
-    ``framing`` is where beacons are in its frames (``profile.link``). Frames keep their distances divided by
-    ``speed`` (``math.inf``: all at once). ``source`` is our own address: frames from it are left out. Receptions have
-    the time at which they arrive here, with ``original_times`` that in the recording.
+    ``framing`` is the position of beacons in its frames (``profile.link``). Frames keep their time distances divided by
+    ``speed`` (``math.inf``: all at once). ``source`` is our own address; frames from it are left out. Receptions have
+    the time of their replay or, with ``original_times``, the time in the recording.
 
-    Raises :class:`LinkError` if the file cannot be read. What is wrong with the rest of it is in
+    Raises :class:`LinkError` if the file cannot be opened. Later problems of the recording are in
     :attr:`ReplayLink.problems`.
     """
     return ReplayLink(path, framing, speed=speed, source=source, original_times=original_times)

@@ -1,4 +1,4 @@
-"""A recording that goes on: in a new file when one is long or old enough, and after the disk was full."""
+"""A recorder that starts a new file at a limit of size or age, and after the disk was full."""
 
 from __future__ import annotations
 
@@ -17,33 +17,33 @@ from .recording import Recorder
 
 log = logging.getLogger(__name__)
 
-#: ns between two attempts to go on after a recording has ended.
+#: ns between two attempts to resume after a recording was interrupted.
 RETRY_INTERVAL: Final = 10_000_000_000
-#: Octets that have to be free for an attempt: the head of a file and its first chunks.
+#: Free octets required for an attempt: enough for the head of a file and its first chunks.
 LEAST_FREE: Final = 4 << 20
 
 
 class Limits(msgspec.Struct, frozen=True, kw_only=True):
-    """When to go on in a new file, and how many to keep; None for no limit."""
+    """The size and age of a file at which the next one starts, and the number of files to keep; None: no limit."""
 
     octets: int | None = None
     seconds: float | None = None
     files: int | None = None
-    """Of one node in the folder; the oldest are deleted."""
+    """Number of files of one node in the folder; the oldest are deleted."""
 
     def __post_init__(self) -> None:
         """Raises ValueError for a limit that is not greater than 0."""
         for name in self.__struct_fields__:
             limit = getattr(self, name)
             if limit is not None and not limit > 0:
-                raise ValueError(f"a recording of at most {limit} {name} cannot be")
+                raise ValueError(f"the limit of {name} for a recording must be greater than 0, not {limit}")
 
 
 class RotatingRecorder:
-    """Records to one file after the other; to be used as a :class:`~dcp_stack.links.recording.Recorder`.
+    """Records to a succession of files; has the interface of :class:`~dcp_stack.links.recording.Recorder`.
 
-    A file that cannot be written to its end is closed, and another one is begun once there is room: every 10 s somebody
-    looks. What is seen in between is counted (``frames_lost``) and not recorded.
+    If a file cannot be written it is closed. Every 10 s the recorder checks whether a new one can be started. Frames
+    seen before that are counted in ``frames_lost`` and not recorded.
     """
 
     def __init__(
@@ -56,7 +56,7 @@ class RotatingRecorder:
         siblings: Callable[[], list[Path]] = list,
         clock: Callable[[], int] = time.monotonic_ns,
     ) -> None:
-        """``make`` begins a file, ``following`` names the next, ``siblings`` are all there are, the oldest first.
+        """``make`` creates a file, ``following`` returns the next path, ``siblings`` all files, the oldest first.
 
         Raises LinkError if the first file cannot be created.
         """
@@ -69,35 +69,35 @@ class RotatingRecorder:
         self._begun_at = self._tried_at = clock()
         self._frames_before = 0
         self.interruptions = 0
-        """How often a recording ended because it could not be written."""
+        """Number of times that a recording ended because it could not be written."""
         self.frames_lost = 0
-        """Frames seen while none was written."""
+        """Number of frames seen while no file was being written."""
         self._closed = False
         self._interrupted = False
         self._clean_up()
 
     @property
     def path(self) -> Path:
-        """The file in work, or the last one."""
+        """The file being written, or the last one."""
         return self._recorder.path
 
     @property
     def frames(self) -> int:
-        """Frames written, in all files."""
+        """Number of frames written to all files."""
         return self._frames_before + self._recorder.frames
 
     @property
     def recording(self) -> bool:
-        """Whether frames are written at present."""
+        """Whether frames are being written."""
         return self._recorder.recording
 
     @property
     def problem(self) -> str:
-        """Why no frames are written at present, empty as it should be."""
+        """The reason why no frames are being written; empty while they are."""
         return self._recorder.problem
 
     def saw(self, octets: bytes, wall: int, *, outgoing: bool, source: bytes) -> None:
-        """Write one bearer payload, as :meth:`Recorder.saw`."""
+        """Write one bearer payload, as :meth:`Recorder.saw`, or count it as lost."""
         if not self._recorder.recording:
             self.frames_lost += 1
             return
@@ -106,7 +106,7 @@ class RotatingRecorder:
             self.frames_lost += 1
 
     def tick(self) -> None:
-        """Hand what was seen to the system, and go on in another file if it is time to."""
+        """Flush recorded frames, and start the next file if it is time."""
         self._recorder.tick()
         now = self._clock()
         if self._closed:
@@ -124,11 +124,12 @@ class RotatingRecorder:
             self._next(now)
 
     def close(self) -> None:
-        """Finish the file; may be called twice."""
+        """Finish the current file; may be called twice."""
         self._closed = True
         self._recorder.close()
 
     def _is_complete(self, now: int) -> bool:
+        """Whether the current file has reached a limit of age or size, or was removed."""
         limits = self._limits
         if not self._recorder.frames:
             return False
@@ -139,19 +140,21 @@ class RotatingRecorder:
         try:
             return self._recorder.path.stat().st_size >= limits.octets
         except OSError:
-            # Somebody has removed it: nothing written from now on would be found.
+            # The file was removed: frames written to it from now on would be lost.
             return True
 
     def _go_on(self) -> None:
+        """Resume after an interruption if there is room for a new file."""
         try:
             if shutil.disk_usage(self._recorder.path.parent).free < LEAST_FREE:
                 return
         except OSError:
             return
         if self._next(self._clock()):
-            log.warning("recording goes on in %s; %d frames are in no file", self.path, self.frames_lost)
+            log.warning("recording continues in %s; %d frames were not recorded", self.path, self.frames_lost)
 
     def _next(self, now: int) -> bool:
+        """Start the next file; return False and set ``problem`` if it cannot be created."""
         frames = self._recorder.frames
         try:
             recorder = self._make(self._following())
@@ -166,6 +169,7 @@ class RotatingRecorder:
         return True
 
     def _clean_up(self) -> None:
+        """Delete the oldest files beyond the limit."""
         if self._limits.files is None:
             return
         others = [path for path in self._siblings() if path != self.path]
@@ -177,13 +181,13 @@ class RotatingRecorder:
 
 
 def numbered_after(path: Path) -> Path:
-    """``flight-2.mcap`` after ``flight.mcap``: the first name of this kind that is free."""
+    """Return ``flight-2.mcap`` for ``flight.mcap``, or the first higher number for which no file exists."""
     names = (path.with_name(f"{path.stem}-{number}{path.suffix}") for number in count(2))
     return next(each for each in names if not each.exists())
 
 
 def recordings_of(folder: Path, node_id: bytes) -> list[Path]:
-    """The recordings of a node in a folder, by the names that ``recording_path`` gives; the oldest first."""
+    """Return the recordings of a node in a folder, oldest first, found by the names of ``recording_path``."""
     found = []
     for path in folder.glob(f"{node_id.hex()}-*.mcap"):
         try:

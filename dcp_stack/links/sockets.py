@@ -1,4 +1,4 @@
-"""What links over sockets share: one descriptor for life, outages and how they end, counters."""
+"""The common part of links over sockets: a constant descriptor, recovery from outages, counters."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from .interfaces import InterfaceWatch
 
 log = logging.getLogger(__name__)
 
-#: Receptions handed out in one call at the most, so that a flood does not keep the node from its timers.
+#: Maximum number of receptions per call, so that a flood of frames does not delay the timers of the node.
 PORTION = 512
 
-#: ns between attempts to come back, when the system does not tell that something changed.
+#: ns between attempts to recover if the system does not report changes of interfaces; doubled from first to last.
 _FIRST_RETRY, _LAST_RETRY = 100_000_000, 2_000_000_000
-#: ns between looks at the watch while frames come in, which no interface that is away brings.
+#: ns between checks of the interface watch while frames arrive. They show that the interface is up.
 _LOOK_INTERVAL = 1_000_000_000
 
-#: What sockets say of an interface or an address that is away.
+#: Errors of sockets whose interface or address is not available.
 AWAY = frozenset(
     {
         errno.ENETDOWN,
@@ -37,17 +37,18 @@ AWAY = frozenset(
 
 
 class SocketLink:
-    """A link over sockets that outlives the interface below it.
+    """A link over sockets that recovers when its interface returns after an outage.
 
-    The descriptor that users wait for is that of a selector, so that it stays while the sockets behind it change.
-    Behind it is also a watch on the system's interfaces: the return of one wakes the node at once. Where there is no
-    watch, calls of :meth:`receive` and :meth:`send` try again every 0.1 to 2 s.
+    The descriptor to wait for belongs to a selector, so it stays the same when the sockets in the selector are
+    replaced. The selector also contains a watch on the interfaces of the system, so the return of an interface wakes
+    the node at once. On systems without such a watch, calls of :meth:`receive` and :meth:`send` try to recover every
+    0.1 to 2 s.
 
-    Subclasses say how to open (:meth:`_open`), read (:meth:`_drain`) and write (:meth:`_transmit`).
+    Subclasses implement opening (:meth:`_open`), reading (:meth:`_drain`) and writing (:meth:`_transmit`).
     """
 
     def __init__(self, name: str) -> None:
-        """Raises :class:`LinkError` or ``OSError``, as :meth:`_open` does."""
+        """Raises :class:`LinkError` or ``OSError`` if :meth:`_open` does."""
         self._name = name
         self._counters = LinkCounters()
         self._socket: socket.socket | None = None
@@ -70,12 +71,12 @@ class SocketLink:
             self._watch = InterfaceWatch()
             self._selector.register(self._watch, selectors.EVENT_READ)
         except OSError:
-            log.debug("%s: no watch on interfaces; looking from time to time instead", name)
+            log.debug("%s: cannot watch the interfaces; trying periodically instead", name)
 
-    # -- what subclasses say ---------------------------------------------------------------------------------------
+    # -- for subclasses --------------------------------------------------------------------------------------------
 
     def _open(self) -> socket.socket:
-        """The socket to read from, not blocking; raises :class:`LinkError` or ``OSError``."""
+        """Return the non-blocking socket to read from; raises :class:`LinkError` or ``OSError``."""
         raise NotImplementedError
 
     def _release(self, old: socket.socket) -> None:
@@ -83,35 +84,35 @@ class SocketLink:
         old.close()
 
     def _drain(self, source: socket.socket, receptions: list[Reception]) -> None:
-        """Read at most ``PORTION`` datagrams; raises ``BlockingIOError`` when there is nothing more."""
+        """Append at most ``PORTION`` datagrams to ``receptions``; raises ``BlockingIOError`` if no more are waiting."""
         raise NotImplementedError
 
     def _transmit(self, octets: bytes) -> None:
-        """Send; raises ``OSError``."""
+        """Send one bearer payload; raises ``OSError``."""
         raise NotImplementedError
 
     def _lost_by_kernel(self) -> int:
-        """Datagrams that the kernel dropped since the last call; raises ``OSError``."""
+        """Return the number of datagrams that the kernel dropped since the last call; raises ``OSError``."""
         raise NotImplementedError
 
     def _attached(self, source: socket.socket) -> bool:
-        """Whether the socket still hears what it was opened for; asked when interfaces changed."""
+        """Whether the socket still receives from its interface; called after interfaces changed."""
         raise NotImplementedError
 
     def _resume(self, source: socket.socket) -> bool:  # noqa: ARG002
-        """Whether the socket will do again after an outage; raises ``OSError`` while the interface is down."""
+        """Whether the socket can be used again after an outage; raises ``OSError`` while the interface is down."""
         return False
 
-    # -- the contract of a link ------------------------------------------------------------------------------------
+    # -- the interface of a link -----------------------------------------------------------------------------------
 
     @property
     def name(self) -> str:
-        """What the link is on."""
+        """The name of the link, with its interface or group."""
         return self._name
 
     @property
     def counters(self) -> LinkCounters:
-        """The counters, with the kernel's brought up to date."""
+        """The current counters, including the frames dropped by the kernel."""
         self._count_lost()
         return self._counters
 
@@ -127,15 +128,15 @@ class SocketLink:
 
     @property
     def up(self) -> bool:
-        """Whether it is open and in no outage."""
+        """Whether the link is open and not in an outage."""
         return not self._down and not self._closed
 
     def fileno(self) -> int:
-        """The descriptor to wait for, -1 after :meth:`close`."""
+        """Return the descriptor to wait for; -1 after :meth:`close`."""
         return -1 if self._closed else self._selector.fileno()
 
     def receive(self) -> list[Reception]:
-        """What has arrived, at most ``PORTION`` of it."""
+        """Return the frames that have arrived, at most ``PORTION``."""
         receptions: list[Reception] = []
         source = self._ready()
         if source is None:
@@ -145,16 +146,16 @@ class SocketLink:
         except BlockingIOError:
             pass
         except OSError as error:
-            # Whatever it is: a socket that cannot be read is no use, and would wake the node again and again.
+            # Any error: a socket that cannot be read is useless, and would wake the node again and again.
             self._lose(error)
         if not receptions:
-            # It may have been the watch that woke the node.
+            # The watch may have woken the node.
             self._look()
         self._counters.received += len(receptions)
         return receptions
 
     def send(self, octets: bytes) -> bool:
-        """Broadcast ``octets``; False, counted in ``send_errors``, if they are too long or the system refuses."""
+        """Broadcast ``octets``; return False and count in ``send_errors`` if too long or refused by the system."""
         if len(octets) > self.max_packet_size:
             self._say_refused(errno.EMSGSIZE, len(octets))
         elif self._ready() is not None:
@@ -172,7 +173,7 @@ class SocketLink:
         return False
 
     def close(self) -> None:
-        """Give everything back."""
+        """Close all sockets; may be called twice."""
         if self._closed:
             return
         self._count_lost()
@@ -183,7 +184,7 @@ class SocketLink:
         self._selector.close()
 
     def _say_refused(self, reason: int, length: int) -> None:
-        """Tell people once about each reason; how often is in the counters."""
+        """Log each reason for a refusal once as a warning; the counters have the number."""
         new = reason not in self._refusals
         self._refusals.add(reason)
         level = logging.WARNING if new else logging.DEBUG
@@ -192,7 +193,7 @@ class SocketLink:
     # -- outages ---------------------------------------------------------------------------------------------------
 
     def _ready(self) -> socket.socket | None:
-        """The socket to use now; None during an outage."""
+        """Return the socket to use now; None during an outage."""
         if self._closed:
             return None
         if self._down or time.monotonic_ns() >= self._look_at:
@@ -200,7 +201,7 @@ class SocketLink:
         return None if self._down else self._socket
 
     def _look(self) -> None:
-        """See whether the interface is away, or back."""
+        """Check whether the interface has gone or returned."""
         self._look_at = time.monotonic_ns() + _LOOK_INTERVAL
         if self._watch is not None and self._watch.changed():
             self._retry_at = 0
@@ -210,7 +211,7 @@ class SocketLink:
             self._recover()
 
     def _lose(self, error: OSError) -> None:
-        """The interface is away: from now on look for its return."""
+        """Start an outage: stop reading the socket, and try to recover from now on."""
         if self._down:
             return
         self._down = True
@@ -219,11 +220,12 @@ class SocketLink:
         self._backoff = _FIRST_RETRY
         log.warning("%s: went down (%s); waiting for its return", self._name, error.strerror or error)
         if self._socket is not None:
-            # Not to be woken for what cannot be used. The socket itself is kept: when the interface was only
-            # switched off it will do again, and to open another may take a privilege that was given up.
+            # Its events would wake the node for nothing. The socket itself is kept: it can be used again if the
+            # interface was only switched off, and opening another may need a privilege that was dropped.
             self._selector.unregister(self._socket)
 
     def _recover(self) -> None:
+        """Try to end the outage; after a failure wait longer before the next attempt."""
         now = time.monotonic_ns()
         if now < self._retry_at:
             return
@@ -239,13 +241,14 @@ class SocketLink:
         log.warning("%s: is back", self._name)
 
     def _say_why(self, error: Exception) -> None:
-        """Tell people once what is in the way; it may be more than an interface that is away."""
+        """Log the cause of a failed recovery, once as a warning; it can be other than a missing interface."""
         new = isinstance(error, LinkError) and str(error) != self._said
         log.log(logging.WARNING if new else logging.DEBUG, "still down: %s", error)
         if new:
             self._said = str(error)
 
     def _reopen(self) -> None:
+        """Use the kept socket again if possible, otherwise open a new one."""
         if self._socket is None or not self._resume(self._socket):
             self._count_lost()
             self._discard()
@@ -253,14 +256,16 @@ class SocketLink:
         self._selector.register(self._socket, selectors.EVENT_READ)
 
     def _discard(self) -> None:
+        """Close the socket, if there is one."""
         old, self._socket = self._socket, None
         if old is not None:
             self._release(old)
 
     def _count_lost(self) -> None:
+        """Add the frames that the kernel dropped since the last call to the counters."""
         if self._socket is None or self._closed:
             return
         try:
             self._counters.kernel_drops += self._lost_by_kernel()
         except OSError as error:
-            log.debug("%s: the kernel does not say what it dropped: %s", self._name, error)
+            log.debug("%s: the kernel does not report dropped frames: %s", self._name, error)

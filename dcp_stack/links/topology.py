@@ -1,4 +1,4 @@
-"""Who hears whom in a simulated medium. Nodes are numbers from 0."""
+"""The neighbourhoods of a simulated medium. Nodes are numbers from 0."""
 
 from __future__ import annotations
 
@@ -9,40 +9,40 @@ from typing import Protocol
 
 
 class Topology(Protocol):
-    """Says which nodes a transmission reaches; need not be symmetric."""
+    """A rule that determines which nodes receive a transmission; it need not be symmetric."""
 
     @property
     def version(self) -> int:
-        """Changes whenever neighbourhoods do."""
+        """A number that changes whenever neighbourhoods do."""
         ...
 
     def neighbours(self, sender: int, count: int) -> Iterable[int]:
-        """Who of the nodes 0..count-1 hears ``sender``, in any order; ``sender`` and other numbers do no harm."""
+        """Return the nodes that receive from ``sender``, in any order; ``sender`` and numbers >= count are ignored."""
         ...
 
 
 class Full:
-    """Everybody hears everybody."""
+    """A topology in which all nodes receive each other."""
 
     version = 0
 
     def neighbours(self, sender: int, count: int) -> Iterable[int]:  # noqa: ARG002
-        """All nodes."""
+        """Return all nodes."""
         return range(count)
 
 
 class Line:
-    """Each node hears the nodes next to it, those at the ends have one neighbour."""
+    """A line: each node receives from the nodes next to it; the nodes at the ends have one neighbour."""
 
     version = 0
 
     def neighbours(self, sender: int, count: int) -> Iterable[int]:  # noqa: ARG002
-        """The one before and the one behind."""
+        """Return the previous and the next number."""
         return (sender - 1, sender + 1)
 
 
 class Grid:
-    """Nodes row by row with ``columns`` in each; neighbours are above, below, left and right, or also diagonal."""
+    """Rows of ``columns`` nodes each; neighbours are above, below, left and right, with ``diagonal`` also diagonal."""
 
     version = 0
 
@@ -58,7 +58,7 @@ class Grid:
         ]
 
     def neighbours(self, sender: int, count: int) -> Iterable[int]:  # noqa: ARG002
-        """Up to four nodes, with diagonals up to eight."""
+        """Yield up to four nodes, with diagonals up to eight."""
         row, column = divmod(sender, self._columns)
         for down, right in self._steps:
             if 0 <= column + right < self._columns:
@@ -66,23 +66,23 @@ class Grid:
 
 
 class Neighbours:
-    """Neighbourhoods as given: sender -> those who hear it. Both directions have to be stated."""
+    """Explicit neighbourhoods: sender -> receivers. A connection in both directions needs two entries."""
 
     def __init__(self, heard_by: Mapping[int, Iterable[int]]) -> None:
         self.version = 0
         self._heard_by = {sender: frozenset(receivers) for sender, receivers in heard_by.items()}
 
     def neighbours(self, sender: int, count: int) -> Iterable[int]:  # noqa: ARG002
-        """What was given; nobody for a sender that was not."""
+        """Return the receivers given for ``sender``; none if it has no entry."""
         return self._heard_by.get(sender, frozenset())
 
     def connect(self, sender: int, receiver: int) -> None:
-        """``receiver`` hears ``sender`` from now on."""
+        """Let ``receiver`` receive from ``sender`` from now on."""
         self._heard_by[sender] = self._heard_by.get(sender, frozenset()) | {receiver}
         self.version += 1
 
     def disconnect(self, sender: int, receiver: int) -> None:
-        """``receiver`` does not hear ``sender`` any more."""
+        """Stop ``receiver`` from receiving from ``sender``."""
         self._heard_by[sender] = self._heard_by.get(sender, frozenset()) - {receiver}
         self.version += 1
 
@@ -92,13 +92,12 @@ _Cell = tuple[int, int, int]
 
 
 class Positions:
-    """Nodes in space: those at most ``radio_range`` away hear a transmission. Any unit, the same for both.
+    """Nodes in space: all nodes at most ``radio_range`` away receive a transmission.
 
-    ``ranges`` gives single senders another range, which makes connections asymmetric. A node without a position
-    (None, or not in the sequence) hears nobody and is not heard.
+    Positions and ranges have the same unit, which can be any. ``ranges`` gives single senders another range, which
+    makes connections asymmetric. A node without a position (None, or not in the sequence) has no neighbours.
 
-    Nodes are kept by the cube of space they are in, as wide as the range: a sender looks at 27 cubes, and not at all
-    nodes.
+    Nodes are stored by cube, with edges as long as the range: a search visits 27 cubes instead of all nodes.
     """
 
     def __init__(
@@ -108,9 +107,9 @@ class Positions:
         *,
         ranges: Mapping[int, float] | None = None,
     ) -> None:
-        """Raises ValueError for a range that is not greater than 0."""
+        """Raises ValueError if ``radio_range`` is not greater than 0."""
         if not radio_range > 0:
-            raise ValueError(f"a radio range is greater than 0, not {radio_range:g}")
+            raise ValueError(f"the radio range must be greater than 0, not {radio_range:g}")
         self.version = 0
         self._positions = list(positions)
         self._range = radio_range
@@ -121,7 +120,7 @@ class Positions:
                 self._cells.setdefault(self._cell(position), set()).add(node)
 
     def move(self, node: int, position: Point) -> None:
-        """``node`` is at ``position`` from now on; raises ``IndexError`` if it is not the next one without any."""
+        """Move ``node`` to ``position``; raises ``IndexError`` if it is neither known nor the next new number."""
         if node == len(self._positions):
             self._positions.append(None)
         old, cell = self._positions[node], self._cell(position)
@@ -138,17 +137,17 @@ class Positions:
         self.version += 1
 
     def position(self, node: int) -> Point | None:
-        """Where ``node`` is; None if it is nowhere."""
+        """Return the position of ``node``; None if it has none."""
         return self._positions[node]
 
     def neighbours(self, sender: int, count: int) -> Iterable[int]:
-        """The nodes in range."""
+        """Return the nodes within range of ``sender``."""
         here = self._positions[sender] if sender < len(self._positions) else None
         if here is None:
             return []
         x, y, z = here
         reach = self._ranges.get(sender, self._range)
-        # Squares are compared: a root for each pair of nodes would be most of the time.
+        # Compare squares: a square root for each pair of nodes would dominate the run time.
         limit = reach**2
         found = []
         for node in self._near(here, math.ceil(reach / self._range)):
@@ -161,7 +160,7 @@ class Positions:
         return found
 
     def _near(self, point: Point, steps: int) -> Iterable[int]:
-        """The nodes in cells at most ``steps`` away, and perhaps others."""
+        """Return the nodes in cells at most ``steps`` away, and possibly others."""
         if (2 * steps + 1) ** 3 > len(self._cells):
             return chain.from_iterable(self._cells.values())
         across, up, deep = self._cell(point)

@@ -1,7 +1,7 @@
-"""Bearer payloads in UDP datagrams to a multicast group or a broadcast address: for laptops, without privileges.
+"""Bearer payloads in UDP datagrams to a multicast group or a broadcast address; needs no privilege.
 
-Several nodes on one host hear each other. The socket that sends is one of its own with a port of its own, by which a
-node knows what it sent itself.
+Several nodes on one host receive each other. Each sends from a socket and port of its own, by which it recognises and
+discards its own datagrams.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from dcp_codec.network.sockets import ANCILLARY, LONGEST, stamp_of
 from .base import LinkError, Reception
 from .sockets import PORTION, SocketLink
 
-#: A group of the administratively scoped range (RFC 2365), which routers keep inside of a site.
+#: A group in the administratively scoped range (RFC 2365), which routers do not forward out of a site.
 DEFAULT_GROUP = "239.73.126.1"
-#: The usual EtherType of DCP, 0x4953, as a port.
+#: The usual EtherType of DCP, 0x4953, used as the port.
 DEFAULT_PORT = 0x4953
 
 
@@ -36,10 +36,11 @@ def open_udp(
     """Open a link to ``group``, an IPv4 multicast group, or a broadcast address such as ``192.168.1.255``.
 
     ``interface`` is the IPv4 address of the interface to use, by default the loopback interface, which keeps all
-    nodes on this host. ``ttl`` is how many networks multicast may cross, 1 for the one we are in. ``max_packet_size``
-    is the longest bearer payload in octets, by default what the interface carries in one frame.
+    datagrams on this host. ``ttl`` is the number of networks that multicast may cross, 1 for the local one only.
+    ``max_packet_size`` is the longest bearer payload in octets, by default what fits into one frame of the interface.
 
-    Raises :class:`LinkError`: not such an address, no interface with it, port not to be had.
+    Raises :class:`LinkError` if ``group`` or ``interface`` is not an IPv4 address, the port is not within 1..65535 or
+    unavailable, or no interface has the address; ``ValueError`` if ``ttl`` is not within 0..255.
     """
     try:
         to, own = ipaddress.IPv4Address(group), ipaddress.IPv4Address(interface)
@@ -53,7 +54,7 @@ def open_udp(
 
 
 class UDPLink(SocketLink):
-    """See :func:`open_udp`, which makes them. ``Reception.source`` is address and port of the sender, 6 octets."""
+    """A link made by :func:`open_udp`. ``Reception.source`` is the sender's address and port, 6 octets."""
 
     def __init__(
         self,
@@ -63,7 +64,7 @@ class UDPLink(SocketLink):
         ttl: int,
         max_packet_size: int | None,
     ) -> None:
-        """Raises :class:`LinkError`."""
+        """Raises :class:`LinkError` if the sockets cannot be opened."""
         self._group = group
         self._port = port
         self._interface = interface
@@ -77,7 +78,7 @@ class UDPLink(SocketLink):
 
     @property
     def source(self) -> bytes:
-        """Address and port that datagrams are sent from, 6 octets."""
+        """The address and port that datagrams are sent from, 6 octets (big-endian)."""
         return _octets(self._own)
 
     @property
@@ -102,6 +103,7 @@ class UDPLink(SocketLink):
         return receiver
 
     def _join(self, receiver: socket.socket) -> None:
+        """Join the multicast group; nothing to do for a broadcast address."""
         if self._group.is_multicast:
             sockets.join(receiver, self._group, self._interface)
 
@@ -116,7 +118,7 @@ class UDPLink(SocketLink):
         for _ in range(PORTION):
             octets, ancillary, _, sender = receive(LONGEST, ANCILLARY)
             if sender == own:
-                # Comes with multicast on one host, and is no one's loss: not counted.
+                # Multicast returns our own datagrams on the same host. This is normal, so they are not counted.
                 continue
             receptions.append(Reception(octets, stamp_of(ancillary) or time.time_ns(), _octets(sender)))
 
@@ -129,7 +131,7 @@ class UDPLink(SocketLink):
         return 0 if self._losses is None else self._losses.new()
 
     def _attached(self, source: socket.socket) -> bool:
-        # A membership goes with its interface and does not come back with it. Joining again tells which it is.
+        # A membership is lost with its interface and not restored with it. Joining again shows whether it was lost.
         if not self._group.is_multicast:
             return True
         try:
@@ -140,5 +142,6 @@ class UDPLink(SocketLink):
 
 
 def _octets(address: tuple[str, int]) -> bytes:
+    """Encode an IPv4 address and port in 6 octets, big-endian."""
     host, port = address
     return socket.inet_aton(host) + port.to_bytes(2, "big")

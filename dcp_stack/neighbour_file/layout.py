@@ -1,4 +1,4 @@
-"""Where what is in a neighbour file, for its writer and its reader; ``docs/neighbour-file.md`` has it for others."""
+"""The layout of a neighbour file, common to writer and reader; ``docs/neighbour-file.md`` describes it."""
 
 from __future__ import annotations
 
@@ -22,33 +22,33 @@ HEADER: Final = struct.Struct("<8s8I32s56s")
 FIELD: Final = struct.Struct("<40s16sII")
 SLOT: Final = struct.Struct("<QqqII")
 ENTRY: Final = struct.Struct("<32sII3d3dqqqQQQqdII")
-# Offsets of what changes after the creation, each of them a naturally aligned number of 8 octets.
+# Offsets of the header fields that change after the creation; each is a naturally aligned number of 8 octets.
 LATEST, HEARTBEAT_WALL, HEARTBEAT_MONO, STATE, CREATED, PID = 128, 136, 144, 152, 160, 168
 RUNNING, CLOSED = 1, 2
 CHECKSUM: Final = 40
 
 HAS_POSITION, HAS_VELOCITY, VELOCITY_ESTIMATED = 1, 2, 4
-"""Bits of the flags of an entry."""
+"""Flags of an entry."""
 UNKNOWN_TIME: Final = -(1 << 63)
 _FENCE: Final = threading.Lock()
 
 
 class NeighbourFileError(Exception):
-    """A neighbour file cannot be created or read; the message names it and says why."""
+    """A neighbour file cannot be created or read; the message has its path and the reason."""
 
 
 def little_endian_only() -> None:
-    """Raise NeighbourFileError on a machine of the other byte order."""
+    """Raise NeighbourFileError on a big-endian machine."""
     if sys.byteorder != "little":
-        raise NeighbourFileError("neighbour files need a machine that is little-endian, as x86-64 and aarch64 are")
+        raise NeighbourFileError("neighbour files require a little-endian machine, such as x86-64 or aarch64")
 
 
 def fence() -> None:
-    """Order all memory accesses before against all after.
+    """Execute a full memory barrier: accesses before the call take effect before accesses after it.
 
-    Python has no barrier of its own, but its locks are those of the system, which have to synchronize memory: a
-    release keeps what is before it before, an acquire what is behind it behind, and a release is not overtaken by
-    the acquire that follows it. The first pair provides the release, the second the acquire.
+    Python has no barrier, but its locks are those of the system, which have to synchronize memory. Earlier accesses
+    cannot move after a release, later ones cannot move before an acquire, and an acquire cannot move before a
+    preceding release. Here the first pair provides the release, the second the acquire.
     """
     with _FENCE:
         pass
@@ -57,11 +57,12 @@ def fence() -> None:
 
 
 def _aligned(size: int) -> int:
+    """Return the next multiple of 64 (a cache line) that is not less than ``size``."""
     return -(-size // 64) * 64
 
 
 class Layout(msgspec.Struct, frozen=True):
-    """Sizes in octets and offsets of one file."""
+    """Sizes and offsets of one file, in octets. ``field_count``: numeric fields of the profile's safety data."""
 
     capacity: int
     field_count: int
@@ -69,16 +70,20 @@ class Layout(msgspec.Struct, frozen=True):
 
     @classmethod
     def of(cls, capacity: int, field_count: int) -> Layout:
+        """Return the layout of a file for ``capacity`` entries."""
         return cls(capacity, field_count, _aligned(ENTRY_FIXED + 8 * field_count))
 
     @property
     def slots(self) -> int:
+        """Offset of slot 0."""
         return HEADER_SIZE + FIELD_SIZE * self.field_count
 
     @property
     def slot_size(self) -> int:
+        """Size of a slot, its header included."""
         return SLOT_HEADER_SIZE + self.capacity * self.entry_size
 
     @property
     def file_size(self) -> int:
+        """Size of the file."""
         return self.slots + 2 * self.slot_size

@@ -1,4 +1,4 @@
-"""Those who read a neighbour file, as often as they like."""
+"""The reader of a neighbour file."""
 
 from __future__ import annotations
 
@@ -44,11 +44,17 @@ from .layout import (
 )
 
 _ATTEMPTS: Final = 10_000
-"""A reader fails an attempt only when it is overtaken twice while copying; this often is damage, not bad luck."""
+"""Maximum number of attempts to copy a table. An attempt fails only if two tables are published during the copy, so
+this many failures indicate a damaged file."""
 
 
 class FileEntry(msgspec.Struct, frozen=True, gc=False):
-    """One neighbour of a snapshot. Position in m and velocity in m/s, None where unknown; times in ns."""
+    """One neighbour of a snapshot. Position in m and velocity in m/s, None if unknown; times and intervals in ns.
+
+    ``reception_wall`` and ``reception_mono``: reception of the last report. ``received``, ``lost``, ``repeated``:
+    numbers of reports. ``restarts``: number of detected restarts of the neighbour. ``mean_gap``: mean step of the
+    sequence number.
+    """
 
     node_id: bytes
     position: Vector | None
@@ -57,7 +63,7 @@ class FileEntry(msgspec.Struct, frozen=True, gc=False):
     reception_wall: int
     reception_mono: int
     stamp_wall: int | None
-    """When the neighbour made the report by its own clock; None where stamps are no wall time."""
+    """Time of the report by the neighbour's clock; None if the profile's time stamps are not wall time."""
     seqno: int
     received: int
     lost: int
@@ -70,39 +76,40 @@ class FileEntry(msgspec.Struct, frozen=True, gc=False):
 
 
 class NeighbourFileSnapshot(msgspec.Struct, frozen=True, gc=False):
-    """A table as it was published at one moment. Times in ns."""
+    """A table as published at one moment. Times are in ns."""
 
     profile: str
     node_id: bytes
     generation: int
-    """Counts the tables of one writer from 1; 0 if it has not published any."""
+    """Number of the table, counted by the writer from 1; 0 if it has not published any."""
     created_wall: int
-    """When the writer started: with ``generation`` this identifies a table."""
+    """Start time of the writer; together with ``generation`` it identifies a table."""
     published_wall: int
     published_mono: int
     heartbeat_wall: int
     heartbeat_mono: int
     closed: bool
-    """The writer has ended; a new one makes a new file, which the next snapshot is taken from."""
+    """Whether the writer has ended. A new writer creates a new file, which the next snapshot uses."""
     omitted: int
-    """Neighbours for which the file had no room."""
+    """Number of neighbours that were left out: no room, or an identifier of more than 32 octets."""
     entries: tuple[FileEntry, ...]
 
     def silence(self, wall: int) -> int:
-        """Time in ns since the writer last showed that it lives. Do not fly by a table whose writer is silent."""
+        """Return the time in ns since the last heartbeat. Do not use a table for control if its writer is silent."""
         return wall - self.heartbeat_wall
 
 
 class NeighbourFileReader:
-    """Reads what a :class:`NeighbourFileWriter` writes, without asking or disturbing it."""
+    """Reads the file of a :class:`NeighbourFileWriter`, independently of the writer."""
 
     def __init__(self, path: str | Path) -> None:
-        """Raises NeighbourFileError if there is no such file or it is none of this layout."""
+        """Map the file. Raises NeighbourFileError if it cannot be read or does not have this layout."""
         little_endian_only()
         self.path = Path(path)
         self._attach()
 
     def _attach(self) -> None:
+        """Map the file that has the name now, and check its header."""
         try:
             with self.path.open("rb") as file:
                 status = os.fstat(file.fileno())
@@ -113,7 +120,7 @@ class NeighbourFileReader:
         header = HEADER.unpack_from(mapped) if len(mapped) >= HEADER_SIZE else (b"",)
         if header[0] != MAGIC or header[1] != LAYOUT_VERSION:
             mapped.close()
-            raise NeighbourFileError(f"{self.path}: is no neighbour table of layout version {LAYOUT_VERSION}")
+            raise NeighbourFileError(f"{self.path}: is not a neighbour table of layout version {LAYOUT_VERSION}")
         _, _, slots, slot_size, slot_header, entry_size, capacity, field_count, id_length, node_id, profile = header
         layout = Layout.of(capacity, field_count)
         if (slots, slot_size, slot_header, entry_size) != (
@@ -134,7 +141,7 @@ class NeighbourFileReader:
         self._values = struct.Struct(f"<{field_count}d")
 
     def _follow(self) -> None:
-        """Change over to the file of a new writer. While there is none, the last one stays."""
+        """Change to the file of a new writer, if there is one; otherwise keep the current file."""
         with contextlib.suppress(OSError, NeighbourFileError):
             status = self.path.stat()
             if (status.st_dev, status.st_ino) != self._identity:
@@ -145,7 +152,7 @@ class NeighbourFileReader:
                 old[2].close()
 
     def snapshot(self) -> NeighbourFileSnapshot:
-        """The latest table. Raises NeighbourFileError for a file that was damaged by others."""
+        """Return the latest table. Raises NeighbourFileError if the file is damaged."""
         self._follow()
         for attempt in range(_ATTEMPTS):
             generation = self._numbers[LATEST // 8]
@@ -157,9 +164,10 @@ class NeighbourFileReader:
                 return self._made(*taken)
             if attempt % 16 == 15:
                 os.sched_yield()
-        raise NeighbourFileError(f"{self.path}: is damaged: no table in it fits its checksum")
+        raise NeighbourFileError(f"{self.path}: is damaged: no table in it has a correct checksum")
 
     def _copy(self, generation: int) -> tuple[bytes, bytes] | None:
+        """Return slot header and entries of a generation; None if they changed during the copy."""
         layout = self._layout
         start = layout.slots + (generation & 1) * layout.slot_size
         if self._numbers[start // 8] != 2 * generation:
@@ -179,6 +187,7 @@ class NeighbourFileReader:
         return (head, entries) if fits else None
 
     def _made(self, head: bytes, entries: bytes) -> NeighbourFileSnapshot:
+        """Return the snapshot for a copied slot."""
         generation, published_wall, published_mono, _, omitted = SLOT.unpack(head)
         size = self._layout.entry_size
         return NeighbourFileSnapshot(
@@ -196,6 +205,7 @@ class NeighbourFileReader:
         )
 
     def _entry(self, entries: bytes, offset: int) -> FileEntry:
+        """Return the entry at an offset of the copied entries."""
         (node_id, id_length, flags, px, py, pz, vx, vy, vz, wall, mono, stamp, *counts) = ENTRY.unpack_from(
             entries, offset
         )
@@ -220,7 +230,7 @@ class NeighbourFileReader:
         )
 
     def close(self) -> None:
-        """Let go of the file. May be called twice."""
+        """Unmap the file. May be called twice."""
         self._numbers.release()
         self._signed.release()
         self._map.close()
@@ -233,4 +243,5 @@ class NeighbourFileReader:
 
 
 def _untext(octets: bytes) -> str:
+    """Return the text up to the first NUL."""
     return octets.split(b"\0", 1)[0].decode(errors="replace")

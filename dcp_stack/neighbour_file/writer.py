@@ -1,4 +1,4 @@
-"""The one who writes a neighbour file."""
+"""The writer of a neighbour file."""
 
 from __future__ import annotations
 
@@ -54,16 +54,16 @@ _NOWHERE: Final = (math.nan, math.nan, math.nan)
 
 
 class NeighbourFileWriter:
-    """Writes the table of one node to ``path``. One thread of one process may write; any number may read."""
+    """Writes the neighbour table of one node to a file. Only one thread of one process may write the file."""
 
     def __init__(
         self, path: str | Path, profile: Profile, node_id: bytes, *, capacity: int = 1024, now: int, wall: int
     ) -> None:
-        """Create the file, with mode 0644 and complete from the moment it has its name; an old one is replaced.
+        """Create the file with mode 0644. It gets its name when it is complete, and replaces an earlier file.
 
-        ``capacity`` is the number of entries that have room, 1..65536: a file has about 2 * 192 octets for each.
-        Raises NeighbourFileError if another process writes it, if something else has that name, or if the system
-        refuses. /dev/shm or /run are the places to put it: elsewhere its pages go to the disk now and then.
+        ``capacity``: maximum number of entries, 1..65536; each needs about 2 * 192 octets. Use a path in /dev/shm or
+        /run: elsewhere the system writes the pages to disk from time to time. Raises NeighbourFileError if another
+        process writes the file, if the name belongs to a different kind of file, or if the system refuses.
         """
         little_endian_only()
         if not 1 <= capacity <= MAX_CAPACITY:
@@ -85,10 +85,10 @@ class NeighbourFileWriter:
         except OSError as error:
             raise NeighbourFileError(f"{path}: cannot be created ({error.strerror})") from None
         try:
-            # Whoever has the file open to write holds this lock, and loses it when it dies.
+            # The writer holds this lock; the kernel releases it if the process dies.
             fcntl.flock(self._fd, fcntl.LOCK_EX)
             os.fchmod(self._fd, 0o644)
-            # Room that is promised: writing into a mapping of a full file system would be fatal.
+            # Allocated in advance: a write into a mapping on a full file system would kill the process.
             os.posix_fallocate(self._fd, 0, self._layout.file_size)
             self._map = mmap.mmap(self._fd, self._layout.file_size)
             self._numbers = memoryview(self._map).cast("Q")
@@ -102,6 +102,7 @@ class NeighbourFileWriter:
         self._closed = False
 
     def _write_header(self, profile: Profile, node_id: bytes, now: int, wall: int) -> None:
+        """Write the header and the descriptions of the fields."""
         layout = self._layout
         self._map[: HEADER.size] = HEADER.pack(
             MAGIC,
@@ -132,16 +133,16 @@ class NeighbourFileWriter:
         self.heartbeat(now=now, wall=wall)
 
     def heartbeat(self, *, now: int, wall: int) -> None:
-        """Show that the writer lives, also when there is nothing new to say."""
-        # Through a view of numbers, not struct: that is one store, which cannot be seen half done.
+        """Renew the heartbeat, which shows readers that the writer is alive even without new tables."""
+        # By a memoryview, not by struct: a single store, so readers cannot see a partial value.
         self._signed[HEARTBEAT_WALL // 8] = wall
         self._signed[HEARTBEAT_MONO // 8] = now
 
     def publish(self, table: NeighbourTable, *, now: int, wall: int) -> None:
-        """Make ``table`` the latest, and a heartbeat.
+        """Write ``table`` to the file as the latest one, and renew the heartbeat.
 
-        Entries without room, and those whose node identifier has more than 32 octets, are left out and counted. The
-        time is that of making the entries, microseconds for each; the slot is locked for a copy of memory only.
+        Entries beyond the capacity, and those whose node identifier has more than 32 octets, are left out and counted.
+        The call takes some microseconds per entry; the slot is locked only while the prepared table is copied.
         """
         layout = self._layout
         made: list[bytes] = []
@@ -170,6 +171,7 @@ class NeighbourFileWriter:
         self.heartbeat(now=now, wall=wall)
 
     def _entry(self, table: NeighbourTable, entry: NeighbourTableEntry) -> bytes:
+        """Return the octets of an entry."""
         motion = table.motion(entry)
         position = motion.position if motion is not None else None
         velocity = motion.velocity if motion is not None else None
@@ -199,14 +201,14 @@ class NeighbourFileWriter:
         return packed + values + self._padding
 
     def close(self) -> None:
-        """Say that this was all, and remove the file; readers keep the last table. May be called twice."""
+        """Mark the file as closed, and remove it; readers keep the last table. May be called twice."""
         if self._closed:
             return
         self._closed = True
         self._numbers[STATE // 8] = CLOSED
         with contextlib.suppress(OSError):
             ours, named = os.fstat(self._fd), self.path.stat()
-            # A successor may have put its own file in the place of ours.
+            # A new writer may already have replaced this file by its own.
             if (ours.st_dev, ours.st_ino) == (named.st_dev, named.st_ino):
                 self.path.unlink()
         self._numbers.release()
@@ -222,16 +224,16 @@ class NeighbourFileWriter:
 
 
 def _refuse_foreign(path: Path) -> None:
-    """Raise for a name that is taken by something else, or by a file that somebody is writing."""
+    """Raise NeighbourFileError if the name belongs to another kind of file, or to one that another process writes."""
     try:
         status = os.lstat(path)
     except FileNotFoundError:
         return
     if not stat.S_ISREG(status.st_mode):
-        raise NeighbourFileError(f"{path}: is no regular file, and is not replaced")
+        raise NeighbourFileError(f"{path}: is not a regular file, and is not replaced")
     with path.open("rb") as file:
         if file.read(len(MAGIC)) != MAGIC:
-            raise NeighbourFileError(f"{path}: is no neighbour table, and is not replaced")
+            raise NeighbourFileError(f"{path}: is not a neighbour table, and is not replaced")
         try:
             fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -239,10 +241,11 @@ def _refuse_foreign(path: Path) -> None:
 
 
 def _text(text: str, size: int) -> bytes:
-    """UTF-8 that ends with NUL, cut at a character."""
+    """Return text as UTF-8 of ``size`` octets, padded with NUL, and truncated at a character if necessary."""
     octets = text.encode()[: size - 1].decode(errors="ignore").encode()
     return octets.ljust(size, b"\0")
 
 
 def _clamped(number: int) -> int:
+    """Limit a number to the range of a signed 64-bit field, without the value for unknown."""
     return min(max(number, -(1 << 63) + 1), (1 << 63) - 1)

@@ -1,4 +1,4 @@
-"""Positions: what safety data says about place and motion, the geometry of it, and where a node gets its own from."""
+"""Positions: access to the safety data of a profile, geometry of moving points, and sources of a node's position."""
 
 from .base import PositionSource, SourceError
 from .fields import FieldError, SafetyFields

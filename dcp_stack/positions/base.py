@@ -1,4 +1,4 @@
-"""The contract of a position source, and what the sources share."""
+"""The interface of a position source, and the base class of most sources."""
 
 from __future__ import annotations
 
@@ -6,57 +6,57 @@ from collections import Counter
 from typing import Any, Protocol
 
 Sample = dict[str, Any]
-"""Values for all fields of the profile's SafetyDataT by name, as ``StateReporting.update_safety_data`` takes them."""
+"""Values for all fields of the profile's SafetyDataT by name, for ``StateReporting.update_safety_data``."""
 
 
 class SourceError(ValueError):
-    """A source cannot be opened; the message says which one, why, and what to do."""
+    """A source cannot be opened; the message has the source, the reason and a remedy."""
 
 
 class PositionSource(Protocol):
-    """Where a node learns its own position from.
+    """A source of a node's own position.
 
-    A source has no clock and never waits: the first :meth:`poll` starts it, later ones return what has become due or
-    has arrived. A driver calls :meth:`poll` when ``fileno()`` is readable or ``poll_timeout()`` is reached, both asked
-    anew after each poll. Once open, nothing that comes in raises: it is counted and complained about.
+    A source has no clock and never waits. The first :meth:`poll` starts it, and later ones return samples that are due
+    or have arrived. A driver calls :meth:`poll` when ``fileno()`` is readable or ``poll_timeout()`` is reached; both
+    may change with each poll. After opening, invalid input never raises: it is counted and reported as a complaint.
     """
 
     name: str
-    """The source as its opener called it."""
+    """The text by which the source was opened."""
 
     @property
     def finished(self) -> bool:
-        """Whether nothing will come any more."""
+        """Whether the source will not provide any more samples."""
         ...
 
     @property
     def counts(self) -> Counter[str]:
-        """How often each kind of complaint had a reason."""
+        """Number of complaints of each kind."""
         ...
 
     def poll(self, now: int, wall: int) -> list[Sample]:
-        """New samples, the oldest first (``now`` monotonic ns, ``wall`` ns since 1970)."""
+        """Return new samples, the oldest first (``now`` monotonic ns, ``wall`` ns since 1970)."""
         ...
 
     def poll_timeout(self) -> int | None:
-        """When to poll next (monotonic ns); None if only ``fileno()`` tells, or nothing ever will."""
+        """Return when to poll next (monotonic ns); None if only ``fileno()`` indicates it, or after the last sample."""
         ...
 
     def fileno(self) -> int:
-        """A descriptor that is readable when there is something to poll; -1 if there is none."""
+        """Return a descriptor that is readable when samples may be available; -1 if there is none."""
         ...
 
     def take_complaints(self) -> list[str]:
-        """Sentences for people about what went wrong since the last call; each kind is told once."""
+        """Return sentences about problems since the last call; each kind of problem is reported once."""
         ...
 
     def close(self) -> None:
-        """Give everything back; may be called twice."""
+        """Release all resources; may be called twice."""
         ...
 
 
 class Source:
-    """What sources without a descriptor do by default, and the counting of complaints."""
+    """Base class of sources: counts complaints, and has the defaults for a source without a descriptor."""
 
     def __init__(self, name: str) -> None:
         self.name = name
@@ -65,23 +65,23 @@ class Source:
 
     @property
     def finished(self) -> bool:
-        """Whether nothing will come any more."""
+        """Whether the source will not provide any more samples."""
         return False
 
     def fileno(self) -> int:
-        """No descriptor: time alone moves this source."""
+        """Return -1: samples depend only on time."""
         return -1
 
     def complain(self, kind: str, sentence: str) -> None:
-        """Count something of ``kind``; the first of it is told."""
+        """Count a problem of ``kind``; report ``sentence`` if it is the first of its kind."""
         if not self.counts[kind]:
             self._untold.append(f"{self.name}: {sentence}")
         self.counts[kind] += 1
 
     def take_complaints(self) -> list[str]:
-        """Sentences about what went wrong since the last call; each kind is told once."""
+        """Return sentences about problems since the last call; each kind of problem is reported once."""
         untold, self._untold = self._untold, []
         return untold
 
     def close(self) -> None:
-        """Nothing to give back."""
+        """Release nothing: a source without a descriptor has no resources."""

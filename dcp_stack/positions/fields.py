@@ -1,7 +1,7 @@
-"""The fields of a profile's ``SafetyDataT`` by what they mean.
+"""Access to the fields of a profile's ``SafetyDataT`` by their role.
 
-Profiles call a coordinate ``x`` or ``position_x`` and send it as a float or an integer; ``role`` says what it is.
-Here it is a vector in metres or metres per second, whatever the profile counts in.
+Profiles have different names (``x`` or ``position_x``), types and units for a coordinate; the ``role`` of a field
+identifies it. This module converts coordinates to vectors in metres or metres per second.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from .geometry import Vector
 
 Number = float | int
 
-#: unit of a profile -> factor to m and m/s; a field without a unit is taken to be in them.
+#: Unit of a profile -> factor to m or m/s; a field without a unit is assumed to be in m or m/s.
 _FACTORS: Final = {
     "": 1.0,
     "m": 1.0,
@@ -32,7 +32,7 @@ _FACTORS: Final = {
     "mm/s": 0.001,
     "km/h": 1 / 3.6,
 }
-#: What people write in files and on command lines -> role.
+#: Short names in files and on command lines -> role.
 ALIASES: Final = {
     "x": "position.x",
     "y": "position.y",
@@ -46,11 +46,11 @@ _KINDS: Final = ("position", "velocity")
 
 
 class FieldError(ValueError):
-    """A value is for no field of the profile, or does not fit the field; the message names both."""
+    """A value does not fit its field, or the profile does not have the field; the message has value and field."""
 
 
 class SafetyFields:
-    """The safety data of one profile, read as vectors and filled from values by name or role."""
+    """Conversions between the safety data of one profile, vectors, and values by name or role."""
 
     def __init__(self, profile: Profile) -> None:
         self.profile = profile
@@ -61,7 +61,7 @@ class SafetyFields:
         self._zeros: dict[str, Any] = {field.name: 0 for field in self.numbers()}
         self._blank = self.complete(self._zeros)
         roles = ((kind, index, f"{kind}.{axis}") for kind in _KINDS for index, axis in enumerate("xyz"))
-        # What a coordinate is divided by, and the field it then stands in.
+        # For each coordinate its kind and axis, its field, and the factor by which to divide it.
         self._coordinates = tuple(
             (kind, index, field.name, self.factor(field.name))
             for kind, index, role in roles
@@ -69,8 +69,12 @@ class SafetyFields:
         )
 
     def _axes(self, kind: str) -> tuple[tuple[str, float] | None, ...] | None:
+        """Return field name and factor for x, y and z, None for an axis without a field.
+
+        Returns None if the profile has no vector of this kind.
+        """
         axes = [self._by_role.get(f"{kind}.{axis}") for axis in "xyz"]
-        # Two coordinates make a place on a plane; a height alone makes none.
+        # x and y are required, and give a position in a plane. A height alone is not a position.
         if axes[0] is None or axes[1] is None:
             return None
         if any(field is not None and field.unit not in _FACTORS for field in axes):
@@ -79,37 +83,37 @@ class SafetyFields:
 
     @property
     def has_position(self) -> bool:
-        """Whether the profile has fields for a place (x and y at least) in a unit of length."""
+        """Whether the profile has fields for a position (at least x and y) in a unit of length."""
         return self._position is not None
 
     @property
     def has_velocity(self) -> bool:
-        """Whether the profile has fields for a velocity (x and y at least)."""
+        """Whether the profile has fields for a velocity (at least x and y)."""
         return self._velocity is not None
 
     def position(self, data: Any) -> Vector | None:
-        """Where ``data`` (a SafetyData) says its node is, in m; None without such fields or if one is not finite.
+        """Return the position in ``data`` (a SafetyData) in m; None without such fields or if one is not finite.
 
-        A profile without ``position.z`` is on the plane z = 0.
+        Without a field ``position.z`` z is 0.
         """
         return _vector(data, self._position)
 
     def velocity(self, data: Any) -> Vector | None:
-        """The velocity in m/s, as :meth:`position`."""
+        """Return the velocity in ``data`` in m/s, otherwise as :meth:`position`."""
         return _vector(data, self._velocity)
 
     def place(self, values: Mapping[str, Any]) -> Vector | None:
-        """As :meth:`position` for values by name, in the units of the profile."""
+        """Return the position in m for values by name in the units of the profile, otherwise as :meth:`position`."""
         return None if self._position is None else _vector(SimpleNamespace(**values), self._position)
 
     def numbers(self) -> tuple[SafetyField, ...]:
-        """The fields that hold numbers, in wire order."""
+        """Return the numeric fields, in wire order."""
         return tuple(field for field in self._fields.values() if field.type != "opaque")
 
     def name_of(self, key: str) -> str:
-        """The field for ``key``: its name in the profile, a role (``position.x``) or an alias (``x``, ``vx``).
+        """Return the field for ``key``: its name in the profile, a role (``position.x``) or an alias (``x``, ``vx``).
 
-        Raises :class:`FieldError` with the fields there are. A name of the profile comes before an alias.
+        A name of the profile takes precedence over an alias. Raises :class:`FieldError` with the fields of the profile.
         """
         if key in self._fields:
             return key
@@ -122,9 +126,9 @@ class SafetyFields:
         raise FieldError(f"profile {self.profile.name} has no safety data field {key!r}{hint}")
 
     def column(self, key: str) -> str:
-        """The field that ``key`` of a sample fills, or the role where the profile has no field for it.
+        """Return the field for ``key`` of a sample, or the role if the profile has no field for it.
 
-        Raises :class:`FieldError` for what :meth:`from_sample` would refuse.
+        Raises :class:`FieldError` for a key that :meth:`from_sample` refuses.
         """
         role = ALIASES.get(key, key)
         if key not in self._fields and role in ROLES and role not in self._by_role:
@@ -132,18 +136,19 @@ class SafetyFields:
         return self.name_of(key)
 
     def factor(self, name: str) -> float:
-        """What a value of the field ``name`` is multiplied with to be in m or m/s; 1 for fields without a role."""
+        """Return the factor from the unit of the field ``name`` to m or m/s; 1 for fields without a role."""
         field = self._fields[name]
         return _FACTORS.get(field.unit, 1.0) if field.role else 1.0
 
     def convert(self, name: str, value: Any) -> Number | bytes:
-        """``value`` as the field ``name`` takes it: a float becomes the nearest integer where the field is one.
+        """Return ``value`` in the type of the field ``name``; a float is rounded for an integer field.
 
-        Raises :class:`FieldError` for what is no number, not finite or out of range.
+        Raises :class:`FieldError` for a value that is not a number, is out of range, or is not finite for an integer
+        field.
         """
         field = self._fields[name]
         if field.type == "f64" and type(value) is float:
-            # The common case: every float fits.
+            # The common case, first for speed: every float fits.
             return value
         if field.type == "opaque":
             if isinstance(value, bytes) and len(value) == field.octets:
@@ -153,7 +158,7 @@ class SafetyFields:
             raise FieldError(f"{name} takes a number, not {value!r}")
         if field.type.startswith("f"):
             return _real(field, value)
-        # An integer is finite, and may be too large for a float.
+        # Only floats are tested: an integer is finite, but may be too large for math.isfinite.
         if isinstance(value, float) and not math.isfinite(value):
             raise FieldError(f"{name} is of type {field.type} and cannot be {value}")
         whole = round(value)
@@ -164,14 +169,14 @@ class SafetyFields:
         return whole
 
     def complete(self, values: Mapping[str, Any]) -> dict[str, Any]:
-        """All fields of the profile, from values by name in the profile's own units. Opaque fields may be missing.
+        """Return all fields of the profile, from values by name in the profile's units. Opaque fields may be missing.
 
-        Raises :class:`FieldError` for names that are not the profile's, for missing ones and for bad values.
+        Raises :class:`FieldError` for unknown names, missing fields and invalid values.
         """
         found: dict[str, Any] = {}
         for name, value in values.items():
             if name not in self._fields:
-                self.name_of(name)  # says which names there are
+                self.name_of(name)  # raises an error with the known names
                 raise FieldError(
                     f"the field is called {self.name_of(name)!r} in profile {self.profile.name}, not {name!r}"
                 )
@@ -184,10 +189,10 @@ class SafetyFields:
         return {name: found[name] if name in found else bytes(field.octets) for name, field in self._fields.items()}
 
     def from_sample(self, sample: Mapping[str, Any]) -> dict[str, Any]:
-        """All fields of the profile from a sample: roles and aliases in m and m/s, the profile's names in its units.
+        """Return all fields of the profile from a sample: roles and aliases in m or m/s, other names in their units.
 
-        Roles that the profile has no field for are left out (velocity, for most profiles), other fields become 0.
-        Raises :class:`FieldError` as :meth:`complete`.
+        Roles without a field in the profile are left out (velocity in most profiles); missing fields become 0. Raises
+        :class:`FieldError` as :meth:`complete`.
         """
         found: dict[str, Any] = dict(self._zeros)
         for key, value in sample.items():
@@ -206,7 +211,7 @@ class SafetyFields:
         return self.complete(found)
 
     def from_motion(self, position: Vector, velocity: Vector) -> dict[str, Any]:
-        """As :meth:`from_sample` for a place (m) and a velocity (m/s); this is what is asked for all the time."""
+        """Return all fields for a position (m) and a velocity (m/s), as :meth:`from_sample` does but faster."""
         found = dict(self._blank)
         for kind, index, name, factor in self._coordinates:
             found[name] = self.convert(name, (position if kind == "position" else velocity)[index] / factor)
@@ -214,17 +219,19 @@ class SafetyFields:
 
 
 def _real(field: SafetyField, value: Number) -> float:
+    """Return a number as a float. Raises FieldError if it exceeds the range of the field."""
     try:
         real = float(value)
     except OverflowError:
         raise FieldError(f"{field.name} cannot hold so large an integer") from None
-    # The largest float32 is a little below 2^128; what rounds to more cannot be encoded.
+    # The largest float32 is slightly less than 2^128; a number that rounds to more cannot be encoded.
     if field.type == "f32" and math.isfinite(real) and abs(real) > 3.4028235677973366e38:
         raise FieldError(f"{field.name} is of type f32 and cannot be {value}")
     return real
 
 
 def _vector(data: Any, axes: tuple[tuple[str, float] | None, ...] | None) -> Vector | None:
+    """Return the attributes of ``data`` for ``axes`` as a vector in m or m/s; None if one is not finite."""
     if axes is None:
         return None
     x, y, z = (0.0 if axis is None else getattr(data, axis[0]) * axis[1] for axis in axes)

@@ -1,4 +1,4 @@
-"""Positions as JSON lines from a descriptor, usually standard input: ``{"x": 1.0, "y": 2.5, "z": 30}``."""
+"""A source of positions in JSON lines from a descriptor, usually standard input: ``{"x": 1.0, "y": 2.5, "z": 30}``."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from .base import Sample, Source
 from .fields import FieldError, SafetyFields
 
 LONGEST_LINE: Final = 65_536
-"""Octets; what is longer is no position, and may not take up memory until a line ends."""
+"""Maximum length of a line in octets, so that input without line ends cannot exhaust memory."""
 _CHUNK: Final = 65_536
 _CHUNKS_PER_POLL: Final = 16
 
 
 class JsonLines(Source):
-    """One object per line, with fields of the profile, roles or aliases as keys.
+    """Reads one JSON object per line, with fields of the profile, roles or aliases as keys.
 
-    Lines that are no such object are counted under their kind (``bad-json``, ``bad-field``, ``too-long``). The
-    descriptor is not set to non-blocking, which would outlast us in whoever shares the terminal; it is read only
-    when something is there.
+    Invalid lines are counted by kind (``bad-json``, ``bad-field``, ``too-long``). The descriptor is not set to
+    non-blocking, because this would persist for other processes that share the terminal; it is read only if data is
+    available.
     """
 
     def __init__(self, name: str, fields: SafetyFields, *, fd: int) -> None:
@@ -35,26 +35,26 @@ class JsonLines(Source):
 
     @property
     def finished(self) -> bool:
-        """Whether the other end has closed."""
+        """Whether the end of input was reached."""
         return self._fd < 0
 
     def fileno(self) -> int:
-        """The descriptor, -1 after its end."""
+        """Return the descriptor, -1 after the end of input."""
         return self._fd
 
     def poll_timeout(self) -> int | None:
-        """The descriptor alone tells."""
+        """Return None: only the descriptor indicates new samples."""
         return None
 
     def poll(self, now: int, wall: int) -> list[Sample]:  # noqa: ARG002 - the same call for every source
-        """The samples in what has arrived."""
+        """Return the samples in the lines that have arrived."""
         found: list[Sample] = []
         for _ in range(_CHUNKS_PER_POLL):
             chunk = self._read()
             if chunk is None:
                 break
             if not chunk:
-                # A last line without its end is a line all the same.
+                # The last line counts even without a line end.
                 chunk, self._fd = b"\n", -1
             self._take(chunk, found)
             if self._fd < 0:
@@ -62,7 +62,7 @@ class JsonLines(Source):
         return found
 
     def _read(self) -> bytes | None:
-        """What is there, None if nothing is, no octets at the end."""
+        """Return available octets, None if there are none yet, and an empty string at the end of input."""
         if self._fd < 0:
             return None
         try:
@@ -75,6 +75,7 @@ class JsonLines(Source):
             return b""
 
     def _take(self, chunk: bytes, found: list[Sample]) -> None:
+        """Split octets into lines, and append their samples to ``found``."""
         self._rest += chunk
         *lines, rest = self._rest.split(b"\n")
         for line in lines:
@@ -89,13 +90,14 @@ class JsonLines(Source):
         self._rest = rest
 
     def _parse(self, line: bytes, found: list[Sample]) -> None:
+        """Append the sample of one line to ``found``, or complain about the line."""
         try:
             values = msgspec.json.decode(line)
         except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-            self.complain("bad-json", f"line {self._line} is no JSON and was ignored ({error})")
+            self.complain("bad-json", f"line {self._line} is not valid JSON and was ignored ({error})")
             return
         if not isinstance(values, dict):
-            self.complain("bad-json", f"line {self._line} is no JSON object and was ignored")
+            self.complain("bad-json", f"line {self._line} is not a JSON object and was ignored")
             return
         try:
             if not values:
@@ -105,5 +107,5 @@ class JsonLines(Source):
             self.complain("bad-field", f"line {self._line} was ignored: {error}")
 
     def close(self) -> None:
-        """Read no more; the descriptor belongs to the caller."""
+        """Stop reading. The descriptor stays open, because it belongs to the caller."""
         self._fd = -1

@@ -1,10 +1,10 @@
-"""Positions from a MAVLink stream, as autopilots send it. Needs pymavlink, which is imported when a source is opened.
+"""A source of positions from the MAVLink stream of an autopilot. Requires pymavlink, imported on opening.
 
-pymavlink parses; the connection is ours, because that of pymavlink waits, sleeps and prints. Frames: MAVLink's local
-position is north, east, down (LOCAL_POSITION_NED); safety data here is east, north, up like the simulated tracks:
-x = y_ned, y = x_ned, z = -z_ned, and the same for velocities. ``frame=ned`` leaves the axes as they come.
-GLOBAL_POSITION_INT is used with an ``origin`` only, by which all nodes agree on one local frame, and then instead of
-the local position, whose origin is each vehicle's own.
+pymavlink only parses messages: its connections wait, sleep and print. Axes: the local position of MAVLink is north,
+east, down (LOCAL_POSITION_NED). Safety data here is east, north, up, like the simulated tracks: x = y_ned, y = x_ned,
+z = -z_ned, and the same for velocities; ``frame=ned`` leaves the axes unchanged. With an ``origin``, which gives all
+nodes the same local frame, the source uses GLOBAL_POSITION_INT instead: each vehicle has its own origin of the local
+position.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from .tracks import as_sample
 
 RECONNECT_NS: Final = NS_PER_S
 SILENCE_NS: Final = 5 * NS_PER_S
-"""After this time without a position the source says so."""
+"""Time in ns without a position after which the source complains."""
 _LARGEST: Final = 65_536
 _READS_PER_POLL: Final = 256
 
@@ -42,16 +42,25 @@ Origin = tuple[float, float, float]
 class Port(Protocol):
     """An open connection that never waits."""
 
-    def fileno(self) -> int: ...
-
-    def recv(self) -> bytes:
-        """What has arrived; BlockingIOError when nothing has, no octets at the end, OSError when it is broken."""
+    def fileno(self) -> int:
+        """Return the descriptor of the connection."""
         ...
 
-    def close(self) -> None: ...
+    def recv(self) -> bytes:
+        """Return the octets that have arrived, an empty string at the end of the stream.
+
+        Raises BlockingIOError if no octets have arrived, OSError if the connection fails.
+        """
+        ...
+
+    def close(self) -> None:
+        """Close the connection."""
+        ...
 
 
 class _SocketPort:
+    """A UDP socket bound to an address, or a TCP connection to one."""
+
     def __init__(self, kind: socket.SocketKind, host: str, port: int) -> None:
         family, _, _, _, address = socket.getaddrinfo(host or "0.0.0.0", port, type=kind)[0]  # noqa: S104 - as asked
         self._socket = socket.socket(family, kind)
@@ -72,7 +81,7 @@ class _SocketPort:
     def recv(self) -> bytes:
         octets = self._socket.recv(_LARGEST)
         if not octets and not self._stream:
-            # An empty datagram is not the end of anything.
+            # An empty datagram is not the end of a stream.
             raise BlockingIOError
         return octets
 
@@ -81,13 +90,15 @@ class _SocketPort:
 
 
 class _SerialPort:
+    """A serial line in raw mode."""
+
     def __init__(self, device: str, baud: int) -> None:
         import termios
         import tty
 
         speed = getattr(termios, f"B{baud}", None)
         if speed is None:
-            raise OSError(f"{baud} baud is not a speed of this system")
+            raise OSError(f"this system does not support {baud} baud")
         self._fd = os.open(device, os.O_RDONLY | os.O_NOCTTY | os.O_NONBLOCK)
         try:
             tty.setraw(self._fd)
@@ -96,7 +107,7 @@ class _SerialPort:
             termios.tcsetattr(self._fd, termios.TCSANOW, attributes)
         except termios.error as error:
             os.close(self._fd)
-            raise OSError(f"is no serial line ({error})") from None
+            raise OSError(f"is not a serial line ({error})") from None
 
     def fileno(self) -> int:
         return self._fd
@@ -109,11 +120,14 @@ class _SerialPort:
 
 
 def port_opener(connection: str) -> Callable[[], Port]:
-    """What opens ``udpin:HOST:PORT``, ``tcp:HOST:PORT`` or ``serial:DEVICE:BAUD``. SourceError for anything else."""
+    """Return a function that opens ``udpin:HOST:PORT``, ``tcp:HOST:PORT`` or ``serial:DEVICE:BAUD``.
+
+    Raises SourceError for any other text. The function raises OSError.
+    """
     kind, _, rest = connection.partition(":")
     place, _, number = rest.rpartition(":")
     if kind not in ("udpin", "tcp", "serial") or not place or not number.isdecimal():
-        raise SourceError(f"the connection is udpin:HOST:PORT, tcp:HOST:PORT or serial:DEVICE:BAUD, not {connection!r}")
+        raise SourceError(f"a connection is udpin:HOST:PORT, tcp:HOST:PORT or serial:DEVICE:BAUD, not {connection!r}")
     if kind == "serial":
         return lambda: _SerialPort(place, int(number))
     if not 0 < int(number) < 65_536:
@@ -123,8 +137,9 @@ def port_opener(connection: str) -> Callable[[], Port]:
 
 
 def _parser() -> Any:
+    """Return a new MAVLink parser. Raises SourceError with advice if pymavlink is not installed."""
     try:
-        # By name, because the package is optional and has no type information.
+        # Imported by name, because the package is optional and has no type information.
         common = importlib.import_module("pymavlink.dialects.v20.common")
     except ImportError:
         raise SourceError(advice("pymavlink")) from None
@@ -134,7 +149,7 @@ def _parser() -> Any:
 
 
 class MavlinkStream(Source):
-    """Place and velocity of one vehicle. A connection that breaks is opened again every second."""
+    """Provides position and velocity of one vehicle. After a failure it reopens the connection, once per second."""
 
     def __init__(
         self,
@@ -146,9 +161,10 @@ class MavlinkStream(Source):
         frame: Literal["enu", "ned"] = "enu",
         origin: Origin | None = None,
     ) -> None:
-        """``system`` is the MAVLink system id of the vehicle, None for the first one heard.
+        """``system``: MAVLink system id of the vehicle; None for the first one received.
 
-        Raises SourceError without pymavlink, or when the connection cannot be opened (a TCP server may come later).
+        Raises SourceError if pymavlink is not installed or the connection cannot be opened. A TCP server that does not
+        answer yet is not an error.
         """
         super().__init__(name)
         self._fields, self._system, self._frame, self._origin = fields, system, frame, origin
@@ -165,15 +181,15 @@ class MavlinkStream(Source):
 
     @property
     def finished(self) -> bool:
-        """Only by :meth:`close`; a vehicle may always come back."""
+        """Whether :meth:`close` was called; until then the vehicle may send again at any time."""
         return self._closed
 
     def fileno(self) -> int:
-        """The descriptor of the connection, -1 while there is none. It changes when the connection is renewed."""
+        """Return the descriptor of the connection, -1 while there is none. It changes when the source reconnects."""
         return self._port.fileno() if self._port is not None else -1
 
     def poll_timeout(self) -> int | None:
-        """When to open the connection again, or to complain about silence; at once before the first poll."""
+        """Return when to reopen the connection or to complain about silence; 0 before the first poll."""
         if self._closed:
             return None
         if self._port is None:
@@ -181,7 +197,7 @@ class MavlinkStream(Source):
         return 0 if self._quiet_until is None and "silent" not in self.counts else self._quiet_until
 
     def poll(self, now: int, wall: int) -> list[Sample]:  # noqa: ARG002 - the same call for every source
-        """The positions in what has arrived."""
+        """Return the positions in the messages that have arrived."""
         if self._closed:
             return []
         if self._port is None and not self._reopen(now):
@@ -197,6 +213,7 @@ class MavlinkStream(Source):
         return found
 
     def _reopen(self, now: int) -> bool:
+        """Open the connection again if it is time to; returns whether it is open."""
         if self._retry is not None and now < self._retry:
             return False
         try:
@@ -208,6 +225,7 @@ class MavlinkStream(Source):
         return True
 
     def _receive(self, now: int) -> bytes | None:
+        """Return the octets that have arrived, None if there are none or the connection failed."""
         if self._port is None:
             return None
         try:
@@ -223,6 +241,7 @@ class MavlinkStream(Source):
         return octets
 
     def _broken(self, now: int, why: str) -> None:
+        """Close a failed connection, schedule the next attempt, and complain."""
         if self._port is not None:
             with contextlib.suppress(OSError):
                 self._port.close()
@@ -231,18 +250,20 @@ class MavlinkStream(Source):
         self.complain("disconnected", f"there is no connection ({why}); trying again every second")
 
     def _parse(self, octets: bytes) -> list[Any]:
+        """Return the messages in received octets; complain about invalid ones."""
         try:
             return self._mav.parse_buffer(octets) or []
         except Exception as error:
-            # pymavlink checks much, but not all, before it unpacks. Whatever it trips over came from outside.
-            self.complain("bad-data", f"something that is no MAVLink was ignored ({error})")
+            # pymavlink does not check everything before it unpacks. Any exception here is caused by received octets.
+            self.complain("bad-data", f"data that is not valid MAVLink was ignored ({error})")
             self._mav = _parser()
             return []
 
     def _take(self, message: Any, found: list[Sample]) -> None:
+        """Append the sample of a position message of the vehicle to ``found``; ignore other messages."""
         kind = message.get_type()
         if kind == "BAD_DATA":
-            self.complain("bad-data", "something that is no MAVLink was ignored")
+            self.complain("bad-data", "data that is not valid MAVLink was ignored")
             return
         if kind != ("LOCAL_POSITION_NED" if self._origin is None else "GLOBAL_POSITION_INT"):
             return
@@ -251,36 +272,40 @@ class MavlinkStream(Source):
             self._system = system
         if system != self._system:
             self.complain(
-                "other-system", f"positions of system {system} are ignored, those of {self._system} are taken"
+                "other-system", f"positions of system {system} are ignored; the source uses system {self._system}"
             )
             return
         try:
             position, velocity = self._local(message) if self._origin is None else self._global(message, self._origin)
-            # An autopilot sends not-a-number for what it does not know.
+            # An autopilot sends NaN for unknown values.
             if not all(map(math.isfinite, position)):
-                raise FieldError("the autopilot does not know its place")
+                raise FieldError("the autopilot does not know its position")
             moving = velocity if all(map(math.isfinite, velocity)) else None
             found.append(self._fields.from_sample(as_sample(position, moving)))
         except FieldError as error:
             self.complain("out-of-range", f"a position was ignored: {error}")
 
     def _local(self, message: Any) -> tuple[Vector, Vector]:
+        """Return position and velocity of a LOCAL_POSITION_NED message."""
         return (
             self._turned((message.x, message.y, message.z)),
             self._turned((message.vx, message.vy, message.vz)),
         )
 
     def _turned(self, ned: Vector) -> Vector:
+        """Convert a vector from north, east, down to the axes of this source."""
         north, east, down = ned
         return ned if self._frame == "ned" else (east, north, -down)
 
     def _global(self, message: Any, origin: Origin) -> tuple[Vector, Vector]:
+        """Return position (relative to ``origin``) and velocity of a GLOBAL_POSITION_INT message."""
         # Units of the message: 1e-7 degrees, mm, cm/s.
         east, north, up = local(message.lat / 1e7, message.lon / 1e7, message.alt / 1e3, origin)
         velocity = (message.vx / 100, message.vy / 100, message.vz / 100)
         return self._turned((north, east, -up)), self._turned(velocity)
 
     def _watch_silence(self, now: int, *, heard: bool) -> None:
+        """Complain if no position has arrived for :data:`SILENCE_NS`; ``heard``: one has arrived now."""
         if heard:
             self._quiet_until = now + SILENCE_NS
         elif self._quiet_until is None:
@@ -300,9 +325,10 @@ class MavlinkStream(Source):
 
 
 def local(latitude: float, longitude: float, altitude: float, origin: Origin) -> Vector:
-    """East, north and up of ``origin`` in m, on the plane that touches the ellipsoid there (degrees, m).
+    """Convert latitude and longitude (degrees) and altitude (m) to east, north and up of ``origin`` in m.
 
-    The error against the true tangent plane is below 0.1 % within 10 km of the origin, up to latitudes of 80 degrees.
+    The result is in the plane that is tangent to the WGS 84 ellipsoid at the origin. The error of this approximation
+    is less than 0.1 % within 10 km of the origin, up to latitudes of 80 degrees.
     """
     at, meridian, height = origin
     sine = math.sin(math.radians(at))

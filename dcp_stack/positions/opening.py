@@ -1,4 +1,4 @@
-"""``open_source("track:circle,radius=50,speed=5")``: position sources as text."""
+"""Opening of position sources by text: ``open_source("track:circle,radius=50,speed=5")``."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from .base import PositionSource, SourceError
 from .fields import SafetyFields
 from .geometry import Vector
 
-#: kind -> how it is written, for usage texts.
+#: Kind of a source -> its syntax, for usage texts.
 SOURCES: Final = {
     "track": (
         "track:line|circle|waypoints|walk,KEY=VALUE,... with rate (per s, 20), speed (m/s), x, y, z (m); line: course,"
@@ -34,25 +34,27 @@ SOURCES: Final = {
 def open_source(spec: str, codec: Codec, *, rng: random.Random, stdin: int | None = None) -> PositionSource:
     """Open the source that ``spec`` describes (see :data:`SOURCES`) for a node of ``codec``'s profile.
 
-    ``rng`` is for random tracks, ``stdin`` the descriptor to read for ``stdin`` (standard input by default). Raises
-    SourceError, with what is wrong and what there is instead.
+    ``rng``: generator for random tracks. ``stdin``: the descriptor for the source ``stdin`` (default: standard input).
+    Raises SourceError with the problem and the valid choices.
     """
     kind, _, rest = spec.partition(":")
     fields = SafetyFields(codec.profile)
     if kind not in _OPENERS:
         near = difflib.get_close_matches(kind, SOURCES, n=1)
-        hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(SOURCES)}"
+        hint = f"did you mean {near[0]!r}?" if near else f"known sources are {', '.join(SOURCES)}"
         raise SourceError(f"{spec}: no position source {kind!r}; {hint}")
     if not fields.numbers():
-        raise SourceError(f"{spec}: profile {codec.profile.name} has no safety data to put a position into")
+        raise SourceError(f"{spec}: profile {codec.profile.name} has no safety data that could hold a position")
     try:
         return _OPENERS[kind](_Request(spec, rest, codec, fields, rng, stdin))
     except ValueError as error:
-        # SourceError, FieldError and ProfileError are; here all of them learn which source they are about.
+        # SourceError, FieldError and ProfileError are ValueErrors; their messages get the source here.
         raise SourceError(f"{spec}: {error}") from None
 
 
 class _Request(NamedTuple):
+    """The arguments of :func:`open_source`; ``rest`` is the part of ``spec`` after the kind."""
+
     spec: str
     rest: str
     codec: Codec
@@ -62,9 +64,10 @@ class _Request(NamedTuple):
 
 
 class _Options:
-    """The ``key=value`` parts behind the first part of a spec; the first part may contain commas itself."""
+    """The options of a spec: ``key=value`` parts after the first part, which may itself contain commas."""
 
     def __init__(self, rest: str, known: frozenset[str]) -> None:
+        """Split ``rest`` into :attr:`head` and options with ``known`` keys. Raises SourceError for a repeated key."""
         parts = rest.split(",")
         first = len(parts)
         while first > 1 and parts[first - 1].partition("=")[0].strip() in known and "=" in parts[first - 1]:
@@ -78,9 +81,11 @@ class _Options:
             self._values[key.strip()] = value.strip()
 
     def text(self, key: str) -> str | None:
+        """Return the value of an option, None if it is not given."""
         return self._values.get(key)
 
     def number(self, key: str, default: float) -> float:
+        """Return an option as a finite number. Raises SourceError for any other text."""
         text = self._values.get(key)
         if text is None:
             return default
@@ -93,6 +98,7 @@ class _Options:
         return value
 
     def integer(self, key: str, low: int, high: int) -> int | None:
+        """Return an option as an integer within bounds, None if it is not given. Raises SourceError."""
         text = self._values.get(key)
         if text is None:
             return None
@@ -101,6 +107,7 @@ class _Options:
         return int(text)
 
     def flag(self, key: str, *, default: bool) -> bool:
+        """Return an option as yes or no. Raises SourceError for any other text."""
         text = self._values.get(key)
         if text is None:
             return default
@@ -109,22 +116,23 @@ class _Options:
         return text.lower() in ("yes", "1", "true")
 
     def place(self) -> Vector:
+        """Return the options x, y and z as a position in m; 0 for an option that is not given."""
         return (self.number("x", 0.0), self.number("y", 0.0), self.number("z", 0.0))
 
 
 def _options(rest: str, known: frozenset[str]) -> _Options:
-    """The options of a spec whose first part has no commas: what is not known is an error."""
+    """Return the options of a spec whose first part has no commas. Raises SourceError for an unknown option."""
     for part in rest.split(",")[1:]:
         key, equals, _ = part.partition("=")
         if not equals:
             raise SourceError(f"{part!r} is not of the form key=value")
         if key.strip() not in known:
-            raise SourceError(f"no option {key.strip()!r}; there are {', '.join(sorted(known))}")
+            raise SourceError(f"no option {key.strip()!r}; known options are {', '.join(sorted(known))}")
     return _Options(rest, known)
 
 
 _COMMON: Final = frozenset({"rate", "speed", "x", "y", "z"})
-#: track -> the options it has beside the common ones.
+#: Track -> its options in addition to the common ones.
 _TRACKS: Final = {
     "line": frozenset({"course", "climb", "length"}),
     "circle": frozenset({"radius", "phase"}),
@@ -134,11 +142,12 @@ _TRACKS: Final = {
 
 
 def _track(request: _Request) -> PositionSource:
+    """Open a simulated track."""
     from . import tracks
 
     shape = request.rest.partition(",")[0]
     if shape not in _TRACKS:
-        raise SourceError(f"no track {shape!r}; there are {', '.join(_TRACKS)}")
+        raise SourceError(f"no track {shape!r}; known tracks are {', '.join(_TRACKS)}")
     if not request.fields.has_position:
         raise SourceError(f"profile {request.codec.profile.name} has no fields for a position")
     given = _options(request.rest, _COMMON | _TRACKS[shape])
@@ -162,16 +171,18 @@ def _track(request: _Request) -> PositionSource:
 
 
 def _triple(key: str, text: str) -> Vector:
+    """Return three numbers that are separated by slashes. Raises SourceError for any other text."""
     try:
         x, y, z = (float(part) for part in text.split("/"))
     except ValueError:
         x = y = z = math.nan
     if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(z)):
-        raise SourceError(f"{key} takes three numbers with / between them, not {text!r}")
+        raise SourceError(f"{key} takes three numbers separated by /, not {text!r}")
     return (x, y, z)
 
 
 def _csv(request: _Request) -> PositionSource:
+    """Open a replay of a CSV file."""
     from .replay import Replay, read_csv
 
     given = _Options(request.rest, frozenset({"speed", "loop"}))
@@ -180,6 +191,7 @@ def _csv(request: _Request) -> PositionSource:
 
 
 def _capture(request: _Request) -> PositionSource:
+    """Open a replay of the state reports in a recording."""
     from .replay import Replay, read_capture
 
     given = _Options(request.rest, frozenset({"node", "profile", "speed", "loop"}))
@@ -190,6 +202,7 @@ def _capture(request: _Request) -> PositionSource:
 
 
 def _stdin(request: _Request) -> PositionSource:
+    """Open standard input, or the given descriptor, for JSON lines."""
     from .jsonlines import JsonLines
 
     if request.rest:
@@ -199,6 +212,7 @@ def _stdin(request: _Request) -> PositionSource:
 
 
 def _mavlink(request: _Request) -> PositionSource:
+    """Open a MAVLink stream."""
     from .mavlink import MavlinkStream
 
     if not request.fields.has_position:

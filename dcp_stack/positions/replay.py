@@ -1,4 +1,4 @@
-"""Replay of recorded positions: CSV files and recordings of DCP traffic."""
+"""Replay of positions from CSV files and recordings of DCP traffic."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from .fields import FieldError, SafetyFields
 from .geometry import NS_PER_S
 from .tracks import as_sample
 
-#: Column that holds the time -> its unit in ns.
+#: Name of the time column -> its unit in ns.
 TIME_COLUMNS: Final[Mapping[str, int]] = {
     "time": NS_PER_S,
     "time_s": NS_PER_S,
@@ -31,14 +31,14 @@ TIME_COLUMNS: Final[Mapping[str, int]] = {
 
 
 class Replay(Source):
-    """Samples at given times (ns, increasing), the first at the first poll; ``loop`` starts again at the end.
+    """Provides samples at given times (ns, increasing), relative to the first poll.
 
-    ``speed`` 2 plays twice as fast. Late polls give all that has become due, so that every sample is reported. A loop
-    lasts one mean interval longer than its times, between the last sample and the first.
+    ``loop`` repeats them: between the last sample and the first of the next round there is one mean interval.
+    ``speed`` 2 replays twice as fast. A late poll returns all samples that are due, so none is left out.
     """
 
     def __init__(self, name: str, samples: list[tuple[int, Sample]], *, speed: float = 1.0, loop: bool = False) -> None:
-        """Raises ValueError without samples or for a speed that is not greater than 0."""
+        """Raises ValueError if there are no samples or the speed is not greater than 0."""
         super().__init__(name)
         if not samples:
             raise ValueError("there is nothing to replay")
@@ -47,7 +47,7 @@ class Replay(Source):
         first = samples[0][0]
         self._samples = [(round((time - first) / speed), sample) for time, sample in samples]
         length = self._samples[-1][0]
-        # At least 1 ms, or a loop over a single sample would never end its first poll.
+        # At least 1 ms, otherwise the first poll of a loop over a single sample would never end.
         self._length = length + max(length // max(len(samples) - 1, 1), 1_000_000)
         self._loop = loop
         self._start: int | None = None
@@ -55,15 +55,15 @@ class Replay(Source):
 
     @property
     def finished(self) -> bool:
-        """Whether the last sample has been given out."""
+        """Whether the last sample has been returned."""
         return self._next >= len(self._samples) and not self._loop
 
     def poll(self, now: int, wall: int) -> list[Sample]:  # noqa: ARG002 - the same call for every source
-        """All samples that are due."""
+        """Return all samples that are due, except those of rounds that were missed completely."""
         if self._start is None:
             self._start = now
         if self._loop and now - self._start >= 2 * self._length:
-            # Rounds that nobody asked for are left out.
+            # Leave out rounds that have passed completely since the last poll.
             self._start += (now - self._start) // self._length * self._length
             self._next = 0
         found: list[Sample] = []
@@ -76,18 +76,18 @@ class Replay(Source):
         return found
 
     def poll_timeout(self) -> int | None:
-        """When the next sample is due; at once before the first, None after the last."""
+        """Return when the next sample is due (monotonic ns); 0 before the first, None after the last."""
         if self.finished:
             return None
         return 0 if self._start is None else self._start + self._samples[self._next][0]
 
 
 def read_csv(path: Path, fields: SafetyFields) -> list[tuple[int, Sample]]:
-    """The samples of a CSV file with their times in ns, any origin.
+    """Return the samples of a CSV file with their times in ns, from any origin.
 
-    The first line names the columns: one of :data:`TIME_COLUMNS`, and fields of the profile, roles or aliases (x, y,
-    z, vx, vy, vz). Empty lines and lines that start with # are skipped. Raises SourceError, naming file and line, for
-    anything that is not as it should be; times may not decrease.
+    The first line has the names of the columns: one of :data:`TIME_COLUMNS`, and fields of the profile, roles or
+    aliases (x, y, z, vx, vy, vz). Empty lines and lines that start with # are skipped. Raises SourceError with file and
+    line for invalid content, and if times decrease.
     """
     try:
         text = path.read_text(encoding="utf-8-sig")
@@ -107,7 +107,7 @@ def read_csv(path: Path, fields: SafetyFields) -> list[tuple[int, Sample]]:
         for number, row in lines:
             time, sample = _sample(f"{path}:{number}", header, row, fields, unit)
             if found and time < found[-1][0]:
-                raise SourceError(f"{path}:{number}: the time goes back; sort the rows by time")
+                raise SourceError(f"{path}:{number}: the time decreases; sort the rows by time")
             found.append((time, sample))
     except csv.Error as error:
         raise SourceError(f"{path}:{rows.line_num}: {error}") from None
@@ -117,6 +117,7 @@ def read_csv(path: Path, fields: SafetyFields) -> list[tuple[int, Sample]]:
 
 
 def _checked_header(place: str, header: list[str], fields: SafetyFields) -> int:
+    """Return the unit of the time column in ns. Raises SourceError for unknown, repeated or missing columns."""
     times = [name for name in header if name in TIME_COLUMNS]
     if len(times) != 1:
         what = "no time column" if not times else f"more than one time column ({', '.join(times)})"
@@ -133,25 +134,26 @@ def _checked_header(place: str, header: list[str], fields: SafetyFields) -> int:
             raise SourceError(f"{place}: the columns {seen[field]!r} and {name!r} are the same field")
         seen[field] = name
     if not seen:
-        raise SourceError(f"{place}: there are no columns beside the time, such as x,y,z")
+        raise SourceError(f"{place}: there are no columns besides the time, such as x,y,z")
     return TIME_COLUMNS[times[0]]
 
 
 def _sample(place: str, header: list[str], row: list[str], fields: SafetyFields, unit: int) -> tuple[int, Sample]:
+    """Return time (ns) and sample of a row. Raises SourceError for invalid values."""
     if len(row) != len(header):
         raise SourceError(f"{place}: there are {len(row)} values for {len(header)} columns")
     time = 0
     values: dict[str, Any] = {}
     for name, cell in zip(header, row, strict=True):
         try:
-            # Integers are kept exact: a float cannot hold ns since 1970.
+            # Integers are not converted to float, which cannot represent ns since 1970 exactly.
             value = int(cell) if cell.strip().lstrip("+-").isdecimal() else float(cell)
             if name in TIME_COLUMNS:
                 time = value * unit if isinstance(value, int) else round(value * unit)
             else:
                 values[name] = value
         except (ValueError, OverflowError):
-            raise SourceError(f"{place}: {name} is no number: {cell!r}") from None
+            raise SourceError(f"{place}: {name} is not a number: {cell!r}") from None
     try:
         return time, fields.from_sample(values)
     except FieldError as error:
@@ -159,11 +161,11 @@ def _sample(place: str, header: list[str], row: list[str], fields: SafetyFields,
 
 
 def read_capture(path: Path, recorded: Codec, node: str | None, fields: SafetyFields) -> list[tuple[int, Sample]]:
-    """The state reports of one node in a recording, with their times in ns since 1970; repetitions count once.
+    """Return the state reports of one node in a recording, without repetitions, with their times in ns since 1970.
 
-    ``recorded`` is the codec of the recording; with another profile than that of ``fields``, place and velocity are
-    carried over. ``node`` is the identifier as people write it, None if there is only one node. Raises SourceError
-    naming the nodes there are.
+    ``recorded``: the codec of the recording. If its profile differs from that of ``fields``, only position and velocity
+    are converted. ``node``: the identifier as text; None if the recording has only one node. Raises SourceError if the
+    recording cannot be read, or does not have the node; the message has the nodes of the recording.
     """
     by_node: dict[bytes, list[tuple[int, ExtendedSafetyData]]] = {}
     try:
@@ -186,6 +188,7 @@ def read_capture(path: Path, recorded: Codec, node: str | None, fields: SafetyFi
 
 
 def _reports(path: Path, codec: Codec) -> Iterator[tuple[int, ExtendedSafetyData]]:
+    """Yield all state reports of a recording with their times in ns since 1970. Raises CaptureError."""
     with open_capture(path) as frames:
         for frame in frames:
             framing = locate(frame.data, codec.profile.link)
@@ -205,6 +208,10 @@ def _reports(path: Path, codec: Codec) -> Iterator[tuple[int, ExtendedSafetyData
 def _carried_over(
     path: Path, reports: list[tuple[int, ExtendedSafetyData]], recorded: SafetyFields, fields: SafetyFields
 ) -> list[tuple[int, Sample]]:
+    """Return reports as samples of another profile, sorted by time.
+
+    Raises SourceError if the profiles do not both have a position, or if no position can be converted.
+    """
     same = recorded.profile.srp.safety_data == fields.profile.srp.safety_data
     if not same and not (recorded.has_position and fields.has_position):
         names = f"{recorded.profile.name} and {fields.profile.name}"
@@ -218,7 +225,7 @@ def _carried_over(
             elif position is not None:
                 found.append((time, fields.from_sample(as_sample(position, recorded.velocity(report.s_data)))))
         except FieldError:
-            # A place that the other profile cannot express is not replayed.
+            # Leave out positions that the other profile cannot represent.
             continue
     if not found:
         raise SourceError(f"{path}: none of the positions fits the profile {fields.profile.name}")

@@ -1,4 +1,4 @@
-"""Simulated tracks. Axes are east (x), north (y), up (z); metres, m/s, degrees clockwise from north, seconds."""
+"""Simulated tracks. Axes are east (x), north (y), up (z); units are m, m/s, s, and degrees clockwise from north."""
 
 from __future__ import annotations
 
@@ -12,27 +12,27 @@ from .fields import SafetyFields
 from .geometry import NS_PER_S, Vector, distance, moved
 
 RATE: Final = 20.0
-"""Samples per s where nobody says otherwise: two for each beacon at the usual 10 per s. With one, jitter decides
-whether a beacon finds a fresh one, and every few beacons go without a state report."""
+"""Default rate in samples per s: two for each beacon at the usual 10 per s. With one sample per beacon, jitter would
+cause some beacons without a new state report."""
 State = tuple[Vector, Vector]
-"""Place (m) and velocity (m/s)."""
+"""Position (m) and velocity (m/s)."""
 
 
 class Path(Protocol):
-    """A track as a function of the seconds since its start, which never decrease from call to call."""
+    """A track as a function of the time since its start in s, which must not decrease from call to call."""
 
     def at(self, seconds: float) -> State:
-        """Place and velocity."""
+        """Return position and velocity at this time."""
         ...
 
 
 class Line:
-    """From ``start`` in direction ``course``; with ``length`` (m) back and forth over it."""
+    """A straight line from ``start`` in direction ``course``; with ``length`` (m) it is flown back and forth."""
 
     def __init__(
         self, start: Vector, *, course: float, speed: float, climb: float = 0.0, length: float | None = None
     ) -> None:
-        """``climb`` is the upward part of the velocity in m/s and not part of ``speed``. ValueError if length <= 0."""
+        """``speed``: horizontal speed in m/s. ``climb``: vertical speed in m/s. Raises ValueError if length <= 0."""
         if length is not None and not length > 0:
             raise ValueError(f"length must be greater than 0 m, not {length:g}")
         angle = math.radians(course)
@@ -41,7 +41,7 @@ class Line:
         self.leg = length / pace if length is not None and pace > 0 else math.inf
 
     def at(self, seconds: float) -> State:
-        """Place and velocity."""
+        """Return position and velocity at this time."""
         if self.leg == math.inf:
             return moved(self.start, self.velocity, seconds), self.velocity
         legs, rest = divmod(seconds, self.leg)
@@ -52,16 +52,19 @@ class Line:
 
 
 class Circle:
-    """Around ``center`` at its height, from ``phase`` (degrees from north) on; clockwise for a positive speed."""
+    """A circle around ``center`` at its height, clockwise for a positive speed.
+
+    It starts at ``phase``, in degrees clockwise from north.
+    """
 
     def __init__(self, center: Vector, *, radius: float, speed: float, phase: float = 0.0) -> None:
-        """Raises ValueError for a radius that is not greater than 0."""
+        """Raises ValueError if the radius is not greater than 0."""
         if not radius > 0:
             raise ValueError(f"radius must be greater than 0 m, not {radius:g}")
         self.center, self.radius, self.speed, self.phase = center, radius, speed, math.radians(phase)
 
     def at(self, seconds: float) -> State:
-        """Place and velocity."""
+        """Return position and velocity at this time."""
         angle = self.phase + self.speed / self.radius * seconds
         east, north = math.sin(angle), math.cos(angle)
         x, y, z = self.center
@@ -69,10 +72,10 @@ class Circle:
 
 
 class Waypoints:
-    """From point to point in straight lines; round and round, or until the last point with ``loop`` false."""
+    """Straight lines from point to point, repeatedly, or with ``loop`` False once until the last point."""
 
     def __init__(self, points: list[Vector], *, speed: float, loop: bool = True) -> None:
-        """Raises ValueError without two different points or for a speed that is not greater than 0."""
+        """Raises ValueError if all points are equal or the speed is not greater than 0."""
         if not speed > 0:
             raise ValueError(f"speed must be greater than 0 m/s, not {speed:g}")
         stops = [*points, points[0]] if loop and points else points
@@ -83,7 +86,7 @@ class Waypoints:
         self.duration = math.fsum(duration for *_, duration in self.legs)
 
     def at(self, seconds: float) -> State:
-        """Place and velocity; standing at the last point when that is reached for good."""
+        """Return position and velocity at this time; without a loop the velocity is 0 after the last point."""
         if self.loop:
             seconds %= self.duration
         for a, b, duration in self.legs:
@@ -95,19 +98,20 @@ class Waypoints:
 
 
 class RandomWalk:
-    """At constant speed and height with a wandering course, inside a square of ``extent`` m around ``start``.
+    """A track at constant speed and height with a random course, inside a square of ``extent`` m around ``start``.
 
-    The course changes every ``STEP`` seconds, whenever it is asked for: the track depends on the generator alone.
+    The course changes every ``STEP`` s, independently of the times of the calls. The track depends only on the
+    generator.
     """
 
     STEP = 0.1
 
     def __init__(self, start: Vector, *, speed: float, extent: float, turn: float, rng: random.Random) -> None:
-        """``turn`` is the standard deviation of the course after one second (degrees). ValueError if extent <= 0."""
+        """``turn``: standard deviation of the course after 1 s, in degrees. Raises ValueError if extent <= 0."""
         if not extent > 0:
             raise ValueError(f"extent must be greater than 0 m, not {extent:g}")
         self.start, self.extent, self.rng = start, extent, rng
-        # Longer steps than the square is wide could not be reflected into it.
+        # A step longer than half the square could not be reflected into it.
         self.speed = math.copysign(min(abs(speed), extent / self.STEP / 2), speed)
         self.turn = math.radians(turn) * math.sqrt(self.STEP)
         self.course = rng.uniform(0, math.tau)
@@ -116,20 +120,22 @@ class RandomWalk:
         self.velocity = self._velocity()
 
     def at(self, seconds: float) -> State:
-        """Place and velocity."""
+        """Return position and velocity at this time."""
         while (self.steps + 1) * self.STEP <= seconds:
             self._step()
         return moved(self.place, self.velocity, seconds - self.steps * self.STEP), self.velocity
 
     def _velocity(self) -> Vector:
+        """Return the velocity for the current course."""
         return (self.speed * math.sin(self.course), self.speed * math.cos(self.course), 0.0)
 
     def _step(self) -> None:
+        """Move by one step, and change the course."""
         self.place = moved(self.place, self.velocity, self.STEP)
         self.steps += 1
         self.course += self.rng.gauss(0, self.turn)
         self.velocity = self._velocity()
-        # Turn back inside where the next step would leave the square.
+        # Reflect the course if the next step would leave the square.
         x, y, _ = moved(self.place, self.velocity, self.STEP)
         half = self.extent / 2
         if abs(x - self.start[0]) > half:
@@ -141,10 +147,10 @@ class RandomWalk:
 
 
 class Track(Source):
-    """A path, sampled ``rate`` times a second. A poll that comes late gives one sample, that of now."""
+    """Provides ``rate`` samples of a path per s. A late poll returns one sample, for the current time."""
 
     def __init__(self, name: str, path: Path, fields: SafetyFields, *, rate: float = RATE) -> None:
-        """Raises ValueError for a rate outside 0.001..1000 per second, FieldError if the fields cannot hold it."""
+        """Raises ValueError for a rate outside 0.001..1000 per s."""
         super().__init__(name)
         if not 0.001 <= rate <= 1000:
             raise ValueError(f"rate must be 0.001 to 1000 samples per second, not {rate:g}")
@@ -154,7 +160,7 @@ class Track(Source):
         self._due = 0
 
     def poll(self, now: int, wall: int) -> list[Sample]:  # noqa: ARG002 - the same call for every source
-        """The sample of now, if one is due."""
+        """Return the sample for the current time, if one is due."""
         if self._start is None:
             self._start = self._due = now
         if now < self._due:
@@ -163,17 +169,17 @@ class Track(Source):
         try:
             return [self._fields.from_motion(*self._path.at((now - self._start) / NS_PER_S))]
         except (ValueError, ArithmeticError) as error:
-            # Beside values that do not fit: tracks of lengths and speeds where the numbers end.
+            # Values that do not fit their fields, or lengths and speeds beyond the range of floats.
             self.complain("out-of-range", str(error))
             return []
 
     def poll_timeout(self) -> int | None:
-        """When the next sample is due; at once before the first."""
+        """Return when the next sample is due (monotonic ns); 0 before the first."""
         return self._due
 
 
 def as_sample(position: Vector, velocity: Vector | None) -> dict[str, float]:
-    """Roles and values of a place and a velocity."""
+    """Return a sample, by roles, for a position (m) and a velocity (m/s)."""
     found = dict(zip(("position.x", "position.y", "position.z"), position, strict=True))
     if velocity is not None:
         found |= zip(("velocity.x", "velocity.y", "velocity.z"), velocity, strict=True)

@@ -1,13 +1,14 @@
-"""A relay between virtual Ethernet interfaces: forwards frames through the impairment of each link, in user space.
+"""A relay between virtual Ethernet interfaces: applies the impairment of each link to frames, in user space.
 
-The kernel's netem and classifiers are modules that many kernels lack, and they know nothing of outages by schedule,
-corruption that spares headers, or which frame they took. The relay does all of it, with the decisions of
+netem and classifiers are modules that many kernels lack. They support neither scheduled outages nor corruption that
+excludes headers, and do not report which frames they lost. The relay provides all of this, with the decisions of
 ``dcp_codec.impairment``.
 """
 
 from __future__ import annotations
 
+from .air import RelayAir, needs_relay
 from .control import RelayError
 from .fabric import INTERFACE, RelayFabric
 
-__all__ = ["INTERFACE", "RelayError", "RelayFabric"]
+__all__ = ["INTERFACE", "RelayAir", "RelayError", "RelayFabric", "needs_relay"]

@@ -1,7 +1,7 @@
 """``python -m dcp_stack.relay``: forward frames between the interfaces of this network namespace.
 
-Reads a line of JSON (``messages.Setup``), then a command a line, and answers each with a line. Ends when its input
-ends, and says its counters then. Exit status: 0; 2 if the setup is refused.
+The process reads the setup (``messages.Setup``) and then commands, each as a line of JSON, and answers each with a
+line. At the end of its input it writes its counters and ends. Exit status: 0, or 2 if the setup is refused.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ _COMMAND = msgspec.json.Decoder(Command)
 
 
 def main() -> int:
-    """Run the relay until its input ends."""
-    # A terminal sends these to all processes at once; the relay ends after those whose frames it carries.
+    """Run the relay until its input ends; returns the exit status."""
+    # A terminal sends SIGINT to all processes at once; the relay has to outlive the stations whose frames it carries.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     lines = _Lines(sys.stdin.fileno())
     first = lines.wait()
@@ -40,7 +40,7 @@ def main() -> int:
         _say(Answer(ok=False, why=str(error)))
         return 2
     prefer()
-    # Nothing made from here on forms cycles, and a collection would hold up what is due.
+    # The relay creates no reference cycles from here on, and a garbage collection would delay frames that are due.
     gc.freeze()
     gc.disable()
     _say(Answer(ok=True))
@@ -50,7 +50,7 @@ def main() -> int:
                 try:
                     answer = relay.carry_out(_COMMAND.decode(line))
                 except msgspec.DecodeError as error:
-                    answer = Answer(ok=False, why=f"no command: {error}")
+                    answer = Answer(ok=False, why=f"not a command: {error}")
                 _say(answer)
     found = relay.counters()
     relay.close()
@@ -59,6 +59,7 @@ def main() -> int:
 
 
 def _make(setup: Setup) -> Relay:
+    """Return a relay with open ports and recordings. Raises the errors of impairments, ports and recordings."""
     network = Network(len(setup.ports), default=parse_impairment(setup.impairment), seed=setup.seed, hears=setup.hears)
     ports: list[Port] = []
     recorders: list[PortRecorder] = []
@@ -74,7 +75,7 @@ def _make(setup: Setup) -> Relay:
 
 
 class _Lines:
-    """Lines from a descriptor, read as they come."""
+    """A reader of lines from a descriptor."""
 
     def __init__(self, descriptor: int) -> None:
         self.descriptor = descriptor
@@ -82,23 +83,24 @@ class _Lines:
         self._rest = b""
 
     def read(self) -> list[bytes]:
-        """The lines that have come; waits only if there is nothing to read at all."""
+        """Return the complete lines that have arrived; waits only if there is no input at all."""
         octets = os.read(self.descriptor, 1 << 16)
         self.ended = not octets
         *lines, self._rest = (self._rest + octets).split(b"\n")
         return [each for each in lines if each.strip()]
 
     def wait(self) -> bytes:
-        """The next line."""
+        """Wait for the first line, and return it; empty at the end of input."""
         while not self.ended:
             if lines := self.read():
-                # Nobody says more before the answer.
+                # The client sends no further line before the answer.
                 return lines[0]
         return b""
 
 
 def _say(answer: Answer) -> None:
-    # Whoever asked may be gone.
+    """Write an answer as a line of JSON."""
+    # The client may have ended.
     with contextlib.suppress(OSError):
         sys.stdout.buffer.write(msgspec.json.encode(answer) + b"\n")
         sys.stdout.buffer.flush()

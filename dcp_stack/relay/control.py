@@ -1,4 +1,4 @@
-"""A relay as a process of its own, seen from the program that started it."""
+"""The client side of a relay that runs in its own process."""
 
 from __future__ import annotations
 
@@ -15,20 +15,24 @@ import msgspec
 
 from .messages import Answer, Command, Count, Setup
 
-#: Seconds that the relay may take to start, and to answer.
-START_PATIENCE: Final = 30.0
-PATIENCE: Final = 10.0
+#: Maximum time in s for the start of the relay, and for an answer.
+START_PATIENCE: Final = 180.0
+PATIENCE: Final = 60.0
 
 
 class RelayError(Exception):
-    """The relay refused something, or is gone; the message says what and why."""
+    """The relay refused a command, does not answer or has ended; the message has the reason."""
 
 
 class RelayProcess:
-    """Starts ``python -m dcp_stack.relay`` and talks to it. It ends with this process at the latest."""
+    """A process of ``python -m dcp_stack.relay``. It ends with this process at the latest."""
 
     def __init__(self, setup: Setup, around: Sequence[str] = ()) -> None:
-        """``around``: what comes before the command, such as ``nsenter``. Raises :class:`RelayError`."""
+        """Start the relay, and wait until its ports are open.
+
+        ``around``: arguments that precede the command, such as those of ``nsenter``. Raises :class:`RelayError` if it
+        does not start or refuses the setup.
+        """
         self._complaints = tempfile.TemporaryFile()  # noqa: SIM115 - closed in close()
         self._rest = b""
         try:
@@ -37,6 +41,8 @@ class RelayProcess:
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=self._complaints,
+                # Signals to the group of the program (Ctrl-C, timeout(1)) must not end the relay before its stations.
+                start_new_session=True,
             )
         except OSError as error:
             self._complaints.close()
@@ -50,19 +56,19 @@ class RelayProcess:
 
     @property
     def pid(self) -> int:
-        """Of the process."""
+        """Identifier of the process."""
         return self._process.pid
 
     def command(self, command: Command) -> Answer:
-        """Have a command carried out. Raises :class:`RelayError` if it is refused or the relay is gone."""
+        """Send a command, and return the answer. Raises :class:`RelayError` if it is refused or the relay has ended."""
         return self._ask(msgspec.json.encode(command), PATIENCE)
 
     def counters(self) -> dict[str, Any]:
-        """The counters: now, or after :meth:`close` those of the end. Raises :class:`RelayError`."""
+        """Return the current counters, after :meth:`close` the last ones. Raises :class:`RelayError`."""
         return self._final if self._final is not None else self.command(Count()).counters
 
     def close(self) -> dict[str, Any]:
-        """End the relay; returns its last counters (none if it did not end as it should). May be called twice."""
+        """End the relay; returns its last counters (empty if it did not end normally). May be called twice."""
         if self._final is not None:
             return self._final
         self._final = {}
@@ -83,9 +89,10 @@ class RelayProcess:
         return self._final
 
     def _ask(self, line: bytes, patience: float) -> Answer:
+        """Send a line, and return the answer to it within ``patience`` s."""
         assert self._process.stdin is not None
         if self._final is not None:
-            raise RelayError("the relay was closed")
+            raise RelayError("the relay is closed")
         try:
             self._process.stdin.write(line + b"\n")
             self._process.stdin.flush()
@@ -97,6 +104,7 @@ class RelayProcess:
         return answer
 
     def _line(self, patience: float) -> bytes:
+        """Return the next line of the relay within ``patience`` s."""
         assert self._process.stdout is not None
         deadline = time.monotonic() + patience
         while b"\n" not in self._rest:
@@ -111,9 +119,10 @@ class RelayProcess:
         return line
 
     def _gone(self) -> RelayError:
+        """Return the error for a relay that has ended, with its exit status and the last line that it wrote."""
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._process.wait(1.0)
         self._complaints.seek(0)
         said = self._complaints.read().decode(errors="replace").strip().splitlines()
-        last = f"; it said: {said[-1]}" if said else ""
+        last = f"; its last message: {said[-1]}" if said else ""
         return RelayError(f"the relay has ended (exit status {self._process.returncode}){last}")

@@ -1,4 +1,4 @@
-"""A network of namespaces whose links all go through one relay."""
+"""A network of namespaces that are connected by one relay."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ INTERFACE: Final = "dcp0"
 
 
 class RelayFabric:
-    """Namespaces with an interface each, and a relay between the other ends of their cables.
+    """Namespaces with one interface each, and a relay between the other ends of their veth pairs.
 
-    Namespaces are made as a testbed makes them (``dcp_stack.sim.testbed.namespaces``): with a prefix that names this
-    process. :meth:`close` deletes them with ``namespaces.delete`` unless told otherwise.
+    As in a testbed (``dcp_stack.sim.testbed.namespaces``) the prefix of their names identifies this process.
+    :meth:`close` deletes the namespaces, unless ``keep_namespaces`` is set.
     """
 
     def __init__(
@@ -34,12 +34,13 @@ class RelayFabric:
         record: str | Path | None = None,
         profile: str = "",
     ) -> None:
-        """``addresses``: of the interfaces, 6 octets each, one for each station. ``impairment``: of all links.
+        """``addresses``: MAC address (6 octets) of each station's interface. ``impairment``: that of all links.
 
-        ``pairs``: (sender, receiver) in reach; None: all. ``record``: a folder that exists, for ``port-N.mcap``;
-        ``profile``: the wire profile that the recordings name.
+        ``pairs``: connections (sender, receiver); None for all. ``record``: an existing directory for ``port-N.mcap``.
+        ``profile``: wire profile in the metadata of the recordings.
 
-        Raises :class:`RelayError` and ``namespaces.NamespaceError``.
+        Raises :class:`RelayError` if the relay does not start, ``namespaces.NamespaceError`` if the system refuses
+        namespaces or interfaces.
         """
         width = len(str(max(0, len(addresses) - 1)))
         self.namespaces = [f"{prefix}-n{number:0{width}}" for number in range(len(addresses))]
@@ -63,6 +64,7 @@ class RelayFabric:
             raise
 
     def _cable(self, addresses: Sequence[str]) -> None:
+        """Create a veth pair from each station to the namespace of the relay."""
         lines = []
         for number, address in enumerate(addresses):
             peer = f"{INTERFACE} address {address} netns {self.namespaces[number]}"
@@ -74,19 +76,19 @@ class RelayFabric:
 
     @property
     def relay_pid(self) -> int:
-        """The relay's process."""
+        """Identifier of the relay's process."""
         return self._relay.pid
 
     def set_quality(self, direction: tuple[int, int] | None, impairment: Impairment) -> None:
-        """Change the impairment from one station to another, or (None) of all links that have none of their own.
+        """Set the impairment of one direction (sender, receiver), or with None of all directions without their own.
 
-        Raises :class:`RelayError`, as the following do.
+        Raises :class:`RelayError`, as the following methods do.
         """
         sender, receiver = direction if direction is not None else (None, None)
         self._relay.command(SetQuality(impairment=text_of(impairment), sender=sender, receiver=receiver))
 
     def partition(self, groups: Sequence[Sequence[int]]) -> None:
-        """Let frames stay within their groups; stations in none form one more. No groups: heal."""
+        """Restrict frames to the groups; stations in no group form another one. Without groups the partition ends."""
         self._relay.command(Partition(tuple(tuple(each) for each in groups)))
 
     def port(self, number: int, *, up: bool) -> None:
@@ -94,7 +96,10 @@ class RelayFabric:
         self._relay.command(SwitchPort(number, up))
 
     def counters(self) -> dict[str, Any]:
-        """``links`` (by ``"0>1"``), ``ports`` and ``lateness_ns`` of the relay; the last ones after :meth:`close`."""
+        """Return the counters of the relay, after :meth:`close` the last ones.
+
+        They are ``links`` (by ``"0>1"``), ``ports`` and ``lateness_ns``.
+        """
         return self._relay.counters()
 
     def close(self, *, keep_namespaces: bool = False) -> dict[str, Any]:

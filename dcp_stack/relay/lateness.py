@@ -1,16 +1,16 @@
-"""How late a relay sent frames, in bounded memory."""
+"""Statistics of the delay between deadline and transmission of frames, in bounded memory."""
 
 from __future__ import annotations
 
 from typing import Final
 
-#: ns of one class, and number of classes: up to 40 ms.
+#: Width of a class in ns, and number of classes: together 40 ms.
 _WIDTH: Final = 20_000
 _CLASSES: Final = 2000
 
 
 class Lateness:
-    """A histogram of times between deadline and transmission."""
+    """A histogram of the times between deadline and transmission."""
 
     def __init__(self) -> None:
         self._counts = [0] * (_CLASSES + 1)
@@ -22,7 +22,10 @@ class Lateness:
         self._most = max(self._most, late)
 
     def quantile(self, share: float) -> int:
-        """ns that at least this share of frames did not exceed, to 20 us; 0 without frames."""
+        """Return the time in ns that at least this share of frames did not exceed; 0 without frames.
+
+        The resolution is 20 us; above 40 ms the result is the largest time.
+        """
         total = sum(self._counts)
         seen = 0
         for place, count in enumerate(self._counts):
@@ -32,5 +35,5 @@ class Lateness:
         return 0
 
     def summary(self) -> dict[str, int]:
-        """Median, 99 % and the largest, in ns."""
+        """Return the median, the 99th percentile and the maximum in ns."""
         return {"p50": self.quantile(0.5), "p99": self.quantile(0.99), "max": self._most}

@@ -1,4 +1,4 @@
-"""The relay itself: waits for frames, commands and deadlines, and forwards what is due."""
+"""The event loop of the relay: waits for frames, commands and deadlines, and forwards frames when they are due."""
 
 from __future__ import annotations
 
@@ -17,37 +17,37 @@ from .messages import Answer, Command, Count, Partition, SetQuality, SwitchPort
 from .port import Port, Taken
 from .recorder import PortRecorder
 
-#: Frames that are read from one port before what is due is sent.
+#: Maximum number of frames read from one port before due frames are sent.
 _AT_A_TIME: Final = 16
-#: The longest wait in s, after which interfaces that were away are tried again.
+#: Maximum wait in s, after which the relay tries to open missing interfaces again.
 _LOOK: Final = 0.2
-#: ns before a deadline in which the relay stays awake.
+#: Time in ns before a deadline in which the relay does not sleep.
 _AWAKE: Final = 150_000
 
 
 class Relay:
-    """Forwards frames between ports; times are ns of the monotonic clock since the relay was made."""
+    """Forwards frames between ports. Times are monotonic ns since the creation of the relay."""
 
     def __init__(self, network: Network, ports: Sequence[Port], recorders: Sequence[PortRecorder] = ()) -> None:
-        """``recorders``: none, or one for each port."""
+        """``network`` decides about frames. ``recorders``: none, or one for each port."""
         self._network, self._ports, self._recorders = network, list(ports), list(recorders)
         self._start = time.monotonic_ns()
         self._last = 0
         self.lateness = Lateness()
 
     def now(self) -> int:
-        """ns since the start."""
+        """Return the current time in ns since the creation of the relay."""
         return time.monotonic_ns() - self._start
 
     def step(self, commands: int) -> bool:
-        """Wait for frames, for the next deadline or for commands, and forward; whether there are commands to read.
+        """Wait for frames, the next deadline or commands, and forward frames.
 
-        ``commands``: the descriptor that commands come from.
+        ``commands``: the descriptor of commands. Returns whether it is readable.
         """
         sources = [port.socket for port in self._ports]
         left = _LOOK
         if (due := self._network.poll_timeout()) is not None:
-            # Shortly before a deadline this does not sleep, since waking up takes longer than that.
+            # No sleep shortly before a deadline: waking up takes longer than the remaining time.
             left = min(max(0.0, (due - self.now() - _AWAKE) / 1e9), _LOOK)
         readable: list[int | socket.socket] = [commands, *(each for each in sources if each is not None)]
         ready, _, _ = select.select(readable, [], [], left)
@@ -57,7 +57,7 @@ class Relay:
             if source is not None and source in ready
             for each in self._read(self._ports[number])
         ]
-        # Stations whose frames are heard by the same others are heard in the order in which they have sent.
+        # Frames of different stations are forwarded in the order in which they were sent.
         for _, number, each in sorted(taken):
             self._take(number, each)
         self._forward()
@@ -67,6 +67,7 @@ class Relay:
 
     @staticmethod
     def _read(port: Port) -> Iterator[Taken]:
+        """Yield the frames that a port has received, at most :data:`_AT_A_TIME`."""
         for _ in range(_AT_A_TIME):
             taken = port.read()
             if taken is None:
@@ -74,13 +75,15 @@ class Relay:
             yield taken
 
     def _take(self, number: int, taken: Taken) -> None:
-        # A frame that came earlier may be read later; channels expect times that do not go back.
+        """Record a received frame, and schedule it for its receivers."""
+        # Frames may be read out of order, but the times for the network must not decrease.
         self._last = max(self._last, taken.time - self._start, 0)
         if self._recorders:
             self._recorders[number].saw(taken.frame, taken.wall)
         self._network.broadcast(number, taken.frame, self._last, ETHERNET_HEADER)
 
     def _forward(self) -> None:
+        """Send all frames that are due."""
         for transit in self._network.due(self.now()):
             if not self._ports[transit.receiver].send(transit.octets):
                 continue
@@ -89,7 +92,7 @@ class Relay:
                 self._recorders[transit.receiver].saw(transit.octets, time.time_ns())
 
     def carry_out(self, command: Command) -> Answer:
-        """Do what was commanded. What is wrong with it is in the answer."""
+        """Execute a command; returns the answer, which has the reason if the command is refused."""
         try:
             if isinstance(command, SetQuality):
                 self._network.set(parse_impairment(command.impairment), command.sender, command.receiver)
@@ -105,7 +108,7 @@ class Relay:
         return Answer(ok=True)
 
     def counters(self) -> dict[str, Any]:
-        """What became of all frames so far, as plain data for JSON."""
+        """Return the counters of links and ports and the lateness so far, as plain data for JSON."""
         for port in self._ports:
             port.count_drops()
         return {
@@ -125,7 +128,7 @@ class Relay:
         }
 
     def close(self) -> None:
-        """Give everything back; frames under way are lost."""
+        """Close recordings and ports; frames in flight are lost."""
         for recorder in self._recorders:
             recorder.close()
         for port in self._ports:
@@ -133,7 +136,10 @@ class Relay:
 
 
 def prefer() -> None:
-    """Let this process wake up in time: before others, and without the slack that the kernel gives timers."""
+    """Raise the priority of this process, and remove the slack of its timers, so that it wakes up in time.
+
+    No effect where the system does not permit it.
+    """
     import contextlib
     import ctypes
 

@@ -1,4 +1,4 @@
-"""What is said to a relay, a line of JSON each, and what it answers."""
+"""Messages to a relay and its answers, each a line of JSON."""
 
 from __future__ import annotations
 
@@ -8,23 +8,26 @@ import msgspec
 
 
 class Setup(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
-    """The first line: what the relay forwards between. Answered by ``{"ok": true}`` once all ports are open."""
+    """The first line: the configuration of the relay. The answer is ``{"ok": true}`` when all ports are open."""
 
     ports: tuple[str, ...]
     """Interfaces, one for each station."""
     impairment: str = ""
-    """Of all links that have none of their own, as ``dcp_codec.impairment.parse_impairment`` reads it."""
+    """Impairment of all links without their own, in the syntax of ``dcp_codec.impairment.parse_impairment``."""
     seed: int = 1
     hears: tuple[tuple[int, int], ...] | None = None
-    """Pairs (sender, receiver); None: everybody hears everybody."""
+    """Connections as pairs (sender, receiver); None: all stations are connected."""
     record: str = ""
-    """Folder for one MCAP file for each port; empty: nothing is recorded."""
+    """Directory for one MCAP file per port; empty: no recordings."""
     profile: str = ""
-    """Wire profile that the recordings name; empty: none."""
+    """Wire profile in the metadata of the recordings; empty: none."""
 
 
 class SetQuality(msgspec.Struct, tag="set", tag_field="do", forbid_unknown_fields=True, kw_only=True):
-    """Change the impairment of one direction, or of all that have none of their own."""
+    """Set the impairment of one direction, or (without ``sender`` and ``receiver``) that of all others.
+
+    "All others" are the directions whose impairment was not set separately.
+    """
 
     impairment: str
     sender: int | None = None
@@ -32,7 +35,7 @@ class SetQuality(msgspec.Struct, tag="set", tag_field="do", forbid_unknown_field
 
 
 class Partition(msgspec.Struct, tag="partition", tag_field="do", forbid_unknown_fields=True):
-    """Let frames stay within groups of stations; no groups: end that."""
+    """Restrict frames to groups of stations; without groups the partition ends."""
 
     groups: tuple[tuple[int, ...], ...]
 
@@ -45,16 +48,16 @@ class SwitchPort(msgspec.Struct, tag="port", tag_field="do", forbid_unknown_fiel
 
 
 class Count(msgspec.Struct, tag="counters", tag_field="do", forbid_unknown_fields=True):
-    """Answered by the counters."""
+    """Request the counters."""
 
 
 Command = SetQuality | Partition | SwitchPort | Count
 
 
 class Answer(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
-    """What the relay says to a command."""
+    """The answer to the setup or to a command."""
 
     ok: bool
     why: str = ""
-    """The reason of a refusal."""
+    """The reason for a refusal."""
     counters: dict[str, Any] = {}

@@ -1,4 +1,4 @@
-"""One interface of the relay: reads and writes whole Ethernet frames, whatever happens to the interface."""
+"""One interface of the relay: reads and writes whole Ethernet frames, and recovers if the interface fails."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from typing import Final, NamedTuple
 from dcp_codec.network import interfaces, sockets
 from dcp_codec.network.sockets import ANCILLARY, CUT_OFF, ETHERNET_HEADER, EVERY_ETHER_TYPE, LONGEST, OUTGOING
 
-#: ns between two attempts to open an interface that is away.
+#: Time in ns between two attempts to open a missing interface.
 _PAUSE: Final = 200_000_000
 _IPV4, _UDP = b"\x08\x00", 17
 
 
 class Taken(NamedTuple):
-    """A frame that came in: when, in ns of the monotonic clock and since 1970."""
+    """A received frame; ``time`` is monotonic ns, ``wall`` ns since 1970."""
 
     time: int
     wall: int
@@ -27,28 +27,29 @@ class Port:
     """A socket for all frames on one interface."""
 
     def __init__(self, interface: str) -> None:
-        """Raises ``dcp_codec.network.sockets.OpeningError`` and ``OSError``."""
+        """Open the interface. Raises ``dcp_codec.network.sockets.OpeningError`` and ``OSError``."""
         self.interface = interface
         self.refused = 0
-        """Frames that could not be sent: too long for the interface, or the interface was down or full."""
+        """Frames that were not forwarded: too long, or the interface was down or its queue full."""
         self.dropped = 0
         """Frames that the kernel dropped before the relay read them."""
         self.outages = 0
-        """How often the interface went away or down."""
+        """Number of times that the interface was removed or went down."""
         self._tried = 0
         self._ethernet: sockets.EthernetSocket | None = self._open()
 
     def _open(self) -> sockets.EthernetSocket:
+        """Open a promiscuous socket for all EtherTypes."""
         self._tried = time.monotonic_ns()
         return sockets.open_ethernet(self.interface, EVERY_ETHER_TYPE, promiscuous=True)
 
     @property
     def socket(self) -> socket.socket | None:
-        """To wait for; None while the interface is away."""
+        """The socket to wait for; None while the interface is missing."""
         return None if self._ethernet is None else self._ethernet.raw
 
     def revive(self, now: int) -> None:
-        """Open the interface again if it was away and is back; tries now and then (``now``: monotonic ns)."""
+        """Open a missing interface if it exists again; at most one attempt per ``_PAUSE`` (``now``: monotonic ns)."""
         if self._ethernet is None and now - self._tried >= _PAUSE:
             self._tried = now
             if self.interface in interfaces.names():
@@ -56,7 +57,7 @@ class Port:
                     self._ethernet = self._open()
 
     def read(self) -> Taken | None:
-        """The next frame that has come in; None if there is none."""
+        """Return the next received frame; None if there is none."""
         while self._ethernet is not None:
             try:
                 frame, ancillary, flags, (_, _, kind, *_) = self._ethernet.raw.recvmsg(LONGEST, ANCILLARY)
@@ -80,7 +81,7 @@ class Port:
         return None
 
     def send(self, frame: bytes) -> bool:
-        """Send a whole frame; False if that was refused, which is counted."""
+        """Send a whole frame; returns False, and counts the frame, if it could not be sent."""
         if self._ethernet is not None:
             try:
                 self._ethernet.send(frame)
@@ -92,13 +93,13 @@ class Port:
         return False
 
     def count_drops(self) -> None:
-        """Ask the kernel what it dropped."""
+        """Add the frames that the kernel dropped since the last call to ``dropped``."""
         if self._ethernet is not None:
             with contextlib.suppress(OSError):
                 self.dropped += self._ethernet.lost()
 
     def _interrupted(self) -> None:
-        """The interface went down, which the socket survives, or was removed, which it does not."""
+        """Count an outage. Close the socket if the interface was removed; after a mere link-down it stays usable."""
         self.outages += 1
         ethernet = self._ethernet
         removed = True
@@ -108,7 +109,7 @@ class Port:
             self.close()
 
     def close(self) -> None:
-        """Give the socket back; may be called twice."""
+        """Close the socket; may be called twice."""
         self.count_drops()
         ethernet, self._ethernet = self._ethernet, None
         if ethernet is not None:
@@ -116,15 +117,15 @@ class Port:
 
 
 def _without_udp_checksum(frame: bytes) -> bytes:
-    """The frame with the checksum of UDP over IPv4 left out (0), which is permitted.
+    """Return the frame with the checksum of UDP over IPv4 set to 0, which means none.
 
-    On virtual cables the kernel leaves checksums unfinished for hardware that is not there, and a receiver would
-    discard what the relay forwards.
+    On veth pairs the kernel does not complete checksums (it leaves this to the hardware), and a receiver would discard
+    the forwarded frame.
     """
     if frame[12:14] != _IPV4 or len(frame) < 42 or frame[23] != _UDP:
         return frame
     place = ETHERNET_HEADER + (frame[14] & 0x0F) * 4 + 6
-    # Only the first fragment has the header of UDP.
+    # Only the first fragment has the UDP header.
     if int.from_bytes(frame[20:22]) & 0x1FFF or len(frame) < place + 2:
         return frame
     return frame[:place] + b"\0\0" + frame[place + 2 :]

@@ -1,4 +1,4 @@
-"""Recordings of a relay: for each port an MCAP file of the frames that its station sent and got."""
+"""Recordings of a relay: one MCAP file per port with the frames that its station sent and received."""
 
 from __future__ import annotations
 
@@ -8,31 +8,31 @@ from typing import Final
 
 from dcp_codec.capture import MAX_TIME_NS, CaptureError, CaptureWriter, Frame, create_capture
 
-#: ns after which frames are handed to the system.
+#: Time in ns after which written frames are flushed to the system.
 _FLUSH: Final = 1_000_000_000
 
 
 class PortRecorder:
-    """Writes the frames of one port. What cannot be written ends the recording and is kept in ``problem``."""
+    """Writes the frames of one port. A write error ends the recording; ``problem`` has its text."""
 
     def __init__(self, path: Path, port: int, interface: str, profile: str = "") -> None:
-        """Raises ``CaptureError`` if the file cannot be created, and ``ProfileError`` for a profile that is unknown."""
+        """Create the file. Raises ``CaptureError`` if that fails, ``ProfileError`` for an unknown profile."""
         self.frames = 0
         self.problem = ""
         self._flushed = 0
         about = {"port": str(port), "interface": interface}
         metadata = {"dcp.recording": about}
         if profile:
-            # Only here: reading a profile takes longer than starting the relay.
+            # Imported only if needed: loading a profile takes longer than the start of the relay.
             from dcp_codec.codec import Codec
             from dcp_codec.foxglove.channels import capture_metadata
 
             metadata = capture_metadata(Codec(profile), about)
-        # Uncompressed: compressing a chunk would hold up the frames that are due meanwhile.
+        # Uncompressed, because compressing a chunk would delay frames that are due.
         self._writer: CaptureWriter | None = create_capture(path, format="mcap", metadata=metadata, compression="none")
 
     def saw(self, frame: bytes, wall: int) -> None:
-        """Write a frame that the station sent or got at ``wall`` (ns since 1970)."""
+        """Write a frame that the station sent or received at ``wall`` (ns since 1970)."""
         if self._writer is None:
             return
         try:
@@ -54,6 +54,7 @@ class PortRecorder:
                 self.problem = str(error)
 
     def _stop(self, error: CaptureError) -> None:
+        """End the recording after a write error."""
         writer, self._writer = self._writer, None
         self.problem = str(error)
         if writer is not None:

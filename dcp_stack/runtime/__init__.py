@@ -1,1 +1,1 @@
-"""A node at work: sockets, clocks, files and signals around the cores."""
+"""The running node: sockets, clocks, files and signals around the protocol entities."""

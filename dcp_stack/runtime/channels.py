@@ -1,4 +1,4 @@
-"""Clients of the control interface: a Unix socket that they connect to, or standard input and output."""
+"""Connections of control clients: a Unix socket, or standard input and output."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ log = logging.getLogger(__name__)
 MAX_CLIENTS: Final = 64
 CHUNK: Final = 1 << 16
 STALL: Final = 10_000_000_000
-"""ns after which a client that takes nothing of what waits for it is given up."""
+"""ns after which a client that reads none of its pending output is disconnected."""
 _LONGEST_PATH: Final = 107
-"""Octets of the path of a Unix socket, of <linux/un.h>."""
+"""Maximum length of the path of a Unix socket in octets, from <linux/un.h>."""
 
 
 class ControlSocketError(Exception):
-    """The control socket cannot be made; the message names it and says why."""
+    """The control socket cannot be created; the message names it and the cause."""
 
 
 class Channel:
-    """One client: a session, and the descriptors its octets come from and go to."""
+    """One client: its session, and the descriptors for input and output."""
 
     def __init__(
         self,
@@ -45,7 +45,7 @@ class Channel:
         self.name = name
         self.session = session
         self.busy = False
-        """There are requests to answer without waiting for anything."""
+        """Whether there are requests that can be answered without waiting."""
         self._reactor = reactor
         self._in, self._out = fds
         self._on_close = on_close
@@ -55,11 +55,11 @@ class Channel:
 
     @property
     def stalled_since(self) -> int | None:
-        """Since when the client has not taken what waits for it (monotonic ns)."""
+        """The time since when the client has not read its pending output (monotonic ns); None if it reads."""
         return self._stalled_since
 
     def on_ready(self, events: int) -> None:
-        """A descriptor is ready."""
+        """Send and receive what is possible; called when a descriptor is ready."""
         self.busy = True
         if events & WRITE:
             self._send()
@@ -67,7 +67,7 @@ class Channel:
             self._read()
 
     def advance(self, now: int, wall: int) -> None:
-        """Answer some requests, and send what there is."""
+        """Answer some requests, and send pending output."""
         if self._closed:
             return
         self.busy = self.session.process(now=now, wall=wall)
@@ -76,10 +76,10 @@ class Channel:
             self._send()
             if self._closed:
                 return
-            # Requests that waited because too much was to be sent have their turn now.
+            # Requests that waited for the output to shrink can be answered now.
             self.busy |= held_back and len(self.session.output) <= HIGH_WATER
         if self.session.overrun:
-            log.warning("client %s does not read what it asked for; dropped", self.name)
+            log.warning("client %s does not read its notifications; disconnected", self.name)
             self.close()
         elif self.session.finished:
             self.close()
@@ -88,17 +88,18 @@ class Channel:
         elif self._stalled_since is None:
             self._stalled_since = now
         elif now - self._stalled_since > STALL:
-            log.warning("client %s takes nothing of its answers; dropped", self.name)
+            log.warning("client %s does not read its answers; disconnected", self.name)
             self.close()
         self._watch()
 
     def _read(self) -> None:
+        """Pass available input to the session; close the channel on an error."""
         try:
             data = os.read(self._in, CHUNK)
         except (BlockingIOError, InterruptedError):
             return
         except OSError as error:
-            log.debug("client %s is gone: %s", self.name, error.strerror)
+            log.debug("client %s disconnected: %s", self.name, error.strerror)
             self.close()
             return
         if data:
@@ -107,13 +108,14 @@ class Channel:
             self.session.end_of_input()
 
     def _send(self) -> None:
+        """Write pending output as far as possible; close the channel on an error."""
         try:
             with memoryview(self.session.output) as waiting:
                 count = os.write(self._out, waiting[:CHUNK])
         except (BlockingIOError, InterruptedError):
             return
         except OSError as error:
-            log.debug("client %s is gone: %s", self.name, error.strerror)
+            log.debug("client %s disconnected: %s", self.name, error.strerror)
             self.close()
             return
         if count:
@@ -121,6 +123,7 @@ class Channel:
             self._stalled_since = None
 
     def _watch(self) -> None:
+        """Register the descriptors for the events that the session waits for."""
         if self._closed:
             return
         read = READ if self.session.wants_input else 0
@@ -132,7 +135,7 @@ class Channel:
             self._reactor.watch(self._out, write, self.on_ready)
 
     def close(self) -> None:
-        """End it from our side; may be called twice."""
+        """Disconnect the client; may be called twice."""
         if self._closed:
             return
         self._closed = True
@@ -144,10 +147,10 @@ class Channel:
 
 
 class ControlSocket:
-    """Listens at a path for clients; only the user who runs the node may connect (mode 0600)."""
+    """A listening Unix socket; only the user of the node may connect (mode 0600)."""
 
     def __init__(self, path: str | Path) -> None:
-        """A socket that nobody listens at any more is replaced. Raises ControlSocketError."""
+        """Create the socket; a stale one of an ended node is replaced. Raises ControlSocketError."""
         self.path = Path(path)
         if len(os.fsencode(self.path)) > _LONGEST_PATH:
             raise ControlSocketError(f"{path}: the path of a socket has at most {_LONGEST_PATH} octets")
@@ -168,36 +171,37 @@ class ControlSocket:
         self._count = 0
 
     def _bind(self) -> None:
+        """Bind the socket, after removing a stale one. Raises ControlSocketError if the path is in use."""
         with contextlib.suppress(FileNotFoundError):
             if not stat.S_ISSOCK(self.path.lstat().st_mode):
-                raise ControlSocketError(f"{self.path}: exists and is no socket; choose another path")
+                raise ControlSocketError(f"{self.path}: exists and is not a socket; choose another path")
             if _is_answered(self.path):
                 raise ControlSocketError(f"{self.path}: another node listens there; choose another path or end it")
             self.path.unlink()
-        # The mode has to be right from the beginning: between bind and chmod anybody could connect. Linux takes it from
-        # the socket; the umask belongs to all threads.
+        # The mode has to be set before bind: any user could connect between bind and chmod. Linux takes the mode from
+        # the socket; setting the umask would affect all threads.
         os.fchmod(self._socket.fileno(), 0o600)
         self._socket.bind(os.fspath(self.path))
         self._identity = _identity(self.path)
 
     def give_to(self, uid: int, gid: int) -> None:
-        """Make it the socket of another user, as root.
+        """Change the owner of the socket; requires root.
 
-        Raises ControlSocketError unless only root can change the folder: somebody else could have put a link to a file
-        of root into the socket's place.
+        Raises ControlSocketError unless only root can change the folder: another user could have replaced the socket by
+        a link to a file of root.
         """
         if not roots_alone(self.path.parent):
-            raise ControlSocketError(f"{self.path}: its folder is not root's alone, so its owner is not changed")
+            raise ControlSocketError(f"{self.path}: not only root can change its folder, so its owner stays")
         os.chown(self.path, uid, gid, follow_symlinks=False)
 
     def attach(self, server: ControlServer, reactor: Reactor) -> None:
-        """Begin to take clients."""
+        """Start to accept clients."""
         self._server, self._reactor = server, reactor
         reactor.watch(self._socket.fileno(), READ, self._accept)
 
     @property
     def channels(self) -> list[Channel]:
-        """The clients there are."""
+        """The connected clients."""
         return list(self._channels)
 
     def _accept(self, _events: int) -> None:
@@ -207,10 +211,10 @@ class ControlSocket:
             except BlockingIOError:
                 return
             except OSError as error:
-                log.warning("%s: cannot take another client: %s", self.path, error.strerror)
+                log.warning("%s: cannot accept another client: %s", self.path, error.strerror)
                 return
             if len(self._channels) >= MAX_CLIENTS:
-                log.warning("%s: %d clients are enough; refused another one", self.path, MAX_CLIENTS)
+                log.warning("%s: the limit of %d clients is reached; refused another one", self.path, MAX_CLIENTS)
                 client.close()
                 continue
             client.setblocking(False)
@@ -229,14 +233,14 @@ class ControlSocket:
         for channel in self.channels:
             channel.close()
         with contextlib.suppress(OSError):
-            # A successor may have put its own socket in the place of ours.
+            # Another node may have replaced our socket by its own.
             if _identity(self.path) == self._identity:
                 self.path.unlink()
         self._socket.close()
 
 
 class StandardStreams:
-    """One client at standard input and output; its end is reported, for it is the one the node was started for."""
+    """A single client at standard input and output; ``on_end`` is called when it ends."""
 
     def __init__(self, on_end: Callable[[], None], fds: tuple[int, int] = (0, 1)) -> None:
         self._on_end = on_end
@@ -245,9 +249,9 @@ class StandardStreams:
         self._channel: Channel | None = None
 
     def attach(self, server: ControlServer, reactor: Reactor) -> None:
-        """Begin."""
+        """Start to read standard input."""
         for fd in self._fds:
-            # Not on terminals: they share this state with the shell, and people read what is shown to them.
+            # Terminals stay blocking: they share this state with the shell, and a user at a terminal reads the output.
             if not os.isatty(fd):
                 self._blocking[fd] = os.get_blocking(fd)
                 os.set_blocking(fd, False)
@@ -255,7 +259,7 @@ class StandardStreams:
 
     @property
     def channels(self) -> list[Channel]:
-        """The client, until it has ended."""
+        """The client; empty after its end."""
         return [] if self._channel is None else [self._channel]
 
     def _closed(self, _channel: Channel) -> None:
@@ -263,7 +267,7 @@ class StandardStreams:
         self._on_end()
 
     def close(self) -> None:
-        """Leave the streams as they were."""
+        """End the client, and restore the blocking mode of the streams."""
         channel, self._channel = self._channel, None
         if channel is not None:
             channel.close()
@@ -275,11 +279,11 @@ class StandardStreams:
 
 @contextlib.contextmanager
 def _alone_in(folder: Path) -> Iterator[None]:
-    """Let no other node look for stale sockets in ``folder`` meanwhile, or both would take the same for one."""
+    """Lock ``folder`` against other nodes, so that no two nodes replace the same stale socket."""
     try:
         fd = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     except OSError:
-        # A folder that may not be read, or none: what follows says so better.
+        # Missing or unreadable: bind() will report it.
         yield
         return
     try:
@@ -291,7 +295,7 @@ def _alone_in(folder: Path) -> Iterator[None]:
 
 
 def _is_answered(path: Path) -> bool:
-    """Whether somebody listens at a socket."""
+    """Whether a process listens at a socket."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
         probe.settimeout(1.0)
         try:
@@ -304,5 +308,6 @@ def _is_answered(path: Path) -> bool:
 
 
 def _identity(path: Path) -> tuple[int, int]:
+    """Return device and inode of a file, to recognise it later."""
     status = path.lstat()
     return status.st_dev, status.st_ino

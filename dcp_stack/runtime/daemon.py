@@ -1,4 +1,4 @@
-"""Going on in the background: the command ends when the node is ready, and says so."""
+"""Running in the background: the command reports when the node is ready, and ends."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from dcp_codec.common.commandline import UNUSABLE
 
 
 class LogFileError(Exception):
-    """The log file cannot be opened; the message names it and says why."""
+    """The log file cannot be opened; the message names the file and the cause."""
 
 
 def in_background(work: Callable[[Callable[[str], None]], int]) -> int:
-    """Do ``work`` in a process and a session of its own; return when it is ready, or its exit status if it ends before.
+    """Run ``work`` in a process and session of its own; return 0 when it is ready, its exit status if it ends before.
 
-    ``work`` gets a function to call with a line for standard output once it is ready. Until then it has the standard
-    streams of this process, so its failures are told like those of a command in the foreground; afterwards input and
-    output lead nowhere, and so does standard error unless it is a file.
+    ``work`` is called with a function that takes a line for standard output and reports that it is ready. Until then it
+    has the standard streams of this process, so errors appear as in the foreground. Afterwards standard input and
+    output are /dev/null, and so is standard error unless it is a file.
     """
     ready, tell = os.pipe()
-    # Nothing that waits to be written may be written by both.
+    # Both processes have the buffers after the fork, and would write them twice.
     for stream in (sys.stdout, sys.stderr):
         stream.flush()
     child = os.fork()
@@ -42,6 +42,7 @@ def in_background(work: Callable[[Callable[[str], None]], int]) -> int:
 
 
 def _work(work: Callable[[Callable[[str], None]], int], tell: int) -> NoReturn:
+    """Run ``work`` in a new session; report over descriptor ``tell`` when it is ready. Does not return."""
     os.setsid()
 
     def on_ready(line: str) -> None:
@@ -52,7 +53,7 @@ def _work(work: Callable[[Callable[[str], None]], int], tell: int) -> NoReturn:
         os.write(tell, f"{line}\n".encode())
         os.close(tell)
 
-    # The command line ends the process as it does in the foreground: with one line for what is to be expected.
+    # sys.exit lets the command line report errors as in the foreground: expected ones in one line.
     sys.exit(work(on_ready))
 
 
@@ -63,7 +64,7 @@ def _is_file(fd: int) -> bool:
 
 
 def log_to(path: str) -> None:
-    """Append to a file what goes to standard error from now on. Raises LogFileError."""
+    """Append standard error to a file from now on. Raises LogFileError if it cannot be opened."""
     try:
         fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o644)
     except OSError as error:

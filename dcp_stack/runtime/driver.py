@@ -1,7 +1,7 @@
-"""Drives a node: waits for link, clients, positions and time, and does what the node says.
+"""The main loop of a node: wait for frames, clients, positions and deadlines, and carry out the node's effects.
 
-One thread. However much arrives, the timers of the node come first: they are looked at between any two frames, and
-of clients some requests are answered in each turn.
+Everything runs in one thread. Timers of the node have priority over input: they are checked between any two frames,
+and each turn answers a limited number of client requests.
 """
 
 from __future__ import annotations
@@ -29,46 +29,46 @@ from .reactor import READ, Reactor
 log = logging.getLogger(__name__)
 
 PUBLISH_INTERVAL: Final = 20 * MS
-"""Least time between two versions of the neighbour file, which costs microseconds for each neighbour."""
+"""Minimum ns between two versions of the neighbour file, which costs microseconds for each neighbour."""
 HEARTBEAT_INTERVAL: Final = 100 * MS
 HOUSEKEEPING_INTERVAL: Final = 1000 * MS
 HOLD: Final = 150 * MS
-"""While the next beacon is at most this far away, frames, positions and housekeeping wait for it.
+"""ns before a beacon from which on frames, positions and housekeeping wait for it.
 
 A wake-up costs more than a frame: without this a quiet node among three takes nearly twice the CPU time
-(``benchmarks/quiet.py``, "no hold"). Nothing is lost: frames wait in the kernel with their time of arrival, and are
-processed before the beacon is made and before a client is answered.
+(``benchmarks/quiet.py``, "no hold"). Nothing is lost: frames wait in the kernel with their time of arrival. They are
+processed before the beacon is built and before a client is answered.
 """
 FLOOD: Final = 64
-"""At most this many frames that waited for a beacon are processed before it, however late it is. More at once are a
+"""Maximum number of waiting frames that are processed before an overdue beacon. If more arrive at once it is a
 flood, after which frames do not wait for the next beacon."""
 OBSTACLE_INTERVAL: Final = 10_000 * MS
-"""Least time between two lines of the log about variables that do not get through."""
+"""Minimum ns between two log lines about obstacles: variables that do not reach a neighbour."""
 MOST_TOLD: Final = 100
-"""Most lines about them while the process runs."""
+"""Maximum number of such lines while the process runs."""
 _NEIGHBOURS: Final = (NeighbourSeen, NeighbourExpired)
-#: Signals that end the node in an orderly way; hanging up is one of them, or a recording would be cut off.
+#: Signals that end the node in an orderly way. SIGHUP is one of them, because otherwise a recording would be truncated.
 SIGNALS: Final = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 
 
 class Attachment(Protocol):
-    """Something else that wants to be called back, such as the metrics server."""
+    """Another object to attach to the reactor, such as the metrics server."""
 
     def attach(self, reactor: Reactor) -> None:
-        """Begin."""
+        """Register descriptors with ``reactor``."""
         ...
 
     def tick(self, now: int) -> None:
-        """About a second has passed."""
+        """Do periodic work; called about once a second with the monotonic time in ns."""
         ...
 
     def close(self) -> None:
-        """End."""
+        """Close all descriptors."""
         ...
 
 
 class Driver:
-    """A node at work. It closes what it was given."""
+    """A running node with its surroundings. It closes all objects that are passed to its constructor."""
 
     def __init__(
         self,
@@ -85,7 +85,7 @@ class Driver:
         self.server = ControlServer(node, runtime=self.describe)
         self.started = time.monotonic_ns()
         self.late_ns = 0
-        """The latest that a timer was looked at, since the start."""
+        """The greatest delay of a timer of the node since the start, in ns."""
         self.reactor = Reactor()
         self._recorder = recorder
         self._positions = positions
@@ -96,7 +96,7 @@ class Driver:
         self._wake: int | None = None
         self._arrived = self.started
         self._holding = self._flooded = False
-        # Only links without a descriptor have to be asked; whether this is one is too slow to find out each time.
+        # Only links without a descriptor have to be polled. The check is too slow for each turn.
         self._timed = link if link.fileno() < 0 and isinstance(link, TimedLink) else None
         self._housekeeping = self.started + HOUSEKEEPING_INTERVAL
         self._dirty = True
@@ -106,16 +106,19 @@ class Driver:
         self._obstacles_told = self.started - OBSTACLE_INTERVAL
 
     def add_control(self, control: ControlSocket | StandardStreams) -> None:
-        """Let clients in by this."""
+        """Accept clients from ``control``."""
         self._controls.append(control)
         control.attach(self.server, self.reactor)
 
     def stop(self) -> None:
-        """Let :meth:`run` return soon; from a callback or a signal handler."""
+        """Let :meth:`run` return soon; may be called from a callback or a signal handler."""
         self._stopping = True
 
     def run(self, on_ready: Callable[[], None] = lambda: None) -> None:
-        """Start the node and drive it until :meth:`stop` or a signal; then let it deregister and close everything."""
+        """Start the node and run it until :meth:`stop` or a signal; then deregister its protocols and close everything.
+
+        ``on_ready`` is called once the node has started.
+        """
         with contextlib.ExitStack() as cleanup:
             cleanup.callback(self._close)
             cleanup.enter_context(_signals(self.stop, self.reactor))
@@ -135,13 +138,13 @@ class Driver:
     # -- one turn -------------------------------------------------------------------------------------------------
 
     def _turn(self) -> None:
-        """Wait until a descriptor is ready or a deadline has come, and do all that is to be done then."""
+        """Wait for a ready descriptor or the next deadline, and process both."""
         self.reactor.wait(self._patience())
         now = time.monotonic_ns()
         if self._holding or (self._timed is not None and _reached(self._timed.poll_timeout(), now)):
             self._on_link()
             now = time.monotonic_ns()
-        # Positions before the beacon: the newest goes into it.
+        # Positions are read before the beacon is built, so that it contains the newest.
         if self._positions is not None and _reached(self._positions.poll_timeout(), now):
             self._poll_positions()
         if _reached(self._wake, now):
@@ -151,7 +154,7 @@ class Driver:
         self._after_turn(*_times())
 
     def _patience(self) -> float:
-        """How long to wait in s."""
+        """Return how long to wait for descriptors, in s."""
         if self._busy():
             return 0
         deadlines = [self._wake]
@@ -166,7 +169,7 @@ class Driver:
         return max(due - time.monotonic_ns(), 0) / 1e9
 
     def _busy(self) -> bool:
-        """Whether a client is to be answered."""
+        """Whether a client has requests to be answered now."""
         for control in self._controls:
             for channel in control.channels:
                 if channel.busy:
@@ -174,7 +177,7 @@ class Driver:
         return False
 
     def _after_turn(self, now: int, wall: int) -> None:
-        """Answer clients, do what the node wants done, and plan the next turn."""
+        """Answer clients, carry out the effects of the node, and plan the next turn."""
         self._serve(now, wall)
         effects = self.node.take_effects()
         if effects:
@@ -185,7 +188,7 @@ class Driver:
             self._write_neighbours(self._neighbour_file, now, wall)
 
     def _serve(self, now: int, wall: int) -> None:
-        """Answer clients and send them what there is."""
+        """Answer clients and send their pending output."""
         self.server.pressing = False
         for control in self._controls:
             for channel in control.channels:
@@ -193,20 +196,20 @@ class Driver:
                     channel.advance(now, wall)
 
     def _on_link(self, _events: int = 0) -> None:
-        """Take what has arrived, and keep the node's time while doing so."""
-        # Frames that waited for a beacon belong before it, and the beacon can wait for them a little.
+        """Process the frames that have arrived, and serve the timers of the node between them."""
+        # Frames that waited for the beacon are processed before it; a small delay of the beacon does not matter.
         before_it = FLOOD if self._holding else 0
         node = self.node
         receptions = self.link.receive()
         self._flooded = len(receptions) > FLOOD
-        # Between the two clocks: frames carry the time of day at which the kernel received them.
+        # Difference of the clocks: the kernel stamps frames with wall time.
         offset = time.time_ns() - time.monotonic_ns()
         for number, reception in enumerate(receptions):
             now = time.monotonic_ns()
             if number >= before_it and _reached(self._wake, now):
                 self._timeout(now, time.time_ns())
-            # Soft state is as old as its frame, also if that waited in the kernel. From frame to frame time goes
-            # forward, whatever the clocks do.
+            # The age of soft state counts from the arrival of its frame, even if that waited in the kernel. The time
+            # never decreases from frame to frame, even if the wall clock is set.
             arrived = self._arrived = min(max(reception.wall - offset, self._arrived), now)
             node.handle_frame(reception.octets, now=arrived, wall=reception.wall)
             effects = node.take_effects()
@@ -216,6 +219,7 @@ class Driver:
                     self._serve(now, time.time_ns())
 
     def _timeout(self, now: int, wall: int) -> None:
+        """Serve the timers of the node, and note how late they are."""
         if self._wake is not None:
             self.late_ns = max(self.late_ns, now - self._wake)
         self.node.handle_timeout(now, wall)
@@ -223,7 +227,7 @@ class Driver:
         self._wake = self.node.poll_timeout()
 
     def _plan(self) -> None:
-        """When to wake next, and whether frames can wait until then."""
+        """Set the next deadline, and determine whether frames can wait until then."""
         self._wake = self.node.poll_timeout()
         beacon = self.node.bp.poll_timeout()
         self._holding = (
@@ -237,9 +241,10 @@ class Driver:
             self.reactor.watch(self.link.fileno(), 0 if self._holding else READ, self._on_link)
 
     def _carry_out(self, effects: list[Effect], now: int, wall: int) -> None:
+        """Send beacons, note changes of neighbours, and pass the effects to the clients."""
         for effect in effects:
             if type(effect) is Dropped:
-                # Most of what there is.
+                # Checked first: by far the most frequent effect.
                 continue
             if isinstance(effect, SendBeacon):
                 self.link.send(effect.octets)
@@ -247,10 +252,10 @@ class Driver:
                 self._dirty = True
         self.server.indicate(effects, now=now, wall=wall)
 
-    # -- beside the protocol --------------------------------------------------------------------------------------
+    # -- surroundings ---------------------------------------------------------------------------------------------
 
     def _poll_positions(self, _events: int = 0) -> None:
-        """Hand down what the position source has, the newest only: SRP sends no other."""
+        """Pass the newest position of the source to SRP; older ones would not be sent anyway."""
         source, srp = self._positions, self.node.srp
         if source is None or srp is None:
             return
@@ -273,6 +278,7 @@ class Driver:
             self.reactor.watch(source.fileno(), READ, self._poll_positions)
 
     def _write_neighbours(self, file: NeighbourFileWriter, now: int, wall: int) -> None:
+        """Publish the neighbour table if it has changed and it is time, otherwise write heartbeats."""
         srp = self.node.srp
         if srp is None or not srp.registered:
             self._dirty = False
@@ -283,10 +289,11 @@ class Driver:
         elif now - self._heartbeat >= HEARTBEAT_INTERVAL:
             file.heartbeat(now=now, wall=wall)
             self._heartbeat = now
-            # An entry may also have gone with a reset, which has no effect to tell of.
+            # A reset removes entries without an effect, so publish at each heartbeat.
             self._dirty = True
 
     def _housekeep(self, now: int) -> None:
+        """Do the work of each second: recording, obstacles, attachments, stalled clients."""
         self._housekeeping = now + HOUSEKEEPING_INTERVAL
         if self._recorder is not None:
             self._recorder.tick()
@@ -299,7 +306,7 @@ class Driver:
                     channel.busy = True
 
     def _tell_obstacles(self, now: int) -> None:
-        """Log what does not get through: each kind and variable once, and at most one line in a while."""
+        """Log obstacles: each kind, variable and neighbour once, at most one line per ``OBSTACLE_INTERVAL``."""
         if self.node.vardis is None or now < self._obstacles_told + OBSTACLE_INTERVAL:
             return
         for obstacle in self.node.vardis.obstacles(now):
@@ -311,7 +318,7 @@ class Driver:
                 return
 
     def describe(self) -> dict[str, Any]:
-        """What is around the node, as plain data."""
+        """Return the state of link, recording and position source as JSON data, for the method ``status``."""
         counters = self.link.counters
         shown: dict[str, Any] = {
             "uptime_ms": (time.monotonic_ns() - self.started) // MS,
@@ -345,7 +352,7 @@ class Driver:
         return shown
 
     def _close(self) -> None:
-        """Close everything, whatever fails of it."""
+        """Close everything, even if closing one part fails."""
         with contextlib.ExitStack() as closing:
             closing.callback(self.reactor.close)
             closing.callback(self.link.close)
@@ -358,14 +365,14 @@ class Driver:
 
 @contextlib.contextmanager
 def _signals(stop: Callable[[], None], reactor: Reactor) -> Iterator[None]:
-    """End on a signal. A descriptor wakes the reactor, since Python goes on waiting after a handler has run."""
+    """Call ``stop`` on a signal. A pipe wakes the reactor: Python resumes its wait after a signal handler."""
     reader, writer = os.pipe()
     for fd in (reader, writer):
         os.set_blocking(fd, False)
     try:
         woken_before = signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
     except ValueError:
-        # Not the main thread (a test): signals are somebody else's.
+        # Not in the main thread (a test): handlers cannot be set.
         os.close(reader)
         os.close(writer)
         yield
@@ -374,10 +381,10 @@ def _signals(stop: Callable[[], None], reactor: Reactor) -> Iterator[None]:
     def on_signal(number: int, _frame: object) -> None:
         log.info("%s: shutting down", signal.Signals(number).name)
         stop()
-        # Whoever is impatient may interrupt the shutdown.
+        # A second signal ends the process at once.
         signal.signal(number, signal.SIG_DFL)
 
-    # What was set to be ignored stays ignored: nohup does so with SIGHUP.
+    # Ignored signals stay ignored: nohup relies on it for SIGHUP.
     before = {number: signal.getsignal(number) for number in SIGNALS}
     for number, handler in before.items():
         if handler != signal.SIG_IGN:

@@ -15,7 +15,7 @@ _BARE: Final = re.compile(r"[\w./:@%+-]+")
 
 
 class _Formatter(logging.Formatter):
-    """``time level logger event`` and what the call gave as ``extra={"fields": {...}}``."""
+    """Formats time, level, logger and event, followed by the fields in ``extra={"fields": {...}}`` of the call."""
 
     def __init__(self, form: LogFormat) -> None:
         super().__init__()
@@ -39,16 +39,16 @@ class _Formatter(logging.Formatter):
 
 def _quoted(value: Any) -> str:
     text = str(value)
-    # Whatever is in it, it stays one line.
+    # Quoted if necessary, so that an event is always one line.
     return text if _BARE.fullmatch(text) else json.dumps(text, ensure_ascii=False)
 
 
 def set_up(level: str, form: LogFormat, stream: TextIO | None = None) -> None:
-    """Send the log of this process to ``stream``, standard error by default."""
+    """Write the log of this process to ``stream``, by default standard error."""
     handler = logging.StreamHandler(stream or sys.stderr)
     handler.setFormatter(_Formatter(form))
     root = logging.getLogger()
     root.handlers[:] = [handler]
     root.setLevel(level.upper())
-    # A reader of the log that went away is no reason to write about it.
+    # If the log cannot be written any more, logging must not report that, too.
     logging.raiseExceptions = False

@@ -1,7 +1,7 @@
-"""The numbers of a node for Prometheus and its like: OpenMetrics over HTTP on the loopback interface.
+"""Metrics of a node for Prometheus and compatible collectors: OpenMetrics over HTTP on the loopback interface.
 
-The format is prometheus_client's, the parsing of requests the standard library's; both are imported when metrics are
-asked for (10 MB). There is no thread: a scrape is answered between two turns of the node.
+The format comes from prometheus_client, the parser of requests from the standard library. Both are imported only if
+metrics are requested (10 MB). There is no thread: a scrape is answered between two turns of the node.
 """
 
 from __future__ import annotations
@@ -30,47 +30,47 @@ log = logging.getLogger(__name__)
 MAX_REQUEST: Final = 8192
 MAX_SCRAPERS: Final = 8
 PATIENCE: Final = 5_000_000_000
-"""ns that a scraper may take for its request and for taking the answer."""
+"""ns within which a scraper must have sent its request and read the answer."""
 
 
-#: What counters of BP and of the link mean; those of payloads have a label for the protocol.
+#: Help texts of counters of BP and of the link; counters of payloads have a label for the protocol.
 _MEANINGS: Final = {
-    "beacons-sent": "Beacons handed to the link.",
+    "beacons-sent": "Beacons passed to the link.",
     "beacons-received": "Well-formed beacons of this network from other nodes.",
-    "beacons-left-out": "Beacons for which the time had passed when the node came to them.",
-    "beacons-without-payload": "Times for a beacon at which there was nothing to say.",
+    "beacons-left-out": "Beacons skipped because their time had passed.",
+    "beacons-without-payload": "Beacon times at which there was no payload to send.",
     "beacons-with-other-count": "Beacons received with fewer or more payloads than they announce.",
-    "frames-received": "Frames that the link handed over, whatever is in them.",
+    "frames-received": "Frames received from the link, valid or not.",
     "octets-received": "Octets of these frames, without the header of the bearer.",
     "octets-sent": "Octets of beacons sent, without the header of the bearer.",
     "payloads-received": "Payloads received for a registered protocol.",
-    "payloads-sent": "Payloads that went out in beacons.",
-    "payloads-stored": "Payloads that the client protocol handed over and BP took.",
-    "payloads-displaced": "Payloads that BP took and for which the oldest one was dropped.",
-    "payloads-discarded": "Payloads that found the buffer of their protocol full.",
-    "sent": "Frames that the system took.",
+    "payloads-sent": "Payloads sent in beacons.",
+    "payloads-stored": "Payloads that BP accepted from the client protocol.",
+    "payloads-displaced": "Payloads that BP accepted by dropping the oldest one.",
+    "payloads-discarded": "Payloads that BP refused because the buffer of their protocol was full.",
+    "sent": "Frames that the system accepted for transmission.",
     "received": "Frames read from the system.",
     "send_errors": "Frames that were too long or that the system refused.",
-    "ignored": "Frames that are none of DCP, too long to be read, or from our own address.",
+    "ignored": "Frames of other protocols, too long to be read, or from our own address.",
     "kernel_drops": "Frames that the system dropped before they were read.",
-    "outages": "How often the interface went away.",
-    "own_address": "Of the ignored frames those from our own address, which another node may have as well.",
+    "outages": "Number of times that the interface went down.",
+    "own_address": "Ignored frames from our own address; another node may use the same one.",
 }
 
 
 class MetricsError(Exception):
-    """The endpoint cannot be opened; the message says why and what to do."""
+    """The endpoint cannot be opened; the message names the cause and a remedy."""
 
 
 class NodeCollector:
-    """What is measured; ``collect`` is what prometheus_client asks for."""
+    """The collector of a node's metrics, with the method ``collect`` that prometheus_client calls."""
 
     def __init__(self, server: ControlServer, link: Link) -> None:
         self._server = server
         self._link = link
 
     def collect(self) -> Iterator[Metric]:
-        """All metrics. No label comes from the air: nobody out there decides how many there are."""
+        """Yield all metrics. No label has a received value: other stations could create any number of series."""
         from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, InfoMetricFamily
 
         node = self._server.node
@@ -81,12 +81,12 @@ class NodeCollector:
             "spec_version": str(config.profile.spec_version),
             "link": self._link.name,
         }
-        yield InfoMetricFamily("dcp_node", "Who this is.", value=about)
+        yield InfoMetricFamily("dcp_node", "Identifier, profile and link of the node.", value=about)
         families: dict[str, CounterMetricFamily] = {}
         for name, number in node.bp.counters().items():
             base, _, label = name.partition("/")
             if base == "drops":
-                # Among all others below.
+                # Contained in dcp_drops below.
                 continue
             key = "protocol" if label else ""
             if base not in families:
@@ -96,7 +96,7 @@ class NodeCollector:
         yield from families.values()
         drops = CounterMetricFamily(
             "dcp_drops",
-            "Parts of frames that were received and ignored, by reason; most are the protocol at work.",
+            "Parts of received frames that were ignored, by reason; most are normal for the protocol.",
             labels=["layer", "reason"],
         )
         for name, number in sorted(self._server.drops.items()):
@@ -109,11 +109,11 @@ class NodeCollector:
         yield GaugeMetricFamily("dcp_link_up", "Whether the link can carry frames.", value=int(self._link.up))
         yield GaugeMetricFamily("dcp_bp_active", "Whether BP is active.", value=int(node.bp.active))
         yield GaugeMetricFamily(
-            "dcp_control_sessions", "Clients of the control socket that are connected.", len(self._server.sessions)
+            "dcp_control_sessions", "Connected clients of the control socket.", len(self._server.sessions)
         )
         if node.srp is not None and node.srp.registered:
             yield GaugeMetricFamily(
-                "dcp_srp_neighbours", "Neighbours in the table of SRP.", value=len(node.srp.neighbours)
+                "dcp_srp_neighbours", "Neighbours in the neighbour table of SRP.", value=len(node.srp.neighbours)
             )
         if node.vardis is not None:
             yield GaugeMetricFamily("dcp_vardis_active", "Whether VarDis is active.", value=int(node.vardis.active))
@@ -124,7 +124,7 @@ class NodeCollector:
             kinds.add_metric(["deleted"], deleted)
             yield kinds
             obstacles = GaugeMetricFamily(
-                "dcp_vardis_obstacles", "Variables that do not get through to neighbours, by reason.", labels=["reason"]
+                "dcp_vardis_obstacles", "Variables that do not reach a neighbour, by reason.", labels=["reason"]
             )
             reasons = Counter(each.kind for each in node.vardis.obstacles(time.monotonic_ns()))
             for reason in ("asked-again", "unconfirmed", "superseded"):
@@ -139,27 +139,26 @@ class NodeCollector:
         recorder = getattr(self._link, "watcher", None)
         if not isinstance(recorder, RotatingRecorder):
             return
-        yield GaugeMetricFamily(
-            "dcp_recording_active", "Whether frames are written to the recording.", int(recorder.recording)
-        )
+        yield GaugeMetricFamily("dcp_recording_active", "Whether frames are being recorded.", int(recorder.recording))
         yield CounterMetricFamily("dcp_recording_frames", "Frames in the recording.", value=recorder.frames)
         yield CounterMetricFamily(
-            "dcp_recording_frames_lost", "Frames seen while none could be written.", value=recorder.frames_lost
+            "dcp_recording_frames_lost", "Frames that could not be recorded.", value=recorder.frames_lost
         )
         yield CounterMetricFamily(
-            "dcp_recording_interruptions", "How often the recording ended, as on a full disk.", recorder.interruptions
+            "dcp_recording_interruptions", "Interruptions of the recording, as by a full disk.", recorder.interruptions
         )
 
 
 def _meaning(counter: str) -> str:
+    """Return the help text of a counter; unknown counters get their name."""
     return _MEANINGS.get(counter, f"{counter.replace('-', ' ').capitalize()}.")
 
 
 class MetricsServer:
-    """Answers ``GET /metrics`` at 127.0.0.1."""
+    """An HTTP server for ``GET /metrics`` on 127.0.0.1."""
 
     def __init__(self, port: int) -> None:
-        """Raises MetricsError: port in use, or the library is missing."""
+        """Raises MetricsError if the port is in use or prometheus_client is missing."""
         try:
             import http.server
 
@@ -183,32 +182,33 @@ class MetricsServer:
 
     @property
     def port(self) -> int:
-        """The port, also if it was 0 for any."""
+        """The port; the chosen one if 0 was requested."""
         port: int = self._socket.getsockname()[1]
         return port
 
     def serve(self, collector: NodeCollector) -> None:
-        """What to answer with."""
+        """Set the source of the metrics."""
         self._collector = collector
 
     def attach(self, reactor: Reactor) -> None:
-        """Begin to answer."""
+        """Start to accept scrapers."""
         self._reactor = reactor
         reactor.watch(self._socket.fileno(), READ, self._accept)
 
     def tick(self, now: int) -> None:
-        """Give up on those that take too long."""
+        """Drop scrapers that exceed ``PATIENCE``."""
         for client, scrape in list(self._scrapers.items()):
             if now - scrape.since > PATIENCE:
                 self._end(client)
 
     def close(self) -> None:
-        """End."""
+        """Close the server and all connections."""
         for client in list(self._scrapers):
             self._end(client)
         self._socket.close()
 
     def _accept(self, _events: int) -> None:
+        """Accept one scraper, unless too many are connected."""
         with contextlib.suppress(OSError):
             client, _ = self._socket.accept()
             if len(self._scrapers) >= MAX_SCRAPERS:
@@ -219,6 +219,7 @@ class MetricsServer:
             self._reactor.watch(client.fileno(), READ, lambda events: self._on_ready(client, events))
 
     def _on_ready(self, client: socket.socket, events: int) -> None:
+        """Read the request of a scraper, then write the answer."""
         scrape = self._scrapers[client]
         try:
             if events & READ and not scrape.answer:
@@ -241,11 +242,13 @@ class MetricsServer:
             self._end(client)
 
     def _end(self, client: socket.socket) -> None:
+        """Close the connection of a scraper."""
         del self._scrapers[client]
         self._reactor.forget(client.fileno())
         client.close()
 
     def _answer(self, request: bytes) -> bytes:
+        """Return the whole HTTP response to a request."""
         status, body, kind = self._respond(request)
         head = (
             f"HTTP/1.0 {status}\r\nContent-Type: {kind}\r\nContent-Length: {len(body)}\r\nConnection: close\r\n"
@@ -254,23 +257,24 @@ class MetricsServer:
         return head.encode() + body
 
     def _respond(self, request: bytes) -> tuple[str, bytes, str]:
+        """Return status, body and content type for a request."""
         plain = "text/plain; charset=utf-8"
         asked = self._parser.__new__(self._parser)
-        # The parser of http.server on octets instead of a connection: what it would answer to nonsense goes nowhere.
+        # Let http.server parse the octets without a connection; its own error answers are discarded.
         asked.rfile, asked.wfile = io.BytesIO(request), io.BytesIO()
         asked.client_address = ("", 0)
         asked.log_message = lambda *_: None
         asked.raw_requestline = asked.rfile.readline(MAX_REQUEST)
         if not asked.parse_request():
             return "400 Bad Request", b"bad request\n", plain
-        # Pages in a browser may not read it under a name that somebody pointed to this machine.
+        # Protection from DNS rebinding: pages in a browser must not read the metrics under a foreign host name.
         host = str(asked.headers.get("Host", "127.0.0.1")).rsplit(":", 1)[0]
         if host not in ("127.0.0.1", "localhost", "[::1]"):
-            return "403 Forbidden", b"ask for 127.0.0.1\n", plain
+            return "403 Forbidden", b"use the host name 127.0.0.1\n", plain
         if asked.command != "GET":
             return "405 Method Not Allowed", b"GET only\n", plain
         if asked.path.partition("?")[0] not in ("/metrics", "/"):
-            return "404 Not Found", b"there is /metrics\n", plain
+            return "404 Not Found", b"the only page is /metrics\n", plain
         try:
             return "200 OK", self._exposition.generate_latest(self._collector), self._exposition.CONTENT_TYPE_LATEST
         except Exception:
@@ -279,7 +283,7 @@ class MetricsServer:
 
 
 class _Scrape:
-    """One request on its way."""
+    """A request in progress, and the rest of its answer."""
 
     def __init__(self) -> None:
         self.request = bytearray()

@@ -1,4 +1,4 @@
-"""From settings to a node at work: everything is opened here, in the order in which it can be refused."""
+"""Opening a node from its settings, in the order in which the settings can be refused."""
 
 from __future__ import annotations
 
@@ -36,22 +36,22 @@ STDIO = "stdio"
 
 
 class MakeNode(Protocol):
-    """Makes a node."""
+    """A function that makes a node from its configuration."""
 
     def __call__(self, config: NodeConfig, *, rng: random.Random, now: int, wall: int) -> Node:
-        """As the constructor of :class:`~dcp_stack.node.Node`."""
+        """Return a node; the parameters are those of :class:`~dcp_stack.node.Node`."""
         ...
 
 
 class NodeError(Exception):
-    """The node cannot be started; the message says what is in the way."""
+    """The node cannot be started; the message names the cause."""
 
 
 @contextlib.contextmanager
 def open_node(settings: Settings, make: MakeNode = Node) -> Iterator[Driver]:
-    """A node that is ready to run. Raises NodeError, and leaves nothing behind then.
+    """Open a node that is ready to run. If it raises NodeError, everything opened before is closed again.
 
-    ``make`` is called as :class:`~dcp_stack.node.Node` is, for nodes that differ from it.
+    ``make`` is called instead of :class:`~dcp_stack.node.Node`, for nodes with another behaviour.
     """
     try:
         with contextlib.ExitStack() as stack:
@@ -64,6 +64,7 @@ def open_node(settings: Settings, make: MakeNode = Node) -> Iterator[Driver]:
 
 
 def _open(settings: Settings, make: MakeNode, stack: contextlib.ExitStack) -> Driver:
+    """Open all parts of a node; ``stack`` closes them if a later one fails."""
     user = None if settings.user is None else find_user(settings.user)
     if settings.control == STDIO and settings.position == "stdin":
         raise SettingsError("control and position cannot both be standard input")
@@ -73,13 +74,13 @@ def _open(settings: Settings, make: MakeNode, stack: contextlib.ExitStack) -> Dr
     link: Link = open_link(spec, config)
     stack.callback(link.close)
     config = _fitted(config, link)
-    rng = random.Random(settings.seed)  # noqa: S311 - jitter, no secret
+    rng = random.Random(settings.seed)  # noqa: S311 - for jitter, not for secrets
     now, wall = time.monotonic_ns(), time.time_ns()
     try:
         node = make(config, rng=rng, now=now, wall=wall)
     except ValueError as error:
         fitted = config.bp.max_packet_size != settings.bp.max_packet_size
-        why = f" (beacons of at most {link.max_packet_size} octets, as {link.name} carries them)" if fitted else ""
+        why = f" (beacons of at most {link.max_packet_size} octets, the maximum of {link.name})" if fitted else ""
         raise SettingsError(f"{error}{why}") from None
     positions: PositionSource | None = None
     if settings.position is not None:
@@ -96,8 +97,8 @@ def _open(settings: Settings, make: MakeNode, stack: contextlib.ExitStack) -> Dr
         stack.callback(metrics.close)
     control: ControlSocket | None = None
     neighbours: NeighbourFileWriter | None = None
-    # What has a name in the file system is made as the user, who could otherwise have root follow a link somewhere
-    # else. Where the user may make nothing, in a folder that is root's alone, root makes it.
+    # Objects with a name in the file system are created as the unprivileged user: root could be made to follow a link
+    # of that user to another place. In a folder that only root can change there is no such link, and root creates them.
     names = [each for each in (settings.control, settings.neighbour_file) if each is not None and each != STDIO]
     of_root = {each for each in names if user is not None and roots_alone(Path(each).parent)}
     for made_now in (of_root, set(names) - of_root):
@@ -112,7 +113,7 @@ def _open(settings: Settings, make: MakeNode, stack: contextlib.ExitStack) -> Dr
         if settings.neighbour_file in made_now:
             neighbours = NeighbourFileWriter(settings.neighbour_file, codec.profile, config.node_id, now=now, wall=wall)
             stack.callback(neighbours.close)
-    # The last thing to be refused should leave no recording.
+    # Last, because a node that is refused must not leave a recording.
     recorder = _recorder(settings, config, codec, wall)
     if recorder is not None:
         stack.callback(recorder.close)
@@ -134,7 +135,7 @@ def _open(settings: Settings, make: MakeNode, stack: contextlib.ExitStack) -> Dr
         share(control.path, settings.control_group, settings.control_mode)
         driver.add_control(control)
     if settings.control == STDIO:
-        # Who started the node this way and closes its input has no more use for it.
+        # End of input stops the node: the program that started it has closed the connection.
         driver.add_control(StandardStreams(driver.stop))
     settle()
     log.info("node %s on %s", config.node_id.hex(":"), link.name, extra={"fields": _about(settings, config, recorder)})
@@ -142,29 +143,31 @@ def _open(settings: Settings, make: MakeNode, stack: contextlib.ExitStack) -> Dr
 
 
 def _load_what_follows(settings: Settings) -> None:
-    """Load modules that are needed later: the user may lack the right to read the interpreter's folders."""
+    """Load modules that are needed later: the user may not be permitted to read the interpreter's folders."""
     if settings.record is not None:
         importlib.import_module("dcp_codec.capture.mcap.writer")
 
 
 def _about(settings: Settings, config: NodeConfig, recorder: RotatingRecorder | None) -> dict[str, object]:
+    """Return the fields of the log line about the start."""
     record = None if recorder is None else str(recorder.path)
     about = {"profile": config.profile.name, "control": settings.control, "record": record}
     return {name: value for name, value in about.items() if value is not None}
 
 
 def _link_spec(settings: Settings) -> str:
+    """Return the text that names the link. Raises SettingsError if none or two are given."""
     if settings.interface is not None and settings.link is not None:
-        raise SettingsError("interface and link are two ways to say one thing; give one of them")
+        raise SettingsError("interface and link both name the link; give only one of them")
     if settings.interface is not None:
         return f"eth:{settings.interface}"
     if settings.link is not None:
         return settings.link
-    raise SettingsError("which link? --interface IF for Ethernet (interface = ...), or --link udp (link = ...)")
+    raise SettingsError("no link given; use --interface IF for Ethernet (interface = ...), or --link udp (link = ...)")
 
 
 def _address_of(interface: str | None) -> bytes | None:
-    """The address of an interface, which is what a node is called if nobody says otherwise."""
+    """Return the address of an interface, the default of the node identifier; None if it cannot be determined."""
     if interface is None:
         return None
     from dcp_codec.network.interfaces import hardware_address
@@ -172,12 +175,12 @@ def _address_of(interface: str | None) -> bytes | None:
     try:
         return hardware_address(interface)[1]
     except OSError:
-        # Opening the link explains it.
+        # Opening the link reports the cause.
         return None
 
 
 def _fitted(config: NodeConfig, link: Link) -> NodeConfig:
-    """With beacons that the link can carry. Raises SettingsError if somebody asked for longer ones."""
+    """Limit beacons to what the link can carry. Raises SettingsError if the settings require longer ones."""
     wanted = config.bp.max_packet_size
     if (wanted or config.profile.limits.max_beacon_size) <= link.max_packet_size:
         return config
@@ -185,12 +188,13 @@ def _fitted(config: NodeConfig, link: Link) -> NodeConfig:
         raise SettingsError(
             f"bp.max_packet_size: {link.name} carries at most {link.max_packet_size} octets, not {wanted}"
         )
-    log.info("beacons of at most %d octets, which is what %s carries", link.max_packet_size, link.name)
+    log.info("beacons of at most %d octets, the maximum of %s", link.max_packet_size, link.name)
     bp = msgspec.structs.replace(config.bp, max_packet_size=link.max_packet_size)
     return msgspec.structs.replace(config, bp=bp)
 
 
 def _recorder(settings: Settings, config: NodeConfig, codec: Codec, wall: int) -> RotatingRecorder | None:
+    """Return the recorder, or None if nothing is to be recorded. Raises SettingsError or LinkError."""
     if settings.record is None:
         return None
     about = {"node": config.node_id.hex(":"), "vantage": config.node_id.hex(":")}
@@ -198,7 +202,7 @@ def _recorder(settings: Settings, config: NodeConfig, codec: Codec, wall: int) -
     first = recording_path(place, config.node_id, wall)
     into_folder = first != Path(place)
     if settings.record_keep is not None and not into_folder:
-        raise SettingsError(f"record_keep: {place} is a file; to keep the last files, let record name a folder")
+        raise SettingsError(f"record_keep: {place} is a file; to keep the last files, set record to a folder")
     limits = Limits(
         octets=None if settings.record_max_mb is None else max(round(settings.record_max_mb * 1e6), 1),
         seconds=None if settings.record_max_minutes is None else settings.record_max_minutes * 60,

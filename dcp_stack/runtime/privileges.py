@@ -1,4 +1,4 @@
-"""Giving up root, once what needs it is open."""
+"""Giving up the privileges of root after everything that needs them is open."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from dcp_codec.common.trust import distrust
 
 
 class PrivilegeError(Exception):
-    """The privileges cannot be given up; the message says why."""
+    """The privileges cannot be given up; the message names the cause."""
 
 
 class User(NamedTuple):
-    """Whose rights to go on with."""
+    """A user of the system to run as."""
 
     name: str
     uid: int
@@ -24,18 +24,18 @@ class User(NamedTuple):
 
 
 def find_user(name: str) -> User:
-    """The user ``name``. Raises PrivilegeError if there is none, or we are not root and could not become it."""
+    """Return the user ``name``. Raises PrivilegeError if it does not exist, or this process is not root."""
     try:
         entry = pwd.getpwnam(name)
     except KeyError:
         raise PrivilegeError(f"user {name}: there is no such user") from None
     if os.geteuid() != 0:
-        raise PrivilegeError(f"user {name}: only root can go on as another user; leave it out, or start as root")
+        raise PrivilegeError(f"user {name}: only root can change to another user; leave it out, or start as root")
     return User(name, entry.pw_uid, entry.pw_gid)
 
 
 def roots_alone(folder: Path) -> bool:
-    """Whether nobody but root can make, replace or remove anything in a folder, nor the folder itself."""
+    """Whether only root can create, replace or remove anything in a folder, and the folder itself."""
     try:
         return not folder.stat().st_mode & (stat.S_IWGRP | stat.S_IWOTH) and distrust(folder) is None
     except OSError:
@@ -43,7 +43,7 @@ def roots_alone(folder: Path) -> bool:
 
 
 def become(user: User) -> None:
-    """Go on as ``user``, without a way back. Raises PrivilegeError."""
+    """Change to ``user`` permanently. Raises PrivilegeError if the system refuses."""
     try:
         os.initgroups(user.name, user.gid)
         os.setgid(user.gid)

@@ -1,7 +1,7 @@
-"""Waiting for descriptors: a thin layer over :mod:`selectors` that also takes regular files.
+"""Waiting for descriptors: a thin layer over :mod:`selectors` that also accepts regular files.
 
-asyncio was measured and left out: 4 MB more, and a chain of callbacks and tasks for each of the some fifty times a
-second that a quiet node is woken. A node has one thing to do at a time, so a loop over what is ready is all it needs.
+asyncio was measured and not used: it takes 4 MB more, and runs a chain of callbacks and tasks for each of the about
+fifty wake-ups per second of a quiet node. A loop over the ready descriptors is sufficient for a node.
 """
 
 from __future__ import annotations
@@ -13,20 +13,20 @@ from typing import Final
 READ: Final = selectors.EVENT_READ
 WRITE: Final = selectors.EVENT_WRITE
 Callback = Callable[[int], None]
-"""Called with what is possible, READ and/or WRITE."""
+"""A function called with the events that are ready, READ and/or WRITE."""
 
 
 class Reactor:
-    """Calls back for descriptors that are ready."""
+    """Calls functions for descriptors that are ready."""
 
     def __init__(self) -> None:
         self._selector = selectors.DefaultSelector()
-        # Regular files (redirected standard input) are always ready, and epoll does not take them.
+        # Regular files (redirected standard input) are always ready, and epoll does not accept them.
         self._always: dict[int, tuple[int, Callback]] = {}
         self._known: dict[int, tuple[int, Callback]] = {}
 
     def watch(self, fd: int, events: int, callback: Callback) -> None:
-        """Call back when one of ``events`` is possible at ``fd``; no events: not any more."""
+        """Call ``callback`` whenever one of ``events`` is ready at ``fd``; no events: stop watching it."""
         before = self._known.get(fd)
         if before == (events, callback) or (before is None and not events):
             return
@@ -46,14 +46,14 @@ class Reactor:
             self._always[fd] = (events, callback)
 
     def forget(self, fd: int) -> None:
-        """Do not look at ``fd`` any more; to be called before it is closed."""
+        """Stop watching ``fd``; must be called before ``fd`` is closed."""
         if self._known.pop(fd, None) is not None and self._always.pop(fd, None) is None:
             self._selector.unregister(fd)
 
     def wait(self, timeout: float | None) -> None:
-        """Wait up to ``timeout`` s (None: for ever) and call back for everything that is ready."""
+        """Wait up to ``timeout`` s (None: without limit), and call the functions of all ready descriptors."""
         for key, events in self._selector.select(0 if self._always else timeout):
-            # One callback may have ended what another was to be called for.
+            # A previous callback may have unregistered this one.
             if self._known.get(key.fd, (0, None))[1] == key.data:
                 key.data(events)
         for fd, (events, callback) in list(self._always.items()):
@@ -61,5 +61,5 @@ class Reactor:
                 callback(events)
 
     def close(self) -> None:
-        """Give the selector back; the descriptors belong to others."""
+        """Close the selector, but not the watched descriptors."""
         self._selector.close()

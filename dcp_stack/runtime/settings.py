@@ -1,4 +1,4 @@
-"""Settings of ``dcp-node run``: a TOML file, flags over it, and the node configuration that they make."""
+"""Settings of ``dcp-node run`` from a TOML file and flags, and the node configuration made from them."""
 
 from __future__ import annotations
 
@@ -20,26 +20,26 @@ from dcp_stack.config import BPConfig, NodeConfig, SRPConfig, VardisConfig
 
 
 class SettingsError(Exception):
-    """Settings that make no node; the message names file and key, and says what would be right."""
+    """Invalid settings; the message names the file, the key and the expected value."""
 
 
 class SRPSettings(SRPConfig, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """State reporting, and whether there is any."""
+    """Settings of SRP, and whether the node runs it."""
 
     enabled: bool | None = None
-    """None: if the profile has octets for state reports."""
+    """None: enabled if the profile defines the encoding of state reports."""
 
 
 class VardisSettings(VardisConfig, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Variable dissemination, and whether there is any."""
+    """Settings of VarDis, and whether the node runs it."""
 
     enabled: bool = True
     recommended: bool = True
-    """Start with what the profile recommends among its implementations (``[among]``) where nothing is set here."""
+    """Use the recommendations of the profile (its section ``[among]``) for keys without a value here."""
 
 
 class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Everything about one node. ``docs/dcp-node.md`` explains the keys."""
+    """All settings of one node. ``docs/dcp-node.md`` explains the keys."""
 
     node_id: str | None = None
     profile: str = "dcp-2.0"
@@ -71,9 +71,10 @@ _SECTIONS: dict[str, type[msgspec.Struct]] = {"bp": BPConfig, "srp": SRPSettings
 
 
 def load_settings(path: str | Path | None, flags: Mapping[str, Any]) -> Settings:
-    """The settings in a TOML file, with ``flags`` in their place where they are given.
+    """Return the settings of a TOML file, overridden by ``flags``.
 
-    Flags are keys such as ``node_id`` and ``bp.beacon_period_ms``; None is not given. Raises SettingsError.
+    The keys of ``flags`` are names such as ``node_id`` and ``bp.beacon_period_ms``; a value of None overrides nothing.
+    Raises SettingsError.
     """
     data = {} if path is None else _read(Path(path))
     where = "" if path is None else f"{path}: "
@@ -97,6 +98,7 @@ def load_settings(path: str | Path | None, flags: Mapping[str, Any]) -> Settings
 
 
 def _read(path: Path) -> dict[str, Any]:
+    """Return the contents of a TOML file. Raises SettingsError if it cannot be read."""
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
@@ -106,7 +108,7 @@ def _read(path: Path) -> dict[str, Any]:
 
 
 def _check_keys(where: str, data: Mapping[str, Any]) -> None:
-    """Refuse keys that are not known: a misspelt one would otherwise have no effect."""
+    """Raise SettingsError for unknown keys: a misspelt one would have no effect."""
     tables: list[tuple[str, type[msgspec.Struct], Mapping[str, Any]]] = [("", Settings, data)]
     tables += [(f"{name}.", kind, data[name]) for name, kind in _SECTIONS.items() if isinstance(data.get(name), dict)]
     for prefix, kind, table in tables:
@@ -114,12 +116,12 @@ def _check_keys(where: str, data: Mapping[str, Any]) -> None:
         for key in table:
             if key not in known:
                 near = difflib.get_close_matches(key, known, n=1)
-                hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(known)}"
+                hint = f"did you mean {near[0]!r}?" if near else f"known keys are {', '.join(known)}"
                 raise SettingsError(f"{where}unknown key {prefix + key!r}; {hint}")
 
 
 def _explained(message: str) -> str:
-    """A message of msgspec with the key in front, as it stands in the file."""
+    """Return a message of msgspec with the key first, written as in the file."""
     found = re.fullmatch(r"(.*?) - at `(?:key in )?\$\.?(.*)`", message)
     text, key = (found[1], found[2]) if found else (message, "")
     text = text.replace("`", "").replace("object", "table").replace("Expected ", "expected ")
@@ -127,7 +129,7 @@ def _explained(message: str) -> str:
 
 
 def codec_of(settings: Settings) -> Codec:
-    """The codec of the profile. Raises SettingsError."""
+    """Return the codec of the profile. Raises SettingsError if there is no such profile."""
     try:
         return get_codec(settings.profile)
     except ProfileError as error:
@@ -135,9 +137,10 @@ def codec_of(settings: Settings) -> Codec:
 
 
 def node_config(settings: Settings, codec: Codec, *, default_id: bytes | None = None) -> NodeConfig:
-    """The configuration of the node. Raises SettingsError.
+    """Return the configuration of the node. Raises SettingsError for values that contradict each other or the profile.
 
-    Without ``node_id`` it is ``default_id`` if the profile's identifiers are addresses, otherwise a random one.
+    ``default_id`` is used if there is no ``node_id`` and the profile's identifiers have its length. Otherwise the node
+    identifier is random.
     """
     profile = codec.profile
     if settings.node_id is not None:
@@ -149,9 +152,9 @@ def node_config(settings: Settings, codec: Codec, *, default_id: bytes | None = 
     has_reports = codec.report_plan is not None
     srp = settings.srp if (has_reports if settings.srp.enabled is None else settings.srp.enabled) else None
     if settings.position is not None and srp is None:
-        raise SettingsError("position: the node runs without SRP, which would send it")
+        raise SettingsError("position: the node runs without SRP, which sends positions")
     if settings.neighbour_file is not None and srp is None:
-        raise SettingsError("neighbour_file: the node runs without SRP, which has the neighbours")
+        raise SettingsError("neighbour_file: the node runs without SRP, which maintains the neighbour table")
     try:
         return NodeConfig(
             node_id=node_id,
@@ -168,7 +171,7 @@ def node_config(settings: Settings, codec: Codec, *, default_id: bytes | None = 
 
 
 def _among_others(vardis: VardisSettings, profile: Profile) -> VardisSettings:
-    """The settings with what the profile recommends among its implementations in place of what nobody has set."""
+    """Return the settings with the recommendations of the profile for implementations in place of missing values."""
     if not vardis.recommended:
         return vardis
     among = profile.among
@@ -182,7 +185,7 @@ def _among_others(vardis: VardisSettings, profile: Profile) -> VardisSettings:
 
 
 def parse_node_id(text: str, profile: Profile) -> bytes:
-    """A node identifier as people write it in this profile. Raises SettingsError."""
+    """Return the node identifier in the text form of this profile. Raises SettingsError."""
     from dcp_codec.jsonform import node_id_octets
 
     layout = profile.types.node_id
@@ -191,23 +194,25 @@ def parse_node_id(text: str, profile: Profile) -> bytes:
     except ValueError:
         raise SettingsError(f"node_id: {text!r} is not hex, as in 02:00:00:00:00:01") from None
     if layout.length is None and len(octets) != layout.width:
-        raise SettingsError(f"node_id: {text} has {len(octets)} octets, and {layout.width} in profile {profile.name}")
+        raise SettingsError(
+            f"node_id: {text} has {len(octets)} octets; identifiers of profile {profile.name} have {layout.width}"
+        )
     return octets
 
 
 def random_node_id(profile: Profile) -> bytes:
-    """An identifier that no other node is likely to have."""
+    """Return a random node identifier; a collision with another node is unlikely."""
     layout = profile.types.node_id
     chosen = random.SystemRandom()
     if layout.representation == "text":
         return f"node-{chosen.randrange(1 << 32):08x}".encode()[: layout.width or None]
-    # As an address: locally administered, and of one station.
+    # In the form of an address: locally administered and unicast.
     first = (chosen.randrange(256) & 0xFC) | 0x02
     return bytes([first]) + chosen.randbytes(max(layout.width, 1) - 1)
 
 
 def settings_text(settings: Settings) -> str:
-    """The settings as a TOML file that says the same; keys without a value are left out."""
+    """Return the settings as the text of a TOML file; keys without a value are left out."""
     from dcp_codec.export.tomltext import toml_text
 
     return toml_text(msgspec.to_builtins(settings))

@@ -1,4 +1,4 @@
-"""Who else may use the control socket: its group and its mode."""
+"""Access to the control socket for other users: its group and mode."""
 
 from __future__ import annotations
 
@@ -11,18 +11,21 @@ from .settings import SettingsError
 
 
 def parse_mode(text: str) -> int:
-    """A mode as ``"0660"``. Raises SettingsError for what is none, or takes the socket away from its owner."""
+    """Return the octal mode ``text``, such as ``"0660"``.
+
+    Raises SettingsError if it is not a mode, or would deny access to the owner.
+    """
     try:
         mode = int(text, 8)
     except ValueError:
         mode = -1
     if not 0 <= mode <= 0o777 or mode & 0o600 != 0o600:
-        raise SettingsError(f'control_mode: {text!r} is no mode of a socket; "0660" lets a group use it')
+        raise SettingsError(f'control_mode: {text!r} is not a mode of a socket; "0660" lets a group use it')
     return mode
 
 
 def find_group(name: str) -> int:
-    """The number of a group by its name or number. Raises SettingsError."""
+    """Return the number of a group given by name or number. Raises SettingsError if it does not exist."""
     if name.isdecimal():
         return int(name)
     try:
@@ -32,19 +35,19 @@ def find_group(name: str) -> int:
 
 
 def share(path: Path, group: str | None, mode: str | None) -> None:
-    """Give a socket this group and this mode; with a group and no mode, the group may use it (0660).
+    """Set group and mode of a socket; with a group and no mode, the mode is 0660.
 
-    Raises SettingsError if there is no such group, or the node is not in it and not root.
+    Raises SettingsError if the group does not exist, or if the node is neither in it nor root.
     """
     if group is None and mode is None:
         return
     gid = -1 if group is None else find_group(group)
     bits = parse_mode(mode) if mode is not None else 0o660
-    # By descriptor: whoever may write to the folder could put a link to another file into the socket's place.
+    # By descriptor: a user with write access to the folder could replace the socket by a link to another file.
     fd = os.open(path, os.O_PATH | os.O_NOFOLLOW | os.O_CLOEXEC)
     try:
         if not stat.S_ISSOCK(os.fstat(fd).st_mode):
-            raise SettingsError(f"{path}: it is no socket any more")
+            raise SettingsError(f"{path}: it is not a socket any more")
         itself = Path(f"/proc/self/fd/{fd}")
         os.chown(itself, -1, gid)
         itself.chmod(bits)

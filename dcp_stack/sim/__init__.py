@@ -1,1 +1,1 @@
-"""Networks of nodes by scenario: simulated in virtual time, or real processes on a virtual Ethernet."""
+"""Networks of nodes described by a scenario: simulated in virtual time, or processes on a virtual Ethernet."""

@@ -1,4 +1,4 @@
-"""Composing a payload of instruction containers (dcp-vardis.md#vardis-payload-format-construction)."""
+"""Composition of a payload from instruction containers (dcp-vardis.md#vardis-payload-format-construction)."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ from .wire import ContainerType
 
 
 class Composer:
-    """Fills payloads from the queues of a database, and counts down what it has filled in."""
+    """Fills payloads from the queues of a database, and decrements the repetition counters of the records sent."""
 
     def __init__(self, core: Core, instructions: Mapping[str, Instruction] | None = None) -> None:
-        """``instructions`` are those for container types of the profile's own, by the name of the type."""
+        """``instructions``: the instructions for the profile's additional container types, by the name of the type."""
         self._instructions = instructions or {}
         config = core.config
         self._database = core.database
@@ -62,9 +62,10 @@ class Composer:
         self._purge = config.features.purge_when_composing or config.reading("X17") == "purge-first"
 
     def compose(self, room: int) -> tuple[Container, ...]:
-        """The containers of the next payload, at most ``room`` octets; empty if there is nothing to say.
+        """Return the containers of the next payload; an empty tuple if all queues are empty or no record fits.
 
-        Everything in it counts as sent: counters go down and requests leave their queues.
+        Their encoding has at most ``room`` octets. All returned records count as sent: repetition counters are
+        decremented, and requests leave their queues.
         """
         ##= VD-CMP-14
         if self._purge:
@@ -77,7 +78,7 @@ class Composer:
                 continue
             chosen, used = self._fitting(kind, queue, room, largest)
             room -= used
-            # Records are made before the next container is considered: what is chosen has left its queue.
+            # Records are built before the next queue is read: building them changes queues (VD-CMP-06 to VD-CMP-12).
             records = [self._take(kind, var_id) for var_id in chosen]
             ##= VD-PAY-05
             for first in range(0, len(records), IC_MAX_RECORDS):
@@ -87,10 +88,11 @@ class Composer:
         return tuple(containers)
 
     def _fitting(self, kind: ContainerType, queue: IdQueue, room: int, largest: int) -> tuple[list[int], int]:
-        """``numberFittingRecords``: the identifiers whose records fit into ``room`` octets, and how many these take.
+        """Return the identifiers whose records fit into ``room`` octets, and the octets that they need.
 
-        The queue is looked at once, from its head, until a record does not fit, so no variable comes twice into a
-        payload. ``largest`` is what an empty payload could take.
+        This is ``numberFittingRecords``. The queue is read once, from its head, until a record does not fit, so a
+        payload has at most one record of a type per variable. ``largest``: octets of the longest record that an empty
+        payload could hold.
         """
         candidates: Iterable[int] = queue
         if kind is ICType.SUMMARIES:
@@ -103,7 +105,7 @@ class Composer:
         ##= VD-PAY-06
         for var_id in candidates:
             size = self._record_size(kind, var_id)
-            ##= VD-CMP-08 | exception: what no payload can hold (limits were lowered since) does not block the rest
+            ##= VD-CMP-08 | exception: a record too long for any payload (limits were lowered) does not block the rest
             if size > largest:
                 continue
             if len(chosen) % IC_MAX_RECORDS == 0:
@@ -122,6 +124,7 @@ class Composer:
         return chosen, used
 
     def _record_size(self, kind: ContainerType, var_id: int) -> int:
+        """Return the number of octets of the record of a variable, without the container header."""
         if kind is ICType.CREATE_VARIABLES:
             entry = self._entry(var_id)
             return self._sizes.create(entry.spec, entry.value)
@@ -134,10 +137,11 @@ class Composer:
         return own.size(own.record(var_id))
 
     def _entry(self, var_id: int) -> DBEntry:
+        """Return the database entry of a variable in a queue."""
         return self._database.entries[var_id]
 
     def _take(self, kind: ContainerType, var_id: int) -> VardisRecord | OwnRecord:
-        """The record of a variable, which from now on counts as sent."""
+        """Return the record of a variable, and count it as sent."""
         database = self._database
         if kind is ICType.REQUEST_VARCREATES:
             ##= VD-CMP-12
@@ -179,12 +183,14 @@ class Composer:
 
     @staticmethod
     def _take_own(instruction: Instruction, var_id: int) -> OwnRecord:
+        """Return the record of an additional container type, and let the instruction count it as sent."""
         record = instruction.record(var_id)
         instruction.sent(var_id)
         return record
 
 
 def _rotate_or_leave(queue: IdQueue, var_id: int, remaining: int) -> None:
+    """Move a variable to the tail while repetitions remain, otherwise remove it from the queue."""
     ##= VD-SCP-02
     if remaining:
         queue.rotate(var_id)

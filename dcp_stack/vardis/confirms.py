@@ -11,19 +11,19 @@ from .database import DBEntry
 
 
 class NoResponseError(RuntimeError):
-    """There is no confirm: the request is not answered in this state (reading X30 ``no-response``)."""
+    """The request gets no confirm in the current state (reading X30 ``no-response``)."""
 
 
 class Confirm(msgspec.Struct, frozen=True):
-    """Of RTDB-Create, RTDB-Update, RTDB-Delete and the management services: a status and nothing else."""
+    """Confirm with a status only: RTDB-Create, RTDB-Update, RTDB-Delete and the management services."""
 
     status: VardisStatus
 
 
 class ReadConfirm(msgspec.Struct, frozen=True):
-    """Of RTDB-Read. ``t_stamp`` is the local wall time (ns since 1970) of the last creation or update.
+    """``RTDB-Read.confirm``. ``value`` and ``t_stamp`` are None unless the status is OK.
 
-    Both are None unless the status is OK.
+    ``t_stamp``: local wall time (ns since 1970) of the last creation or update.
     """
 
     status: VardisStatus
@@ -32,7 +32,10 @@ class ReadConfirm(msgspec.Struct, frozen=True):
 
 
 class DescribedVariable(msgspec.Struct, frozen=True):
-    """A variable in the answer of RTDB-DescribeDatabase; the specification asks for ``spec`` only (VD-DDB-03)."""
+    """One variable in ``RTDB-DescribeDatabase.confirm``; the specification requires only ``spec`` (VD-DDB-03).
+
+    ``t_stamp``: local wall time (ns since 1970) of the last creation or update.
+    """
 
     spec: VarSpec
     is_deleted: bool
@@ -40,14 +43,14 @@ class DescribedVariable(msgspec.Struct, frozen=True):
 
 
 class DescribeDatabaseConfirm(msgspec.Struct, frozen=True):
-    """Of RTDB-DescribeDatabase; no variables unless the status is OK."""
+    """``RTDB-DescribeDatabase.confirm``; ``variables`` is empty unless the status is OK."""
 
     status: VardisStatus
     variables: tuple[DescribedVariable, ...] = ()
 
 
 class DescribeVariableConfirm(msgspec.Struct, frozen=True):
-    """Of RTDB-DescribeVariable; ``entry``, a copy, is None unless the status is OK."""
+    """``RTDB-DescribeVariable.confirm``; ``entry`` is a copy, None unless the status is OK."""
 
     status: VardisStatus
     entry: DBEntry | None = None

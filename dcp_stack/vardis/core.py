@@ -1,4 +1,4 @@
-"""What the parts of VarDis share: configuration, database, and the rules by which events are judged."""
+"""State shared by the parts of VarDis: configuration, database, and the table of events and states."""
 
 from __future__ import annotations
 
@@ -24,25 +24,28 @@ class Sequence:
         self._half_is_answered = policy != "half-range-neither"
 
     def received_is_older(self, received: int, own: int) -> bool:
-        """Whether a received number is strictly older than the stored one."""
+        """Return whether a received number is strictly older than the stored one."""
         behind = (own - received) % self._modulus
         return 0 < behind < self._half or (behind == self._half and self._half_is_older)
 
     def answers(self, requested: int, own: int) -> bool:
-        """Whether the stored number is strictly newer than that of a request."""
+        """Return whether the stored number is strictly newer than the requested one, so that a request is answered."""
         ahead = (own - requested) % self._modulus
         return 0 < ahead < self._half or (ahead == self._half and self._half_is_answered)
 
     def after(self, seqno: int) -> int:
-        """The next number."""
+        """Return the number that follows ``seqno``, modulo the size of the field."""
         return (seqno + 1) % self._modulus
 
 
 class Core:
-    """The state of one VarDis entity; services, receiver and composer work on it."""
+    """The state of one VarDis entity, shared by its services, receiver and composer."""
 
     def __init__(self, config: NodeConfig, emit: Callable[[Effect], None]) -> None:
-        """Raises ValueError if the node has no VarDis, or parameters in ``config.vardis`` are out of bounds."""
+        """Initialise an inactive entity with an empty database.
+
+        Raises ValueError if the node has no VarDis, or if parameters in ``config.vardis`` are out of bounds.
+        """
         self.config = config
         self.features = config.features
         self.emit = emit
@@ -50,9 +53,9 @@ class Core:
         self.sizes = config.record_sizes
         self.sequence = Sequence(self.sizes.seqno_modulus, _half_range(config))
         self.delivery = Delivery(self.sequence)
-        """Whether what this node says gets through."""
+        """Signs that neighbours do not accept the variables of this node."""
         self.database = Database(remove_deleted=self.features.removed_after_deletion)
-        # The wall clock counts from 1970 in every profile: a start of the node must not make creations look earlier.
+        # The clock counts from 1970 in every profile: after a restart of the node, creation times must not be earlier.
         self.clock = StampClock(config.profile.types.timestamp)
         self.own_id = config.node_id
         ##= VD-INI-01
@@ -62,13 +65,13 @@ class Core:
         self.settings = config.vardis
         ahead = self.settings.max_creation_ahead_s
         if ahead is not None and not ahead >= 0:
-            raise ValueError(f"max_creation_ahead_s is a number of seconds from 0 on, not {ahead:g}")
+            raise ValueError(f"max_creation_ahead_s must be at least 0 s, not {ahead:g}")
         room = self.settings.max_variables
         self.max_variables = room if room is not None else config.profile.limits.max_variables or MAX_VARIABLES
         self._table = table(config)
 
     def cell(self, event: Event, entry: DBEntry | None) -> Cell:
-        """What the table says about an event for a variable with this entry, None if there is none."""
+        """Return the table's cell for an event and the state of a variable; ``entry`` is None for an unknown one."""
         unknown, own, foreign, own_deleted, foreign_deleted = self._table[event]
         if entry is None:
             return unknown
@@ -77,7 +80,7 @@ class Core:
         return foreign_deleted if entry.is_deleted else foreign
 
     def changed(self, event: str, entry: DBEntry) -> None:
-        """Tell that a variable was ``created``, ``updated`` or ``deleted``."""
+        """Emit ``VariableChanged``; ``event`` is ``created``, ``updated`` or ``deleted``."""
         spec = entry.spec
         if event == "deleted" or spec.prod_id != self.own_id:
             self.delivery.deleted(spec.var_id)
@@ -85,7 +88,7 @@ class Core:
 
 
 def _half_range(config: NodeConfig) -> str:
-    """Reading X28 if it was chosen, otherwise what the profile says of its implementation."""
+    """Return reading X28 if it is configured, otherwise the behaviour that the profile states."""
     if "X28" in config.readings:
         return config.reading("X28")
     names = {"neither": "half-range-neither", "newer": "half-range-answered", "older": "half-range-older"}

@@ -1,7 +1,7 @@
 """The real-time database of VarDis and its six queues (dcp-vardis.md, "Real-Time Database" and "Queues").
 
-The two belong together: whether a variable stands in a queue follows from its entry, so both are changed by the same
-functions, and :meth:`Database.check_invariants` can compare them.
+Whether a variable is in a queue follows from its entry. The same functions therefore change both, and
+:meth:`Database.check_invariants` compares them.
 """
 
 from __future__ import annotations
@@ -15,35 +15,35 @@ from dcp_codec.values import VarSpec
 
 
 class IdQueue(OrderedDict[int, None]):
-    """A FIFO queue of variable identifiers that holds each at most once.
+    """A FIFO queue that holds each variable identifier at most once.
 
-    Membership, appending, removing and rotating take constant time. That nothing is held twice is no restriction:
-    every step of the specification either looks before it appends or removes first.
+    Membership, appending, removing and rotating take constant time. The specification allows for unique entries: each
+    of its steps checks or removes an identifier before it appends it.
     """
 
     def __repr__(self) -> str:
         return f"IdQueue({list(self)})"
 
     def append(self, var_id: int) -> None:
-        """Put at the tail; an identifier that is in the queue stays where it is."""
+        """Append an identifier at the tail; one that is already queued keeps its position."""
         ##= DATA-12
         self[var_id] = None
 
     def remove(self, var_id: int) -> None:
-        """Take out, wherever it stands; nothing happens if it is not there."""
+        """Remove an identifier, if it is queued."""
         self.pop(var_id, None)
 
     def rotate(self, var_id: int) -> None:
-        """Move from where it stands to the tail."""
+        """Move an identifier to the tail. Raises KeyError if it is not queued."""
         self.move_to_end(var_id)
 
 
 class DBEntry(msgspec.Struct, gc=False):
-    """``DBEntry``: what a node knows about one variable.
+    """``DBEntry``: the state of one variable at a node.
 
-    ``t_stamp`` is the local wall time (ns since 1970) of the last accepted creation or update. ``refreshed`` is the
-    same moment on the monotonic clock, by which the age is measured: a step of the wall clock must not delete what is
-    fresh or keep what is stale.
+    ``t_stamp``: local wall time (ns since 1970) of the last accepted creation or update. ``refreshed``: the same
+    moment in monotonic ns. The age is computed from ``refreshed``, so a step of the wall clock neither deletes a
+    variable too early nor keeps it too long. Counters: payloads in which a record is still to be repeated.
     """
 
     ##= VD-DB-01
@@ -59,9 +59,10 @@ class DBEntry(msgspec.Struct, gc=False):
 
 
 class Database:
-    """Entries by variable identifier, and the queues of what has to be said about them.
+    """Entries by variable identifier, and the queues of records to be sent about them.
 
-    ``remove_deleted`` is the rule up to 1.3: an entry goes after its last VarDelete; since 2.0 it stays, marked.
+    ``remove_deleted``: remove an entry after its last VarDelete, as up to 1.3. Since 2.0 the entry stays and is marked
+    as deleted.
     """
 
     def __init__(self, *, remove_deleted: bool) -> None:
@@ -82,31 +83,34 @@ class Database:
             "reqUpdQ": self.req_upd_q,
             "reqCreateQ": self.req_create_q,
         }
-        """The queues under the specification's names, and those of container types of the profile's own."""
+        """All queues: the six of the specification by its names, then those of the profile's additional containers."""
 
     def __len__(self) -> int:
         return len(self.entries)
 
     def lookup(self, var_id: int) -> DBEntry | None:
-        """``RTDB.lookup``: the entry, None if there is none."""
+        """Return the entry of a variable, None if it is unknown (``RTDB.lookup``)."""
         return self.entries.get(var_id)
 
     def clear(self) -> None:
-        """Forget all variables and everything that was to be said."""
+        """Remove all variables, and clear all queues."""
         self.entries.clear()
         for queue in self.queues.values():
             queue.clear()
 
-    # -- what happens to a variable -----------------------------------------------------------------------------
+    # -- changes of a variable ----------------------------------------------------------------------------------
 
     def insert(self, spec: VarSpec, value: bytes, seqno: int, *, now: int, wall: int) -> DBEntry:
-        """A variable is created, or created anew: repeat its VarCreate, summarise it, and nothing else about it."""
+        """Store a variable that was created or created again; returns its entry.
+
+        Its VarCreate is repeated and it is summarised. Records of an earlier creation leave all queues.
+        """
         var_id = spec.var_id
         ##= VD-CRE-10
         ##= VD-PC-07
         entry = DBEntry(spec=spec, value=value, seqno=seqno, t_stamp=wall, refreshed=now)
         ##= VD-CRE-11
-        ##= VD-CRE-11 | exception: in 1.0, too, which has no such step and goes on asking for what it now produces
+        ##= VD-CRE-11 | exception: also in 1.0, which lacks this step and would continue to request its own variable
         ##= VD-PC-08
         self._remove_from_queues(var_id)
         self.entries[var_id] = entry
@@ -118,7 +122,7 @@ class Database:
         return entry
 
     def store(self, entry: DBEntry, value: bytes, seqno: int, *, now: int, wall: int) -> None:
-        """A newer value: repeat its VarUpdate. The specification, and the producer with it, stays."""
+        """Store a newer value, and repeat its VarUpdate. The VarSpec, with the producer, is unchanged."""
         ##= VD-TYP-09
         ##= VD-UPD-08
         ##= VD-PU-07
@@ -131,7 +135,7 @@ class Database:
         self.arm_update(entry)
 
     def mark_deleted(self, entry: DBEntry) -> None:
-        """A variable is deleted: repeat its VarDelete, and nothing else about it."""
+        """Mark a variable as deleted, and repeat its VarDelete. All other records about it leave their queues."""
         var_id = entry.spec.var_id
         ##= VD-DEL-05
         ##= VD-PD-04
@@ -149,28 +153,28 @@ class Database:
             self.after_last_delete(var_id)
 
     def after_last_delete(self, var_id: int) -> None:
-        """All repetitions of a VarDelete have been sent."""
+        """Remove the entry after the last repetition of its VarDelete, if deleted variables are not kept."""
         ##= VD-DEL-06
         ##= VD-DEL-08
         if self.remove_deleted:
             del self.entries[var_id]
 
     def arm_create(self, entry: DBEntry) -> None:
-        """Have the VarCreate sent in as many payloads as the variable asks for, counted from now."""
-        # Up to 1.1 receivers take variables with a repetition count of 0: nothing is repeated then.
+        """Queue the VarCreate for the next ``repCnt`` payloads."""
+        # Up to 1.1 receivers accept variables with a repetition count of 0; their records are not sent.
         entry.count_create = entry.spec.rep_cnt
         if entry.count_create:
             self.create_q.append(entry.spec.var_id)
 
     def arm_update(self, entry: DBEntry) -> None:
-        """Have the VarUpdate sent in as many payloads as the variable asks for, counted from now."""
+        """Queue the VarUpdate for the next ``repCnt`` payloads."""
         entry.count_update = entry.spec.rep_cnt
         if entry.count_update:
             ##= VD-UPD-09
             self.update_q.append(entry.spec.var_id)
 
     def drop_pending(self) -> None:
-        """Forget all repetitions and requests that are still to be sent; summaries stay (X37)."""
+        """Cancel all outstanding repetitions and requests; summaries stay (X37)."""
         for entry in list(self.entries.values()):
             entry.count_create = entry.count_update = entry.count_delete = 0
             if entry.is_deleted and self.remove_deleted:
@@ -180,7 +184,10 @@ class Database:
                 queue.clear()
 
     def purge(self) -> None:
-        """Take identifiers of missing and deleted variables out of the queues that need them alive (up to 1.2)."""
+        """Remove unknown and deleted variables from the queues (up to 1.2); deleted ones stay in ``deleteQ``.
+
+        ``reqCreateQ`` is not changed: its variables are unknown.
+        """
         for queue in (self.create_q, self.update_q, self.summary_q, self.req_upd_q):
             for var_id in list(queue):
                 entry = self.entries.get(var_id)
@@ -191,13 +198,14 @@ class Database:
                 self.delete_q.remove(var_id)
 
     def _remove_from_queues(self, var_id: int) -> None:
+        """Remove a variable from all queues, those of additional containers included."""
         for queue in self.queues.values():
             queue.remove(var_id)
 
-    # -- looking at it ------------------------------------------------------------------------------------------
+    # -- inspection ---------------------------------------------------------------------------------------------
 
     def check_invariants(self) -> None:
-        """Raises AssertionError, naming the variable, if queues and entries contradict each other (C.5)."""
+        """Raises AssertionError with the variable if queues and entries contradict each other (C.5)."""
         for var_id, entry in self.entries.items():
             alive, rep_cnt = not entry.is_deleted, entry.spec.rep_cnt
             claims = {
@@ -207,7 +215,7 @@ class Database:
                 "is in deleteQ iff countDelete > 0": (var_id in self.delete_q) == (entry.count_delete > 0),
                 "is in summaryQ iff alive": (var_id in self.summary_q) == alive,
                 "is in reqUpdQ only if alive": alive or var_id not in self.req_upd_q,
-                "is not in reqCreateQ, being known": var_id not in self.req_create_q,
+                "is in reqCreateQ only if unknown": var_id not in self.req_create_q,
                 "repeats creations and updates only if alive": alive or not (entry.count_create or entry.count_update),
                 "repeats its deletion only if deleted": not alive or not entry.count_delete,
                 "leaves the database after its deletion": alive or not self.remove_deleted or entry.count_delete > 0,
@@ -222,7 +230,7 @@ class Database:
             assert name == "reqCreateQ" or not unknown, f"{name} holds unknown variables {unknown}"
 
     def snapshot(self) -> dict[str, Any]:
-        """Entries and queues as plain data: octets in hexadecimal, descriptions as text."""
+        """Return entries and queues as plain data: octets in hexadecimal, descriptions as text."""
         return {
             "variables": {var_id: _plain(entry) for var_id, entry in self.entries.items()},
             "queues": {name: list(queue) for name, queue in self.queues.items()},
@@ -230,6 +238,7 @@ class Database:
 
 
 def _plain(entry: DBEntry) -> dict[str, Any]:
+    """Return an entry as plain data, by the specification's names."""
     return {
         "prodId": entry.spec.prod_id.hex(":"),
         "repCnt": entry.spec.rep_cnt,

@@ -1,12 +1,12 @@
-"""Signs that what this node says of variables does not get through to its neighbours.
+"""Signs that neighbours do not accept the variables of this node.
 
-The specification has no acknowledgements, and a node whose records are all refused works like any other. The reasons
-are settings that differ (a neighbour drops payloads or repetition counts beyond its own limits, and says nothing), and
-clocks that are behind. What is heard tells: requests that go on although they are answered, summaries that stay behind,
-and a later creation of a variable that this node believes to produce.
+The specification has no acknowledgements, so a node does not notice by itself that its records are ignored. The causes
+are different settings (a neighbour drops payloads or repetition counts beyond its own limits, without a message) and
+slow clocks. Received records show them: requests that continue although they are answered, summaries that keep an
+older sequence number, and a later creation of a variable that this node produces.
 
-Nothing here changes what the node does, except that a creation becomes later than any that was heard (X38).
-Times are monotonic ns.
+These signs do not change the behaviour of the node, with one exception: a creation time is later than any that was
+received for the variable (X38). Times are monotonic ns.
 """
 
 from __future__ import annotations
@@ -20,24 +20,24 @@ if TYPE_CHECKING:
     from .core import Sequence
 
 ASKED_OFTEN: Final = 20
-"""Requests of one neighbour for one variable, all of them answered, that are no bad luck: half of all frames lost would
-do it once in a million times."""
+"""Answered requests of one neighbour for one variable that are reported. Frame loss of one half would cause as many
+requests in one of a million trials."""
 BEHIND_OFTEN: Final = 10
-"""Summaries of an older number, and none of the newer one, before somebody is told."""
+"""Summaries with an older sequence number, and none with the newer one, that are reported."""
 PATIENCE: Final = 10_000_000_000
-"""ns that an update has to appear in the summaries of others, the time over many hops."""
+"""Time in ns before a missing summary of an update is reported; enough for many hops."""
 MOST_ENTRIES: Final = 256
-"""Pairs of neighbour and variable that are counted: nothing received may use up memory."""
+"""Maximum number of counted pairs of neighbour and variable, so that received records cannot exhaust memory."""
 
 Kind = Literal["asked-again", "unconfirmed", "superseded"]
 
 
 class Obstacle(msgspec.Struct, frozen=True, rename="camel"):
-    """One variable that does not get through.
+    """A sign that neighbours do not accept one variable.
 
-    ``asked-again``: ``peer`` has asked ``count`` times for what was sent each time. ``unconfirmed``: ``count``
-    summaries have shown an older value than this node's, and none its update of ``for_ms`` ago. ``superseded``: others
-    know a creation with a later time, and ignore this one.
+    ``asked-again``: ``peer`` (its node identifier in hexadecimal) has requested the variable ``count`` times, and it
+    was sent each time. ``unconfirmed``: ``count`` summaries had an older sequence number, and none has had that of the
+    update ``for_ms`` ms ago. ``superseded``: other nodes have a creation with a later time and ignore this one.
     """
 
     kind: Kind
@@ -50,23 +50,23 @@ class Obstacle(msgspec.Struct, frozen=True, rename="camel"):
         match self.kind:
             case "asked-again":
                 return (
-                    f"{self.peer} asked {self.count} times for variable {self.var_id}, which was sent each time: "
-                    "its record is longer, or repeated more often, than that node takes"
+                    f"{self.peer} requested variable {self.var_id} {self.count} times, and it was sent each time: "
+                    "its record is longer, or its repetition count higher, than that node accepts"
                 )
             case "unconfirmed":
                 return (
-                    f"variable {self.var_id}: no neighbour shows the update of {self.for_ms / 1000:.0f} s ago, "
-                    f"and {self.count} summaries show an older one"
+                    f"variable {self.var_id}: no summary of a neighbour has the update of {self.for_ms / 1000:.0f} s "
+                    f"ago, and {self.count} summaries have an older sequence number"
                 )
             case "superseded":
                 return (
-                    f"variable {self.var_id}: others know a creation with a later time and ignore this one; "
-                    "create it again, and look at the clock"
+                    f"variable {self.var_id}: other nodes have a creation with a later time and ignore this one; "
+                    "create it again, and check the clock"
                 )
 
 
 class _Waiting:
-    """An own update that no summary has shown yet."""
+    """An update by this node that no summary of a neighbour has confirmed yet."""
 
     __slots__ = ("behind", "seqno", "since")
 
@@ -77,11 +77,11 @@ class _Waiting:
 
 
 class Delivery:
-    """What one VarDis entity has heard of its own variables. Bounded memory."""
+    """Received requests, summaries and creations of the variables of one VarDis entity, in bounded memory."""
 
     def __init__(self, sequence: Sequence) -> None:
         self.peer = b""
-        """Who has sent the payload that is being processed."""
+        """Node identifier of the sender of the payload that is being processed."""
         self._sequence = sequence
         self._asked: dict[tuple[bytes, int], int] = {}
         self._waiting: dict[int, _Waiting] = {}
@@ -89,55 +89,56 @@ class Delivery:
         self._superseded: set[int] = set()
 
     def clear(self) -> None:
-        """Forget everything."""
+        """Forget all variables."""
         self._asked.clear()
         self._waiting.clear()
         self._created.clear()
         self._superseded.clear()
 
-    # -- what happens here --------------------------------------------------------------------------------------
+    # -- changes at this node -----------------------------------------------------------------------------------
 
     def created(self, var_id: int) -> None:
-        """This node has created the variable anew."""
+        """Note that this node has created the variable."""
         self._forget(var_id)
 
     def updated(self, var_id: int, seqno: int, now: int) -> None:
-        """This node has given the variable a new value. What others have to show is the oldest one not shown yet."""
+        """Note that this node has updated the variable. Neighbours have to confirm the oldest unconfirmed update."""
         if var_id not in self._waiting:
             self._waiting[var_id] = _Waiting(seqno, now)
 
     def deleted(self, var_id: int) -> None:
-        """The variable is gone, whoever has deleted it or taken it over."""
+        """Note that the variable was deleted, or that another node now produces it."""
         self._forget(var_id)
 
     def _forget(self, var_id: int) -> None:
+        """Remove requests, the unconfirmed update and the later creation of a variable."""
         self._waiting.pop(var_id, None)
         self._superseded.discard(var_id)
         for key in [key for key in self._asked if key[1] == var_id]:
             del self._asked[key]
 
-    # -- what is heard ------------------------------------------------------------------------------------------
+    # -- received records ---------------------------------------------------------------------------------------
 
     def asked(self, var_id: int) -> None:
-        """The neighbour has asked for a variable, or for a newer value, and gets it."""
+        """Count a request of the neighbour :attr:`peer` for a variable or a newer value, which is answered."""
         key = (self.peer, var_id)
         count = self._asked.pop(key, 0) + 1
         if len(self._asked) >= MOST_ENTRIES:
-            # The pair that was silent for longest.
+            # The first pair is the one whose last request is oldest.
             del self._asked[next(iter(self._asked))]
         self._asked[key] = count
 
     def asked_by(self, peer: bytes) -> bool:
-        """Whether a neighbour has asked for something that it has not shown to have."""
+        """Return whether a request of a neighbour is open, that is, no record has shown that it has the value."""
         return any(asking == peer for asking, _ in self._asked)
 
     def has(self, var_id: int) -> None:
-        """The neighbour has shown that it knows the variable with the value that this node has."""
+        """Note that the neighbour :attr:`peer` has the variable with the same sequence number as this node."""
         if self._asked:
             self._asked.pop((self.peer, var_id), None)
 
     def summary_of_own(self, var_id: int, seqno: int) -> None:
-        """A neighbour has summarised a variable of this node."""
+        """Process the sequence number in a neighbour's summary of a variable of this node."""
         waiting = self._waiting.get(var_id)
         if waiting is None:
             return
@@ -147,7 +148,10 @@ class Delivery:
             del self._waiting[var_id]
 
     def own_creation(self, var_id: int, creation_time: int | None, known: int | None) -> None:
-        """A VarCreate with this node as producer was heard; ``known`` is the creation time that this node knows."""
+        """Process a received VarCreate that names this node as producer.
+
+        ``creation_time`` is that of the record, ``known`` that of the stored variable, both in the profile's units.
+        """
         if creation_time is None:
             return
         self._created[var_id] = max(creation_time, self._created.get(var_id, 0))
@@ -155,16 +159,17 @@ class Delivery:
             self._superseded.add(var_id)
 
     def latest_creation(self, var_id: int) -> int | None:
-        """The latest creation time of the variable, with this node as producer, that was heard."""
+        """Return the latest received creation time of a variable with this node as producer, None without any."""
         return self._created.get(var_id)
 
-    # -- looking ------------------------------------------------------------------------------------------------
+    # -- result -------------------------------------------------------------------------------------------------
 
     def obstacles(self, now: int) -> list[Obstacle]:
-        """What does not get through as of ``now``."""
+        """Return the signs found up to ``now``, sorted by kind, variable and neighbour."""
         return sorted(self._found(now), key=lambda each: (each.kind, each.var_id, each.peer))
 
     def _found(self, now: int) -> Iterator[Obstacle]:
+        """Yield the signs found up to ``now``, in no particular order."""
         for (peer, var_id), count in self._asked.items():
             if count >= ASKED_OFTEN:
                 yield Obstacle("asked-again", var_id, peer.hex(":"), count)

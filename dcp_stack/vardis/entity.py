@@ -1,8 +1,8 @@
-"""VarDis, the dissemination of variables, without input or output of its own (dcp-vardis.md).
+"""The VarDis entity of a node, without input or output of its own (dcp-vardis.md).
 
-Order of calls: :meth:`Vardis.start`, then inputs and services in any order, and after each ``poll_timeout()`` for when
-``handle_timeout`` is due next. Times are int ns: ``now`` monotonic, ``wall`` since 1970. Octets from others never
-raise; what an application gets wrong beyond what a status can say raises ValueError.
+Order of calls: :meth:`Vardis.start`, then inputs and services in any order. After each of them ``poll_timeout()``
+returns the time at which ``handle_timeout`` is due next. Times are int ns: ``now`` monotonic, ``wall`` since 1970.
+Received octets never raise. Arguments of an application that no status covers raise ValueError.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from .wire import Extractor
 
 
 class Vardis(VariableServices):
-    """One VarDis entity. ``emit`` takes ``VariableChanged`` and ``Dropped``, at the moment they happen."""
+    """One VarDis entity. It calls ``emit`` with ``VariableChanged`` and ``Dropped`` as they occur."""
 
     def __init__(
         self,
@@ -43,13 +43,13 @@ class Vardis(VariableServices):
         now: int,
         wall: int,
     ) -> None:
-        """Raises ValueError if ``config`` has no VarDis, or parameters that are out of bounds."""
+        """Initialise an inactive entity. Raises ValueError if ``config`` has no VarDis or invalid parameters of it."""
         core = Core(config, emit)
         super().__init__(core, bp)
         self._parameters = core.parameters
         self._database = core.database
         self.instructions = instructions = {each.container: each for each in instructions_of(core)}
-        """Those for container types of the profile's own, by the name of the type."""
+        """Instructions for the profile's additional container types, by the name of the type."""
         self._composer = Composer(core, instructions)
         self._extractor = Extractor(config, core.sizes)
         self._receiver = Receiver(core, instructions)
@@ -61,7 +61,7 @@ class Vardis(VariableServices):
         self._composes_ahead = config.reading("X54") == "before-the-beacon"
         self._lead = round(core.settings.compose_lead_ms * MS)
         self._indicated = False
-        """Whether BP has sent a payload since the last look at its buffer."""
+        """Whether BP has sent a payload since its buffer was last checked."""
         self._registered_size = 0
         self._last_check = now
         self._last_scrub = now
@@ -75,9 +75,9 @@ class Vardis(VariableServices):
     # -- life cycle ---------------------------------------------------------------------------------------------
 
     def start(self, now: int, wall: int) -> BPStatus:
-        """Register with BP and begin, with an empty database. Returns the status of the registration.
+        """Register with BP and become active with an empty database; returns the status of the registration.
 
-        With another status than OK VarDis stays inactive, and :meth:`start` can be called again.
+        Unless it is OK, VarDis stays inactive; :meth:`start` may then be called again.
         """
         ##= VD-INI-01
         self._core.active = False
@@ -100,6 +100,7 @@ class Vardis(VariableServices):
         return status
 
     def _register(self, size: int, now: int, wall: int) -> BPStatus:
+        """Register with BP for payloads of at most ``size`` octets; returns the status."""
         ##= VD-INI-02
         confirm = self._bp.register(
             BP_PROTID_VARDIS,
@@ -117,12 +118,12 @@ class Vardis(VariableServices):
         if self.registered:
             self._registered_size = size
             ##= VD-INI-05
-            # In 1.0 the confirm does not tell; the node was then configured with its identifier.
+            # The confirm of 1.0 lacks the identifier; the configured one is used.
             self._core.own_id = confirm.own_node_identifier or self._core.config.node_id
         return confirm.status
 
     def shutdown(self) -> None:
-        """Deregister from BP and forget everything; :meth:`start` begins anew."""
+        """Deregister from BP and clear the database; :meth:`start` may be called again."""
         ##= VD-SHD-01
         self._core.active = False
         ##= VD-SHD-02
@@ -133,14 +134,17 @@ class Vardis(VariableServices):
         self._database.clear()
 
     def activate(self) -> Confirm:
-        """``VD-MGMT-Activate``: resume with the database as it is. INACTIVE if VarDis is not registered with BP."""
+        """``VD-MGMT-Activate``: resume with the unchanged database.
+
+        Returns INACTIVE if VarDis is not registered with BP.
+        """
         ##= VD-MGT-05
         ##= VD-MGT-06
         self._core.active = self.registered
         return Confirm(VardisStatus.OK if self.active else VardisStatus.INACTIVE)
 
     def deactivate(self) -> Confirm:
-        """``VD-MGMT-Deactivate``: send, receive and serve nothing until activated; scrubbing goes on (X36)."""
+        """``VD-MGMT-Deactivate``: stop sending, receiving and serving requests; scrubbing may continue (X36)."""
         ##= VD-MGT-01
         self._core.active = False
         if self._pending_is_dropped:
@@ -149,25 +153,25 @@ class Vardis(VariableServices):
 
     @property
     def own_node_identifier(self) -> bytes:
-        """``ownNodeIdentifier``, as BP told it."""
+        """``ownNodeIdentifier`` from the confirm of BP, or the configured one if the confirm lacks it."""
         return self._core.own_id
 
     def parameters(self) -> dict[str, int]:
-        """The current parameters by the specification's names; lengths and sizes in octets, periods in ms."""
+        """Return the current parameters by the specification's names; lengths and sizes in octets, periods in ms."""
         return self._parameters.as_dict()
 
     def set_parameter(self, name: str, value: object) -> Violation | None:
-        """Change a parameter at once, for what comes; None, or why the value is not valid (VD-PAR-01 to VD-PAR-08).
+        """Change a parameter at once; returns None, or the violated bound (VD-PAR-01 to VD-PAR-08).
 
-        A larger payload than VarDis is registered with takes effect with the first payload after BP has sent all that
-        it holds, when VarDis registers anew. Raises ``UnknownParameterError`` for a name that VarDis does not have.
+        To use payloads larger than registered, VarDis registers again as soon as BP holds no payload of it (X41).
+        Raises ``UnknownParameterError`` if VarDis has no parameter of this name.
         """
         return self._parameters.set(name, value)
 
     # -- inputs -------------------------------------------------------------------------------------------------
 
     def handle_payload(self, payload: bytes, *, now: int, wall: int) -> None:
-        """BP received a payload of a neighbour. Never raises, whatever the octets are."""
+        """Process a payload that BP received from a neighbour. Never raises, even for invalid octets."""
         ##= VD-MGT-03
         if not self.active:
             self._core.emit(Dropped("vardis", "vardis-inactive", DROPS["vardis-inactive"][0]))
@@ -177,7 +181,7 @@ class Vardis(VariableServices):
         self._receiver.process(self._extractor.extract(payload), now=now, wall=wall)
 
     def payload_transmitted(self, now: int, wall: int) -> None:
-        """``BP-PayloadTransmitted.indication``: compose the next payload, just before its beacon or at once (X54)."""
+        """Process ``BP-PayloadTransmitted.indication``: compose the next payload at once or before its beacon (X54)."""
         ##= VD-RUN-01
         if self._composes_ahead and self._bp.next_beacon() is not None:
             self._indicated = True
@@ -185,7 +189,7 @@ class Vardis(VariableServices):
             self._generate(now, wall)
 
     def handle_timeout(self, now: int, wall: int) -> None:
-        """Time has come, or passed; calling too early does no harm."""
+        """Scrub the database and check the buffer of BP, if they are due. A call before they are due has no effect."""
         self._wall = wall
         if self._scrubs:
             period = self._parameters.scrubbing_period_ms * MS
@@ -205,7 +209,7 @@ class Vardis(VariableServices):
                 self._generate(now, wall)
 
     def poll_timeout(self) -> int | None:
-        """When ``handle_timeout`` is due next (monotonic ns), None when VarDis is not running."""
+        """Return when ``handle_timeout`` is due next (monotonic ns), None while VarDis has nothing to do."""
         due = None
         if self._core.active:
             due = self._next_look()
@@ -216,10 +220,10 @@ class Vardis(VariableServices):
         return due
 
     def _next_look(self) -> int:
-        """When VarDis looks at BP's buffer next, and composes a payload if it is empty.
+        """Return when VarDis next checks the buffer of BP (monotonic ns), to compose a payload if it is empty.
 
-        Composing ahead of the beacon (X54), it puts a look off until just before the next beacon, so that whatever
-        arrives before then is in the payload. After an indication it looks then even if the period has not passed.
+        Under reading X54 ``before-the-beacon`` the check is delayed until just before the next beacon, so that the
+        payload includes all records received before. After an indication it does not wait for the period to pass.
         """
         check = self._last_check + self._parameters.buffer_check_period_ms * MS
         beacon = self._bp.next_beacon() if self._composes_ahead else None
@@ -230,10 +234,11 @@ class Vardis(VariableServices):
 
     @property
     def _scrubs(self) -> bool:
+        """Whether scrubbing runs in the current state (X36)."""
         return self._has_scrubbing and self.registered and (self._core.active or not self._scrubbing_pauses)
 
     def _generate(self, now: int, wall: int) -> None:
-        """Compose the next payload and hand it to BP."""
+        """Compose the next payload and submit it to BP."""
         self._fit_registration(now, wall)
         containers = self._composer.compose(min(self._parameters.max_payload_size, self._registered_size))
         ##= VD-PAY-04
@@ -242,7 +247,10 @@ class Vardis(VariableServices):
             self._bp.transmit_payload(BP_PROTID_VARDIS, payload, now=now)
 
     def _fit_registration(self, now: int, wall: int) -> None:
-        """Register anew when the maximum payload has grown; only while BP holds nothing, which would be lost."""
+        """Register again if the maximum payload size was raised (X41).
+
+        Waits until BP holds no payload of VarDis, because deregistration would discard it.
+        """
         wanted = self._parameters.max_payload_size
         if not self._registers_anew:
             return
@@ -254,13 +262,13 @@ class Vardis(VariableServices):
             self.shutdown()
 
     def _scrub(self, now: int) -> None:
-        """Delete the variables that nobody has updated for longer than their timeout."""
+        """Delete the variables whose last creation or update is older than their timeout."""
         for entry in list(self._database.entries.values()):
             timeout = (entry.spec.timeout or 0) * MS
             ##= VD-SCR-02
             if not timeout:
                 continue
-            ##= VD-SCR-03 | exception: the age is that of a clock which is never set, not of the system time (X38)
+            ##= VD-SCR-03 | exception: the age is measured by a steady clock, not by the system time (X38)
             age = now - entry.refreshed if self._steady else self._wall - entry.t_stamp
             if age < timeout or (age == timeout and not self._timed_out_at_timeout):
                 continue
@@ -270,22 +278,25 @@ class Vardis(VariableServices):
                 self._database.mark_deleted(entry)
                 self._core.changed("deleted", entry)
 
-    # -- looking at it ------------------------------------------------------------------------------------------
+    # -- inspection ---------------------------------------------------------------------------------------------
 
     def entry(self, var_id: int) -> DBEntry | None:
-        """What the database holds of a variable now, whether VarDis serves or not; it is not a service, nor a copy."""
+        """Return the database entry of a variable, None if unknown. Unlike a service it also works while inactive.
+
+        The entry is not a copy.
+        """
         return self._database.lookup(var_id)
 
     def hears(self, sender: bytes) -> None:
-        """The payload that comes next was sent by this neighbour; BP's indication does not say."""
+        """Set the sender of the next payload, which the indication of BP lacks. Used for :meth:`obstacles` only."""
         self._core.delivery.peer = sender
 
     def obstacles(self, now: int) -> list[Obstacle]:
-        """The variables that do not get through to neighbours, and why; usually none."""
+        """Return the variables that neighbours do not accept, with the reasons; usually empty."""
         return self._core.delivery.obstacles(now)
 
     def snapshot(self) -> dict[str, Any]:
-        """The state as plain data: octets in hexadecimal, times in ns, everything else under its own name."""
+        """Return the state as plain data: octets in hexadecimal, times in ns, parameters in their own units."""
         return {
             "active": self.active,
             "registered": self.registered,
@@ -296,7 +307,7 @@ class Vardis(VariableServices):
         }
 
     def queue_lengths(self) -> dict[str, int]:
-        """How many variables wait in each queue, by the specification's names."""
+        """Return the number of variables in each queue, by the specification's names."""
         return {name: len(queue) for name, queue in self._database.queues.items()}
 
     def check_invariants(self) -> None:

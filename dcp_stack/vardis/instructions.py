@@ -1,8 +1,8 @@
-"""Instructions beyond the six of the specification: what a node does with a container type of a profile's own.
+"""Instructions for additional container types of a profile, beyond the six of the specification.
 
-A profile describes the records (``vardis.own_containers``), so a class here names neither widths nor their order. A
-node uses an instruction if its profile has the container. It ignores the records of a container without an
-instruction (``unhandled-container``).
+The profile describes the records (``vardis.own_containers``), so a class here defines neither the widths nor the order
+of fields. A node uses an instruction if its profile has the container. It ignores the records of a container without
+an instruction (``unhandled-container``).
 """
 
 from __future__ import annotations
@@ -17,7 +17,9 @@ from .database import DBEntry, IdQueue
 
 
 class Instruction(ABC):
-    """One container type at one node. Records are objects of :attr:`record_type`, with the fields of the profile.
+    """The handling of one container type at one node.
+
+    Records are objects of :attr:`record_type`, with the fields of the profile.
 
     Received records are processed after those of the specification's types (VD-RX-08), and payloads are filled in the
     same order (VD-PAY-01).
@@ -27,7 +29,7 @@ class Instruction(ABC):
     """Name of the container type in the profile."""
 
     def __init__(self, core: Core) -> None:
-        """``core.database`` holds the variables; :attr:`queue` is one more of its queues."""
+        """Add :attr:`queue` to the queues of ``core.database``, which holds the variables."""
         config = core.config
         self.core = core
         layout = next(each for each in config.profile.vardis.own_containers if each.name == self.container)
@@ -35,7 +37,7 @@ class Instruction(ABC):
         self.record_type = config.codec.types[layout.type_name]
         """Class of the records."""
         self.queue = core.database.queues.setdefault(self.container, IdQueue())
-        """Variables about which a record is to be sent. Variables that are deleted or created anew leave it."""
+        """Variables about which a record is to be sent. A variable leaves it when it is deleted or created again."""
 
     @abstractmethod
     def receive(self, record: Any, now: int, wall: int) -> str | None:
@@ -52,18 +54,18 @@ class Instruction(ABC):
     # -- for subclasses -------------------------------------------------------------------------------------------
 
     def entry(self, var_id: int) -> DBEntry | None:
-        """The database entry of a variable, None if it is not known or deleted."""
+        """Return the database entry of a variable, None if the variable is unknown or deleted."""
         entry = self.core.database.lookup(var_id)
         return None if entry is None or entry.is_deleted else entry
 
     def size(self, record: OwnRecord) -> int:
-        """Octets of a record in its container."""
+        """Return the number of octets of a record in its container."""
         return self.core.sizes.own_record(self.number, record)
 
     def own_field(self, entry: DBEntry, name: str) -> Any:
-        """The value of a field that the profile adds to VarSpec."""
+        """Return the value of a field that the profile adds to VarSpec, by its name in the profile."""
         return self.core.config.own_spec_fields.values(entry.spec)[name]
 
     def change_spec(self, entry: DBEntry, **fields: Any) -> None:
-        """Give fields that the profile adds to VarSpec new values, by their names in the profile."""
+        """Change fields that the profile adds to VarSpec, by their names in the profile."""
         entry.spec = self.core.config.own_spec_fields.replaced(entry.spec, fields)

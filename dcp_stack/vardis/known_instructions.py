@@ -1,4 +1,4 @@
-"""The instructions that a node has for container types of its profile's own."""
+"""The selection of instructions for the additional container types of a profile."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from typing import Any, Final
 from .core import Core
 from .instructions import Instruction
 
-#: Those of this code base; a new one is added here.
+#: Instructions of this code base; add new ones here.
 INSTRUCTIONS: Final[tuple[type[Instruction], ...]] = ()
 
 
 def instructions_of(core: Core) -> Iterator[Instruction]:
-    """The instructions that the profile of a node has containers for, in the order of the profile.
+    """Yield an instruction for each additional container of the profile that has one, in the order of the profile.
 
     An instruction of the configuration replaces one of this code base for the same container.
     """

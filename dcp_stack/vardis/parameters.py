@@ -1,4 +1,4 @@
-"""The configurable parameters of VarDis (dcp-vardis.md#vardis-configurable-parameters), as a node has them now."""
+"""The current configurable parameters of a VarDis entity (dcp-vardis.md#vardis-configurable-parameters)."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SUMMARIES = "VARDISPAR_MAX_SUMMARIES"
 SCRUBBING_PERIOD = "VARDISPAR_SCRUBBING_PERIOD"
 BUFFER_CHECK_PERIOD = "VARDISPAR_BUFFER_CHECK_PERIOD"
 
-#: The payload size first and the value length second: the bounds of those behind depend on them.
+#: Order of validation: the bounds of the later parameters depend on the payload size and the value length.
 _ORDER = (
     PAYLOAD_SIZE,
     VALUE_LENGTH,
@@ -31,30 +31,32 @@ _ORDER = (
 
 
 class VardisParameters:
-    """Current values, by the specification's names; lengths and sizes in octets, periods in ms."""
+    """Current parameters, by the specification's names; lengths and sizes in octets, periods in ms."""
 
     def __init__(self, config: NodeConfig) -> None:
-        """Raises ValueError for a value in ``config.vardis`` that violates a bound.
+        """Take the values from ``config.vardis``, and those it leaves open from the limits of the profile.
 
-        What ``config.vardis`` leaves open comes from the limits of the profile, lowered where a bound asks for it.
+        A limit of the profile is lowered to the parameter's upper bound. Raises ValueError if the node has no VarDis,
+        or if a value in ``config.vardis`` violates a bound.
         """
         values, self._sizes = config.once(_initial)
         self._values = dict(values)
         self._record_bound = config.reading("X23") == "record-bound"
         self._takes_nearest = config.reading("X39") == "nearest-value"
         ##= VD-CRE-04
-        # The parameter of 1.0 counts the terminating NUL, the limit of a profile is what a description may have.
+        # The parameter of 1.0 includes the terminating NUL, the limit of a profile does not.
         self._terminator = _terminator(config)
 
     def as_dict(self) -> dict[str, int]:
-        """All parameters that the version has, in the order of the specification."""
+        """Return all parameters of the specification's version, in the order of the specification."""
         ##= VD-PAR-09
         return {name: self._values[name] for name in parameters() if name in self._values}
 
     def set(self, name: str, value: object) -> Violation | None:
-        """Give a parameter a new value, or say why it cannot have it.
+        """Change a parameter; returns None, or the violated bound.
 
-        Raises ``UnknownParameterError`` for a name that is no parameter of VarDis.
+        Under reading X39 ``nearest-value`` a value out of bounds is replaced by the nearest legal one. Raises
+        ``UnknownParameterError`` if VarDis has no parameter of this name.
         """
         if name not in _ORDER:
             raise UnknownParameterError(f"VarDis has no parameter {name!r}")
@@ -92,33 +94,37 @@ class VardisParameters:
 
     @property
     def max_summaries(self) -> int:
-        """Most summaries in a payload; 0 for none."""
+        """Maximum number of summaries in a payload; 0 disables summaries."""
         return self._values[SUMMARIES]
 
     @property
     def scrubbing_period_ms(self) -> int:
-        """Time between two runs of scrubbing in ms; none of it before 2.0."""
+        """Time between two runs of scrubbing in ms. Raises KeyError before 2.0, which has no scrubbing."""
         return self._values[SCRUBBING_PERIOD]
 
     @property
     def buffer_check_period_ms(self) -> int:
-        """Time between two looks at the buffer of BP in ms."""
+        """Time between two checks of the buffer of BP in ms."""
         return self._values[BUFFER_CHECK_PERIOD]
 
 
 def _nearest(name: str, value: int, sizes: Sizes) -> int:
-    """The legal value that is nearest to one out of bounds (X39)."""
+    """Return the legal value that is nearest to one out of bounds (X39)."""
     lowest, highest = parameter(name).minimum(sizes), parameter(name).maximum(sizes)
     value = value if highest is None else min(value, highest)
     return value if lowest is None else max(value, lowest)
 
 
 def _terminator(config: NodeConfig) -> int:
+    """Return the octets of the terminator of a string: 1 if strings end with NUL, otherwise 0."""
     return int(config.features.string_format == "nul-terminated")
 
 
 def _initial(config: NodeConfig) -> tuple[Mapping[str, int], Sizes]:
-    """The values that a node begins with, and the sizes that bounds depend on then."""
+    """Return the initial parameters of a node, and the sizes on which bounds depend.
+
+    Raises ValueError as :class:`VardisParameters` does.
+    """
     settings = config.vardis
     if settings is None:
         raise ValueError("the node is configured without VarDis")
@@ -158,7 +164,7 @@ def _initial(config: NodeConfig) -> tuple[Mapping[str, int], Sizes]:
 def _changed(
     name: str, value: object, values: Mapping[str, int], sizes: Sizes, *, record_bound: bool
 ) -> Sizes | Violation:
-    """The sizes that bounds depend on with a new value, or why a parameter cannot have it."""
+    """Return the sizes on which bounds depend after a change of a parameter, or the bound that it violates."""
     violation = validate(name, value, sizes)
     if violation is not None:
         return violation

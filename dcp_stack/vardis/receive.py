@@ -17,16 +17,16 @@ from .instructions import Instruction
 from .state_table import Action, Cell, Event
 from .wire import Extracted
 
-#: What an extraction error violates, by the reason of the codec; all others are records that end too late.
+#: The requirement that applies to an extraction error, by the codec's reason; VD-RX-07 (truncation) for all others.
 _EXTRACTION = {"unknown-type": "VD-RX-05", "zero-count": "VD-RX-06"}
 _REQUIREMENTS = {reason: requirement for reason, (requirement, _) in DROPS.items()}
 
 
 class Receiver:
-    """Executes the instructions of a payload, in the order of the specification."""
+    """Processes the records of a payload, in the order of the specification."""
 
     def __init__(self, core: Core, instructions: Mapping[str, Instruction] | None = None) -> None:
-        """``instructions`` are those for container types of the profile's own, by the name of the type."""
+        """``instructions``: the instructions for the profile's additional container types, by the name of the type."""
         self._instructions = instructions or {}
         self._own_types = [each.name for each in core.config.profile.vardis.own_containers]
         self._core = core
@@ -40,7 +40,7 @@ class Receiver:
         self._drop_mismatch = core.config.reading("X14") == "drop-mismatch"
 
     def process(self, extracted: Extracted, *, now: int, wall: int) -> None:
-        """Execute all records and report all problems. Never raises."""
+        """Emit ``Dropped`` for each problem, then process all records. Never raises."""
         for problem in extracted.problems:
             requirement = _EXTRACTION.get(problem.reason, "VD-RX-07")
             self._emit(Dropped("vardis", problem.reason, requirement, problem.offset))
@@ -65,6 +65,7 @@ class Receiver:
     # -- one record of each type --------------------------------------------------------------------------------
 
     def _create(self, record: VarCreate, offset: int, now: int, wall: int) -> None:
+        """Process a VarCreate; ``offset`` is that of the record in the payload, here and below."""
         var_id = record.spec.var_id
         if self._most_ahead is not None and self._ahead(record, wall) > self._most_ahead:
             self._dropped("creation-ahead", offset, var_id)
@@ -88,12 +89,15 @@ class Receiver:
         self._core.changed("created", stored)
 
     def _ahead(self, record: VarCreate, wall: int) -> int:
-        """How far (ns) the creation time of a VarCreate is ahead of the own clock; negative as it should be."""
+        """Return by how many ns the creation time of a VarCreate is ahead of the local clock; usually negative.
+
+        Returns 0 for a record without a creation time.
+        """
         created = record.spec.creation_time
         return 0 if created is None else self._core.clock.wall(created, near=wall) - wall
 
     def _create_event(self, record: VarCreate, entry: DBEntry | None) -> Event:
-        """How a VarCreate compares with what is known, in the order of the steps."""
+        """Return the event for a VarCreate, compared with the stored variable in the order of the specification."""
         spec, upd = record.spec, record.upd
         if self._drop_mismatch and upd.var_id != spec.var_id:
             return Event.RX_CREATE_MISMATCH
@@ -118,17 +122,19 @@ class Receiver:
         return Event.RX_CREATE_LATER
 
     def _is_later(self, record: VarCreate, entry: DBEntry) -> bool:
-        """Whether a VarCreate is of a later creation than the one known; nothing tells that before 2.0."""
+        """Return whether a VarCreate has a later creation time than the stored variable; always False before 2.0."""
         ##= VD-PC-11
         received, stored = record.spec.creation_time, entry.spec.creation_time
         return self._core.features.creation_time and received is not None and stored is not None and received > stored
 
     def _is_bad_value(self, value: bytes) -> bool:
+        """Return whether a received value is too long or empty, if the profile's version checks that."""
         ##= VD-TYP-02
         too_long = self._check_too_long and len(value) > self._parameters.max_value_length
         return too_long or (self._check_empty_and_repcnt and not value)
 
     def _delete(self, record: VarDelete, offset: int) -> None:
+        """Process a VarDelete."""
         entry = self._database.lookup(record.var_id)
         cell = self._core.cell(Event.RX_DELETE, entry)
         if cell.action is Action.DELETE and entry is not None:
@@ -139,6 +145,7 @@ class Receiver:
             self._drop(cell, offset, record.var_id)
 
     def _update(self, record: VarUpdate, offset: int, now: int, wall: int) -> None:
+        """Process a VarUpdate."""
         var_id = record.var_id
         entry = self._database.lookup(var_id)
         cell = self._core.cell(self._update_event(record, entry), entry)
@@ -152,6 +159,7 @@ class Receiver:
         self._answer(cell, entry, var_id, offset)
 
     def _update_event(self, record: VarUpdate, entry: DBEntry | None) -> Event:
+        """Return the event for a VarUpdate, compared with the stored variable in the order of the specification."""
         ##= VD-PU-04
         if self._is_bad_value(record.value):
             return Event.RX_UPDATE_BAD_VALUE
@@ -165,6 +173,7 @@ class Receiver:
         return Event.RX_UPDATE_NEWER
 
     def _summary(self, record: VarSumm, offset: int) -> None:
+        """Process a VarSumm."""
         ##= VD-SCP-01
         var_id = record.var_id
         entry = self._database.lookup(var_id)
@@ -180,6 +189,7 @@ class Receiver:
         self._answer(self._core.cell(event, entry), entry, var_id, offset)
 
     def _request_update(self, record: VarReqUpdate, offset: int) -> None:
+        """Process a VarReqUpdate."""
         entry = self._database.lookup(record.var_id)
         ##= VD-RU-03
         behind = entry is not None and self._core.sequence.answers(record.seqno, entry.seqno)
@@ -187,20 +197,21 @@ class Receiver:
         self._answer(self._core.cell(event, entry), entry, record.var_id, offset)
 
     def _request_create(self, record: VarReqCreate, offset: int) -> None:
+        """Process a VarReqCreate."""
         entry = self._database.lookup(record.var_id)
         self._answer(self._core.cell(Event.RX_REQUEST_CREATE, entry), entry, record.var_id, offset)
 
     def _own(self, name: str, record: Any, offset: int, now: int, wall: int) -> None:
-        """A record of a container type of the profile's own."""
+        """Process a record of an additional container type; drop it if there is no instruction for the type."""
         instruction = self._instructions.get(name)
         reason = "unhandled-container" if instruction is None else instruction.receive(record, now, wall)
         if reason is not None:
             self._emit(Dropped("vardis", reason, _REQUIREMENTS[reason], offset))
 
-    # -- what cells ask for -------------------------------------------------------------------------------------
+    # -- actions of cells ---------------------------------------------------------------------------------------
 
     def _answer(self, cell: Cell, entry: DBEntry | None, var_id: int, offset: int) -> None:
-        """Schedule the instruction that a cell asks for, and report the record if it was ignored."""
+        """Queue the record that a cell's action requires, and emit ``Dropped`` if the cell has a reason."""
         database, action = self._database, cell.action
         if action is Action.IGNORE:
             pass
@@ -227,11 +238,11 @@ class Receiver:
             self._dropped(cell.reason, offset, var_id)
 
     def _request(self, var_id: int, offset: int) -> None:
-        """Ask neighbours for a variable."""
+        """Queue a VarReqCreate for an unknown variable."""
         queue = self._database.req_create_q
         if var_id in queue:
             return
-        # What would not be stored need not be asked for, and nothing received may use up memory.
+        # The variable could not be stored. The limit of the queue keeps received records from exhausting memory.
         if len(self._database) >= self._core.max_variables or len(queue) >= self._core.max_variables:
             self._dropped("database-full", offset, var_id)
             return
@@ -242,8 +253,10 @@ class Receiver:
         queue.append(var_id)
 
     def _drop(self, cell: Cell, offset: int, var_id: int) -> None:
+        """Emit ``Dropped`` if the cell has a reason."""
         if cell.reason is not None:
             self._dropped(cell.reason, offset, var_id)
 
     def _dropped(self, reason: str, offset: int, var_id: int) -> None:
+        """Emit ``Dropped`` for a record, with the requirement that belongs to the reason."""
         self._emit(Dropped("vardis", reason, _REQUIREMENTS[reason], offset, var_id))

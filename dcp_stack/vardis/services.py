@@ -26,7 +26,7 @@ from .state_table import Action, Event
 
 
 class VariableServices:
-    """Create, update, delete, read and describe variables: one method for each request, which returns its confirm.
+    """Services for applications: one method per request, which returns the confirm.
 
     Under reading X30 ``no-response`` each raises :class:`NoResponseError` while VarDis is not registered with BP.
     """
@@ -35,10 +35,10 @@ class VariableServices:
         self._core = core
         self._bp = bp
         self.registered = False
-        """Whether VarDis is registered with BP, as far as it knows."""
+        """Whether the last registration with BP succeeded. Another client of BP may have deregistered VarDis since."""
         self._silent = core.config.reading("X30") == "no-response"
         self._steady = core.config.reading("X38") == "steady-clock"
-        """Whether ages and creation times do not follow a system time that is set."""
+        """Whether ages and creation times are unaffected by steps of the system time."""
         self._refuses_empty_description = core.config.reading("X21") == "refuse-locally"
 
     ##= VD-CRE-13
@@ -56,13 +56,14 @@ class VariableServices:
         now: int,
         wall: int,
     ) -> Confirm:
-        """``RTDB-Create``. ``descr`` is UTF-8; ``timeout_ms`` 0 is never (always, before 2.0).
+        """``RTDB-Create``. ``prod_id`` None is this node. ``descr``: UTF-8. ``timeout_ms``: 0 is no timeout.
 
-        ``own_fields`` are values of fields that the profile adds to VarSpec, by name; others are zero or empty.
+        Versions before 2.0 have no timeout. ``own_fields``: values of fields that the profile adds to VarSpec, by
+        name; omitted ones are zero or empty.
 
-        Beyond the specification: VALUE-TOO-LONG (DESCRIPTION-TOO-LONG where no value helps) for a variable whose
-        VarCreate fits into no payload, and INACTIVE, the only status that says "not now", for one variable more than
-        the node keeps. Raises ValueError for what the fields of a VarSpec cannot express.
+        Beyond the specification, the confirm has VALUE-TOO-LONG if the VarCreate does not fit into a payload,
+        DESCRIPTION-TOO-LONG if it would not fit with the shortest value either, and INACTIVE, as a temporary refusal,
+        if the database is full. Raises ValueError for arguments that the fields of a VarSpec cannot express.
         """
         self._check_expressible(var_id, prod_id, descr, timeout_ms)
         ##= VD-CRE-01
@@ -98,15 +99,15 @@ class VariableServices:
         )
         if own_fields:
             spec = self._core.config.own_spec_fields.replaced(spec, own_fields)
-        ##= VD-CRE-04 | exception: a description is too long as well if the VarCreate fits into no payload (X42)
-        ##= VD-CRE-05 | exception: as above, for the value
+        ##= VD-CRE-04 | exception: a description is also too long if the VarCreate does not fit into a payload (X42)
+        ##= VD-CRE-05 | exception: a value is also too long if the VarCreate does not fit into a payload (X42)
         if status := self._refused_size(spec, value):
             return self._confirm(status)
-        ##= VD-CRE-01 | exception: INACTIVE if there is no room for another variable (X43)
+        ##= VD-CRE-01 | exception: INACTIVE if the database is full (X43)
         if entry is None and len(self._core.database) >= self._core.max_variables:
             return self._confirm(VardisStatus.INACTIVE)
         if creation_time is not None and creation_time > self._core.sizes.highest_stamp:
-            # The variable was created at the end of time; there is nothing later.
+            # creationTime would exceed its field: the stored variable already has the highest value.
             return self._confirm(VardisStatus.VARIABLE_EXISTS)
         self._core.delivery.created(var_id)
         self._core.changed("created", self._core.database.insert(spec, value, 0, now=now, wall=wall))
@@ -115,7 +116,7 @@ class VariableServices:
 
     ##= VD-UPD-11
     def update(self, var_id: int, value: bytes, *, now: int, wall: int) -> Confirm:
-        """``RTDB-Update``."""
+        """``RTDB-Update``: store a new value of a variable of this node, with the next sequence number."""
         ##= VD-UPD-01
         if not self._serving():
             return self._confirm(VardisStatus.INACTIVE)
@@ -125,7 +126,7 @@ class VariableServices:
         if cell.status is not None or entry is None:
             return self._confirm(cell.status or VardisStatus.VARIABLE_DOES_NOT_EXIST)
         status = self._refused_value(value)
-        ##= VD-UPD-05 | exception: a value is too long as well if its VarUpdate fits into no payload any more (X42)
+        ##= VD-UPD-05 | exception: a value is also too long if its VarUpdate no longer fits into a payload (X42)
         if status is None and self._core.sizes.update(value) > self._room():
             status = VardisStatus.VALUE_TOO_LONG
         if status is not None:
@@ -138,7 +139,7 @@ class VariableServices:
 
     ##= VD-DEL-07
     def delete(self, var_id: int, *, now: int, wall: int) -> Confirm:  # noqa: ARG002 - every service takes the time
-        """``RTDB-Delete``."""
+        """``RTDB-Delete``: delete a variable of this node."""
         ##= VD-DEL-01
         if not self._serving():
             return self._confirm(VardisStatus.INACTIVE)
@@ -154,7 +155,7 @@ class VariableServices:
 
     ##= VD-REA-05
     def read(self, var_id: int) -> ReadConfirm:
-        """``RTDB-Read``."""
+        """``RTDB-Read``: return the value of a variable, and when it was last created or updated."""
         ##= VD-REA-01
         if not self._serving():
             return ReadConfirm(VardisStatus.INACTIVE)
@@ -167,7 +168,7 @@ class VariableServices:
         return ReadConfirm(VardisStatus.OK, entry.value, entry.t_stamp)
 
     def describe_database(self) -> DescribeDatabaseConfirm:
-        """``RTDB-DescribeDatabase``: all variables, deleted ones included."""
+        """``RTDB-DescribeDatabase``: describe all variables, including deleted ones."""
         ##= VD-DDB-01
         if not self._serving():
             return DescribeDatabaseConfirm(VardisStatus.INACTIVE)
@@ -178,7 +179,7 @@ class VariableServices:
         return DescribeDatabaseConfirm(VardisStatus.OK, listed)
 
     def describe_variable(self, var_id: int) -> DescribeVariableConfirm:
-        """``RTDB-DescribeVariable``: the whole entry, also of a deleted variable."""
+        """``RTDB-DescribeVariable``: return a copy of the entry of a variable, even if it is deleted."""
         ##= VD-DVA-01
         if not self._serving():
             return DescribeVariableConfirm(VardisStatus.INACTIVE)
@@ -190,13 +191,13 @@ class VariableServices:
         return DescribeVariableConfirm(VardisStatus.OK, copy(entry))
 
     def _serving(self) -> bool:
-        """Whether requests are carried out; otherwise they are confirmed with INACTIVE.
+        """Return whether requests are executed; otherwise they are confirmed with INACTIVE.
 
         Raises NoResponseError while VarDis is not registered, under reading X30 ``no-response``.
         """
         ##= VD-SRV-01
         ##= VD-MGT-04
-        # BP is asked: somebody else may have deregistered VarDis.
+        # BP is queried because another of its clients may have deregistered VarDis.
         if self.registered and self._bp.query_number_buffered(BP_PROTID_VARDIS).status.is_ok:
             return self._core.active
         if self._silent:
@@ -204,17 +205,18 @@ class VariableServices:
         return False
 
     def _confirm(self, status: VardisStatus) -> Confirm:
-        """With the code that the version has for it: two were renamed."""
+        """Return a confirm with the status code of the profile's version, in which two codes have other names."""
         ##= VD-DEL-09
         ##= VD-UPD-12
         ##= VD-REA-06
         ##= VD-SRV-02
         ##= VD-SRV-03
         ##= DATA-10
-        # A confirm is what the call returns, so it gets to the application that asked, whoever else does.
+        # The confirm is the return value, so concurrent requests of several applications cannot be mixed up.
         return Confirm(status.in_version(self._core.config.profile.spec_version))
 
     def _check_expressible(self, var_id: int, prod_id: bytes | None, descr: bytes, timeout_ms: int) -> None:
+        """Raises ValueError for arguments that the fields of a VarSpec cannot express."""
         sizes = self._core.sizes
         ##= VD-TYP-01
         if not 0 <= var_id <= sizes.highest_var_id:
@@ -227,6 +229,7 @@ class VariableServices:
             raise ValueError(f"a timeout is 0 to {sizes.highest_timeout} ms, not {timeout_ms}")
 
     def _refused_value(self, value: bytes) -> VardisStatus | None:
+        """Return the status for a value that is too long or empty, None for a valid one."""
         ##= VD-CRE-05
         ##= VD-UPD-05
         if len(value) > self._core.parameters.max_value_length:
@@ -236,43 +239,47 @@ class VariableServices:
         return None if value else VardisStatus.EMPTY_VALUE
 
     def _refused_size(self, spec: VarSpec, value: bytes) -> VardisStatus | None:
-        """Why no payload can ever hold the variable: parameters allow lengths that are too much together (X23, X42)."""
+        """Return the status for a variable whose VarCreate does not fit into a payload, None if it fits (X23, X42).
+
+        The parameters allow a description and a value that together exceed the payload size.
+        """
         longest, room = self._core.sizes.longest_description, self._room()
         if (longest is not None and len(spec.descr) > longest) or self._core.sizes.create(spec, b"\0") > room:
             return VardisStatus.VARIABLE_DESCRIPTION_TOO_LONG
         return VardisStatus.VALUE_TOO_LONG if self._core.sizes.create(spec, value) > room else None
 
     def _room(self) -> int:
-        """Octets that the largest payload has for records of one type."""
+        """Return the octets that the largest payload has for the records of one container."""
         return self._core.parameters.max_payload_size - self._core.sizes.ic_header
 
     def _producer(self, given: bytes | None) -> bytes:
-        """Up to 1.1 the application is trusted to give its own node's identifier."""
+        """Return the producer of a new variable: this node, or up to 1.1 the identifier given by the application."""
         if given is None or self._core.features.producer_set_by_vardis:
             return self._core.own_id
         return given
 
     def _creation_time(self, entry: DBEntry | None, wall: int) -> int | None:
-        """The current time, but later than any creation of the variable that is known here.
+        """Return the creation time for a new variable, in the profile's units; None before 2.0.
 
-        Others ignore a creation that is not later, so a second one within a unit of the profile, or after the clock
-        was set back, takes the next stamp (X38).
+        It is the current time, but later than that of the stored variable (X38). Other nodes ignore a creation that
+        is not later, so a second one within one unit, or after the clock was set back, gets the next stamp.
         """
         if not self._core.features.creation_time:
             return None
         ##= VD-CRE-09
         stamp = self._core.clock.stamp(wall)
         known = entry.spec.creation_time if entry is not None else None
-        ##= VD-CRE-09 | exception: later than the creation that is known, if the system time is not (X38)
+        ##= VD-CRE-09 | exception: later than the stored creation, if the system time is not (X38)
         return max(stamp, known + 1) if known is not None and self._steady else stamp
 
     def _later_than_heard(self, var_id: int, creation_time: int | None) -> int | None:
-        """The creation time, or the one after the latest creation by this node that neighbours still tell of (X38).
+        """Return a creation time later than those that neighbours still send with this node as producer (X38).
 
-        They do so after a restart with a clock that is behind, and would ignore an earlier creation.
+        After a restart of this node with a slow clock they still have its earlier variable, and would ignore a
+        creation that is not later.
         """
         heard = self._core.delivery.latest_creation(var_id)
         if creation_time is None or heard is None or not self._steady:
             return creation_time
-        ##= VD-CRE-09 | exception: later than the creations that were heard, if the system time is not (X38)
+        ##= VD-CRE-09 | exception: later than the received creations, if the system time is not (X38)
         return max(creation_time, heard + 1)

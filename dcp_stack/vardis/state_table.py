@@ -1,8 +1,8 @@
-"""What happens to a variable: the table of events and states of VarDis (dcp-vardis.md, all processing steps).
+"""The state table of a variable: events, states and actions of VarDis (dcp-vardis.md, all processing steps).
 
-A row is an event that was found by comparing a record (or a request of an application, or the clock) with the entry
-of its variable, a column is the state of the variable at this node, a cell is what to do. :func:`table` is the one of
-2.0; other versions and other readings of disputed text replace cells.
+A row is an event: the result of comparing a record, a request of an application or the clock with the entry of the
+variable. A column is the state of the variable at this node. A cell is the action. :func:`table` starts from the table
+of 2.0 and replaces cells for other versions and other readings of disputed text.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from dcp_stack.config import NodeConfig
 
 
 class State(IntEnum):
-    """Of a variable at one node; the producer is the node whose identifier the variable carries."""
+    """The state of a variable at one node. The producer is the node whose identifier is in the VarSpec."""
 
     UNKNOWN = 0
     ALIVE_PRODUCER = 1
@@ -27,9 +27,9 @@ class State(IntEnum):
 
 
 class Event(Enum):
-    """Names are the request (APP), or the record received and how it compares with the entry (RX)."""
+    """A request of an application (APP), or a received record and its comparison with the entry (RX)."""
 
-    # The hash of an Enum is a function in Python, and each record looks its row up.
+    # Enum.__hash__ is written in Python, and each record needs one look-up of its row.
     __hash__ = object.__hash__
 
     APP_CREATE = "RTDB-Create"
@@ -38,7 +38,7 @@ class Event(Enum):
     APP_READ = "RTDB-Read"
     RX_CREATE_MISMATCH = "VarCreate with two different identifiers"
     RX_CREATE_NOT_LATER = "VarCreate of the same or an earlier creation"
-    RX_CREATE_OWN = "VarCreate of this node as producer"
+    RX_CREATE_OWN = "VarCreate with this node as producer"
     RX_CREATE_BAD_VALUE = "VarCreate with a value that is not allowed"
     RX_CREATE_BAD_DESCRIPTION = "VarCreate with a description that is not allowed"
     RX_CREATE_BAD_REPCNT = "VarCreate with a repetition count that is not allowed"
@@ -51,33 +51,36 @@ class Event(Enum):
     RX_SUMMARY_EQUAL = "VarSumm with the stored sequence number"
     RX_SUMMARY_OLDER = "VarSumm with an older sequence number"
     RX_SUMMARY_NEWER = "VarSumm with a newer sequence number"
-    RX_REQUEST_UPDATE_BEHIND = "VarReqUpdate of a node that is behind"
-    RX_REQUEST_UPDATE_OTHER = "VarReqUpdate of a node that is not behind"
+    RX_REQUEST_UPDATE_BEHIND = "VarReqUpdate with an older sequence number"
+    RX_REQUEST_UPDATE_OTHER = "VarReqUpdate with the stored or a newer sequence number"
     RX_REQUEST_CREATE = "VarReqCreate"
-    TIMED_OUT = "its timeout has passed"
+    TIMED_OUT = "timeout of the variable"
 
 
 class Action(Enum):
-    """What to do with a variable."""
+    """An action on a variable or a record."""
 
     NONE = "nothing"
     REFUSE = "answer the application with a status"
-    CREATE = "create it, or create it anew"
-    UPDATE = "give it a new value"
-    DELETE = "delete it"
-    READ = "answer with its value"
+    CREATE = "create the variable, or create it again"
+    UPDATE = "store the application's value with the next sequence number"
+    DELETE = "mark the variable as deleted"
+    READ = "answer with the stored value"
     IGNORE = "ignore the record"
-    ADOPT = "store it as another node created it"
+    ADOPT = "store the variable of another node"
     STORE = "store the newer value"
-    TEACH = "send the own, newer value unless that is going to happen anyway"
-    SEND_UPDATE = "send the own value"
-    SEND_CREATE = "send the whole variable"
-    REQUEST_UPDATE = "ask for the newer value"
-    REQUEST_CREATE = "ask for the variable"
+    TEACH = "send the stored, newer value, unless it is already queued"
+    SEND_UPDATE = "send the stored value"
+    SEND_CREATE = "send the VarSpec and the stored value"
+    REQUEST_UPDATE = "request the newer value"
+    REQUEST_CREATE = "request the variable"
 
 
 class Cell(msgspec.Struct, frozen=True):
-    """``reason``: of a record that is ignored, by ``dcp_stack.drops``. ``status``: of a refused request."""
+    """An action, and its explanation.
+
+    ``reason``: why a record is ignored, a key of ``dcp_stack.drops``. ``status``: the status of a refused request.
+    """
 
     action: Action
     reason: str | None = None
@@ -89,10 +92,12 @@ Table = dict[Event, Row]
 
 
 def _ignore(reason: str) -> Cell:
+    """Return a cell that ignores the record."""
     return Cell(Action.IGNORE, reason=reason)
 
 
 def _refuse(status: VardisStatus) -> Cell:
+    """Return a cell that refuses the request."""
     return Cell(Action.REFUSE, status=status)
 
 
@@ -112,17 +117,22 @@ _SEND_UPDATE: Final = Cell(Action.SEND_UPDATE)
 _SEND_CREATE: Final = Cell(Action.SEND_CREATE)
 _ASK_UPDATE: Final = Cell(Action.REQUEST_UPDATE)
 _ASK_CREATE: Final = Cell(Action.REQUEST_CREATE)
-#: The update is dropped and the variable requested.
+#: Drops the update and requests the variable.
 _UPDATE_UNKNOWN: Final = Cell(Action.REQUEST_CREATE, reason="update-unknown")
 _UPDATE_OLDER: Final = Cell(Action.TEACH, reason="update-older")
 
 
 def _everywhere(cell: Cell) -> Row:
+    """Return a row with the same cell for all states."""
     return (cell, cell, cell, cell, cell)
 
 
 def _known(unknown: Cell, own: str, alive: Cell, deleted: str) -> Row:
-    """A row about values: what is deleted or produced here is nobody else's business, in this order."""
+    """Return a row for records that concern only alive variables of other nodes.
+
+    Records about a deleted variable are ignored with the reason ``deleted``, others about an own variable with the
+    reason ``own``.
+    """
     ##= VD-PD-02
     ##= VD-PD-03
     ##= VD-PU-02
@@ -211,10 +221,10 @@ _TABLE: Final[Table] = {
 
 
 def table(config: NodeConfig) -> Table:
-    """The table for the version of the profile and the readings of a node."""
+    """Return the table for the version of a node's profile and for its readings."""
     found = dict(_TABLE)
     if not config.features.creation_time:
-        # Nothing tells creations of a variable apart: what is known stays as it is.
+        # Without creation times two creations cannot be ordered: a stored variable stays unchanged.
         ##= VD-CRE-16
         found[Event.APP_CREATE] = (_CREATE, _EXISTS, _EXISTS, _EXISTS, _EXISTS)
     elif config.reading("X20") == "by-description":

@@ -1,4 +1,4 @@
-"""The receive path of VarDis, first phase: a payload is taken apart (dcp-vardis.md, "Extraction Step")."""
+"""The receive path of VarDis, first phase: extraction of records from a payload (dcp-vardis.md, "Extraction Step")."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from dcp_codec.values import Container
 from dcp_stack.config import NodeConfig
 from dcp_stack.record_sizes import RecordSizes
 
-#: A type of the specification, or the name of one of the profile's own.
+#: A container type of the specification, or the name of an additional one of the profile.
 ContainerType = ICType | str
 #: Records by container type, each with its offset in the payload.
 Records = dict[ContainerType, list[tuple[int, Any]]]
 
 
 class Extracted(msgspec.Struct, frozen=True):
-    """A payload taken apart: records of each type in the order of the payload, each with its offset there."""
+    """The records of a payload by type, in the order of the payload, each with its offset there in octets."""
 
     records: Records
     problems: tuple[Problem, ...] = ()
 
 
 class Extractor:
-    """The extraction step of the receive path: octets to records, before anything is looked up or changed."""
+    """The extraction step of the receive path: it decodes records, and does not read or change the database."""
 
     def __init__(self, config: NodeConfig, sizes: RecordSizes) -> None:
         self._codec: Codec = config.codec
@@ -38,7 +38,7 @@ class Extractor:
         self._kinds |= {each.number: each.name for each in config.profile.vardis.own_containers}
 
     def extract(self, payload: bytes) -> Extracted:
-        """The records to process. Never raises; what is not a record is in ``problems``."""
+        """Decode a payload. Never raises; decoding errors are in :attr:`Extracted.problems`."""
         records: Records = {kind: [] for kind in self._kinds.values()}
         try:
             containers = self._codec.decode_containers(payload)
@@ -49,7 +49,7 @@ class Extractor:
         return Extracted(records)
 
     def _salvage(self, payload: bytes, error: DecodeError, records: Records) -> Extracted:
-        """What the policy keeps of a payload with an error in it."""
+        """Return the records that the policy for receive errors keeps of a payload with an error (X34)."""
         problems: list[Problem] = []
         start = 0
         while True:
@@ -62,14 +62,15 @@ class Extractor:
             bad = self._collect(partial, start, records)
             ##= VD-RX-11
             if self._policy == "keep-prefix":
-                # What is wrong in the header of a container leaves none of its records.
+                # After an error in the header of a container none of its records can be decoded.
                 if len(error.indices) > 1:
                     container = self._codec.decode_leading_records(payload, bad, error.indices[1])
                     self._collect((container,) if container else (), bad, records)
                 break
             ##= VD-RX-06
-            # Behind the header of a container without records the next one starts. Of any other bad container the
-            # end is not known: types tell sizes, and a record that is cut off is the last.
+            # The end of an invalid container is unknown: an unknown type has records of unknown size, and a truncated
+            # record is the last of the payload. The exception is a container without records: the next one follows
+            # its header.
             if error.problem.reason != "zero-count":
                 break
             ##= VD-RX-10
@@ -87,7 +88,10 @@ class Extractor:
         offset: int,
         records: Records,
     ) -> int:
-        """Sort the records of ``containers`` that start at ``offset``; returns the offset behind them."""
+        """Add the records of ``containers`` to ``records``; returns the offset of the end of the containers.
+
+        ``offset`` is the start of the first container. Offsets are in octets from the start of the payload.
+        """
         sizes = self._sizes
         for container in containers:
             ##= VD-RX-02
@@ -107,7 +111,7 @@ class Extractor:
 
 
 def _receive_error_policy(config: NodeConfig) -> str:
-    """Reading X34 if it was chosen, otherwise what the profile says of its implementation."""
+    """Return reading X34 if it is configured, otherwise the behaviour that the profile states."""
     if "X34" in config.readings:
         return config.reading("X34")
     policy = config.profile.behaviour.vardis_receive_error

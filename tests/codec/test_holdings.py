@@ -1,4 +1,4 @@
-"""Who holds what: what beacons say about the databases of their senders."""
+"""Held values: the content of the databases of nodes, derived from their beacons."""
 
 from __future__ import annotations
 

@@ -91,7 +91,7 @@ def says(word: bytes, *, expect: bool = True) -> Callable[[Bench], None]:
 
 
 def asks(bench: Bench) -> None:
-    bench.check(bench.probe(), "an answer", "none")
+    bench.check(bench.probes.probe(), "an answer", "none")
 
 
 def runner_of(sut: InProcess, *, upper: bool = False, pics: Pics | None = None, can_restart: bool = True) -> Runner:
@@ -177,7 +177,7 @@ def test_a_death_that_does_not_come_again_is_no_verdict():
 def test_what_fails_while_it_dies_fails_no_requirement():
     def body(bench: Bench) -> None:
         says(A, expect=False)(bench)
-        bench.check(bench.probe(), "an answer", "none", "VD-RX-03")
+        bench.check(bench.probes.probe(), "an answer", "none", "VD-RX-03")
 
     result = runner_of(Frail()).run(case_of("TC_DCP_X_BV_05", body, "VD-RX-03", "VD-RX-04"))
     failed = {each for check in result.checks if check.verdict is Verdict.FAIL for each in check.requirements}
@@ -206,7 +206,7 @@ def test_without_a_restart_a_death_fails_no_requirement_that_another_case_may_ha
     found = results_of(runner, SECOND, FIRST, dataclasses.replace(SECOND, id="TC_DCP_X_BV_06"))
     dead = [each for each in found.values() if each.killed]
     assert len(dead) == 1
-    assert "not confirmed: there is no command to start it again (--start, --restart); what ended it" in dead[0].reason
+    assert "not confirmed: there is no command to start it again (--start, --restart); the cause" in dead[0].reason
     assert not any(check.requirements for check in dead[0].checks if check.verdict is Verdict.FAIL)
     assert "no command to restart it" in runner.dead
 
@@ -288,7 +288,7 @@ def test_a_death_by_a_service_leaves_what_the_case_saw():
     def body(bench: Bench) -> None:
         bench.call("UT-Hello")
         sut.died = "RuntimeError: a service"
-        bench.check(bench.probe(), "an answer", "none", "VD-RX-03")
+        bench.check(bench.probes.probe(), "an answer", "none", "VD-RX-03")
 
     runner = runner_of(sut, upper=True)
     result = runner.run(case_of("TC_DCP_X_BV_05", body, "VD-RX-03", "VD-RX-04"))
@@ -347,7 +347,7 @@ def test_an_internal_error_does_not_spoil_later_cases():
         bench.info("what a read answers", str(bench.call("RTDB-Read", varId=1)))
 
     def creates(bench: Bench) -> None:
-        bench.must("RTDB-Create", varId=bench.own_var_id(), repCnt=1, descr="d", value="01")
+        bench.must("RTDB-Create", varId=bench.identifiers.own_var_id(), repCnt=1, descr="d", value="01")
         bench.check(True, "a variable is created")
 
     found = results_of(runner, case_of("TC_DCP_X_BV_10", reads), case_of("TC_DCP_X_BV_11", creates))
@@ -399,7 +399,7 @@ def test_a_frame_after_a_service_kills(heard: bool, about: bool):
     sut = Frail()
 
     def body(bench: Bench) -> None:
-        bench.call("RTDB-Create", varId=bench.own_var_id(), repCnt=1, descr="d", value="01")
+        bench.call("RTDB-Create", varId=bench.identifiers.own_var_id(), repCnt=1, descr="d", value="01")
         if heard:
             bench.beacons(1)
         says(A, expect=False)(bench)
@@ -498,7 +498,7 @@ def test_no_identifier_is_used_twice_where_a_restart_frees_them():
     sut.restart = note_restart  # type: ignore[method-assign]
 
     def creates(bench: Bench) -> None:
-        names = bench.var_ids(50)
+        names = bench.identifiers.var_ids(50)
         given[-1] += names
         peer = bench.peer()
         peer.send_all(peer.create(name) for name in names)
@@ -518,7 +518,7 @@ def test_a_service_that_the_case_only_uses_fails_nothing_of_the_case():
     def body(bench: Bench) -> None:
         bench.call("BP-MGMT-Deactivate")
         sut.died = "RuntimeError: a service"
-        bench.check(bench.probe(), "an answer", "none", "VD-RX-03")
+        bench.check(bench.probes.probe(), "an answer", "none", "VD-RX-03")
 
     case = dataclasses.replace(case_of("TC_DCP_X_BV_05", body, "VD-RX-03"), needs=Needs(ut=("RTDB-Update",)))
     runner = runner_of(sut, upper=True)
@@ -577,7 +577,7 @@ def test_without_a_restart_a_silent_implementation_is_waited_for(seconds: float)
 
     def body(bench: Bench) -> None:
         says(A, expect=False)(bench)
-        bench.check(bench.probe(), "an answer", "none", "VD-RX-03")
+        bench.check(bench.probes.probe(), "an answer", "none", "VD-RX-03")
 
     first, second = case_of("TC_DCP_X_BV_05", body, "VD-RX-03"), dataclasses.replace(SECOND, id="TC_DCP_X_BV_06")
     found = results_of(runner, SECOND, first, second)

@@ -33,7 +33,7 @@ def stalling(bench: Bench, times: int, duration: int = 2 * PERIOD) -> Callable[[
         nonlocal left
         if left:
             left -= 1
-            upper = bench.ut
+            upper = bench.services.upper
             assert isinstance(upper, SlowUpper)
             upper._node.elapse(duration)
 
@@ -60,7 +60,7 @@ def test_it_is_repeated_until_no_beacon_comes_in_between(held_up: int):
         start = len(bench.heard)
         bench.wait(3)
         assert client.sent(start) == payloads[1:]
-    assert bench.checks == []
+    assert bench.verdicts.checks == []
 
 
 def test_at_last_with_bp_deactivated():
@@ -89,8 +89,8 @@ def test_what_never_works_is_not_judged():
         between_beacons(
             bench, "submission of two payloads", two_payloads(bench, client, stalling(bench, 100)), client.in_frame
         )
-    assert [check.verdict for check in bench.checks] == [Verdict.INCONCLUSIVE]
-    assert bench.checks[0].observed == "a beacon in between in each attempt"
+    assert [check.verdict for check in bench.verdicts.checks] == [Verdict.INCONCLUSIVE]
+    assert bench.verdicts.checks[0].observed == "a beacon in between in each attempt"
 
 
 @pytest.mark.parametrize(("before", "good"), [(0, False), (4 * MS, False), (6 * MS, True), (50 * MS, True)])
@@ -99,7 +99,7 @@ def test_a_beacon_just_after_the_last_stimulus_counts_too(before: int, good: boo
     bench = bench_of()
     bench.call("RTDB-Create", varId=1, repCnt=15, descr="x", value="01")
     bench.beacons(2)
-    upper = bench.ut
+    upper = bench.services.upper
     assert isinstance(upper, SlowUpper)
     sut = upper._node
 

@@ -9,7 +9,7 @@ from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, VirtualLowerTester, reference_config
 from dcp_conformance.test_steps.bp_clients import unused_protocol_id
 from dcp_conformance.test_system.bench import Bench, Session
-from dcp_conformance.test_system.identifiers import Identifiers
+from dcp_conformance.test_system.identifiers.pool import IdentifierPool
 
 from .rig import codec_of, known_cases
 
@@ -36,17 +36,17 @@ def bench_of(profile: str = "dcp-2.0", pics: Pics | None = None) -> Bench:
     return Bench(session, next(iter(known_cases().values())))
 
 
-def timed() -> Identifiers:
+def timed() -> IdentifierPool:
     """As since 2.0: 16 identifiers, which stay in the database, 8 of them shared by peers."""
-    return Identifiers(0, 15, leave=False, timed=True)
+    return IdentifierPool(0, 15, leave=False, timed=True)
 
 
-def leaving() -> Identifiers:
+def leaving() -> IdentifierPool:
     """As up to 1.3: deleted variables leave the database."""
-    return Identifiers(0, 15, leave=True, timed=False)
+    return IdentifierPool(0, 15, leave=True, timed=False)
 
 
-def beacons(names: Identifiers, count: int) -> None:
+def beacons(names: IdentifierPool, count: int) -> None:
     for _ in range(count):
         names.heard((), (), GONE)
 
@@ -190,10 +190,10 @@ def test_up_to_1_3_nothing_is_created_again_before_it_has_left():
 
 def test_unknown_names_are_found_while_time_passes():
     bench = bench_of("dcp-1.3")
-    names = bench.session.identifiers
+    names = bench.session.identifier_pool
     names.heard((), (200,), 1 << 60)
     names.heard((), (201,), 0)
-    found = bench.unknown_ids(60)
+    found = bench.identifiers.unknown_ids(60)
     assert 200 not in found
     assert 201 in found
 
@@ -203,32 +203,32 @@ def test_what_a_case_has_made_a_creation_of_is_not_unknown_to_the_next():
     number = bench.unknown_id()
     bench.peer().create(number)
     following = Bench(bench.session, bench.case)
-    assert number not in following.unknown_ids(251)
-    assert number in bench.created
+    assert number not in following.identifiers.unknown_ids(251)
+    assert number in bench.identifiers.created
 
 
 def test_what_is_only_measured_is_free():
     bench = bench_of()
-    bench.sample(7)
-    assert 7 in bench.unknown_ids(252)
+    bench.records.sample(7)
+    assert 7 in bench.identifiers.unknown_ids(252)
 
 
 def test_a_refused_creation_leaves_the_identifier_free():
     bench = bench_of()
     assert not bench.call("RTDB-Create", varId=9, repCnt=0, descr="d", value="00").ok
-    assert 9 in bench.unknown_ids(252)
+    assert 9 in bench.identifiers.unknown_ids(252)
     assert bench.call("RTDB-Create", varId=9, repCnt=1, descr="d", value="00").ok
-    assert 9 not in bench.unknown_ids(251)
+    assert 9 not in bench.identifiers.unknown_ids(251)
     bench.must("UT-Reset")
-    assert 9 in bench.unknown_ids(252)
+    assert 9 in bench.identifiers.unknown_ids(252)
 
 
 def test_a_case_that_has_no_more_identifiers_says_what_would_help():
     bench = bench_of(pics=Pics(pixit=Testing(var_ids=(10, 13))))
-    assert sorted(bench.unknown_ids(4)) == [10, 11, 12, 13]
+    assert sorted(bench.identifiers.unknown_ids(4)) == [10, 11, 12, 13]
     with pytest.raises(NamesUsedUp):
-        bench.unknown_ids(5)
-    check = bench.checks[-1]
+        bench.identifiers.unknown_ids(5)
+    check = bench.verdicts.checks[-1]
     assert check.verdict is Verdict.INCONCLUSIVE
     assert "4 of 4 are left" in check.observed
     for remedy in ("UT-Reset", "--start", "--restart", 'reset = "restart"'):
@@ -258,6 +258,6 @@ def test_what_a_case_calls_unknown_is_no_variable_of_it(profile: str):
     bench = bench_of(profile)
     unknown = [bench.unknown_id() for _ in range(20)]
     # Just before them in the order in which peers are given identifiers.
-    bench.session.identifiers._next_for_peers = min(unknown) - bench.session.identifiers.first - 2
-    assert not set(bench.var_ids(10)) & set(unknown)
-    assert not {bench.own_var_id() for _ in range(10)} & set(unknown)
+    bench.session.identifier_pool._next_for_peers = min(unknown) - bench.session.identifier_pool.first - 2
+    assert not set(bench.identifiers.var_ids(10)) & set(unknown)
+    assert not {bench.identifiers.own_var_id() for _ in range(10)} & set(unknown)

@@ -25,7 +25,7 @@ from dcp_codec.capture import Frame, create_capture, open_capture
 from dcp_codec.testing.strategies import beacons, mutations
 from dcp_codec.values import VarDelete, VardisRecord, VarReqCreate, VarReqUpdate, VarSumm, VarUpdate
 from dcp_stack.config import BPConfig
-from dcp_stack.links.memory import Quality
+from dcp_stack.links.quality import Quality
 from dcp_stack.links.topology import Full, Grid, Line, Topology
 
 from ..chance import examples
@@ -704,7 +704,7 @@ class TestNetworksThatFollowTheSpecification:
         ]
         run = judged(frames, "dcp-2.0")
         assert findings(run) == []
-        assert "50 frames were not recorded to their end, and not judged" in run.notes
+        assert "50 frames are truncated in the recording and were not judged" in run.notes
 
     def test_a_period_that_nobody_stated_is_reported_and_not_judged(self):
         frames = simulated("dcp-2.0", 3)
@@ -808,14 +808,12 @@ class TestCaptures:
             judge_recording(CAPTURES / "b_crud.mcap", None, Pics(), ether_type="x")
 
     def test_what_holds_no_beacon_says_so(self, tmp_path: Path):
-        with pytest.raises(UsageError, match="there are no frames in it"):
+        with pytest.raises(UsageError, match="the recording has no frames"):
             judge_recording(recorded(tmp_path / "none.pcap", []), None, Pics())
         other = [b"\xff" * 12 + b"\x08\x06" + bytes(46)]
-        with pytest.raises(
-            UsageError, match="under the EtherTypes and ports of the built-in profiles; dcp-codec stats"
-        ):
+        with pytest.raises(UsageError, match="with the EtherTypes and ports of the built-in profiles; dcp-codec stats"):
             judge_recording(recorded(tmp_path / "other.pcap", other), None, Pics())
-        with pytest.raises(UsageError, match="under 0x9999; dcp-codec stats"):
+        with pytest.raises(UsageError, match="with 0x9999; dcp-codec stats"):
             judge_recording(recorded(tmp_path / "other.pcap", other), None, Pics(), ether_type="0x9999")
 
     def test_a_profile_that_is_in_doubt_is_said(self, tmp_path: Path):

@@ -138,7 +138,7 @@ class TestCommand:
         assert "BP-QM-01    dcp_stack/bp/queue.py:" in done.out
 
     @pytest.mark.parametrize(
-        ("words", "message"), [(["NO-SUCH"], "neither a requirement"), (["--full"], "--full does not go with")]
+        ("words", "message"), [(["NO-SUCH"], "neither a cited requirement"), (["--full"], "--full does not go with")]
     )
     def test_usage(self, dcp_conformance: Command, words: list[str], message: str):
         done = dcp_conformance("selftest", "--citations", *words)
@@ -151,7 +151,7 @@ class TestCommand:
         monkeypatch.setattr(unit_tests, "checkout", lambda: None)
         done = dcp_conformance("selftest", "--citations", "--verbose", "--report-dir", tmp_path, "--jobs", "1")
         assert done.status == 1
-        assert f"unproved BP-QM-05 {droptail}: no change of the cited code is noticed" in done.out
+        assert f"unproved BP-QM-05 {droptail}: no change of the cited code is detected" in done.out
         assert "2 citations: 1 proved by a case, 0 by a test, 0 in the ledger, 1 unproved" in done.out
         assert (tmp_path / "citations.json").exists()
 

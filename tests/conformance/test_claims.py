@@ -11,7 +11,7 @@ from dcp_conformance.model.case import all_cases
 from dcp_conformance.model.pics import Capabilities, Pics
 from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import plain_node
-from dcp_conformance.test_system.bench import Bench
+from dcp_conformance.test_system.services.calls import Services
 
 from dcp_stack.config import BPConfig
 
@@ -57,30 +57,30 @@ def test_a_node_that_triggers_no_beacons_is_noticed(run_case):
 
 
 def test_a_table_without_losses_is_noticed(run_case, monkeypatch):
-    real = Bench.call
+    real = Services.call
 
-    def plain(bench, method, /, **params):
-        answer = real(bench, method, **params)
+    def plain(services, method, /, **params):
+        answer = real(services, method, **params)
         if method != "SRP-NeighbourTable":
             return answer
         kept = ("nodeId", "sData", "tStamp", "seqno", "receptionTime")
         rows = [{name: row[name] for name in kept} for row in answer.result["neighbours"]]
         return msgspec.structs.replace(answer, result={**answer.result, "neighbours": rows})
 
-    monkeypatch.setattr(Bench, "call", plain)
+    monkeypatch.setattr(Services, "call", plain)
     verdict = run_case("TC_BP_CLAIM_BV_01", pics=ALL).verdict
     assert verdict is Verdict.FAIL
 
 
 def test_parameters_that_stay_and_refusals_that_are_hidden_are_noticed(run_case, monkeypatch):
-    real = Bench.call
+    real = Services.call
 
-    def deaf(bench, method, /, **params):
+    def deaf(services, method, /, **params):
         if method == "BP-SetParameter":
-            return real(bench, "UT-Hello")
-        return real(bench, method, **params)
+            return real(services, "UT-Hello")
+        return real(services, method, **params)
 
-    monkeypatch.setattr(Bench, "call", deaf)
+    monkeypatch.setattr(Services, "call", deaf)
     verdicts = [run_case(case_id, pics=ALL).verdict for case_id in ("TC_BP_CLAIM_BV_02", "TC_BP_CLAIM_BI_01")]
     assert verdicts == [Verdict.FAIL, Verdict.FAIL]
 

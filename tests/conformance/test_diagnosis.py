@@ -6,9 +6,11 @@ import msgspec
 import pytest
 from dcp_conformance.diagnosis import Dictionary, Fault, explain, load
 from dcp_conformance.diagnosis.dictionary import decode, encode
+from dcp_conformance.errors import UpperTesterError
 from dcp_conformance.model.case import all_cases
 from dcp_conformance.model.results import CaseResult, Check, Mark
 from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.selftest.diagnosis import measuring
 from dcp_conformance.selftest.diagnosis.measuring import draw, outcome
 from dcp_conformance.selftest.mutants import all_mutants
 from dcp_conformance.selftest.mutants.combination import combined
@@ -50,7 +52,8 @@ def test_one_fault_explains_all_its_cases() -> None:
     (only,) = found.faults
     assert only.explains == only.alone == ("a", "b", "c")
     assert (only.share, only.expected, only.missing) == (1.0, 3, ())
-    assert (only.case, only.mark, only.rerun) == ("a", Mark(3), "again a")
+    # Not "a", which other faults make fail as well.
+    assert (only.case, only.mark, only.rerun) == ("b", Mark(3), "again b")
     assert found.unexplained == ()
 
 
@@ -63,6 +66,17 @@ def test_a_fault_that_others_make_superfluous_is_taken_back() -> None:
 def test_a_case_that_passes_speaks_against_a_fault() -> None:
     known = Dictionary((fault("X", "a", "b", "c", "d"), fault("Y", "a")))
     assert named(explain(results("a", "bcd"), known)) == ["Y"]
+
+
+def test_a_fault_that_leaves_nearly_all_cases_undecided_is_not_named_if_these_pass() -> None:
+    """It explained every failure a little, and nothing spoke against it."""
+    every = "abcdefghijklmnopqrstuvwxyz"
+    silent = fault("silent", "a", undecided=tuple(every[1:]))
+    known = Dictionary((silent, fault("X", *"abcdef")))
+    found = explain(results("abcdefghijk", every[11:]), known)
+    assert named(found) == ["X"]
+    assert found.unexplained == tuple("ghijk")
+    assert named(explain(results("a", "", every[1:]), Dictionary((silent,)))) == ["silent"]
 
 
 def test_cases_that_were_not_decided_are_no_evidence() -> None:
@@ -139,6 +153,16 @@ def test_two_faults_in_one_node_are_both_named(group: tuple[str, str]) -> None:
     found = outcome(group, load())
     assert set(found.found) == set(group)
     assert found.false == ()
+
+
+def test_a_node_that_does_not_start_shows_none_of_its_faults(monkeypatch: pytest.MonkeyPatch) -> None:
+    def closes(*_: object) -> None:
+        raise UpperTesterError("UT-Hello: the node has closed the connection")
+
+    monkeypatch.setattr(measuring, "diagnose", closes)
+    group = ("M-VD-RU-03-equal-answered", "M-BP-HDR-01-two")
+    found = outcome(group, load())
+    assert (found.hidden, found.named) == (group, ())
 
 
 def test_draws_can_be_combined_and_repeated() -> None:

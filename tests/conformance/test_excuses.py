@@ -51,7 +51,7 @@ def rig() -> tuple[Bench, Losing, InProcess]:
 
 def verdict_of(bench: Bench, **how: Any) -> Verdict:
     bench.check(False, "something", "something else", **how)
-    return bench.checks[-1].verdict
+    return bench.verdicts.checks[-1].verdict
 
 
 def test_without_losses_both_kinds_count():
@@ -66,12 +66,12 @@ def test_what_is_missing_may_have_been_dropped_and_what_was_received_not():
     assert verdict_of(bench, shown=["a record"]) is Verdict.FAIL
     with pytest.raises(StopCase):
         bench.require(False, "something", "nothing", shown=True)
-    assert bench.checks[-1].verdict is Verdict.FAIL
+    assert bench.verdicts.checks[-1].verdict is Verdict.FAIL
     assert verdict_of(bench, shown=[]) is Verdict.INCONCLUSIVE
-    assert "the kernel dropped 2 frames" in bench.checks[-1].observed
+    assert "the kernel dropped 2 frames" in bench.verdicts.checks[-1].observed
     with pytest.raises(StopCase):
         bench.fail("something", "nothing")
-    assert bench.checks[-1].verdict is Verdict.INCONCLUSIVE
+    assert bench.verdicts.checks[-1].verdict is Verdict.INCONCLUSIVE
 
 
 def test_what_follows_an_excused_failure_is_excused_too():
@@ -90,7 +90,7 @@ def test_a_gap_is_no_excuse_for_a_fault_of_the_numbers():
     assert verdict_of(bench, numbers=True) is Verdict.FAIL
     assert verdict_of(bench, shown=True) is Verdict.FAIL
     assert verdict_of(bench) is Verdict.INCONCLUSIVE
-    assert "beacons were not heard" in bench.checks[-1].observed
+    assert "beacons were not heard" in bench.verdicts.checks[-1].observed
     lower.dropped = 1
     assert verdict_of(bench, numbers=True) is Verdict.INCONCLUSIVE
 
@@ -98,7 +98,7 @@ def test_a_gap_is_no_excuse_for_a_fault_of_the_numbers():
 def test_what_was_assumed_excuses_both_kinds():
     bench, _, sut = rig()
     bench.session.upper = None
-    bench.bound("VARDISPAR_MAX_VALUE_LENGTH")
+    bench.sut.bound("VARDISPAR_MAX_VALUE_LENGTH")
     assert verdict_of(bench) is Verdict.INCONCLUSIVE
     assert verdict_of(bench, shown=True) is Verdict.INCONCLUSIVE
     assert sut.alive()
@@ -114,7 +114,7 @@ def idle(sut: InProcess, duration: int) -> None:
 
 def test_waits_and_calls_are_no_lateness():
     bench, _, sut = rig()
-    upper = bench.ut
+    upper = bench.services.upper
     plain = upper.call
 
     def slow(method: str, params: dict[str, Any]) -> Any:
@@ -128,7 +128,7 @@ def test_waits_and_calls_are_no_lateness():
         peer.send(peer.summary(bench.unknown_id(), 1))
         bench.wait(7)
         bench.mark()
-    assert bench.late_ns == 0
+    assert bench.steps.late_ns == 0
 
 
 @pytest.mark.parametrize(("periods", "verdict"), [(0.9, Verdict.FAIL), (1.1, Verdict.INCONCLUSIVE)])
@@ -138,7 +138,7 @@ def test_a_tester_that_is_held_up_before_it_sends_is_late(periods: float, verdic
     bench.wait(1)
     idle(sut, round(periods * PERIOD))
     peer.send(peer.summary(bench.unknown_id(), 1))
-    assert bench.late_ns == round(periods * PERIOD)
+    assert bench.steps.late_ns == round(periods * PERIOD)
     assert verdict_of(bench, shown=True) is Verdict.FAIL
     assert verdict_of(bench) is verdict
 
@@ -148,8 +148,8 @@ def test_a_tester_that_is_held_up_while_it_sends_is_late():
     peer = bench.peer()
     lower.on_send = lambda: idle(sut, 2 * PERIOD)
     peer.send(peer.summary(bench.unknown_id(), 1))
-    assert bench.late_ns == 2 * PERIOD
-    assert "it acted late by 200 ms" in bench.own_losses()
+    assert bench.steps.late_ns == 2 * PERIOD
+    assert "it acted late by 200 ms" in bench.losses.own()
 
 
 def test_an_answer_to_a_frame_that_was_read_late_is_late():
@@ -160,26 +160,26 @@ def test_an_answer_to_a_frame_that_was_read_late_is_late():
     assert found is not None
     idle(sut, 3 * PERIOD)
     peer.send(peer.summary(bench.unknown_id(), 1))
-    assert bench.late_ns == 3 * PERIOD
+    assert bench.steps.late_ns == 3 * PERIOD
 
 
 def test_frames_that_waited_during_a_call_are_read_and_no_lateness():
     """What came in a call is asked by the next wait, and has the time at which it came."""
     bench, _, sut = rig()
-    plain = bench.ut.call
+    plain = bench.services.upper.call
 
     def slow(method: str, params: dict[str, Any]) -> Any:
         answer = plain(method, params)
         idle(sut, 3 * PERIOD)
         return answer
 
-    bench.ut.call = slow  # type: ignore[method-assign]
+    bench.services.upper.call = slow  # type: ignore[method-assign]
     begun = bench.now()
     bench.call("RTDB-Create", varId=7, repCnt=1, descr="x", value="01")
     found = bench.until(lambda heard: heard.known == {7} and heard)
     assert found
     assert found.time < begun + 2 * PERIOD
-    assert bench.late_ns == 0
+    assert bench.steps.late_ns == 0
 
 
 # -- reading from sockets ----------------------------------------------------------------------------------------------

@@ -6,7 +6,7 @@ import pytest
 from dcp_conformance.execution.selection import ordered
 from dcp_conformance.model.case import DECLARED, DENIED
 from dcp_conformance.model.verdict import Verdict
-from dcp_conformance.test_system.extraction import OWNERS
+from dcp_conformance.test_system.judgement.lost_containers import OWNERS
 
 from dcp_codec.errors import DecodeError
 from dcp_stack.vardis.wire import Extracted, Extractor

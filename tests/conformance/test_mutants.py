@@ -224,7 +224,7 @@ def test_the_matrix_does_not_depend_on_time_and_names_survivors():
     two = SelftestResult(started="then", duration=9.0, full=True, baselines=(GOOD,), mutants=(survivor,))
     text = markdown(one)
     assert text == markdown(two)
-    assert "**nobody** on dcp-2.0" in text
+    assert "**no case** on dcp-2.0" in text
     assert "answers \\| everything" in text
     assert "0 of 1 mutants" in text
 
@@ -279,4 +279,4 @@ def test_the_document_has_all_mutants_and_no_survivor():
     shown = {row[0].strip("|` "): row[1:3] for row in rows}
     known = {each.id: (each.what.replace("|", "/"), ", ".join(each.requirements)) for each in MUTANTS.values()}
     assert shown == known, "make selftest-doc"
-    assert "**nobody**" not in text
+    assert "**no case**" not in text

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import os
 import struct
+from collections import Counter
 from collections.abc import Callable
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 
 import pytest
+from dcp_conformance.cli import display
 from dcp_conformance.errors import ConformanceError, UpperTesterError
+from dcp_conformance.execution.concurrent.scheduler import Scheduler
 from dcp_conformance.execution.parallel import WorkerEnd, messages
 from dcp_conformance.execution.run import ConformanceRun
 from dcp_conformance.execution.runner import Runner
@@ -61,6 +64,34 @@ def test_a_fault_while_the_implementation_is_told_of_loses_no_result(what: str, 
     run.execute()
     assert run.of(Verdict.PASS) == [SANITY, *CASES, SANITY]
     assert run.exit_status() == 4
+
+
+def test_after_a_fault_side_by_side_the_other_cases_are_executed_alone(monkeypatch: pytest.MonkeyPatch):
+    steps, step = Counter[str](), Scheduler.step
+
+    def fails(self: Scheduler, until: int) -> None:
+        steps["step"] += 1
+        if steps["step"] == 5:
+            raise ValueError("a fault")
+        step(self, until)
+
+    monkeypatch.setattr(Scheduler, "step", fails)
+    run = Run(side_by_side=4)
+    run.execute()
+    assert run.of(Verdict.PASS) == [SANITY, *CASES, SANITY]
+    assert run.trouble == "a fault of the tester: ValueError: a fault"
+    assert run.exit_status() == 4
+    assert "executed one at a time" in " ".join(run.result().notes)
+
+
+def test_errors_of_one_cause_are_one_finding_on_the_terminal(monkeypatch: pytest.MonkeyPatch, capsys):
+    monkeypatch.setattr(Run, "run_case", boom)
+    run = Run()
+    run.execute()
+    display.print_summary(run.result())
+    printed = capsys.readouterr().out
+    assert "error 4 cases: the case has a result: a fault of the tester: RuntimeError: a fault" in printed
+    assert printed.count("a fault of the tester") < 4
 
 
 def test_a_fault_between_cases_is_a_result_of_those_that_were_not_run(monkeypatch: pytest.MonkeyPatch):
@@ -167,7 +198,7 @@ def wrong_and_deadly(bench: Bench) -> None:
 
 
 def right(bench: Bench) -> None:
-    bench.check(bench.probe(), "an answer", "none", "VD-RX-04")
+    bench.check(bench.probes.probe(), "an answer", "none", "VD-RX-04")
 
 
 def test_a_proved_failure_before_a_death_that_is_not_reproduced_stays_one():
@@ -210,7 +241,7 @@ def test_a_death_by_the_deletion_after_a_case_is_that_of_the_deletion():
     sut = InProcess(reference_config(codec_of("dcp-2.0")))
 
     def creates(bench: Bench) -> None:
-        answer = bench.call("RTDB-Create", varId=bench.own_var_id(), repCnt=1, descr="d", value="01")
+        answer = bench.call("RTDB-Create", varId=bench.identifiers.own_var_id(), repCnt=1, descr="d", value="01")
         bench.check(answer.ok, "it is created", str(answer), "VD-CRE-12")
         bench.check(bench.beacons(1), "a beacon", "none")
 

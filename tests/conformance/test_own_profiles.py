@@ -37,7 +37,7 @@ def test_check_refuses_records_that_it_has_no_rules_for(profile: Path, tmp_path:
     capture = tmp_path / "own.pcap"
     with create_capture(capture) as file:
         file.write(Frame(1, 10**18, bytes(60), 60))
-    with pytest.raises(UsageError, match=r"check knows the rules.*vardis\.own_containers has GEO-FENCE, Ping"):
+    with pytest.raises(UsageError, match=r"check has rules .*vardis\.own_containers has GEO-FENCE, Ping"):
         judge_recording(capture, str(profile), Pics())
 
 

@@ -113,7 +113,7 @@ def test_what_is_set_by_the_tester_is_no_change_of_the_implementation():
     def run(bench: Bench) -> None:
         for number in range(6):
             bench.must("BP-SetParameter", name="BPPAR_NETWORK_ID", value=0x2000 + number)
-            bench.probe()
+            bench.probes.probe()
 
     assert not after([a_case(run)])
 
@@ -129,9 +129,9 @@ def test_a_reset_after_255_beacons_is_no_narrow_counter():
     def run(bench: Bench) -> None:
         for _ in range(3):
             while not (bench.heard and bench.heard[-1].seqno == 255):
-                bench.probe()
+                bench.probes.probe()
             bench.call("UT-Reset")
-            bench.probe()
+            bench.probes.probe()
             assert bench.heard[-1].seqno is not None
             assert bench.heard[-1].seqno < 20
 
@@ -141,9 +141,9 @@ def test_a_reset_after_255_beacons_is_no_narrow_counter():
 def test_a_restart_after_255_beacons_is_no_narrow_counter():
     def run(bench: Bench) -> None:
         while not (bench.heard and bench.heard[-1].seqno == 255):
-            bench.probe()
-        bench.restart()
-        bench.probe()
+            bench.probes.probe()
+        bench.control.restart()
+        bench.probes.probe()
 
     assert not after([a_case(run)])
 
@@ -162,14 +162,14 @@ def test_frames_from_before_a_reset_are_not_judged():
 
 def test_stations_other_than_the_implementation_are_not_judged():
     def run(bench: Bench) -> None:
-        bench.probe()
+        bench.probes.probe()
         tester, count = bench.session.passive, bench.session.passive.frames
         beacon = bench.builder.beacon(bench.peer().node_id, 7, [])
         bench.session.lower._sut.arrivals.append(  # type: ignore[attr-defined]
             _arrival(bench, beacon[:1] + b"\0" + beacon[2:])
         )
         bench.wait(0.1)
-        assert bench.others
+        assert bench.receiver.others
         assert tester.frames == count
 
     assert not after([a_case(run)])

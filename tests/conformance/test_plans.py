@@ -126,7 +126,7 @@ def test_the_link_is_up_again_if_the_case_stops():
     switched: list[bool] = []
 
     def body(bench: Bench) -> None:
-        with bench.link_down():
+        with bench.control.link_down():
             raise StopCase
 
     sut = Unheard(reference_config(codec_of("dcp-2.0")))

@@ -108,7 +108,7 @@ class TestWorkers:
     @pytest.mark.parametrize(
         ("target", "options", "message"),
         [
-            (("--dcp-link", "udp"), ("-n", "2"), "-n: the implementation is there only once"),
+            (("--dcp-link", "udp"), ("-n", "2"), "-n: the implementation exists only once"),
             (
                 ("--dcp-in-process",),
                 ("-n", "2", "--dist", "each"),

@@ -247,7 +247,7 @@ def test_which_profile_frames_look_like(profile):
 def test_a_draft_without_a_profile_is_not_run(tmp_path):
     path = tmp_path / "draft.toml"
     write_pics(Pics(pixit=Testing(profile=UNKNOWN_PROFILE)), path, ["pixit.profile: none explains it"])
-    with pytest.raises(UsageError, match=r"draft.toml: pixit.profile: probe could not find out .* give --profile"):
+    with pytest.raises(UsageError, match=r"draft.toml: pixit.profile: probe could not determine .* give --profile"):
         describe(TargetOptions(pics=path))
     assert describe(TargetOptions(pics=path, profile="dcp-1.3"))[0].profile.name == "dcp-1.3"
 

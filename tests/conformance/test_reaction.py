@@ -43,14 +43,14 @@ def test_while_payloads_wait_reactions_may_take_longer():
     bench = bench_of(make=polling(120))
     found = prepare(bench.session)
     assert found is bench.session.reaction
-    assert bench.one_by_one
+    assert bench.sut.one_by_one
     bench.wait(50)
-    assert bench.reaction == found.periods
+    assert bench.sut.reaction == found.periods
     peer = bench.peer()
     peer.send(*(bench.builder.vardis(peer.summary(each, 1)) for each in range(8)))
-    assert bench.reaction == pytest.approx(found.periods + 8 * found.per_payload)
+    assert bench.sut.reaction == pytest.approx(found.periods + 8 * found.per_payload)
     bench.wait(8 * found.per_payload)
-    assert bench.reaction == pytest.approx(found.periods)
+    assert bench.sut.reaction == pytest.approx(found.periods)
 
 
 def test_it_is_measured_once_and_told_if_it_matters():
@@ -68,16 +68,16 @@ def test_it_is_measured_once_and_told_if_it_matters():
 def test_what_the_pixit_tells_overrides_what_is_measured():
     bench = bench_of(pics=Pics(pixit=Testing(reaction_periods=2.5)), make=polling(120))
     prepare(bench.session)
-    assert bench.one_by_one
+    assert bench.sut.one_by_one
     bench.wait(50)
-    assert bench.reaction == 2.5
+    assert bench.sut.reaction == 2.5
 
 
 def test_it_is_not_measured_where_there_is_nobody_to_ask():
     bench = bench_of(pics=Pics(pics=Capabilities(vardis=False)))
     assert prepare(bench.session) is None
     assert bench.session.reaction is None
-    assert bench.reaction == FLOOR
+    assert bench.sut.reaction == FLOOR
 
 
 def test_who_does_not_answer_gets_the_floor_and_may_be_asked_again():
@@ -86,7 +86,7 @@ def test_who_does_not_answer_gets_the_floor_and_may_be_asked_again():
     assert found is not None
     assert (found.samples, found.periods) == ((), FLOOR)
     assert bench.session.reaction is None
-    assert bench.reaction == FLOOR
+    assert bench.sut.reaction == FLOOR
 
 
 @pytest.mark.parametrize("profile", ["dcp-1.0", "dcp-2.0"])

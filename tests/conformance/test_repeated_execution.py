@@ -49,7 +49,7 @@ class Rig:
         """Be held up between two steps of a case."""
         bench.wait(0.1)
         self.sut.elapse(round(periods * bench.period))
-        bench.acts()
+        bench.steps.begin()
 
 
 def check(bench: Bench, holds: bool, **how: bool) -> None:
@@ -135,7 +135,7 @@ def test_only_lateness_and_nothing_else_is_a_reason(reason: str):
             check(bench, False)
         elif reason == "another reason":
             check(bench, False)
-            bench.late_ns = 0
+            bench.steps.late_ns = 0
             bench.inconclusive("something", "it could not be tried")
         elif reason == "passed":
             check(bench, True)

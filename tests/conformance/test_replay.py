@@ -200,7 +200,7 @@ class TestParts:
 
     def test_the_name_of_another_recorded_node_cannot_be(self):
         replay = Replay(CAPTURES / "b_crud.mcap", ReplayOptions(octets(NODES[0])))
-        with pytest.raises(UsageError, match=r"called 02:00:00:00:00:02 like one of the recorded nodes"):
+        with pytest.raises(UsageError, match=r"has the identifier 02:00:00:00:00:02 of another recorded node"):
             replay.take_part(codec_of("cpp-2.0"), octets(NODES[1]))
 
 
@@ -221,7 +221,7 @@ class TestCommand:
         assert f"note: it took the part of {NODES[2]} of the recording" in done.out
         assert done.err == ""
 
-    @pytest.mark.parametrize(("speed", "told"), [("100000", "playing takes 1 h 0 min; --speed 0"), ("0", "")])
+    @pytest.mark.parametrize(("speed", "told"), [("100000", "the replay takes 1 h 0 min; --speed 0"), ("0", "")])
     def test_long_pauses_are_told_before(self, dcp_conformance: Command, tmp_path: Path, speed: str, told: str):
         path = tmp_path / "paused.pcap"
         frames = simulated("dcp-2.0", 3, seconds=4)
@@ -231,7 +231,7 @@ class TestCommand:
                 writer.write(msgspec.structs.replace(frame, time_ns=frame.time_ns + late * 10**9))
         done = dcp_conformance("replay", path, "--in-process", "--speed", speed)
         assert told in done.err
-        assert ("playing takes" in done.err) == bool(told)
+        assert ("the replay takes" in done.err) == bool(told)
 
     @pytest.mark.parametrize("options", [["--speed", "0"], ["--speed", "4"], ["--no-services"], []])
     def test_its_options(self, dcp_conformance: Command, options: list[str]):

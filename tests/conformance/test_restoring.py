@@ -14,7 +14,7 @@ from dcp_conformance.model.results import CaseResult
 from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, VirtualUpperTester, reference_config
 from dcp_conformance.test_system.bench import Bench, Session
-from dcp_conformance.test_system.changes import Changes
+from dcp_conformance.test_system.services.changes import Changes
 from dcp_conformance.upper_tester import Answer
 
 from .rig import codec_of, known_cases
@@ -98,7 +98,7 @@ def test_parameters_whose_bounds_depend_on_each_other_get_their_values_back():
 
     before, after, bench = ended(body)
     assert after == before
-    assert bench.not_restored == ""
+    assert bench.restoration.failure == ""
 
 
 def test_what_cannot_be_undone_is_told():
@@ -108,22 +108,22 @@ def test_what_cannot_be_undone_is_told():
         def call(method: str, params: dict[str, Any]) -> Answer:
             raise UpperTesterError(f"{method} was not answered within 1 s")
 
-        bench.ut.call = call  # type: ignore[method-assign]
+        bench.services.upper.call = call  # type: ignore[method-assign]
 
     _, _, bench = ended(body)
-    assert bench.not_restored == "VD-MGMT-Activate: VD-MGMT-Activate was not answered within 1 s"
+    assert bench.restoration.failure == "VD-MGMT-Activate: VD-MGMT-Activate was not answered within 1 s"
 
 
 def test_an_entity_is_active_again_before_what_stopped_the_block_goes_on():
     def body(bench: Bench) -> None:
-        with pytest.raises(StopCase), bench.deactivated("VD"):
+        with pytest.raises(StopCase), bench.services.deactivated("VD"):
             bench.inconclusive("something", "else")
         assert bench.call("RTDB-DescribeDatabase").ok
 
     _, _, bench = ended(body)
-    verdict = bench.verdict()
+    verdict = bench.verdicts.verdict()
     assert verdict is Verdict.INCONCLUSIVE
-    assert len(bench.checks) == 1
+    assert len(bench.verdicts.checks) == 1
 
 
 # -- the list itself ---------------------------------------------------------------------------------------------------
@@ -199,7 +199,7 @@ def after_a_change(sut: InProcess) -> tuple[Runner, list[CaseResult]]:
 
     def changes(bench: Bench) -> None:
         bench.must("VD-SetParameter", name="VARDISPAR_MAX_SUMMARIES", value=1)
-        bench.check(bench.probe(), "an answer", "none")
+        bench.check(bench.probes.probe(), "an answer", "none")
 
     def needs(bench: Bench) -> None:
         told = bench.must("VD-GetParameters").result["parameters"]["VARDISPAR_MAX_SUMMARIES"]
@@ -221,7 +221,7 @@ def test_without_a_restart_the_reader_is_told_what_could_not_be_undone():
     sut.can_restart = False
     runner, _ = after_a_change(sut)
     [note] = runner.notes
-    assert note.startswith("not all that was changed in TC_DCP_X_BV_00 could be changed back (VD-SetParameter: ")
+    assert note.startswith("not all changes that were made in TC_DCP_X_BV_00 could be undone (VD-SetParameter: ")
 
 
 def test_a_restart_that_fails_is_not_the_fault_of_the_next_case():

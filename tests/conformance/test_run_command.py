@@ -169,7 +169,7 @@ class TestWhatIsRun:
         [
             (["TC_VD_UPD_BV_1"], "did you mean TC_VD_UPD_BV_01"),
             (["TC_NOTHING_LIKE_IT"], "no case is called 'TC_NOTHING_LIKE_IT'"),
-            (["TC_VD_HAZ_BO_04"], "the case TC_VD_HAZ_BO_04 is retired: CHANGELOG.md says what"),
+            (["TC_VD_HAZ_BO_04"], "the case TC_VD_HAZ_BO_04 is retired: CHANGELOG.md names its replacement"),
             (["BP-HDR-1"], "did you mean BP-HDR-1"),
             (["-r", "XX-01"], "XX-01"),
             (["-s", "no such heading"], "no section is called 'no such heading'"),
@@ -181,12 +181,12 @@ class TestWhatIsRun:
             (["--expected", "no-such.toml"], "no-such.toml"),
             (["--interface", "nosuch0"], "there is no such interface; there are lo"),
             (["--link", "udp:nowhere"], "nowhere"),
-            (["--in-process", "--link", "udp"], "--in-process tests our own node"),
+            (["--in-process", "--link", "udp"], "--in-process tests the reference node"),
             (["--ether-type", "IP"], "'ip' is not an EtherType; write it in hex, as in 0x4953"),
-            (["--ut", "unix:node.sock"], "--ut is for an implementation of yours: name its --interface or --link"),
-            (["--in-process", "--restart", "true"], "--restart is for an implementation of yours"),
+            (["--ut", "unix:node.sock"], "--ut is for your own implementation: give its --interface or --link"),
+            (["--in-process", "--restart", "true"], "--restart is for your own implementation"),
             (["--timing-scale", "0"], "0.0 is not in the range 0<x<=1000.0"),
-            (["--timing-scale", "nan"], "'nan' is no number"),
+            (["--timing-scale", "nan"], "'nan' is not a number"),
             (["--beacon-period", "inf"], "inf is not in the range"),
             (["--report-dir", __file__], f"{__file__}: cannot be written: exists and is not a folder"),
             (["--pytest", "-k nothing_at_all", "--in-process"], "no case is left to run"),
@@ -309,7 +309,7 @@ class TestExpectedResults:
         known = expected_file(tmp_path, entry(ONE, verdict="pass"), entry("TC_VD_UPD_BV_0*"))
         done = dcp_conformance("run", "--in-process", ONE, "--expected", known)
         assert done.status == UNEXPECTED
-        assert "nothing came out like this; take it out" in done.out
+        assert "no result matches this entry; remove it" in done.out
 
     def test_entries_about_cases_that_were_not_run_are_left_alone(self, dcp_conformance: Command, tmp_path: Path):
         known = expected_file(tmp_path, entry("TC_BP_HDR_BV_01"))
@@ -326,7 +326,7 @@ class TestExpectedResults:
         [
             ('[[expected]]\ncase = "TC_NO"\nreason = "r"', "no case is called 'TC_NO'"),
             (f'[[expected]]\ncase = "{ONE}"', "reason"),
-            (f'[[expected]]\ncase = "{ONE}"\nreason = " "', "`reason` says nothing"),
+            (f'[[expected]]\ncase = "{ONE}"\nreason = " "', "`reason` is empty"),
             (f'[[expected]]\ncase = "{ONE}"\nreason = "r"\nmatch = "("', "expected.toml"),
             (f'[[expected]]\ncase = "{ONE}"\nreason = "r"\nverdict = "fine"', "verdict"),
             (f'[[expected]]\ncase = "{ONE}"\nreason = "r"\nwhen = 1', "when"),

@@ -19,7 +19,7 @@ def test_sections_stand_in_their_order_whoever_writes_first(order: tuple[str, ..
     document = ""
     for name in order:
         document = with_section(document, name, f"## {name}\n\ntext\n")
-    assert document.startswith("# Who tests the tester\n")
+    assert document.startswith("# Tests of the test suite\n")
     places = [document.index(f"## {name}\n") for name in SECTIONS]
     assert places == sorted(places)
     assert [section_of(document, name) for name in SECTIONS] == [f"## {name}\n\ntext" for name in SECTIONS]

@@ -16,8 +16,8 @@ from dcp_conformance.reference.inprocess import InProcess, plain_node, reference
 from dcp_conformance.selftest.mutants import all_mutants
 from dcp_conformance.selftest.runner import Suite, cases
 from dcp_conformance.selftest.side_by_side import compare
+from dcp_conformance.test_system.reception.waiting import Waiting
 from dcp_conformance.test_system.session import Session
-from dcp_conformance.test_system.waiting import Waiting
 
 from dcp_codec.codec import Codec
 
@@ -121,10 +121,10 @@ def test_no_case_waits_for_repetitions_that_are_over(monkeypatch, pattern: str) 
     until_quiet = Waiting.until_quiet
 
     def watched(self: Waiting, present, periods: float = 60, *args, **more):
-        began = self.now()
+        began = self._clock.now()
         found = until_quiet(self, present, periods, *args, **more)
-        if not found and self.now() - began > 20 * self.period:
-            vain.append(self.case.id)
+        if not found and self._clock.now() - began > 20 * self._sut.period:
+            vain.append(str(began))
         return found
 
     monkeypatch.setattr(Waiting, "until_quiet", watched)

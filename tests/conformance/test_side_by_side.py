@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import threading
 from collections import Counter
+from concurrent.futures import Future
 from typing import ClassVar
 
 import pytest
@@ -17,6 +18,7 @@ from dcp_conformance.execution.concurrent.sharing import _MEASURES, ALONE
 from dcp_conformance.execution.run import ConformanceRun
 from dcp_conformance.execution.selection import Selection
 from dcp_conformance.execution.target import TargetOptions
+from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.lower_tester import Arrival, LinkHealth
 from dcp_conformance.model.case import SANITY, all_cases
 from dcp_conformance.model.verdict import Verdict
@@ -24,6 +26,7 @@ from dcp_conformance.reference.inprocess import InProcess, reference_config
 from dcp_conformance.selftest.mutants import all_mutants
 from dcp_conformance.selftest.runner import cases
 from dcp_conformance.selftest.side_by_side import compare
+from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.upper_tester import Answer
 
 from dcp_codec.codec import Codec
@@ -102,7 +105,7 @@ def test_vardis_stays_registered_while_others_are_executed(monkeypatch, name: st
     monkeypatch.setattr("dcp_conformance.execution.concurrent.executor.why_alone", lambda _: "")
     found = run(WIDTH, name, "TC_VD_STATE_BV_03-*")
     assert found.repeated_alone.keys() == {name}
-    assert "stay registered" in found.repeated_alone[name]
+    assert "registrations of SRP and VarDis" in found.repeated_alone[name]
     assert {result.verdict for result in found.results} == {Verdict.PASS}
 
 
@@ -140,13 +143,44 @@ def test_live_cases_never_share_an_identifier(monkeypatch) -> None:
 
     def checked(self: SideBySide, arrival: Arrival) -> None:
         account(self, arrival)
-        used = Counter(each for bench in self._live.values() for each in bench.created)
+        used = Counter(each for bench in self._live.values() for each in bench.identifiers.created)
         clashes.append({each for each, count in used.items() if count > 1})
 
     monkeypatch.setattr(SideBySide, "_account", checked)
     run(WIDTH, "TC_VD_STATE_*", "TC_VD_SEQ_*", "TC_VD_UPD_*", "TC_VD_FWD_*")
     assert len(clashes) > 50
     assert not set().union(*clashes)
+
+
+def test_no_case_sends_records_of_a_variable_of_another_live_case(monkeypatch) -> None:
+    """The implementation would react to it, and the other case would take that as a reaction to its own stimulus."""
+    executors: list[SideBySide] = []
+    begin = SideBySide._wave
+    sent: list[tuple[str, str, int]] = []
+
+    def wave(self: SideBySide, on_result) -> None:
+        executors[:] = [self]
+        begin(self, on_result)
+
+    transmit = Bench.transmit
+
+    def noted(bench: Bench, octets: bytes, source: bytes, payloads: int = 1) -> int:
+        if executors and bench.case.id in executors[0]._live:
+            said = ReceivedBeacon(bench.session.codec, 0, 0, 0, octets, source)
+            owners = {
+                var_id: each.case.id
+                for each in executors[0]._live.values()
+                for var_id in each.created | each.called_unknown
+                if each.case.id != bench.case.id
+            }
+            sent.extend((bench.case.id, owners.get(each.var_id, ""), each.var_id) for each in said.instructions())
+        return transmit(bench, octets, source, payloads)
+
+    monkeypatch.setattr(SideBySide, "_wave", wave)
+    monkeypatch.setattr(Bench, "transmit", noted)
+    run(WIDTH, "TC_BP_RX_BI_*", "TC_BP_CRX_BI_*", "TC_VD_ROB_*", "TC_VD_SEQ_*")
+    assert len(sent) > 100
+    assert [each for each in sent if each[1]] == []
 
 
 class Link:
@@ -395,3 +429,48 @@ def test_an_implementation_that_dies_is_found_and_its_killer_named() -> None:
     assert not set(killers) & set(passed)
     assert len(passed) + len(alone) == len(chosen)
     assert any("executed side by side" in note and "alone" in note for note in runner.notes)
+
+
+class _FasterThread:
+    """Ends each call before ``submit`` returns, as a thread does if the scheduler has to wait for a processor."""
+
+    def submit(self, call, *arguments) -> Future[Answer]:
+        future: Future[Answer] = Future()
+        future.set_result(call(*arguments))
+        return future
+
+    def shutdown(self, *, wait: bool) -> None:
+        pass
+
+
+class _Upper:
+    def call(self, method: str, params: dict) -> Answer:
+        return Answer(result={"method": method})
+
+    def poll(self) -> list:
+        return []
+
+    def filenos(self) -> tuple[int, ...]:
+        return ()
+
+
+def test_a_call_that_is_answered_before_the_case_waits_for_it_wakes_the_case_once() -> None:
+    """A second waking ended a wait early, or met a case that had ended: a fault of the tester, under load only."""
+    link = Link()
+    scheduler = Scheduler(link, _Upper(), lambda _: None)
+    scheduler._threads = _FasterThread()
+    ends: list[int] = []
+
+    def calls_and_waits(task: Task) -> None:
+        own = SharedLink(scheduler, task)
+        assert scheduler.call(task, "UT-Hello", {}).result == {"method": "UT-Hello"}
+        assert own.receive(own.now() + 500) is None
+        ends.append(own.now())
+
+    def calls_and_ends(task: Task) -> None:
+        scheduler.call(task, "UT-Hello", {})
+
+    scheduler.start(calls_and_waits)
+    scheduler.start(calls_and_ends)
+    drive(scheduler)
+    assert ends == [500]

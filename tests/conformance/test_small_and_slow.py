@@ -139,10 +139,10 @@ def test_values_that_are_cut_stay_different():
     Runner(session, sut).prepare()
     bench = Bench(session, known_cases()[SANITY])
     words = [b"value", b"valley", b"val", b"v", b"valid", b"volume", bytes(range(200))]
-    cut = [bench.value(each) for each in words]
+    cut = [bench.records.value(each) for each in words]
     assert all(1 <= len(each) <= 3 for each in cut)
     assert cut[3] == b"v"
-    assert [bench.value(each) for each in words] == cut == [bench.value(each) for each in cut]
+    assert [bench.records.value(each) for each in words] == cut == [bench.records.value(each) for each in cut]
     longer = [each for word, each in zip(words, cut, strict=True) if len(word) > 3]
     assert len(set(longer)) == len(longer)
     # A case about lengths says what it sends.

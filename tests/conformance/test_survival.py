@@ -23,7 +23,7 @@ def case_of(body: Callable[[Bench], None]) -> Case:
 
 def all_used(bench: Bench) -> None:
     """Leaves no identifier that the implementation could be asked about."""
-    bench.created.update(range(256))
+    bench.identifiers.created.update(range(256))
     bench.require(True, "all identifiers were used", "")
 
 
@@ -53,10 +53,12 @@ def test_services_are_enough_when_there_is_nothing_to_say_either():
 
 def test_the_identifiers_of_the_last_variables_are_found():
     def all_but_one(bench: Bench) -> None:
-        bench.created.update(set(range(256)) - {254})
-        found = (bench.has_unknown_ids(), bench.unknown_ids(1))
-        bench.created.add(254)
-        bench.require((*found, bench.has_unknown_ids()) == (True, [254], False), "the last one is found", str(found))
+        bench.identifiers.created.update(set(range(256)) - {254})
+        found = (bench.identifiers.has_unknown_ids(), bench.identifiers.unknown_ids(1))
+        bench.identifiers.created.add(254)
+        bench.require(
+            (*found, bench.identifiers.has_unknown_ids()) == (True, [254], False), "the last one is found", str(found)
+        )
 
     verdict = run(all_but_one).verdict
     assert verdict is Verdict.PASS
@@ -157,7 +159,7 @@ def test_a_death_is_told_with_the_last_sign_of_life():
 
     def deadly(bench: Bench) -> None:
         peer = bench.peer()
-        bench.must("RTDB-Create", varId=bench.own_var_id(), repCnt=3, descr="d", value="01")
+        bench.must("RTDB-Create", varId=bench.identifiers.own_var_id(), repCnt=3, descr="d", value="01")
         bench.require(bench.beacons(2, 5), "beacons", "")
         peer.send(bench.builder.container(peer.summary(1, 1), ic_type=0))
         peer.send(peer.summary(1, 1))

@@ -408,7 +408,7 @@ def test_statuses_of_the_cpp_tools(cpp, tmp_path):
 
 def test_the_example_in_the_documentation(tmp_path):
     text = (Path(__file__).resolve().parents[2] / "docs" / "upper-tester-commands.md").read_text()
-    example = text.partition("## A file")[2].partition("```toml\n")[2].partition("```")[0]
+    example = text.partition("## File format")[2].partition("```toml\n")[2].partition("```")[0]
     path = tmp_path / "example.toml"
     path.write_text(example)
     adapter = load_adapter(str(path))

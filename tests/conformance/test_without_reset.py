@@ -94,9 +94,9 @@ def used(bench: Bench) -> None:
     """Many identifiers are in use: peers and the application have created and deleted variables."""
     for _ in range(14):
         peer = bench.peer()
-        bench.learn(peer, *(peer.create(each) for each in bench.var_ids(9)))
+        bench.learn(peer, *(peer.create(each) for each in bench.identifiers.var_ids(9)))
     for _ in range(20):
-        bench.must("RTDB-Create", varId=bench.own_var_id(), repCnt=1, descr="own", value="01")
+        bench.must("RTDB-Create", varId=bench.identifiers.own_var_id(), repCnt=1, descr="own", value="01")
     bench.require(True, "identifiers are in use", "")
 
 

@@ -27,7 +27,7 @@ def test_nothing_is_sent_on_an_interface_that_was_not_named(mode):
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        (("codec", "nothing"), "there is no part 'nothing'"),
+        (("codec", "nothing"), "unknown part 'nothing'"),
         (("stack", "--mutant", "M-NOTHING"), "no mutant"),
         (("stack", "--profile", "none-such"), "none-such"),
         (("stack", "--dry-run"), "--out FILE"),

@@ -17,11 +17,12 @@ from pathlib import Path
 import pytest
 from dcp_conformance.cli.fuzz import codec_campaign, stack_campaign
 from dcp_conformance.errors import WorkerError
+from dcp_conformance.execution.signals import Stop
 from dcp_conformance.fuzz import Campaign, Effect, Frame, Limits
 from dcp_conformance.fuzz.campaign import State, read_state
 from dcp_conformance.fuzz.findings.artefact import SavedTarget
 from dcp_conformance.fuzz.generate.coverage import counter_of
-from dcp_conformance.fuzz.worker import SLOT_SIZE, Order, Settings, Slot, Stop, Worker
+from dcp_conformance.fuzz.worker import SLOT_SIZE, Order, Settings, Slot, Worker
 from dcp_conformance.fuzz.workers import run_in_workers
 
 from dcp_codec import Codec
@@ -353,8 +354,8 @@ def fuzz(*words: str) -> subprocess.CompletedProcess[str]:
         (("stack", "--jobs", "many"), "'many' is not a valid integer range"),
         (("stack", "--jobs", "2", "--dry-run", "--out", "x.mcap"), "leave out --jobs"),
         (("codec", "--jobs", "2", "--engine", "atheris"), "leave out --jobs"),
-        (("live", "--jobs", "2"), "there only once"),
-        (("differential", "--jobs", "auto"), "there only once"),
+        (("live", "--jobs", "2"), "exists only once"),
+        (("differential", "--jobs", "auto"), "exists only once"),
     ],
 )
 def test_workers_that_make_no_sense_are_refused_in_one_line(words, says):
@@ -369,8 +370,8 @@ def test_a_campaign_by_workers_is_told_like_any_other(tmp_path):
     done = fuzz("stack", "--jobs", "2", *options, "--coverage")
     assert done.returncode == 1
     assert "message x state of the variable" in done.stdout
-    assert "known findings have shown again 39 times" in done.stdout
-    assert "making it small" in done.stderr
+    assert "known findings occurred again 39 times" in done.stdout
+    assert "minimising it" in done.stderr
     assert fuzz("replay", str(tmp_path)).stdout.startswith("failed ")
     again = fuzz("stack", "--jobs", "auto", "--resume", *options, "-q")
     # What the campaign has found before is told again, and nothing new.

@@ -117,7 +117,7 @@ def test_what_was_found_is_kept_when_a_campaign_is_ended_and_it_can_be_gone_on_w
     campaign = subprocess.Popen([*fuzz, "--max-time", "600"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert campaign.stderr is not None
     for line in campaign.stderr:
-        if "making it small" in line:
+        if "minimising it" in line:
             campaign.send_signal(signal.SIGTERM)
             break
     out, err = campaign.communicate(timeout=PATIENCE)

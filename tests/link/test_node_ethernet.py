@@ -51,7 +51,7 @@ def test_an_interface_that_carries_too_little_is_named(namespace):
         ["ip", "netns", "exec", namespace.name, *run], capture_output=True, text=True, timeout=PATIENCE, check=False
     )
     assert shown.returncode == 2
-    assert "(beacons of at most 68 octets, as eth:near carries them)" in shown.stderr
+    assert "(beacons of at most 68 octets, the maximum of eth:near)" in shown.stderr
 
 
 def test_an_interface_that_goes_and_comes_back_does_not_silence_a_node(pair, namespace):

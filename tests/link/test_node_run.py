@@ -278,7 +278,7 @@ def test_a_signal_ends_it_in_an_orderly_way(node, tmp_path, number):
     # A second recording does not replace the first.
     shown = command("run", "--link", LINK, "--record", recording)
     assert shown.returncode == 2
-    assert "does not replace another one" in shown.stderr
+    assert "recordings are not overwritten" in shown.stderr
 
 
 def test_a_service_that_is_started_again_goes_on_recording(node, tmp_path):
@@ -306,7 +306,7 @@ def test_watching_says_which_variables_are_not_there(node):
     assert [each["varId"] for each in json.loads(shown.stdout)["variables"]] == [7, 9]
     shown = command("var", "watch", "300", "7", "8", "--for", "0.1", "--control", running.path)
     assert shown.returncode == 0
-    assert "not in the database so far: 8, 300" in shown.stderr
+    assert "not in the database yet: 8, 300" in shown.stderr
     assert shown.stdout.split()[1:3] == ["7", "is"]
     shown = command("var", "watch", "7", "--for", "0.1", "--control", running.path)
     assert (shown.returncode, shown.stderr) == (0, "")
@@ -369,7 +369,7 @@ def test_metrics(node):
         assert response.headers["Content-Type"].startswith("application/openmetrics-text")
         families = {each.name: each for each in text_string_to_metric_families(response.read().decode())}
     assert families["dcp_bp_beacons_sent"].samples[0].value > 1
-    assert families["dcp_bp_beacons_sent"].documentation == "Beacons handed to the link."
+    assert families["dcp_bp_beacons_sent"].documentation == "Beacons passed to the link."
     assert families["dcp_link_send_errors"].samples[0].value == 0
     assert not [name for name, each in families.items() if not each.documentation.endswith(".")]
     assert families["dcp_node"].samples[0].labels["node_id"] == "02:00:00:00:00:01"

@@ -103,9 +103,9 @@ def test_unknown_ids_are_found_wherever_they_stand(repository):
     (repository / "tests" / "unit" / "test_some.py").write_text('@pytest.mark.req("BP-RX-77")\n')
     (repository / UNDECIDED).write_text('[[undecided]]\nid = "VD-NO-01"\nwhy = "none"\n')
     found = "\n".join(problems_of(repository))
-    assert "VD-XYZ-99 is no requirement, but stands in dcp_codec/some" in found
-    assert "BP-RX-77 is no requirement, but stands in unit/test_some" in found
-    assert f"VD-NO-01 is no requirement, but stands in {UNDECIDED}" in found
+    assert "VD-XYZ-99 is not a requirement, but is named in dcp_codec/some" in found
+    assert "BP-RX-77 is not a requirement, but is named in unit/test_some" in found
+    assert f"VD-NO-01 is not a requirement, but is named in {UNDECIDED}" in found
 
 
 def test_a_mandatory_requirement_needs_code_or_a_test(repository):
@@ -128,7 +128,7 @@ def test_a_requirement_needs_a_case_or_a_reason(repository):
 def test_a_reason_beside_a_case_is_a_contradiction(repository):
     (repository / UNDECIDED).write_text('[[undecided]]\nid = "VD-IC-03"\nwhy = "cannot be seen"\n')
     (problem,) = problems_of(repository)
-    assert problem == f"{UNDECIDED} has VD-IC-03, but TC_VD_PAY_BV_01 decide it; take it out"
+    assert problem == f"{UNDECIDED} has VD-IC-03, but TC_VD_PAY_BV_01 decide it; remove the entry"
 
 
 @pytest.mark.parametrize("ids", [("VD-IC-03", "VD-IC-01"), ("VD-IC-01", "VD-IC-01")])
@@ -137,14 +137,14 @@ def test_reasons_are_sorted_and_there_once(repository, ids):
     text = "".join(f'[[undecided]]\nid = "{name}"\nwhy = "a reason"\n' for name in ids)
     (repository / UNDECIDED).write_text(text)
     (problem,) = problems_of(repository, cases)
-    assert f"{ids[1]} stands behind {ids[0]}" in problem
+    assert f"{ids[1]} comes after {ids[0]}" in problem
 
 
 def test_identifiers_are_remembered_and_never_used_again(repository):
     (repository / LEDGER).write_text("TC_VD_OLD_BV_01\nTC_VD_OLD_BV_02 retired\n")
     found = "\n".join(problems_of(repository))
     assert f"not in {LEDGER}: TC_VD_PAY_BV_01-a" in found
-    assert f"TC_VD_OLD_BV_01 is in {LEDGER}, but there is no such case" in found
+    assert f"TC_VD_OLD_BV_01 is in {LEDGER}, but the case does not exist" in found
     assert "TC_VD_OLD_BV_02" not in found
     again = {"TC_VD_OLD_BV_02": case_of("TC_VD_OLD_BV_02", *ALL)}
     assert any("TC_VD_OLD_BV_02 is retired" in each for each in problems_of(repository, again))
@@ -158,7 +158,7 @@ def test_the_ledger_only_grows(repository):
 @pytest.mark.parametrize(
     ("file", "text", "message"),
     [
-        (LEDGER, "TC_A\nTC_A\n", "line 2: TC_A stands there twice"),
+        (LEDGER, "TC_A\nTC_A\n", "line 2: TC_A is a duplicate"),
         (LEDGER, "TC_A gone\n", "line 1: 'TC_A gone'"),
         (UNDECIDED, "[[undecided]]\nid = 3\nwhy = ''\n", "Expected `str`"),
         (UNDECIDED, "[[undecided\n", UNDECIDED),
@@ -173,10 +173,10 @@ def test_files_that_make_no_sense_are_named(repository, file, text, message):
 
 
 def test_another_folder_is_refused(tmp_path, capsys):
-    with pytest.raises(UsageError, match="no checkout"):
+    with pytest.raises(UsageError, match="not a checkout"):
         matrix(tmp_path)
     assert traceability.main([str(tmp_path)]) == 2
-    assert "no checkout" in capsys.readouterr().err
+    assert "not a checkout" in capsys.readouterr().err
 
 
 def test_the_command_writes_both_files_and_checks_them(tmp_path, capsys):

@@ -1,4 +1,4 @@
-"""Who holds what: differences from the producer, how long they last, and which values never arrive."""
+"""Held values: differences from the producer, how long they last, and which values never arrive."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def test_the_page_says_so_first_of_all(recreated):
     recorded, _ = recreated
     drawn = chapter(recorded)
     first = drawn.sections[0]
-    assert first.title == "Who holds what"
+    assert first.title == "Values held by each node"
     assert first.words[0].startswith(
         "≠ At the end 1 of 2 nodes do not hold the producer's number of 1 of 1 variables (7)"
     )

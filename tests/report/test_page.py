@@ -101,7 +101,7 @@ def test_page(run, tmp_path):
     found = self_contained(text)
     for section in SECTIONS:
         assert f'id="{section}-1"' in text
-    # Who holds what comes first.
+    # The section on held values comes first.
     sections = [attrs["id"] for tag, attrs in found.elements if tag == "section"]
     assert sections == [f"{section}-1" for section in SECTIONS]
     plots = items(text)
@@ -169,7 +169,7 @@ class TestTwoFlights:
     def test_one_of_them_is_empty(self, tmp_path):
         one, two = record(tmp_path / "one.pcap", steady(1, 2)), record(tmp_path / "two.pcap", [])
         text = render([chapter(gathered(path), number) for number, path in enumerate((one, two), start=1)])
-        assert "There are no frames at all." in self_contained(text).text
+        assert "It has no frames at all." in self_contained(text).text
 
 
 def axis(plot: dict[str, Any], name: str) -> dict[str, Any]:
@@ -215,7 +215,7 @@ class TestLongRecordings:
         plot = next(plot for plot in drawn.plots if plot.name.endswith("height"))
         source = plot.figure.renderers[0].data_source
         assert source.data["y"].min() == 0.0
-        assert "drawn: the first, last, least and greatest" in plot.caption
+        assert "drawn: the first, last, minimum and maximum" in plot.caption
 
     def test_the_page_stays_small(self, tmp_path):
         recorded = gathered(record(tmp_path / "a.pcap", steady(1, 3) + steady(2, 3)))
@@ -292,7 +292,7 @@ def test_positions_that_are_none(tmp_path):
     odd = [(math.nan, 1.0, 1.0), (1e300, 1.0, 1.0), (1.0, math.inf, 1.0), (1.0, 1.0, 2.0), (2.0, 1.0, -math.inf)]
     sent = [(n / 10, 1, n, (report(1, n, *place),)) for n, place in enumerate(odd)]
     page = Page(render([chapter(gathered(record(tmp_path / "a.pcap", sent)))]))
-    assert "4 of 5 state reports have coordinates that are not numbers or beyond all bounds" in page.text
+    assert "4 of 5 state reports have coordinates that are not numbers or out of range" in page.text
 
 
 def test_positions_that_hardly_differ(tmp_path):
@@ -325,7 +325,7 @@ def test_a_clock_that_was_set_back_is_told(tmp_path):
     assert steps.back.tolist() == [0, 0, 0, 9_000_000_000, 0]
     (odd,) = analysis.worst(recorded, time, steps, 10)
     assert (odd.kind, odd.frame, odd.words) == (
-        "time goes back", 4, "recorded 9.000000 s earlier than the sender's beacon before",
+        "time goes back", 4, "recorded 9.000000 s before the sender's previous beacon",
     )  # fmt: skip
     text = self_contained(render([chapter(recorded)])).text
     assert "Time goes back in this recording" in text
@@ -361,10 +361,10 @@ def test_damage_is_shown(run, tmp_path):
         (
             [(0.0, 1, 5, (Payload(99, b"data"),))],
             [],
-            ("no positions", "No node said anything", "None: there is no malf"),
+            ("no positions", "No node sent a record", "None: there is no malf"),
         ),
-        ([(0.0, 1, 5, (report(1, 1),))], [], ("nothing tells who hears whom", "No node said anything")),
-        ([(0.0, 1, 5, (report(9, 1),))], [], ("nothing tells who hears whom",)),
+        ([(0.0, 1, 5, (report(1, 1),))], [], ("reception cannot be inferred", "No node sent a record")),
+        ([(0.0, 1, 5, (report(9, 1),))], [], ("reception cannot be inferred",)),
         ([(0.0, 1, 5, (update(3, 1, b""),))], [], ("not heard", "there are no delays")),
     ],
     ids=["malformed only", "other payloads", "one report", "about another", "empty value of nobody"],
@@ -383,14 +383,14 @@ def test_a_pipe_of_other_traffic(run, tmp_path, monkeypatch):
         monkeypatch.setattr(sys, "stdin", type("Pipe", (), {"buffer": pipe, "isatty": lambda self: False})())
         told = run("-", "-p", "dcp-2.0", "-o", tmp_path / "a.html").err
     assert "no DCP frames under EtherType 0x4953; there is: 1 other frames." in told
-    assert "All 1 are other traffic." in Page((tmp_path / "a.html").read_text()).text
+    assert "All 1 frames are other traffic." in Page((tmp_path / "a.html").read_text()).text
 
 
 def test_nothing_to_draw(run, tmp_path):
     done = run(record(tmp_path / "none.pcap", []), "-o", tmp_path / "a.html", "--profile", "dcp-2.0")
     assert "no DCP frames" in done.err
     text = (tmp_path / "a.html").read_text("utf-8")
-    assert "There are no frames at all." in Page(text).text
+    assert "It has no frames at all." in Page(text).text
     assert "data-plot=" not in text
 
 
@@ -422,7 +422,7 @@ def test_refusals(run, tmp_path, monkeypatch):
         ((path, "-p", "dcp-2.0"), "a.html: exists; give --force to replace it"),
         ((path, "-p", "dcp-9.9", "--force"), "dcp-9.9"),
         ((tmp_path / "none.pcap", "-o", "b.html"), "none.pcap"),
-        (("*.nonsense", "-o", "b.html"), "nothing matches this pattern"),
+        (("*.nonsense", "-o", "b.html"), "no file matches this pattern"),
         (("-", "-o", "b.html"), "name the --profile"),
         ((path, "-p", "dcp-2.0", "-o", path / "x.html"), "a.pcap"),
         ((path, "-p", "dcp-2.0", "-o", "pipe", "--force"), "pipe: is not a regular file and will not be replaced"),

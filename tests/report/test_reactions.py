@@ -1,4 +1,4 @@
-"""Who reacts to whom is told from what nodes pass on: lines, buses, losses, late composers."""
+"""Reactions between nodes are inferred from the values that they forward: lines, buses, losses, late composers."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ def test_too_few_to_say(tmp_path):
 
 def test_the_page_of_a_line_shows_no_impossible_neighbours(tmp_path):
     recorded = flight(tmp_path, LINE)
-    section = next(each for each in chapter(recorded).sections if each.title == "Who reacts to whom")
+    section = next(each for each in chapter(recorded).sections if each.title == "Reactions between nodes")
     (matrix,) = section.tables
     heads = [cell.text for cell in matrix.heads[1:]]
     for row in matrix.rows:

@@ -91,6 +91,6 @@ class TestSharing:
         victim.chmod(0o600)
         bound.unlink()
         bound.symlink_to(victim)
-        with pytest.raises(SettingsError, match="no socket any more"):
+        with pytest.raises(SettingsError, match="not a socket any more"):
             share(bound, None, "0666")
         assert stat.S_IMODE(victim.stat().st_mode) == 0o600

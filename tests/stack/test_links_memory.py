@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import subprocess
 import sys
 
@@ -15,11 +16,9 @@ from dcp_stack.links.memory import (
     Delivery,
     Medium,
     MemoryLink,
-    Quality,
     TraceDigest,
-    exponential,
-    normal,
 )
+from dcp_stack.links.quality import Quality, exponential, normal
 from dcp_stack.links.topology import Full, Grid, Line, Neighbours, Positions
 
 MS = 1_000_000
@@ -119,6 +118,7 @@ def test_a_partition_isolates_until_it_heals(count, data):
 def test_the_trace_depends_neither_on_hashes_nor_on_the_python_process():
     code = (
         "from dcp_stack.links.memory import *\n"
+        "from dcp_stack.links.quality import Quality\n"
         "from dcp_stack.links.topology import Neighbours\n"
         "trace = TraceDigest()\n"
         "near = {n: {(n + k) % 30 for k in (1, 2, 5, 17)} for n in range(30)}\n"
@@ -341,3 +341,53 @@ def test_nodes_without_a_place_hear_nobody():
     assert [medium.neighbours(node) for node in range(3)] == [(), (), ()]
     places.move(0, (0, 0, 1))
     assert [medium.neighbours(node) for node in range(3)] == [(1,), (0,), ()]
+
+
+@pytest.mark.parametrize("delay", [0, 5 * MS])
+def test_losses_come_in_bursts_and_octets_are_corrupted(delay: int):
+    quality = Quality(loss=0.2, burst=5, corrupt_frames=0.1, flips=3, delay=delay)
+    medium, _ = medium_of(3, quality=quality)
+    sent = bytes(60)
+    heard: dict[int, list[int]] = {1: [], 2: []}
+    corrupted = 0
+    for number in range(20_000):
+        medium.broadcast(0, number.to_bytes(4, "big") + sent, number * 10 * MS)
+        for each in medium.deliver(number * 10 * MS + delay):
+            octets = each.reception.octets
+            flipped = (int.from_bytes(octets[4:]) ^ int.from_bytes(sent)).bit_count()
+            # Bits of the number may be among those that are inverted.
+            assert flipped <= 3
+            corrupted += octets != number.to_bytes(4, "big") + sent
+            heard[each.receiver].append(number)
+    counters = medium.counters
+    assert counters.lost / counters.expected == pytest.approx(0.2, abs=0.02)
+    assert counters.corrupted == corrupted
+    assert corrupted / counters.delivered == pytest.approx(0.1, abs=0.01)
+    for numbers in heard.values():
+        gaps = [b - a - 1 for a, b in itertools.pairwise(numbers) if b - a > 1]
+        assert sum(gaps) / len(gaps) == pytest.approx(5, rel=0.1)
+    # Each connection has bursts of its own.
+    assert heard[1] != heard[2]
+
+
+def test_a_connection_keeps_its_state_while_its_quality_stays():
+    def numbers(changes: bool) -> list[int]:
+        medium, _ = medium_of(2, quality=Quality(loss=0.3, burst=4))
+        found = []
+        for number in range(500):
+            if changes:
+                medium.set_quality(0, 1, Quality(loss=0.3, burst=4, delay=number % 3))
+            medium.broadcast(0, bytes(20), number * MS)
+            found += [number] * len(medium.deliver(number * MS + 10))
+        return found
+
+    assert numbers(changes=False) == numbers(changes=True)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "key"),
+    [({"burst": 3}, "burst"), ({"corrupt": 2}, "corrupt"), ({"corrupt_frames": 0.1, "flips": 0}, "flips")],
+)
+def test_impossible_bursts_and_corruption_are_refused(wrong: dict, key: str):
+    with pytest.raises(ValueError, match=key):
+        Quality(**wrong)

@@ -57,7 +57,7 @@ def test_the_port_of_a_profile_is_used():
     link = open_link("udp:127.255.255.255", config)
     assert link.name == "udp:127.255.255.255:5950"
     link.close()
-    with pytest.raises(LinkError, match="knows no EtherType"):
+    with pytest.raises(LinkError, match="defines no EtherType"):
         open_link("eth:lo", config)
 
 
@@ -66,9 +66,9 @@ def test_the_port_of_a_profile_is_used():
     [
         ("", "eth:IF"),
         ("carrier-pigeon:7", r"'carrier-pigeon:7' is not a link"),
-        ("eth", "which interface"),
+        ("eth", "eth: interface missing"),
         ("eth:no-such-if", r"no such interface; there are .*lo"),
-        ("eth:no-such-if,speed=2", "eth has no option 'speed'; there are source, type, size"),
+        ("eth:no-such-if,speed=2", "eth has no option 'speed'; known options are source, type, size"),
         ("eth:no-such-if,type=0x45", "0x0600"),
         ("eth:no-such-if,type=fish", "fish"),
         ("eth:no-such-if,source=01", "neither 'node' nor an address"),
@@ -78,7 +78,7 @@ def test_the_port_of_a_profile_is_used():
         ("udp:1.2.3.4", "neither a multicast group nor a broadcast address"),
         ("udp:239.1.1.1,interface=203.0.113.99", "no interface has the address 203.0.113.99"),
         ("udp:239.1.1.1,ttl=256", "ttl 256"),
-        ("replay:", "which file"),
+        ("replay:", "replay: file missing"),
         ("replay:/nowhere.mcap", "no such file"),
         ("replay:/nowhere.mcap,speed=0", "speed 0"),
         ("replay:/nowhere.mcap,speed=fast", "fast"),

@@ -222,11 +222,11 @@ def test_other_files_are_not_replaced(path):
     with pytest.raises(NeighbourFileError, match="not replaced"):
         writer_for(path, get_codec("dcp-2.0"))
     assert path.read_text() == "precious"
-    with pytest.raises(NeighbourFileError, match="no neighbour table"):
+    with pytest.raises(NeighbourFileError, match="not a neighbour table"):
         NeighbourFileReader(path)
     path.unlink()
     path.mkdir()
-    with pytest.raises(NeighbourFileError, match="no regular file"):
+    with pytest.raises(NeighbourFileError, match="not a regular file"):
         writer_for(path, get_codec("dcp-2.0"))
 
 
@@ -339,7 +339,7 @@ def test_the_c_example_tells_of_a_silent_writer(compiled, path):
     with writer_for(path, codec) as writer:
         writer.publish(table_of(codec, []), now=1, wall=1)
         shown = subprocess.run([compiled / "neighbours", path], capture_output=True, text=True, check=True)
-    assert "the node is gone" in shown.stderr
+    assert "the node is not running" in shown.stderr
     assert subprocess.run([compiled / "neighbours", path], capture_output=True).returncode == 2
 
 

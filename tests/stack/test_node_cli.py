@@ -90,7 +90,7 @@ def test_print_config(run, tmp_path):
 @pytest.mark.parametrize(
     ("args", "message"),
     [
-        ([], "which link? --interface IF for Ethernet"),
+        ([], "no link given; use --interface IF for Ethernet"),
         (["--link", "carrier-pigeon"], "is not a link"),
         (["--link", "udp:239.73.126.1:99999"], "port"),
         (["--link", "udp:10.0.0.300"], "not an IPv4 address"),
@@ -102,7 +102,7 @@ def test_print_config(run, tmp_path):
         (["--link", "udp", "--beacon-period", "0"], "BPPAR_BEACON_PERIOD must be greater than 0"),
         (["--link", "udp", "--beacon-period", "0.5"], "bp.beacon_period_ms: expected int, got float"),
         (["--link", "udp", "--network-id", "65536"], "BPPAR_NETWORK_ID must be at most 65535"),
-        (["--link", "udp", "--network-id", "x"], "no number"),
+        (["--link", "udp", "--network-id", "x"], "not a number"),
         (["--link", "udp", "--position", "moon"], "no position source 'moon'"),
         (["--link", "udp", "--position", "csv:/no/such.csv"], "/no/such.csv"),
         (["--link", "udp", "--record", "/no/such/folder/x.mcap"], "/no/such/folder/x.mcap"),
@@ -145,7 +145,7 @@ def test_control_sockets_that_are_in_use_or_none(run, tmp_path):
     path.write_text("precious")
     shown = run("run", "--link", "udp", "--control", path)
     assert shown.status == 2
-    assert "exists and is no socket" in shown.err
+    assert "exists and is not a socket" in shown.err
     assert path.read_text() == "precious"
 
 
@@ -183,10 +183,10 @@ def test_no_node_is_3(run, args, tmp_path):
         listener.bind(str(stale))
     shown = run(*args, "--control", stale)
     assert shown.status == 3
-    assert "nobody listens there" in shown.err
+    assert "no program listens there" in shown.err
     shown = run(*args, "--control", tmp_path)
     assert shown.status == 3
-    assert f"{tmp_path}: is no socket" in shown.err
+    assert f"{tmp_path}: is not a socket" in shown.err
 
 
 def test_without_a_path_the_usual_places_are_looked_at(run, tmp_path, monkeypatch):
@@ -217,7 +217,7 @@ def test_wrong_usage_is_2(run, tmp_path, monkeypatch):
     assert run("bp", "send", "7", *control).status == 2
     assert "is not hex" in run("bp", "send", "7", "--payload", "0", *control).err
     assert "no parameter" in run("param", "set", "PERIOD", "1", *control).err
-    assert "is no number" in run("param", "set", "BPPAR_BEACON_PERIOD", "x", *control).err
+    assert "is not a number" in run("param", "set", "BPPAR_BEACON_PERIOD", "x", *control).err
 
 
 @pytest.mark.parametrize(
@@ -289,7 +289,10 @@ def test_who_is_no_node_is_told_from_one(run, tmp_path, answer):
         other.start()
         done = run("status", "--control", path)
         other.join()
-    assert (done.status, done.err) == (3, f"dcp-node: {path}: what answers there does not speak as a node does\n")
+    assert (done.status, done.err) == (
+        3,
+        f"dcp-node: {path}: the program that listens there is not a node; check the path\n",
+    )
 
 
 def test_an_answer_to_a_request_that_could_not_be_read_is_ours(run, tmp_path):

@@ -290,9 +290,9 @@ def test_a_loop_starts_again(table):
         ("time,x,heading\n0,1,2\n", ":1: profile dcp-2.0 has no safety data field 'heading'"),
         ("time,x,position.x\n0,1,2\n", ":1: the columns 'x' and 'position.x' are the same"),
         ("time,x\n0,1\n1\n", ":3: there are 1 values for 2 columns"),
-        ("time,x\n0,1\n\n1,a\n", ":4: x is no number: 'a'"),
-        ("time,x\ninf,1\n", ":2: time is no number"),
-        ("time,x\n1,1\n0,1\n", ":3: the time goes back"),
+        ("time,x\n0,1\n\n1,a\n", ":4: x is not a number: 'a'"),
+        ("time,x\ninf,1\n", ":2: time is not a number"),
+        ("time,x\n1,1\n0,1\n", ":3: the time decreases"),
         ('time,x\n0,"1\n', ":2:"),
     ],
 )
@@ -385,7 +385,7 @@ def test_bad_lines_are_counted_and_told_once_per_kind(pipe):
     assert source.counts == {"bad-json": 4, "bad-field": 3}
     told = source.take_complaints()
     assert len(told) == 2
-    assert "line 1 is no JSON" in told[0]
+    assert "line 1 is not valid JSON" in told[0]
     assert "line 5" in told[1]
 
 
@@ -548,7 +548,7 @@ def test_garbage_is_counted(stream):
         vehicle.mav.local_position_ned_send(1, 1.0, 2.0, 3.0, 0.0, 0.0, 0.0)
     assert arrived(source)
     assert source.counts["bad-data"] > 0
-    assert "no MAVLink" in source.take_complaints()[0]
+    assert "not valid MAVLink" in source.take_complaints()[0]
 
 
 def test_numbers_that_do_not_fit_are_counted(stream):
@@ -663,9 +663,9 @@ def test_local_coordinates_against_a_sphere_of_the_same_curvature():
     [
         ("", "no position source ''"),
         ("tracks:line", "did you mean 'track'"),
-        ("gps", "there are track, csv, capture, stdin, mavlink"),
-        ("track:", "no track ''; there are line, circle, waypoints, walk"),
-        ("track:line,velocity=3", "no option 'velocity'; there are climb"),
+        ("gps", "known sources are track, csv, capture, stdin, mavlink"),
+        ("track:", "no track ''; known tracks are line, circle, waypoints, walk"),
+        ("track:line,velocity=3", "no option 'velocity'; known options are climb"),
         ("track:line,speed", "'speed' is not of the form key=value"),
         ("track:line,speed=fast", "speed takes a number, not 'fast'"),
         ("track:line,speed=inf", "speed takes a number"),
@@ -687,14 +687,14 @@ def test_local_coordinates_against_a_sphere_of_the_same_curvature():
         (f"capture:{CAPTURES}/a_bus3.mcap,profile=cpp-2.0,node=02:00:00:00:00:01,speed=0", "speed must be greater"),
         (f"capture:{CAPTURES}/a_bus3.mcap,profile=sim-2.0", "no state report in it"),
         ("stdin:x", "stdin takes no options"),
-        ("mavlink:", "the connection is udpin:HOST:PORT"),
-        ("mavlink:udpin:host", "the connection is udpin:HOST:PORT"),
+        ("mavlink:", "a connection is udpin:HOST:PORT"),
+        ("mavlink:udpin:host", "a connection is udpin:HOST:PORT"),
         ("mavlink:udpin:host:0", "a port is 1 to 65535"),
         ("mavlink:udpin:127.0.0.1:14550,frame=xyz", "frame is enu or ned"),
         ("mavlink:udpin:127.0.0.1:14550,origin=1/2", "origin takes three numbers"),
         ("mavlink:udpin:127.0.0.1:14550,origin=100/2/3", "latitude"),
         ("mavlink:udpin:127.0.0.1:14550,system=0", "system takes an integer from 1 to 255"),
-        ("mavlink:serial:/dev/null:57600", "is no serial line"),
+        ("mavlink:serial:/dev/null:57600", "is not a serial line"),
         ("mavlink:serial:/dev/null:5", "5 baud"),
     ],
 )

@@ -157,5 +157,5 @@ def test_names_of_single_files(tmp_path):
 
 @pytest.mark.parametrize("limits", [{"octets": 0}, {"seconds": 0.0}, {"files": 0}])
 def test_limits_that_are_none(limits):
-    with pytest.raises(ValueError, match="cannot be"):
+    with pytest.raises(ValueError, match="must be greater than 0"):
         Limits(**limits)

@@ -57,7 +57,7 @@ def test_root_gives_no_socket_away_that_somebody_else_could_replace(tmp_path: Pa
     # What the attacker does between bind and chown.
     (theirs / "control").unlink()
     (theirs / "control").symlink_to(secret)
-    with pytest.raises(ControlSocketError, match="not root's alone"):
+    with pytest.raises(ControlSocketError, match="not only root can change its folder"):
         control.give_to(NOBODY, NOBODY)
     assert secret.stat().st_uid == 0
     control.close()

@@ -109,7 +109,7 @@ def test_flags_go_before_the_file(tmp_path):
         ("beacon_period = 1", "unknown key 'beacon_period'"),
         ("nodeid = '02'", "did you mean 'node_id'?"),
         ("[bp]\nbeacon_period = 1", "unknown key 'bp.beacon_period'; did you mean 'beacon_period_ms'?"),
-        ("[vardis]\nx = 1", "unknown key 'vardis.x'; there are"),
+        ("[vardis]\nx = 1", "unknown key 'vardis.x'; known keys are"),
         ("[bp]\nbeacon_period_ms = 'fast'", "bp.beacon_period_ms: expected int, got str"),
         ("bp = 3", "bp: expected table, got int"),
         ("metrics = 70000", "metrics: expected int <= 65535"),
@@ -141,7 +141,7 @@ def test_files_that_cannot_be_read(tmp_path):
 @pytest.mark.parametrize(
     ("flags", "message"),
     [
-        ({"node_id": "02:00"}, "has 2 octets, and 6"),
+        ({"node_id": "02:00"}, "has 2 octets; identifiers of profile dcp-2.0 have 6"),
         ({"node_id": "me"}, "is not hex"),
         ({"readings": {"X99": "y"}}, "no reading 'X99'"),
         ({"readings": {"X05": "y"}}, "no alternative 'y'"),

@@ -187,10 +187,10 @@ class TestUnmet:
         )
         text = "\n".join(lines(report))
         assert not report.met
-        assert "NOT MET  the databases agree 1 s after the last event: they never did after 'node 1 updates" in text
+        assert "NOT MET  the databases agree 1 s after the last event: no agreement after 'node 1 updates" in text
         assert "NOT MET  node 1 has variable 1 alive at the end with 'y': it is alive with 'x'" in text
-        assert "NOT MET  the neighbours of node 0 are [1] at the end: they are []" in text
-        assert "is furthest away with" in text
+        assert "NOT MET  the neighbours of node 0 are [1] at the end: found []" in text
+        assert "has the largest deviation with" in text
         assert "node 1 updates variable 1: VARDIS-STATUS-NOT-PRODUCER" in text
         assert report.plain()["met"] is False
 
@@ -198,7 +198,9 @@ class TestUnmet:
         calm, busy = NodeTraffic(0, 200, 0, 0, 10.0), NodeTraffic(1, 181, 0, 0, 9.05, left_out_per_s=0.95)
         (finding,) = judge_all([BeaconRate(per_s=10)], [], [calm, busy])
         assert not finding.met
-        assert finding.found == "node 1 is furthest away with 9.050, and left out 0.950 while the machine was too busy"
+        assert finding.found == (
+            "node 1 has the largest deviation with 9.050; it left out 0.950 because the machine was too busy"
+        )
         report = simulate(Scenario(nodes=2, duration_s=1))
         assert (report.late_s, report.slowest_start_s) == (0, 0)
         assert "machine" not in "\n".join(lines(report))
@@ -221,25 +223,25 @@ class TestUnmet:
 
 
 BAD = [
-    ("nodes = 5\n", "there has to be a key `duration_s`"),
+    ("nodes = 5\n", "missing key `duration_s`"),
     ('nodes = "5"\nduration_s = 1\n', "nodes: Expected `int`, got `str`"),
     ("nodes = 0\nduration_s = 1\n", "nodes: a network has 1 to"),
     ("nodes = 5\nduration_s = 0\n", "duration_s: 0 is not within"),
-    (LINE + "sed = 1\n", "there is no key `sed`; did you mean seed?"),
-    (LINE + "[bp]\nbeacon_period = 1\n", "bp: there is no key `beacon_period`; did you mean beacon_period_ms?"),
+    (LINE + "sed = 1\n", "unknown key `sed`; did you mean seed?"),
+    (LINE + "[bp]\nbeacon_period = 1\n", "bp: unknown key `beacon_period`; did you mean beacon_period_ms?"),
     (LINE + event("crate", 1), "events[0].do: Invalid value 'crate'"),
-    (LINE + event("create", 1, node=0, varable=1), "events[0]: there is no key `varable`; did you mean variable?"),
-    (LINE + event("create", 1, node=0, variable=1), "events[0].value: there has to be either text or value"),
+    (LINE + event("create", 1, node=0, varable=1), "events[0]: unknown key `varable`; did you mean variable?"),
+    (LINE + event("create", 1, node=0, variable=1), "events[0].value: either text or value"),
     (LINE + event("create", 1, node=0, variable=1, value="0g"), "events[0].value: non-hexadecimal"),
     (LINE + event("create", 21, node=0, variable=1, text="x"), "events[0].at_s: 21 is not within the 20 s"),
-    (LINE + event("create", 1, node=5, variable=1, text="x"), "events[0].node: there is no node 5; there are 0..4"),
+    (LINE + event("create", 1, node=5, variable=1, text="x"), "events[0].node: there is no node 5; the nodes are 0..4"),
     (LINE + event("create", 1, node=0, variable=1, text="x", times=2), "events[0].times"),
     (LINE + event("create", 1, node=0, variable=1, text="x", every_s=1e-6), "more than 1000000 events"),
     (LINE + event("partition", 1, groups=[[0, 1], [1]]), "events[0].groups: node 1 is in two groups"),
     (LINE + "[link]\nloss = 2\n", "link: loss 2.0 is not within 0..1"),
     (LINE + "[[links]]\nfrom = 0\nto = 9\n", "links[0].to: there is no node 9"),
     (LINE + '[[tracks]]\nsource = "track:line"\nnodes = [7]\n', "tracks[0].nodes: there is no node 7"),
-    (LINE + '[[tracks]]\nsource = "stdin"\n', "tracks[0].source: stdin does not come with the scenario"),
+    (LINE + '[[tracks]]\nsource = "stdin"\n', "tracks[0].source: stdin cannot be a source of a scenario"),
     (LINE + expect("variable", node=9, variable=1), "expect[0].node: there is no node 9"),
     (LINE + expect("convergd", within_s=1), "expect[0].that: Invalid value 'convergd'"),
     (LINE + 'profile = "dcp-3.0"\n', "profile: unknown profile 'dcp-3.0'"),
@@ -247,7 +249,7 @@ BAD = [
     ("nodes = 5\nduration_s = 1\ntopology = 'ring'\n", "topology 'ring' is none of full"),
     ("nodes = 2\nduration_s = 1\n[topology]\nkind = 'positions'\npositions = [[0,0,0]]\nrange_m = 1\n", "as nodes: 2"),
     ("nodes = 2\nduration_s = 1\n[topology]\nkind = 'neighbours'\nneighbours = [[1],[2]]\n", "topology.neighbours[1]"),
-    ("nodes = \n", "this is not a TOML file"),
+    ("nodes = \n", "not a valid TOML file"),
 ]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import msgspec
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -81,6 +82,20 @@ class TestSeeds:
         assert report.met, report.findings
         assert simulation.agreement.reached
 
+    def test_bursts_and_corruption_harm_nobody_and_are_told(self):
+        def play() -> tuple[str, dict]:
+            scenario = default_scenario(5, topology=parse_topology("line"), duration_s=40.0, seed=3)
+            link = LinkQuality(loss=0.3, burst=5, corrupt=0.0005, corrupt_frames=0.05, flips=3)
+            simulation = Simulation(msgspec.structs.replace(scenario, link=link, events=scenario.events[:2]))
+            report = simulation.run().plain()
+            assert all(each["met"] for each in report["findings"] if "raises" in each["what"]), report["findings"]
+            return report["digest"], report["shares"]
+
+        digest, shares = play()
+        assert shares["lost"] == pytest.approx(0.3, abs=0.05)
+        assert shares["corrupted"] > 0.03
+        assert play() == (digest, shares)
+
 
 class TestServices:
     def test_a_node_answers_as_at_its_control_socket(self):
@@ -94,7 +109,7 @@ class TestServices:
 
     def test_errors_are_those_of_the_control_client(self):
         net = network()
-        with pytest.raises(ServiceError, match="no method"):
+        with pytest.raises(ServiceError, match="unknown method"):
             net.request(0, "RTDB-Crate")
         with pytest.raises(ServiceError, match="varId"):
             net.request(0, "RTDB-Read")
@@ -124,7 +139,7 @@ class TestServices:
         net = network()
         monkeypatch.setattr(Node, "handle_timeout", lambda *_: None)
         net.run_until(SECOND)
-        assert all("is due still" in each.failure for each in net.stations)
+        assert all("is still due" in each.failure for each in net.stations)
 
     def test_stopping_early(self):
         net = network()

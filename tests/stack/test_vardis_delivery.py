@@ -33,8 +33,8 @@ def test_a_neighbour_that_asks_on_and_on() -> None:
     assert found(rig) == []
     rig.receive(VarReqCreate(7))
     assert found(rig) == [
-        f"02:00:00:00:00:02 asked {ASKED_OFTEN} times for variable 7, which was sent each time: "
-        "its record is longer, or repeated more often, than that node takes"
+        f"02:00:00:00:00:02 requested variable 7 {ASKED_OFTEN} times, and it was sent each time: "
+        "its record is longer, or its repetition count higher, than that node accepts"
     ]
     # It has it after all.
     rig.receive(VarSumm(7, 0))
@@ -79,7 +79,10 @@ def test_an_update_that_nobody_shows() -> None:
     for _ in range(100):
         rig.wait(100)
         rig.receive(VarSumm(7, 0))
-    assert found(rig) == ["variable 7: no neighbour shows the update of 10 s ago, and 100 summaries show an older one"]
+    assert found(rig) == [
+        "variable 7: no summary of a neighbour has the update of 10 s ago, "
+        "and 100 summaries have an older sequence number"
+    ]
     rig.receive(VarSumm(7, 1))
     assert found(rig) == []
 
@@ -118,8 +121,8 @@ def test_a_later_creation_that_is_heard_too_late() -> None:
     rig.create()
     rig.receive(rig.vc(prod_id=ME, created=WALL + 3600 * SECOND))
     assert found(rig) == [
-        "variable 7: others know a creation with a later time and ignore this one; "
-        "create it again, and look at the clock"
+        "variable 7: other nodes have a creation with a later time and ignore this one; "
+        "create it again, and check the clock"
     ]
     rig.delete()
     assert found(rig) == []
@@ -211,5 +214,7 @@ def test_variables_get_as_many_repetitions_as_neighbours_take(profile: str, most
 
 def test_more_repetitions_than_neighbours_take_are_warned_of() -> None:
     warnings = list(var._ignored_by_others(Answers("cpp-2.0", 15), "pos", 3))  # type: ignore[arg-type]
-    assert warnings == ["unless set up otherwise, nodes of this profile refuse variables with more than 1 repetitions"]
+    assert warnings == [
+        "unless configured otherwise, nodes of this profile refuse variables with more than 1 repetitions"
+    ]
     assert list(var._ignored_by_others(Answers("dcp-2.0", 15), "pos", 3)) == []  # type: ignore[arg-type]

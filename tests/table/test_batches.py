@@ -122,10 +122,10 @@ def test_frames_with_more_rows_than_the_stage_has(reference, rows, differ):
 
 
 def test_malformed_frames_are_judged_by_the_strict_decoder():
-    """A decoder that refuses what the strict one accepts would be a fault of ours, and is told as one."""
+    """A decoder that rejects a frame that the strict one accepts would be a fault of ours, and is told as one."""
     codec = get_codec("cpp-2.0")
     decoder = ColumnDecoder(codec)
-    with pytest.raises(AssertionError, match="refuses what the strict one accepts"):
+    with pytest.raises(AssertionError, match="rejects a frame that the strict one accepts"):
         decoder._damaged(packed(senders(1), 0), np.array([0]))
 
 

@@ -284,10 +284,10 @@ def test_one_of_several_cannot_be_read(run, tmp_path, archive):
     ("arguments", "message"),
     [
         (("absent.pcap", "-o", "out"), "there is no such file"),
-        (("empty", "-o", "out"), "there are no recordings in it"),
-        (("*.pcap", "-o", "out"), "nothing matches this pattern"),
-        ((C_LATEJOIN, "-o", "one.csv"), "one file has one table"),
-        ((C_LATEJOIN, "-o", "one.csv", "--tables", "beacons,updates"), "one file has one table"),
+        (("empty", "-o", "out"), "the folder has no recordings"),
+        (("*.pcap", "-o", "out"), "no file matches this pattern"),
+        ((C_LATEJOIN, "-o", "one.csv"), "a file holds one table"),
+        ((C_LATEJOIN, "-o", "one.csv", "--tables", "beacons,updates"), "a file holds one table"),
         ((C_LATEJOIN, "-o", "out", "--tables", "nonsense"), "'nonsense' is none of beacons, payloads"),
         ((C_LATEJOIN, "-o", "out", "-p", "nonsense"), "nonsense"),
         ((C_LATEJOIN, "-o", "out", "--scheduler", "tcp://x:1"), "--scheduler is for --engine dask"),
@@ -295,9 +295,9 @@ def test_one_of_several_cannot_be_read(run, tmp_path, archive):
         (("-", C_LATEJOIN, "-o", "out", "-p", "cpp-2.0"), "give - as the only FILE"),
         ((C_LATEJOIN, "-o", "taken"), "is not empty; --force"),
         ((C_LATEJOIN, "-o", "taken", "--format", "duckdb"), "a DuckDB database is a file"),
-        ((C_LATEJOIN, "-o", "taken/file.duckdb"), "is there already; --force"),
+        ((C_LATEJOIN, "-o", "taken/file.duckdb"), "exists already; --force"),
         ((C_LATEJOIN, "-o", "taken/file.duckdb/below"), "taken/file.duckdb"),
-        ((C_LATEJOIN, "-o", "taken/pipe", "--force"), "is neither a file nor a folder, and is not replaced"),
+        ((C_LATEJOIN, "-o", "taken/pipe", "--force"), "is neither a file nor a folder and cannot be replaced"),
         ((C_LATEJOIN, "-o", "out", "--engine", "dask", "--scheduler", "nonsense://x"), "cannot be reached"),
         (
             (C_LATEJOIN, "-o", "srp.csv", "-p", "sim-1.0", "--tables", "srp"),
@@ -432,7 +432,7 @@ def test_a_worker_that_dies(waiting, tmp_path):
     workers = [pid for pid in children if b"spawn_main" in Path(f"/proc/{pid}/cmdline").read_bytes()]
     assert len(workers) == 2
     os.kill(int(workers[0]), signal.SIGKILL)
-    assert "a process that decodes died" in told(waiting)
+    assert "a worker process died" in told(waiting)
     assert waiting.wait() == 2
     nothing_else(tmp_path, "1.pcap", "2.pcap")
 
@@ -479,9 +479,9 @@ def test_open_table_of_several_profiles(archive):
 
 
 def test_open_table_refuses(archive):
-    with pytest.raises(ValueError, match="'nonsense' is none of the tables beacons"):
+    with pytest.raises(ValueError, match="'nonsense' is not one of the tables beacons"):
         open_table(C_LATEJOIN, "nonsense")
     with pytest.raises(ValueError, match="has no table 'srp'"):
         open_table(C_LATEJOIN, "srp", profile="sim-1.0")
-    with pytest.raises(TableError, match="nothing matches"):
+    with pytest.raises(TableError, match="no file matches"):
         open_table(archive / "*.nonsense")

@@ -1,4 +1,4 @@
-"""Judging recordings of networks without touching them."""
+"""Check recordings of networks against the specification, offline."""
 
 from .judge import RULES, Judge
 

@@ -1,4 +1,4 @@
-"""What the invariants of a recording have in common: what they are called, what they have seen, what they found."""
+"""Base classes of the invariants that ``check`` applies to a recording: the frame, the shared context, the finding."""
 
 from __future__ import annotations
 
@@ -21,35 +21,40 @@ from .senders import Senders
 from .statements import CREATE, DELETE, SUMMARY, UPDATE, Part, Statement, parts_of, said_of, speaker
 from .stations import Origin, Stations
 
-#: Findings of one invariant that are shown with their frames; all are counted.
+#: Maximum number of findings of one verdict that an invariant keeps with their frames; further ones are only counted.
 MOST_FINDINGS = 20
-#: Senders, and variables of each, that are followed; what a forged recording has beyond that is not judged.
+#: Maximum numbers of senders, and of pairs of sender and variable, that are followed. They bound the memory that a
+#: recording with forged senders can use; anything beyond them is not judged.
 MOST_SENDERS = 4096
 MOST_VARIABLES = 65_536
 
 
 class Trace(NamedTuple):
-    """What of a frame can be remembered for long."""
+    """The part of a frame that a rule may keep: it holds neither the decoded values nor the dissection."""
 
     number: int
+    """Frame number in the recording."""
     time: int
+    """ns since 1970."""
     seqno: int | None
     octets: bytes
 
 
 class News(NamedTuple):
-    """A record that is not just the summary of what the node has said before."""
+    """A record other than a summary that repeats the sequence number which the node stated last."""
 
     said: Statement
+    """The record."""
     before: Statement | None
-    """The last create, update or summary of the variable by this node, if no beacon of it is missing since, and it has
-    not deleted the variable."""
+    """The node's previous create, update or summary of the variable. None if there is none, if beacons of the node are
+    missing since then, or if the node has deleted the variable since then."""
 
 
 class Seen:
-    """A frame, taken apart: values where it is sound, the dissection whatever it is. What is costly is made when asked.
+    """A frame of the recording with its decoded values, its dissection and its sender.
 
-    ``start`` is where the bearer payload starts in ``frame``, ``destination`` None where frames have no addresses.
+    The dissection, the records and the trace are computed on first access. ``start`` is the offset of the bearer
+    payload in ``frame``, in octets. ``destination`` is None if frames have no addresses.
     """
 
     __slots__ = (
@@ -76,14 +81,15 @@ class Seen:
     ) -> None:
         self.heard = heard
         self.number = heard.number
-        """As in the recording."""
+        """Frame number in the recording."""
         self.time = heard.wall
         """ns since 1970."""
         self.sender = speaker(heard)
-        """The node that speaks; for a beacon without sender, or with a forged one, the station it came from."""
+        """The node to which the frame is attributed; the source station if senderId is missing or forged."""
         self.origin = Origin.USUAL
-        """What the address of the frame says about its sender, with an earlier frame to compare."""
+        """Result of comparing senderId with the source address of the frame."""
         self.origin_frame: int | None = None
+        """Number of an earlier frame that shows the difference if ``origin`` is not USUAL; None if there is none."""
         self.frame = frame
         self.start = start
         self.destination = destination
@@ -93,18 +99,20 @@ class Seen:
         self._said: tuple[Statement, ...] | None = None
         self._trace: Trace | None = None
         self.news: Sequence[News] = ()
-        """What it says of variables, in order, without ``again``. Set by :meth:`Context.feed`."""
+        """The VarDis records in their order, without the summaries counted in ``again``. Set by :meth:`Context.feed`.
+        """
         self.again = 0
-        """How many summaries have the number that the node has said of the variable before, with no beacon missing."""
+        """Number of summaries that repeat the sequence number which the node stated last, with no beacon missing in
+        between."""
 
     @property
     def sound(self) -> bool:
-        """Whether the strict decoder takes it; the dissection of a sound frame has no errors."""
+        """Whether the strict decoder accepts the frame; the dissection of such a frame has no errors."""
         return self.heard.problem is None and self.heard.beacon is not None
 
     @property
     def dissection(self) -> Dissection:
-        """The frame as a tree, with every problem in it."""
+        """The dissection of the frame: a tree of fields with all problems found."""
         if self._dissection is None:
             end = self.start + len(self.heard.octets)
             self._dissection = self._codec.dissect(self.frame[:end], start=self.start, base=self.start)
@@ -112,14 +120,14 @@ class Seen:
 
     @property
     def parts(self) -> list[Part]:
-        """All that it says of variables, by container."""
+        """The VarDis records of the frame, by container."""
         if self._parts is None:
             self._parts = parts_of(self.heard)
         return self._parts
 
     @property
     def said(self) -> tuple[Statement, ...]:
-        """All that it says of variables, in order. Costs more than ``parts`` and ``news``, which say the same."""
+        """All VarDis records of the frame in their order. Prefer ``parts`` or ``news``, which cost less."""
         if self._said is None:
             found = [said_of(part.kind, each, self.heard, self.sender) for part in self.parts for each in part.records]
             self._said = tuple(found)
@@ -127,14 +135,14 @@ class Seen:
 
     @property
     def trace(self) -> Trace:
-        """What may be kept of it."""
+        """The part of the frame that a rule may keep."""
         if self._trace is None:
             self._trace = Trace(self.number, self.time, self.heard.seqno, self.heard.octets)
         return self._trace
 
 
 class Finding(NamedTuple):
-    """Something that an invariant has to say, with the frames that show it."""
+    """An observation of an invariant with its verdict and the frames that show it."""
 
     verdict: Verdict
     requirements: tuple[str, ...]
@@ -142,77 +150,82 @@ class Finding(NamedTuple):
     observed: str
     frames: tuple[Mark, ...]
     key: object = None
-    """Findings of one key are told once; :meth:`Invariant.times` counts them."""
+    """Only the first finding with a given key is kept; :meth:`Invariant.times` counts all of them."""
     time: int | None = None
-    """When it showed first, in ns since 1970; None if it shows in the recording as a whole."""
+    """Time of the first occurrence in ns since 1970; None if only the recording as a whole shows it."""
     consequence: str = ""
-    """What follows for the network, in a sentence; empty: what generally follows."""
+    """One sentence about the effect on the network; empty for the general one of the rule."""
 
 
 Evidence = Seen | Trace | Statement | Instruction | Mark
-"""What can be cited."""
+"""Types that a finding accepts as evidence: frames, records, and places in frames."""
 
 
 Stamp = tuple[int, int]
-"""Number of a frame, and its time in ns since 1970."""
+"""Number of a frame and its time in ns since 1970."""
 
 
 class _Spoken:
-    """What a node has said that it has, since the last gap in its beacons."""
+    """The sequence numbers that a node has stated since the last gap in its beacons."""
 
     __slots__ = ("again", "last", "numbers", "unbroken")
 
     def __init__(self, unbroken: int) -> None:
         self.unbroken = unbroken
-        """:attr:`Sender.unbroken` when what it had said was last forgotten."""
+        """Value of :attr:`Sender.unbroken` at the time of the last reset of this object."""
         self.numbers: dict[int, int] = {}
-        """By variable: the number that it stated last."""
+        """Variable -> the sequence number that the node stated last."""
         self.last: dict[int, Statement] = {}
-        """By variable: the record with which it did that first, or the last one that is no summary."""
+        """Variable -> the first record with that number, or a later one that is not a summary."""
         self.again: dict[int, Stamp] = {}
-        """By variable: the last summary after that one, which tells the same number."""
+        """Variable -> the last summary that repeats that number after the record in ``last``."""
 
 
 class Context:
-    """What all invariants know: beforehand, and of the recording so far."""
+    """State that all invariants share: profile, PICS, and what the recording has shown so far."""
 
     def __init__(self, codec: Codec, pics: Pics, *, period_known: bool = True, restarts_known: bool = False) -> None:
-        """``period_known``: the beacon period is stated, and not taken from the recording itself.
+        """Start with an empty history.
 
-        ``restarts_known``: :meth:`Invariant.interrupted` is called whenever a node was restarted by somebody.
+        ``period_known``: the beacon period in ``pics`` was configured. False: it was measured in the recording.
+        ``restarts_known``: the caller calls :meth:`Invariant.interrupted` for every restart of a node.
         """
         self.codec = codec
         self.pics = pics
         self.period_known = period_known
         self.restarts_known = restarts_known
         self.parameters: Mapping[str, Any] = {}
-        """What the implementation itself has told of its parameters."""
+        """Parameter values that the implementation reported through its upper tester, by name."""
         self.cite: Callable[[str, Mark], Mark | None] = lambda _rule, mark: mark
-        """What a finding of a rule shows for a place in a frame; None: the frame cannot be shown."""
+        """Converts a place in a frame for a finding of the given rule; returns None if the frame is not kept."""
         self.overload: Callable[[], str] = lambda: ""
-        """Why the machine may have slowed down what it runs, in words; empty if it had time for everything."""
+        """Returns the reason why the machine was too busy for exact timing; empty if it was not."""
         self.senders = Senders(MOST_SENDERS)
         self.stations = Stations(MOST_SENDERS)
         self.shared: dict[type, object] = {}
-        """What several invariants make together, by its class."""
+        """Objects that several invariants share, by class."""
         self.lives = Lifetimes(self.senders, MOST_VARIABLES, creation_time=self.features.creation_time)
         self.now: int | None = None
-        """The time of the frame that is being judged, in ns since 1970; None before and after the recording."""
+        """Time of the current frame in ns since 1970; None before and after the recording."""
         self.withheld: dict[str, str] = {}
-        """Requirements that do not pass whatever was shown, and why."""
+        """Requirement -> the reason why it does not get the verdict pass."""
         self.changed = False
-        """Whether there are findings that :meth:`Judge.feed` has not looked at."""
+        """Whether there are findings whose frames :meth:`Judge.feed` has not saved yet."""
         self._spoken: dict[bytes, _Spoken] = {}
         self._pairs = 0
         self.on_gap: list[Callable[[bytes, Mapping[int, Stamp]], None]] = []
-        """Called with a node and its last summaries before they are forgotten, since beacons of it are missing."""
+        """Functions to call when beacons of a node are missing, before its statements are forgotten. Arguments: the
+        node, and its last repeated summaries by variable."""
 
     def withhold(self, requirement: str, why: str) -> None:
-        """Something was heard that speaks against a requirement without refuting it: it does not pass."""
+        """Keep a requirement from the verdict pass; the first reason is kept.
+
+        For observations that raise doubt without proving a violation.
+        """
         self.withheld.setdefault(requirement, why)
 
     def feed(self, seen: Seen) -> None:
-        """The next frame, before the invariants get it."""
+        """Update the shared state with the next frame and complete ``seen``. Call before :meth:`Invariant.feed`."""
         self.now = seen.time
         seen.sender, seen.origin, seen.origin_frame = self.stations.attribute(seen.heard)
         self.senders.feed(seen.sender, seen.heard.seqno, seen.time)
@@ -222,12 +235,18 @@ class Context:
                 self.lives.feed(each)
 
     def said_again(self, node: bytes, var_id: int) -> Stamp | None:
-        """When a node last repeated the number of a variable in a summary; None if it has said anything since."""
+        """Return the last summary with which a node repeated the number of a variable.
+
+        None if there is none, or if the node has sent another record of the variable since then.
+        """
         spoken = self._spoken.get(node)
         return None if spoken is None else spoken.again.get(var_id)
 
     def _sort(self, seen: Seen) -> None:
-        """Tell what is new from what is said again: most of a recording is, and few rules look at it."""
+        """Split the records into news and repeated summaries.
+
+        Most records of a recording are repeated summaries, and few rules need them one by one.
+        """
         node = seen.sender
         sender = self.senders.get(node)
         if sender is None:
@@ -258,7 +277,7 @@ class Context:
         seen.news, seen.again = news, count
 
     def _news(self, each: Statement, spoken: _Spoken) -> News:
-        """A record, with what the node said before; remembers it."""
+        """Return a record together with the node's previous one, and store it."""
         kind, var_id = each.kind, each.var_id
         before = spoken.last.get(var_id)
         if before is not None and (stamp := spoken.again.get(var_id)) is not None:
@@ -278,7 +297,7 @@ class Context:
         return News(each, before)
 
     def _forget(self, node: bytes, spoken: _Spoken, unbroken: int) -> None:
-        """Beacons are missing: what the node says next may be another number rightly."""
+        """Forget a node's statements after missing beacons: it may have changed any number in between."""
         for call in self.on_gap:
             call(node, spoken.again)
         self._pairs -= len(spoken.last)
@@ -294,15 +313,16 @@ class Context:
 
     @property
     def features(self) -> Features:
-        """What the profile's version of the specification has."""
+        """Features of the specification version that the profile follows."""
         return features(self.codec.profile.spec_version)
 
 
 class Invariant:
-    """Something that holds in every recording of nodes that follow the specification.
+    """A rule that holds in every recording of nodes that follow the specification.
 
-    Subclasses say what they are, and get every frame in order with :meth:`feed`, and :meth:`finish` at the end. What
-    they look at, they count with :meth:`exercised`: a recording that never gave an occasion decides nothing.
+    A subclass sets the class attributes and implements :meth:`feed`, which gets every frame in order; :meth:`finish`
+    follows after the last frame. It counts the occasions on which the rule could have been broken with
+    :meth:`exercised` (a requirement without any occasion gets no verdict), and reports with :meth:`violated`.
     """
 
     id: ClassVar[str]
@@ -311,7 +331,7 @@ class Invariant:
     section: ClassVar[str]
     expect: ClassVar[str]
     enough: ClassVar[int] = 10
-    """Occasions from which a recording shows that something holds."""
+    """Minimum number of occasions for the verdict pass."""
 
     def __init__(self, context: Context) -> None:
         self.context = context
@@ -322,21 +342,21 @@ class Invariant:
         self._times: dict[object, int] = {}
 
     def applies(self) -> str:
-        """Why the invariant does not concern recordings of this profile; empty if it does."""
+        """Return why the rule does not apply to recordings of this profile; empty if it does."""
         return ""
 
     def feed(self, seen: Seen) -> None:
-        """A frame. Must be cheap, and keep what it remembers bounded."""
+        """Process a frame. Called for every frame: implementations must be fast and use bounded memory."""
         raise NotImplementedError
 
     def interrupted(self) -> None:
-        """The nodes may have been restarted since the last frame: numbers may start again, and frames be missing."""
+        """Forget what a restart of the nodes changes: numbers may start again, and frames may be missing."""
 
     def finish(self) -> None:
-        """The recording has ended."""
+        """Process the end of the recording."""
 
     def exercised(self, *requirements: str, times: int = 1) -> None:
-        """There was an occasion to break these (by default all of the invariant), or so many."""
+        """Count occasions to break ``requirements`` (default: all requirements of the rule)."""
         if not requirements:
             self._of_all += times
         for each in requirements:
@@ -344,7 +364,7 @@ class Invariant:
 
     @property
     def occasions(self) -> dict[str, int]:
-        """By requirement: how often the recording gave an occasion to break it."""
+        """Requirement -> number of occasions to break it."""
         every = dict.fromkeys(self.requirements, self._of_all) if self._of_all else {}
         return every | {each: count + every.get(each, 0) for each, count in self._occasions.items()}
 
@@ -359,9 +379,11 @@ class Invariant:
         cite: int = 1,
         consequence: str = "",
     ) -> None:
-        """Something does not hold. With ``once``, only the first finding of that key is kept, others are counted.
+        """Add a finding.
 
-        ``cite``: of so many of them the frames are shown. ``consequence``: what follows for the network, in a sentence.
+        ``requirements``: default is all requirements of the rule. ``expected``: default is ``expect`` of the rule.
+        ``once``: a key; only the first finding with this key is kept, further ones are counted. ``cite``: number of
+        findings with one key whose frames are shown. ``consequence``: one sentence about the effect on the network.
         """
         if once is not None:
             times = self._times.get(once, 0)
@@ -372,7 +394,7 @@ class Invariant:
                 if times < cite:
                     self._cite_again(once, frames)
                 return
-        # By verdict: what is merely observed must not crowd out what does not hold.
+        # A limit for each verdict: many observations (info) must not displace a failure.
         if sum(each.verdict is verdict for each in self.findings) >= MOST_FINDINGS:
             self.left_out += 1
             return
@@ -384,37 +406,43 @@ class Invariant:
         self.findings.append(Finding(verdict, rules, expected, observed, marks, once, time, consequence))
 
     def times(self, key: object) -> int:
-        """How often there was something to say under a key (``once`` of :meth:`violated`)."""
+        """Return the number of findings with a key (argument ``once`` of :meth:`violated`)."""
         return self._times.get(key, 0)
 
     def told(self, finding: Finding) -> str:
-        """What was observed, and how often."""
+        """Return the text of a finding; with the count if there were several with its key."""
         times = 1 if finding.key is None else self._times.get(finding.key, 1)
         return finding.observed if times == 1 else f"{finding.observed}; {times} times in all"
 
     def _cite_again(self, key: object, frames: Iterable[Evidence]) -> None:
+        """Add the frames of a further finding to the kept one with the same key."""
         for index, finding in enumerate(self.findings):
             if finding.key == key:
                 self.context.changed = True
                 self.findings[index] = finding._replace(frames=(*finding.frames, *self._marks(frames)))
 
     def _marks(self, frames: Iterable[Evidence]) -> tuple[Mark, ...]:
+        """Return the marks for pieces of evidence, without those whose frame is not kept."""
         cited = (self.context.cite(self.id, self._mark(each)) for each in frames)
         return tuple(mark for mark in cited if mark is not None)
 
     def _time_of(self, what: Evidence) -> int | None:
-        """When that was, in ns since 1970; of a mark the time of the frame that is being judged."""
+        """Return the time of a piece of evidence in ns since 1970; for a mark the time of the current frame."""
         if isinstance(what, Mark):
             return self.context.now
         return what.heard.wall if isinstance(what, Instruction) else what.time
 
     def note(self, question: str, observed: str, frames: Iterable[Evidence], *requirements: str) -> None:
-        """Something that the specification leaves open, or a hazard that it brings about."""
+        """Add a finding without a verdict (info): a choice that the specification leaves open, or a known hazard.
+
+        ``question`` takes the place of the expected behaviour.
+        """
         self.violated(
             observed, frames, *requirements, expected=question, verdict=Verdict.INFO, once=(question, observed)
         )
 
     def _mark(self, what: Evidence) -> Mark:
+        """Return the mark for a piece of evidence; for a record with the path "KIND variable"."""
         if isinstance(what, Mark):
             return what
         if isinstance(what, Seen | Trace):
@@ -425,5 +453,5 @@ class Invariant:
 
 
 def name(node_id: bytes) -> str:
-    """A node identifier for people."""
+    """Return a node identifier as text: colon-separated hex up to 8 octets, otherwise ASCII."""
     return node_id.hex(":") if len(node_id) <= 8 else node_id.decode("ascii", "replace")

@@ -1,22 +1,23 @@
-"""How often something was due and did not come."""
+"""Count how often a reaction was due and was missing."""
 
 from __future__ import annotations
 
 from .statements import Statement
 
-#: Of so many occasions this part must be missed for a verdict; of fewer, down to the last number, every one.
+#: From ``_OCCASIONS`` occasions on, at least the share ``_MISSED`` must be missed for a verdict. With fewer occasions,
+#: but at least ``_FEWEST``, all of them must be missed.
 _OCCASIONS, _MISSED, _FEWEST = 5, 0.8, 4
 
 
 class Counter:
-    """Of how many occasions how many were missed, with examples."""
+    """Numbers of occasions and of missed ones, with the causes of the first three that were missed."""
 
     def __init__(self) -> None:
         self.occasions = self.missed = 0
         self.examples: list[Statement] = []
 
     def note(self, cause: Statement, *, missed: bool) -> None:
-        """One more occasion."""
+        """Count an occasion; ``cause`` is the record that gave it."""
         self.occasions += 1
         if missed:
             self.missed += 1
@@ -25,7 +26,7 @@ class Counter:
 
     @property
     def convincing(self) -> bool:
-        """Whether it is the rule and no exception."""
+        """Whether enough occasions were missed to rule out an exception."""
         if self.occasions < _OCCASIONS:
             return self.missed == self.occasions >= _FEWEST
         return self.missed >= _MISSED * self.occasions

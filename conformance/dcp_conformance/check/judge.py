@@ -1,4 +1,4 @@
-"""Judging a recording: every frame through every invariant, once, in order."""
+"""Judge a recording: pass each frame once, in order, to every invariant, and make a run result of the findings."""
 
 from __future__ import annotations
 
@@ -57,19 +57,20 @@ RULES: tuple[type[Invariant], ...] = (
     *rules_dialogue.RULES,
     *rules_network.RULES,
 )
-_STIMULUS: Final = "none: the recording as it is"
-#: Beacons from which a recording shows that something holds.
+_STIMULUS: Final = "none: the recording is judged unchanged"
+#: Minimum number of beacons in the recording for the verdict pass.
 LEAST_BEACONS: Final = 30
-#: Of a link, what is worth a line: a share that is not nothing, or so many trials without any reaction.
+#: A link is reported if at least the share ``_SOME`` of beacons is heard for certain, or if at most this share is heard
+#: in at least ``_TRIALS`` trials.
 _SOME, _TRIALS = 0.02, 20
-#: Frames of a finding that are shown together lie so close together.
+#: The command that shows a finding covers its frames whose numbers differ from the last one by less than this.
 _NEAR = 10
-#: Frames that are kept for findings that are made later; older ones are cited by number only.
+#: Number of frames that are kept as evidence for later findings; older frames are cited by number only.
 _KEPT = 20_000
 
 
 def cases() -> tuple[Case, ...]:
-    """The invariants as cases, for files of expected results. They are never run as such."""
+    """Return the invariants as test cases, for files of expected results. Nothing executes them."""
     return tuple(
         Case(
             id=rule.id,
@@ -88,14 +89,14 @@ def cases() -> tuple[Case, ...]:
 
 
 def _counted(requirements: Sequence[str], occasions: Mapping[str, int]) -> str:
-    """``12 occasions``, or from the fewest to the most."""
+    """Return ``12 occasions``, or ``3 to 12 occasions`` if the numbers of the requirements differ."""
     counts = sorted({occasions[each] for each in requirements})
     many = f"{counts[0]:,}" if len(counts) == 1 else f"{counts[0]:,} to {counts[-1]:,}"
     return f"{many} occasion{'' if counts == [1] else 's'}"
 
 
 class Judge:
-    """Feed it frames, and ask for the result. Nothing in a frame makes it raise."""
+    """Judges the frames given to :meth:`feed`; :meth:`result` returns the verdicts. No frame makes it raise."""
 
     def __init__(
         self,
@@ -108,10 +109,12 @@ class Judge:
         period_known: bool = True,
         enough: int | None = None,
     ) -> None:
-        """``period_known`` False: the beacon period in ``pics`` was measured in the recording, and proves nothing.
+        """Prepare the rules for the profile of ``codec``.
 
-        ``recording`` is what the result calls the recording, ``path`` the file for commands that show a frame of it.
-        ``enough``: occasions and beacons that show that a rule holds, where it is not for the rules to say.
+        ``recording``: name of the recording in the result. ``path``: its file, for the commands that show a frame.
+        ``command``: the command line in the result. ``period_known``: False if the beacon period in ``pics`` was
+        measured in this recording, which therefore cannot break it. ``enough``: minimum number of occasions and of
+        beacons for the verdict pass; None for the minimum of each rule and ``LEAST_BEACONS``.
         """
         self._codec = codec
         self._pics = pics
@@ -131,16 +134,16 @@ class Judge:
         self.frames = self.other = self.cut = 0
         self._senders: dict[bytes, int] = {}
         self._odd: dict[bytes, set[int]] = {}
-        """By node: variables that it has and has asked for, until it states their numbers again."""
+        """Node -> variables that it has requested although it holds them, until it states their numbers again."""
 
     def feed(self, frame: Frame) -> None:
-        """The next frame of the recording."""
+        """Judge the next frame of the recording; frames of other traffic and truncated frames are only counted."""
         framing = locate(frame.data, self._codec.profile.link)
         if isinstance(framing, OtherTraffic):
             self.other += 1
             return
         if frame.orig_len > len(frame.data):
-            # What is missing was cut off by the recorder; the sender may have sent it all.
+            # The recorder truncated the frame; the sender may have sent a correct one.
             self.cut += 1
             return
         self.frames += 1
@@ -162,7 +165,11 @@ class Judge:
         self._cite()
 
     def _hold(self, seen: Seen, beacon: Beacon) -> None:
-        """Follow what the sender holds. Only a node that asks for what it has does so by more than what is new."""
+        """Follow the variables that the sender holds.
+
+        New records are enough, except for a node that requests a variable which it holds: after that its repeated
+        summaries count, too.
+        """
         node, odd = seen.sender, self._odd.get(seen.sender)
         asked = {
             each.var_id
@@ -182,14 +189,14 @@ class Judge:
         self._odd[node] = odd
 
     def restarted(self, node_id: bytes) -> None:
-        """Say that a node has been restarted since the last frame.
+        """Announce that a node has been restarted since the last frame.
 
         Sequence numbers alone do not show a restart after a single beacon.
         """
         self._context.senders.restarted(node_id)
 
     def _cite(self) -> None:
-        """Keep the frames of new findings while they are there."""
+        """Save the frames that new findings cite, before they leave the buffer of recent frames."""
         if not self._context.changed:
             return
         self._context.changed = False
@@ -205,23 +212,23 @@ class Judge:
                         )
 
     def result(self, notes: Iterable[str] = ()) -> RunResult:
-        """What came of it; call once, at the end."""
+        """Return the verdicts; call once, after the last frame. ``notes`` are added to those of the result."""
         self._context.now = None
         for rule in self._active:
             rule.finish()
         for rule in self._active:
             for finding in rule.findings:
                 if finding.verdict is Verdict.INCONCLUSIVE:
-                    # What one rule doubts no other one shows.
+                    # A requirement that one rule doubts must not pass by another rule.
                     for each in finding.requirements:
                         self._context.withhold(each, finding.observed)
         self._cite()
         cases = (*declarations(self._pics.pics, self._codec.profile, self._command), *map(self._case, self._rules))
         about = [f"{self.frames} frames of {len(self._senders)} senders"]
         if self.other:
-            about.append(f"{self.other} frames of other traffic were passed over")
+            about.append(f"{self.other} frames of other traffic were skipped")
         if self.cut:
-            about.append(f"{self.cut} frames were not recorded to their end, and not judged")
+            about.append(f"{self.cut} frames are truncated in the recording and were not judged")
         run = assemble(
             self._codec.profile,
             self._pics,
@@ -252,7 +259,7 @@ class Judge:
         )
 
     def _links(self) -> Iterator[LinkResult]:
-        """Who hears whom, where there is something to say."""
+        """Yield the links between nodes for which the recording shows either reactions or their absence."""
         for (listener, speaker), link in sorted(summary(reception_of(self._context).links).items()):
             if link.at_least < _SOME and (link.share > _SOME or link.trials < _TRIALS):
                 continue
@@ -262,6 +269,7 @@ class Judge:
             )
 
     def _case(self, rule: Invariant) -> CaseResult:
+        """Return the result of one rule."""
         checks = [
             Check(
                 each.verdict,
@@ -307,7 +315,10 @@ class Judge:
         )
 
     def _passes(self, rule: Invariant, held: list[str], occasions: dict[str, int]) -> Iterator[Check]:
-        """What nothing was found against: shown, seen too seldom, or withheld."""
+        """Yield checks for the requirements in ``held``, which have no finding.
+
+        Their verdict is pass, too-little (not enough occasions), or inconclusive (withheld by another observation).
+        """
         withheld = self._context.withheld
         enough = rule.enough if self._enough is None else self._enough
         least = LEAST_BEACONS if self._enough is None else self._enough
@@ -319,18 +330,18 @@ class Judge:
         if few:
             seen = f"{_counted(few, occasions)} in {self.frames} beacon{'' if self.frames == 1 else 's'}"
             wanted = f"{rule.expect}, in at least {enough} occasion{'' if enough == 1 else 's'} and {least} beacons"
-            yield Check(Verdict.TOO_LITTLE, few, wanted, f"too little to say: {seen}")
+            yield Check(Verdict.TOO_LITTLE, few, wanted, f"too few for a verdict: {seen}")
         for each in speaks:
-            yield Check(Verdict.INCONCLUSIVE, (each,), f"{rule.expect}, and nothing against it", withheld[each])
+            yield Check(Verdict.INCONCLUSIVE, (each,), f"{rule.expect}, without contrary observations", withheld[each])
 
     def _seconds(self, finding: Finding) -> float | None:
-        """When a finding showed first, in seconds since the first frame."""
+        """Return the time of a finding in seconds since the first frame; None if it has no time."""
         if finding.time is None or self._first is None:
             return None
         return round((finding.time - self._first) / 1e9, 6)
 
     def _show(self, finding: Finding) -> str:
-        """The command that shows the frames of a finding, from the first to the last where they are close together."""
+        """Return the command that shows the last frame of a finding and those shortly before it; empty if none."""
         numbers = sorted({mark.frame for mark in finding.frames if mark.frame})
         if not numbers:
             return ""
@@ -341,9 +352,10 @@ class Judge:
         return shlex.join(["dcp-codec", "decode", self._path, "--profile", profile, "--frames", frames])
 
     def _marks(self, marks: tuple[Mark, ...]) -> tuple[Mark, ...]:
-        """With the octets of records whose place was given as "KIND variable"."""
+        """Return the marks, with offset and length for records that were given as "KIND variable"."""
         return tuple(self._placed(mark) for mark in marks)
 
     def _placed(self, mark: Mark) -> Mark:
+        """Locate the record of a mark in its saved frame (:func:`placed`); keep the mark if the frame is not saved."""
         event = self._cited.get(mark.frame)
         return mark if event is None else placed(self._codec, mark, bytes.fromhex(event.octets), event.start)

@@ -1,9 +1,9 @@
-"""The variables of a recording: whether all that is said of an identifier is said of one and the same variable.
+"""Lifetimes of variables: whether all records with one identifier in a recording are about one creation of it.
 
-Updates and summaries carry an identifier and a number, and not which creation of the variable they are about. Where an
-identifier has been used twice (created again, by two nodes, after a restart), nodes may rightly have different things
-under one number, and pass them on (hazards H3 to H6). Only of a variable with a single life in the recording it is
-certain that all nodes must say the same.
+Updates and summaries carry an identifier and a sequence number, but do not name the creation that they belong to. If an
+identifier is used several times (created again, created by two nodes, created after a restart), nodes may correctly
+hold and forward different values under one number (hazards H3 to H6). Only if a variable has a single lifetime in the
+recording, all nodes must agree about it.
 """
 
 from __future__ import annotations
@@ -20,19 +20,20 @@ from .statements import Statement
 
 @dataclass(slots=True)
 class Lifetime:
-    """What is known of one identifier."""
+    """The known facts about one variable identifier."""
 
     producer: bytes | None = None
     spec: VarSpec | None = None
     first: Statement | None = None
-    """Its producer's first create, if nobody had spoken of it before."""
+    """The producer's first create, if it was the first record about the identifier."""
     producer_life: int = 0
+    """Number of the producer's restarts (:meth:`Senders.life`) when its create was first heard."""
     mixed: bool = False
-    """There was another life, or may have been."""
+    """Whether the identifier has had, or may have had, another lifetime."""
 
 
 class Lifetimes:
-    """All variables of a recording."""
+    """The lifetimes of all variables of a recording."""
 
     def __init__(self, senders: Senders, most: int, *, creation_time: bool) -> None:
         self._senders = senders
@@ -41,7 +42,7 @@ class Lifetimes:
         self._known: dict[int, Lifetime] = {}
 
     def feed(self, said: Statement) -> None:
-        """Something is said of a variable."""
+        """Process a record about a variable."""
         life = self._known.get(said.var_id)
         create = said.record if said.kind is ICType.CREATE_VARIABLES else None
         if life is None:
@@ -57,10 +58,11 @@ class Lifetimes:
             elif self._another(life.spec, create.spec, said.sender):
                 life.mixed = True
         elif said.kind is ICType.DELETE_VARIABLES:
-            # It may come back, and not all nodes need have heard that it had gone.
+            # It may be created again, and some nodes may have missed the delete.
             life.mixed = True
 
     def _another(self, known: VarSpec, spec: VarSpec, sender: bytes) -> bool:
+        """Whether a create (with ``spec``, from ``sender``) is about another creation than the known one."""
         if spec.prod_id != known.prod_id:
             return True
         if self._creation_time:
@@ -68,20 +70,20 @@ class Lifetimes:
         return spec != known and sender == spec.prod_id
 
     def producer(self, var_id: int) -> bytes | None:
-        """Who produces a variable, as it was first said."""
+        """Return the producer in the first create of a variable; None if no create was heard."""
         life = self._known.get(var_id)
         return None if life is None else life.producer
 
     def first(self, var_id: int) -> tuple[int, Statement] | None:
-        """When its producer created a variable of which nobody had spoken before, in ns since 1970, and the record."""
+        """Return time (ns since 1970) and record of the producer's create if it was the variable's first record."""
         life = self._known.get(var_id)
         return None if life is None or life.first is None else (life.first.time, life.first)
 
     def born(self, var_id: int) -> int | None:
-        """When a variable was created of which the recording shows the only life so far, from its beginning.
+        """Return the creation time (ns since 1970) of a variable whose only lifetime the recording shows completely.
 
-        None for all others: its producer has been restarted, or beacons of it are missing, or it was deleted; then
-        there may be another life.
+        None if another lifetime is possible: the producer was restarted, beacons of it are missing, the variable was
+        deleted, or its creation was not recorded.
         """
         life = self._known.get(var_id)
         if life is None or life.first is None or life.mixed or life.producer is None:

@@ -1,4 +1,4 @@
-"""Where in a frame the record is that a finding is about."""
+"""Locate the record that a finding is about in its frame."""
 
 from __future__ import annotations
 
@@ -7,9 +7,10 @@ from dcp_conformance.model.results import Mark
 
 
 def placed(codec: Codec, mark: Mark, frame: bytes, start: int) -> Mark:
-    """A mark with the octets of the record whose path was given as "KIND variable"; others as they are.
+    """Replace the path "KIND variable" of a mark by the offset, length and path of that record; keep other marks.
 
-    ``start`` is where the bearer payload starts in ``frame``.
+    ``start`` is the offset of the bearer payload in ``frame``, in octets. If the frame has no such record, the mark of
+    the whole frame is returned.
     """
     if mark.length or not mark.path:
         return mark

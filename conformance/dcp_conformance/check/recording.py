@@ -1,4 +1,4 @@
-"""From a file to a verdict."""
+"""Judge a recording file: choose its profile, estimate its beacon period, and pass its frames to the judge."""
 
 from __future__ import annotations
 
@@ -27,7 +27,8 @@ from dcp_conformance.model.results import RunResult
 from .judge import Judge
 from .versions import Versions, undecided, weakness
 
-#: Frames from which the beacon period is taken, and intervals of a sender that this needs.
+#: Number of frames at the start of a recording from which the beacon period is estimated, and the minimum number of
+#: intervals of a sender.
 _LOOKED_AT, _ENOUGH = 5_000, 10
 
 
@@ -41,12 +42,15 @@ def judge_recording(
     period_known: bool = False,
     show_progress: bool = False,
 ) -> tuple[RunResult, Codec]:
-    """Judge one recording; also the codec it was read with.
+    """Judge one recording; return the result and the codec that decoded it.
 
-    ``period_known``: the beacon period of ``pics`` is that of the network; otherwise the recording shows it.
-    ``show_progress``: show a bar on standard error, if that is a terminal and the file is long.
+    ``profile``: name or file of a profile; None for the one in ``pics``, or else a guess. ``ether_type``: replaces the
+    EtherType of the profile. ``period_known``: the beacon period in ``pics`` is that of the network; False: estimate
+    it from the recording. ``show_progress``: show a progress bar on standard error if that is a terminal and the file
+    is long.
 
-    Raises :class:`UsageError`: no such file, no capture, no such profile, nothing in it that looks like DCP.
+    Raises :class:`UsageError` if the file or the profile does not exist, or the file is not a capture or has no DCP
+    frames.
     """
     return judge_versions(
         path, profile, pics, ether_type=ether_type, command=command, period_known=period_known,
@@ -64,10 +68,10 @@ def judge_versions(
     period_known: bool = False,
     show_progress: bool = False,
 ) -> list[tuple[RunResult, Codec]]:
-    """Judge one recording as :func:`judge_recording` does; two results where two versions are on the air.
+    """Judge one recording like :func:`judge_recording`; return two results if it has beacons of two versions.
 
-    Each frame is judged by the profile of its version, and only with those of the same one. Where the profile is a weak
-    guess, no verdict is given at all.
+    Each frame is judged by the profile of its version, together with the other frames of that version only. If the
+    profile is a weak guess, every verdict is replaced by inconclusive.
 
     Raises :class:`UsageError` as :func:`judge_recording` does.
     """
@@ -78,7 +82,7 @@ def judge_versions(
     notes: list[str] = []
     try:
         with open_capture(path) as reader:
-            # As text that a report can hold: names of files are octets.
+            # File names are octets: make them valid Unicode, so that the report can be written.
             name = path.name.encode("utf-8", "backslashreplace").decode()
             judges = [
                 Judge(codec, each, recording=name, path=str(path), command=command, period_known=period_known)
@@ -102,13 +106,14 @@ def judge_versions(
 
 
 class _Choice:
-    """The codec to read a recording with, and what there is to say about the choice."""
+    """The codec that decodes a recording, and notes about its choice."""
 
     def __init__(self, path: Path, profile: str | None, ether_type: str | None) -> None:
         self.notes: list[str] = []
         self.other: Codec | None = None
-        """That of a second version that is on the air."""
+        """Codec of a second version in the recording; None if there is only one."""
         self.weakness = ""
+        """Why the guessed profile is too uncertain for verdicts; empty if it is certain enough, or was named."""
         if profile is not None:
             self.codec, self.notes = _codec(profile, ether_type)
             return
@@ -125,7 +130,7 @@ class _Choice:
 
 
 def _period(path: Path, codec: Codec) -> float | None:
-    """The longest beacon period of any sender in ms, as the beginning shows it; None if it does not."""
+    """Return the longest beacon period of all senders in ms, estimated from the first frames; None without enough."""
     last: dict[bytes, ReceivedBeacon] = {}
     intervals: dict[bytes, list[float]] = {}
     try:
@@ -147,13 +152,14 @@ def _period(path: Path, codec: Codec) -> float | None:
 
 
 def _with_period(pics: Pics, period: float | None) -> Pics:
+    """Return ``pics`` with this beacon period in ms; unchanged if it is None or not positive."""
     if period is None or period <= 0:
         return pics
     return msgspec.structs.replace(pics, pixit=msgspec.structs.replace(pics.pixit, beacon_period_ms=period))
 
 
 def _codec(profile: str, ether_type: str | None) -> tuple[Codec, list[str]]:
-    """The codec of a profile that was named."""
+    """Return the codec of the profile that the user named, and an empty list of notes. Raises :class:`UsageError`."""
     number = _number(ether_type)
     try:
         codec = Codec(profile)
@@ -167,7 +173,7 @@ def _codec(profile: str, ether_type: str | None) -> tuple[Codec, list[str]]:
 
 
 def _refuse_own_records(profile: Profile) -> None:
-    """Rules speak of the records of the specification: raise :class:`UsageError` for a profile with others."""
+    """Raise :class:`UsageError` if a profile changes the VarDis records: the rules need those of the specification."""
     keys = unusable_keys(profile)
     own = {key: reason for key, reason in keys.items() if key.startswith("vardis.records.")}
     standard = load_profile(f"dcp-{profile.spec_version}").vardis.own_containers
@@ -176,12 +182,13 @@ def _refuse_own_records(profile: Profile) -> None:
     if own:
         told = ", ".join(f"{key} {reason.partition(';')[0]}" for key, reason in own.items())
         raise UsageError(
-            f"profile {profile.name}: check knows the rules of the specification's records only ({told}); "
-            "dcp-codec decodes such recordings"
+            f"profile {profile.name}: check has rules for the records of the specification only ({told}). "
+            "To decode such a recording, use dcp-codec"
         )
 
 
 def _number(ether_type: str | None) -> int | None:
+    """Parse the option ``--ether-type``. Raises :class:`UsageError`."""
     try:
         return None if ether_type is None else parse_ether_type(ether_type)
     except ValueError as error:
@@ -189,20 +196,20 @@ def _number(ether_type: str | None) -> int | None:
 
 
 def guessed_profile(path: Path) -> str:
-    """The name of the profile that explains a recording best. Raises :class:`UsageError`."""
+    """Return the name of the profile that fits a recording best. Raises :class:`UsageError`."""
     found = _guessed(path)
     _warn(path, found)
     return found.best.profile.name
 
 
 def _warn(path: Path, found: Guess) -> None:
-    """A verdict on octets that the profile does not explain is worth nothing: say so, also without a report."""
+    """Print a warning about a weak guess: verdicts by a profile that does not fit mean nothing."""
     if found.warning is not None:
         say(f"{path}: {found.warning}: name one with --profile, or see dcp-codec guess {path}", err=True)
 
 
 def _guessed(path: Path, ether_type: int | None = None) -> Guess:
-    """What the profile of a recording is, with the link it was found on."""
+    """Guess profile and link of a recording. Raises :class:`UsageError` if it has no frames that could be DCP."""
     try:
         with open_capture(path) as reader:
             first, _ = sample(iter(reader), ether_type=ether_type)
@@ -210,9 +217,11 @@ def _guessed(path: Path, ether_type: int | None = None) -> Guess:
     except CaptureError as error:
         raise UsageError(str(error)) from None
     if not first:
-        raise UsageError(f"{path}: there are no frames in it" + (f": {damage}" if damage else ""))
+        raise UsageError(f"{path}: the recording has no frames" + (f": {damage}" if damage else ""))
     found = guess(first, ether_type=ether_type)
     if not found.best.frames:
         where = "the EtherTypes and ports of the built-in profiles" if ether_type is None else f"0x{ether_type:04x}"
-        raise UsageError(f"{path}: no frames to tell the profile by under {where}; dcp-codec stats shows what there is")
+        raise UsageError(
+            f"{path}: cannot determine the profile: no frames with {where}; dcp-codec stats shows what the file has"
+        )
     return found

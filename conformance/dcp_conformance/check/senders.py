@@ -1,7 +1,7 @@
-"""Who speaks in a recording, and what of it the recorder may have missed.
+"""The senders of a recording: their restarts, and the beacons that the recorder missed.
 
-A recorder loses frames, and nodes are restarted. Whatever is concluded from a node's *not* having said something, or
-from its having said something before, holds only while nothing of it was missed.
+A recorder loses frames, and nodes are restarted. A conclusion from a missing record, or from an earlier record of the
+same node, is valid only if no beacon of the node is missing in between.
 """
 
 from __future__ import annotations
@@ -11,46 +11,51 @@ from dataclasses import dataclass
 
 from dcp_spec.constants import BP_SEQNO_MODULUS
 
-#: More than so many beacons of a sender that are not in the recording can hide a restart.
+#: A gap of more than this number of missing beacons can hide a restart.
 _LONG_GAP = 20
-#: For senders without numbers: a pause of so many ns can hide anything.
+#: For senders without sequence numbers: a pause of more than this (ns) is treated as a long gap.
 _PAUSE = 2_000_000_000
-#: Gaps that are remembered.
+#: Maximum number of gaps that are remembered.
 _GAPS = 256
 
 
 @dataclass(slots=True)
 class Sender:
-    """One node, as far as the recording shows it. Times are ns since 1970."""
+    """The state of one sending node. Times are in ns since 1970."""
 
     first: int
+    """Time of its first beacon."""
     time: int
+    """Time of its last beacon."""
     seqno: int | None
+    """Last sequence number; None if its beacons are not numbered."""
     life: int = 0
-    """Counts restarts, also possible ones."""
+    """Number of restarts, including possible ones."""
     unbroken: int = 0
-    """Since when none of its beacons is missing."""
+    """Time since which none of its beacons is missing."""
     beacons: int = 0
+    """Number of beacons in the recording."""
     in_life: int = 1
-    """Beacons since the last restart, or possible one."""
+    """Number of beacons since the last (possible) restart."""
 
 
 class Senders:
     """All senders of a recording."""
 
     def __init__(self, most: int) -> None:
+        """``most``: maximum number of senders to follow; further ones are ignored."""
         self._most = most
         self._known: dict[bytes, Sender] = {}
         self._gaps: deque[tuple[int, int]] = deque(maxlen=_GAPS)
         self._restarted: set[bytes] = set()
 
     def restarted(self, who: bytes) -> None:
-        """Somebody has restarted a node: its next beacon begins a new life, whatever its number."""
+        """Announce that a node was restarted: its next beacon begins a new life, whatever its sequence number is."""
         if who in self._known:
             self._restarted.add(who)
 
     def feed(self, who: bytes, seqno: int | None, time: int) -> None:
-        """A beacon; ``seqno`` None where beacons are not numbered, or this one is none."""
+        """Process a beacon; ``time`` in ns since 1970, ``seqno`` None if it has no sequence number."""
         sender = self._known.get(who)
         if sender is None:
             if len(self._known) < self._most:
@@ -60,7 +65,7 @@ class Senders:
         missed = 0
         if seqno is not None and sender.seqno is not None:
             step = (seqno - sender.seqno) % BP_SEQNO_MODULUS
-            # Twice the number of its first beacon: a restart after a single beacon, or a copy of that beacon.
+            # The number of the only beacon so far again: a restart after a single beacon, or a copy of that beacon.
             again = not step and sender.in_life == 1
             missed = _LONG_GAP + 1 if again else max(step - 1, 0)
         elif time - sender.time > _PAUSE:
@@ -78,21 +83,21 @@ class Senders:
         sender.time, sender.seqno = time, seqno if seqno is not None else sender.seqno
 
     def get(self, who: bytes) -> Sender | None:
-        """A sender, None for one that is not followed."""
+        """Return the state of a sender; None if it is not followed."""
         return self._known.get(who)
 
     def life(self, who: bytes) -> int:
-        """Changes when a sender was restarted, or may have been."""
+        """Return the number of restarts of a sender, including possible ones; 0 if it is not followed."""
         sender = self._known.get(who)
         return 0 if sender is None else sender.life
 
     def unbroken(self, who: bytes, since: int) -> bool:
-        """Whether no beacon of a sender is missing from ``since``, or its first one, to its last one."""
+        """Whether no beacon of a sender is missing since the time ``since`` (ns since 1970), or since its first one."""
         sender = self._known.get(who)
         return sender is not None and sender.unbroken <= max(since, sender.first)
 
     def complete(self, begin: int, end: int) -> bool:
-        """Whether no beacon of anybody is known to be missing between two times."""
+        """Whether no beacon of any sender is known to be missing between two times (ns since 1970)."""
         if self._gaps and len(self._gaps) == _GAPS and self._gaps[0][0] > begin:
             return False
         return not any(first <= end and last >= begin for first, last in self._gaps)

@@ -1,4 +1,4 @@
-"""What nodes say of variables, in a form that can be remembered for long."""
+"""VarDis records without their frames, in a form that rules can keep for long."""
 
 from __future__ import annotations
 
@@ -11,22 +11,23 @@ from dcp_conformance.frames.received import KIND_OF, ReceivedBeacon
 
 
 class Statement(msgspec.Struct, frozen=True, gc=False):
-    """A record of a VarDis payload, without the frame around it: what can be remembered for long."""
+    """A record of a VarDis payload with its sender, frame number and time, but without the frame."""
 
     kind: ICType
     record: Any
     frame: int
+    """Number of the frame in the recording."""
     time: int
     """ns since 1970."""
     sender: bytes
     var_id: int
-    """The variable that it is about; of a VarCreate that of its VarSpec (X14)."""
+    """Variable identifier; of a VarCreate the one in its VarSpec (X14)."""
     number: int
-    """The sequence number that it carries, -1 for a record without."""
+    """Sequence number of the variable in the record; -1 if it has none."""
 
 
 class Part(NamedTuple):
-    """The records of a container, and the variables that they are about."""
+    """The records of a container, and their variable identifiers in the same order."""
 
     kind: ICType
     records: tuple[Any, ...]
@@ -34,21 +35,21 @@ class Part(NamedTuple):
 
 
 def speaker(heard: ReceivedBeacon) -> bytes:
-    """The node that a frame is from; for one without sender the station."""
+    """Return senderId of a beacon; the source address of the frame if it has none."""
     return heard.sender or heard.source
 
 
 CREATE, UPDATE, SUMMARY = ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.SUMMARIES
 DELETE, ASK_UPDATE, ASK_CREATE = ICType.DELETE_VARIABLES, ICType.REQUEST_VARUPDATES, ICType.REQUEST_VARCREATES
-"""Members of the enumeration by names of the module: looking them up there takes longer than most rules."""
+"""Local aliases: access to enum members costs more time than most rules."""
 
 
 def parts_of(heard: ReceivedBeacon) -> list[Part]:
-    """What a frame says of variables, by container; empty containers are left out."""
+    """Return the VarDis records of a frame by container; empty containers are left out."""
     parts: list[Part] = []
     for container in heard.containers:
         records = container.records
-        # No rule speaks of the records of a container type of the profile's own.
+        # Skip container types that a profile adds: no rule is about their records.
         if records and (kind := KIND_OF.get(type(records[0]))) is not None:
             ids = [each.spec.var_id for each in records] if kind is CREATE else [each.var_id for each in records]
             parts.append(Part(kind, records, ids))
@@ -56,7 +57,7 @@ def parts_of(heard: ReceivedBeacon) -> list[Part]:
 
 
 def said_of(kind: ICType, record: Any, heard: ReceivedBeacon, sender: bytes) -> Statement:
-    """A record of a frame of ``sender``."""
+    """Return a record of the beacon ``heard`` as a statement of ``sender``."""
     if kind is CREATE:
         return Statement(kind, record, heard.number, heard.wall, sender, record.spec.var_id, record.upd.seqno)
     number = -1 if kind is DELETE or kind is ASK_CREATE else record.seqno
@@ -64,5 +65,5 @@ def said_of(kind: ICType, record: Any, heard: ReceivedBeacon, sender: bytes) -> 
 
 
 def statements_in(heard: ReceivedBeacon, sender: bytes) -> tuple[Statement, ...]:
-    """What a frame of ``sender`` says of variables."""
+    """Return all VarDis records of a beacon as statements of ``sender``."""
     return tuple([said_of(kind, record, heard, sender) for kind, records, _ in parts_of(heard) for record in records])

@@ -1,8 +1,8 @@
-"""Which station sent a frame: the address of the frame against the node identifier in the beacon.
+"""Attribute frames to nodes by the source address of the frame and the senderId of the beacon.
 
-Whatever a forged beacon says must not be held against the node whose identifier it carries. A beacon that comes from
-another station than all others with this identifier is the node's own only if it continues the node's numbers (a
-gateway may carry the beacons of others); otherwise it gets a speaker of its own.
+A node must not be blamed for forged beacons that carry its identifier. A beacon from another source address than the
+earlier beacons with this identifier is attributed to the node only if it continues the node's sequence numbers (a
+gateway may forward beacons). Otherwise it is attributed to a separate sender.
 """
 
 from __future__ import annotations
@@ -16,49 +16,54 @@ from dcp_conformance.frames.received import ReceivedBeacon
 
 from .statements import speaker
 
-#: A beacon continues a sequence of numbers that was so far behind at most.
+#: A beacon continues a sequence if its number is at most this much larger than the last one.
 _CONTINUES = 20
-#: So many beacons under one identifier make it the usual one of a station.
+#: Number of beacons with one identifier after which it is the usual one of a station.
 _USUAL = 3
 
 
 class Origin(Enum):
-    """What the address of a frame says about the node identifier in it."""
+    """The relation between the source address of a frame and the senderId of its beacon."""
 
     USUAL = auto()
-    """The station uses this identifier, and nobody else does."""
+    """This station uses this identifier, and no other station does."""
     ANOTHER = auto()
-    """The station has used another identifier before: several nodes, a gateway, or a change."""
+    """The station has used another identifier before: it has several nodes, is a gateway, or was reconfigured."""
     WRONG = auto()
-    """It continues the station's own numbers, but not its identifier."""
+    """The beacon continues the sequence numbers of the station, but has another identifier."""
     FORGED = auto()
-    """The identifier belongs to another station, whose numbers it does not continue."""
+    """The identifier belongs to another station, and the beacon does not continue the sequence numbers of that one."""
 
 
 @dataclass(slots=True)
 class _Station:
+    """A source address with the node identifier that it usually sends."""
+
     node: bytes
     frame: int
-    """The first frame with the usual identifier."""
+    """Number of the first frame with this identifier."""
     seqno: int | None
+    """Sequence number of the last beacon attributed to the station."""
     beacons: int = 1
+    """Number of beacons with this identifier."""
 
 
 class Stations:
-    """All stations of a recording, by the address of their frames."""
+    """All stations of a recording, by the source address of their frames."""
 
     def __init__(self, most: int) -> None:
+        """``most``: maximum number of stations to follow."""
         self._most = most
         self._stations: dict[bytes, _Station] = {}
         self._owners: dict[bytes, bytes] = {}
-        """Node identifier -> the station that used it first."""
+        """Node identifier -> source address that used it first."""
         self._last: dict[bytes, int | None] = {}
-        """Node identifier -> number of its last beacon, from whatever station."""
+        """Node identifier -> sequence number of its last beacon, from any station."""
 
     def attribute(self, heard: ReceivedBeacon) -> tuple[bytes, Origin, int | None]:
-        """Who speaks in a frame, what the address says about it, and an earlier frame that shows the difference.
+        """Return the sender of a beacon, the result of the comparison, and an earlier frame that shows a difference.
 
-        The speaker of a forged beacon has a name of its own, which is text: ``"<address> as <identifier>"``.
+        The sender of a forged beacon is the ASCII text ``<address> as <identifier>`` instead of a node identifier.
         """
         node, source = heard.sender, heard.source
         if node is None or not any(source) or heard.beacon is None:
@@ -94,4 +99,5 @@ class Stations:
 
     @staticmethod
     def _continues(last: int | None, seqno: int | None) -> bool:
+        """Whether ``seqno`` is at most ``_CONTINUES`` larger than ``last`` (modulo 2^32)."""
         return last is not None and seqno is not None and (seqno - last) % BP_SEQNO_MODULUS <= _CONTINUES

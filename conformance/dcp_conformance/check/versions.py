@@ -1,4 +1,4 @@
-"""What to do where the profile of a recording is in doubt: nobody is judged by a guess, and each version by its own."""
+"""Recordings with an uncertain profile or with two versions: withhold verdicts, or split the frames by version."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from dcp_conformance.model.verdict import Verdict
 
 
 def weakness(guess: Guess, path: object) -> str:
-    """Why a guess is too weak to judge by, and what to do; empty if it is good enough."""
+    """Return why a guess is too weak for verdicts and what the user can do; empty if it is strong enough."""
     best = guess.best
     if not guess.weak:
         return ""
     others = ", ".join(each.profile.name for each in guess.tied)
     return (
-        f"nobody is judged: the profile {best.profile.name} is a weak guess ({best.counts}"
+        f"no verdicts: the profile {best.profile.name} is a weak guess ({best.counts}"
         f"{f'; {others} explain as much' if others else ''}). Name the profile with --profile; "
-        f"'dcp-codec guess {path}' shows how well each fits; a profile in TOML describes octets that none fits"
+        f"'dcp-codec guess {path}' shows how well each one fits; if none fits, describe the format in a TOML profile"
     )
 
 
 def undecided(run: RunResult, why: str) -> RunResult:
-    """The same run without any verdict: what was merely observed stays."""
+    """Return the run with each verdict replaced by inconclusive; observations (info) are kept."""
     cases = tuple(_undecided(case, why) for case in run.cases)
     return msgspec.structs.replace(
         run, cases=cases, requirements={}, declared={}, summary=summarise(cases), notes=(why, *run.notes)
@@ -34,6 +34,7 @@ def undecided(run: RunResult, why: str) -> RunResult:
 
 
 def _undecided(case: CaseResult, why: str) -> CaseResult:
+    """Replace pass, fail and inconclusive by inconclusive with the reason ``why``."""
     if case.verdict not in (Verdict.PASS, Verdict.FAIL, Verdict.INCONCLUSIVE):
         return case
     check = Check(Verdict.INCONCLUSIVE, case.requirements, why)
@@ -44,14 +45,18 @@ def _undecided(case: CaseResult, why: str) -> CaseResult:
 
 
 class Versions:
-    """Two versions of beacons on one bus: which of two codecs a frame is for."""
+    """Assigns the frames of a recording with two versions to one of two codecs."""
 
     def __init__(self, first: Codec, second: Codec) -> None:
+        """Frames that fit neither codec, from a station without other frames, belong to ``first``."""
         self.codecs = (first, second)
         self._stations: dict[bytes, list[int]] = {}
 
     def of(self, frame: Frame) -> int:
-        """0 or 1; a frame that is sound in neither goes with the others of its station."""
+        """Return the index of the codec for a frame, 0 or 1.
+
+        If both codecs or none decode it without errors, the one with more frames of its station is taken.
+        """
         sound: list[bool] = []
         source = b""
         for codec in self.codecs:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dcp_codec.common.commandline import CommandLine
 from dcp_conformance.errors import ConformanceError, LowerTesterError, UpperTesterError
 
-#: What went wrong for want of a link or an upper tester is the tester's trouble, everything else wrong usage.
+#: Exit status by exception: failures of the link or the upper tester are the tester's trouble, others wrong usage.
 _FAILURES: dict[type[Exception], int] = {LowerTesterError: 4, UpperTesterError: 4, ConformanceError: 2}
 
 main = CommandLine(
@@ -18,10 +18,10 @@ main = CommandLine(
         "check": "Judge recordings of a network.",
         "replay": "Play a recording at an implementation.",
         "fuzz": "Find inputs that break an implementation.",
-        "report": "Make a report again, or put several runs side by side.",
+        "report": "Generate a report again, or compare several runs in one table.",
         "compare": "Show which verdicts differ between two runs.",
         "interop": "Test networks of several implementations.",
-        "selftest": "Test the suite with mutants of our own node.",
+        "selftest": "Test the suite with mutants of the reference node.",
         "provenance": "Compare the catalogue with another version of the specification.",
     },
     about="Test implementations of DCP (Drone Coordination Protocol), live or from recordings.",

@@ -26,11 +26,11 @@ if TYPE_CHECKING:
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-#: Tests that are written when nothing is said about how many.
+#: Default number of tests that ``--dry-run`` writes.
 _DRY_RUN = 1000
 #: Value of ``--coverage`` without a file.
 SHOWN = ""
-#: Exit status of what was stopped, as shells give it.
+#: Exit status of a campaign that was stopped by a signal, as in shells.
 _STOPPED = 130
 
 
@@ -51,12 +51,12 @@ jobs_option = click.option(
 )
 
 
-def _is_there_once(_context: click.Context, _parameter: click.Parameter, value: Any) -> None:
+def _reject_jobs(_context: click.Context, _parameter: click.Parameter, value: Any) -> None:
     if value is not None:
-        raise UsageError("--jobs is for fuzz stack and fuzz codec: an implementation on the air is there only once")
+        raise UsageError("--jobs is for fuzz stack and fuzz codec: a live implementation exists only once")
 
 
-no_jobs = click.option("--jobs", "-j", hidden=True, expose_value=False, callback=_is_there_once)
+no_jobs = click.option("--jobs", "-j", hidden=True, expose_value=False, callback=_reject_jobs)
 
 
 def campaign_options(function: F) -> F:
@@ -67,27 +67,31 @@ def campaign_options(function: F) -> F:
                 "--max-time", type=click.FloatRange(min=0, min_open=True), metavar="S", help="Seconds.  [default: 60]"
             ),
             click.option("--max-cases", type=click.IntRange(1), metavar="N", help="Tests."),
-            click.option("--max-findings", type=click.IntRange(1), metavar="N", help="Stop after so many findings."),
+            click.option("--max-findings", type=click.IntRange(1), metavar="N", help="Stop after N findings."),
             click.option(
-                "--rate", type=click.FloatRange(min=0, min_open=True), metavar="N", help="Tests in a second, at most."
+                "--rate", type=click.FloatRange(min=0, min_open=True), metavar="N", help="Maximum tests per second."
             ),
             click.option(
-                "--recording", type=click.Path(path_type=Path), multiple=True, metavar="FILE", help="Mutate this, too."
+                "--recording",
+                type=click.Path(path_type=Path),
+                multiple=True,
+                metavar="FILE",
+                help="Also mutate the frames of this recording.",
             ),
-            click.option("--dry-run", is_flag=True, help="Write what would be sent to --out, and send nothing."),
+            click.option("--dry-run", is_flag=True, help="Write the frames to --out instead of sending them."),
             click.option(
                 "--out", type=click.Path(path_type=Path), metavar="FILE", help="For --dry-run: .mcap, .pcap or .pcapng."
             ),
-            click.option("--resume", is_flag=True, help="Go on with the campaign in --artefacts."),
+            click.option("--resume", is_flag=True, help="Continue the campaign in --artefacts."),
             click.option(
                 "--coverage",
                 is_flag=False,
                 flag_value=SHOWN,
                 metavar="[FILE]",
-                help="Show what was reached and what was not; also write it to FILE (JSON).",
+                help="Show the coverage of the inputs; also write it to FILE (JSON).",
             ),
-            click.option("--artefacts", type=click.Path(path_type=Path), metavar="DIR", help="Where findings go."),
-            click.option("--quiet", "-q", is_flag=True, help="Only the findings."),
+            click.option("--artefacts", type=click.Path(path_type=Path), metavar="DIR", help="Folder for findings."),
+            click.option("--quiet", "-q", is_flag=True, help="Show only findings."),
         ]
     ):
         function = option(function)
@@ -95,9 +99,10 @@ def campaign_options(function: F) -> F:
 
 
 def material(options: dict[str, Any], seed: str | None = None) -> tuple[Codec, random.Random, Any, list[bytes]]:
-    """Codec, chance, mutator, and the beacons of recordings.
+    """Return codec, random generator, mutator, and the beacons of the recordings.
 
-    ``seed``: a worker's own; what it mutates is what all workers of a campaign do.
+    ``seed`` is that of a worker; the pool of messages to mutate is the same for all workers of a campaign. Raise
+    ``UsageError`` for an unusable profile or recording.
     """
     from dcp_spec.profile.loading import ProfileError
     from dcp_spec.profile.usability import refusal
@@ -115,7 +120,7 @@ def material(options: dict[str, Any], seed: str | None = None) -> tuple[Codec, r
     recorded = _recorded(codec, options)
     pool = drawn_pool(codec, chance, 200, recorded[:200])
     if seed is not None:
-        chance = random.Random(seed)  # noqa: S311 - the same every time, no secret
+        chance = random.Random(seed)  # noqa: S311 - reproducible, not a secret
     return codec, chance, Mutator(codec, chance, pool), recorded
 
 
@@ -127,8 +132,8 @@ def _chance(options: dict[str, Any]) -> random.Random:
         if options["artefacts"] is None:
             raise UsageError("--resume needs the folder of the campaign: --artefacts DIR")
         done = read_state(options["artefacts"]).cases
-    # Going on means to draw something else than before.
-    return random.Random(f"{options['seed']}/{done}")  # noqa: S311 - the same every time, no secret
+    # A resumed campaign must not repeat its earlier draws.
+    return random.Random(f"{options['seed']}/{done}")  # noqa: S311 - reproducible, not a secret
 
 
 def swept(options: dict[str, Any]) -> int:
@@ -146,12 +151,13 @@ def _recorded(codec: Codec, options: dict[str, Any]) -> list[bytes]:
     for path in options["recording"]:
         found = [heard.octets for _, heard, _ in beacons_of(path, codec)]
         if not found:
-            raise UsageError(f"{path}: no frame in it is DCP in the profile {codec.profile.name}")
+            raise UsageError(f"{path}: has no frame of DCP in the profile {codec.profile.name}")
         recorded += found[:2000]
     return recorded
 
 
 def profile_text(options: dict[str, Any]) -> str:
+    """Return the text of the user's profile file; empty for a built-in profile."""
     path = Path(options["profile"])
     return path.read_text() if path.suffix == ".toml" and path.exists() else ""
 
@@ -172,9 +178,9 @@ def run_campaign(
     run: Callable[[Limits], Any] | None = None,
     make: Make | None = None,
 ) -> int:
-    """Run a campaign, tell what happens, return the exit status.
+    """Run a campaign with progress output; return the exit status.
 
-    ``run``: what runs it, unless it does so itself; ``make``: makes another one in a worker, if there may be some.
+    ``run`` replaces ``campaign.run``. ``make`` creates another campaign in a worker; without it only one process runs.
     """
     from dcp_conformance.errors import LowerTesterError, WorkerError
     from dcp_conformance.fuzz.execute.live import UnhealthyError
@@ -183,7 +189,7 @@ def run_campaign(
     jobs = options["jobs"] if make is not None else 1
     if options["dry_run"]:
         if jobs > 1:
-            raise UsageError("--dry-run writes what one process would send: leave out --jobs")
+            raise UsageError("--dry-run writes the frames of one process: leave out --jobs")
         return write_tests(campaign, options)
     if options["out"] is not None:
         raise UsageError("--out is for --dry-run; findings go to --artefacts DIR")
@@ -194,7 +200,7 @@ def run_campaign(
         from dcp_conformance.reporting import make_folder
 
         make_folder(campaign.directory)
-    # No worker is started that has nothing to do.
+    # Do not start workers without a test.
     jobs = min(jobs, options["max_cases"] or jobs)
     if make is not None and jobs > 1:
         from dcp_conformance.fuzz.workers import run_in_workers
@@ -223,7 +229,7 @@ def run_campaign(
     def effect(now: Any) -> None:
         if terminal:
             click.echo("", err=True)
-        say(f"{now.kind}: {now.detail}; making it small", err=True)
+        say(f"{now.kind}: {now.detail}; minimising it", err=True)
 
     campaign.on_progress = None if quiet else progress
     campaign.on_finding = finding
@@ -247,12 +253,12 @@ def run_campaign(
         if options["coverage"] not in (None, SHOWN):
             _write_coverage(campaign.state.coverage, Path(options["coverage"]))
     finally:
-        # Also where there is no room for a file: what a long campaign has found is not lost.
-        _tell_end(campaign, quiet=quiet, coverage=options["coverage"] is not None)
+        # Also if the file cannot be written: the findings of a long campaign must not be lost.
+        _print_end(campaign, quiet=quiet, coverage=options["coverage"] is not None)
     return 1 if campaign.state.findings else status
 
 
-def _tell_end(campaign: Campaign, *, quiet: bool, coverage: bool) -> None:
+def _print_end(campaign: Campaign, *, quiet: bool, coverage: bool) -> None:
     """Print the number of executed tests and, at the end, the findings."""
     from dcp_conformance.fuzz.findings.description import summary_lines
     from dcp_conformance.fuzz.generate.coverage import shown
@@ -264,9 +270,9 @@ def _tell_end(campaign: Campaign, *, quiet: bool, coverage: bool) -> None:
         click.echo(f"sequences: {', '.join(f'{name} {count}' for name, count in sorted(state.kinds.items()))}")
     if not quiet:
         if state.again:
-            click.echo(f"known findings have shown again {state.again} times")
+            click.echo(f"known findings occurred again {state.again} times")
         if state.left_out:
-            click.echo(f"{state.left_out} frames were not sent, since they show known findings:")
+            click.echo(f"{state.left_out} frames were not sent, because they cause known findings:")
             for each in state.avoided:
                 say(f"  {each}")
     for line in summary_lines(campaign):
@@ -297,12 +303,12 @@ def _stopped_by_sigterm() -> Iterator[None]:
 
 
 def write_tests(campaign: Campaign, options: dict[str, Any]) -> int:
-    """Write the frames of a campaign to a file without sending them."""
+    """Write the frames of a campaign to the file ``--out`` without sending them. Return the exit status."""
     from dcp_codec.capture import CaptureError
     from dcp_conformance.fuzz.findings.artefact import write_frames
 
     if options["out"] is None:
-        raise UsageError("--dry-run writes what would be sent: say where to with --out FILE")
+        raise UsageError("--dry-run writes the frames to a file: give --out FILE")
     steps = [step for _ in range(options["max_cases"] or _DRY_RUN) for step in campaign.generator.draw()]
     metadata = {"dcp.fuzz": {"profile": campaign.codec.profile.name, "seed": str(campaign.seed)}}
     suffix = options["out"].suffix

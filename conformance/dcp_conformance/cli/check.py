@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     "--beacon-period",
     type=Factor(1e6),
     metavar="MS",
-    help="The beacon period.  [default: as it looks in the recording]",
+    help="The beacon period.  [default: estimated from the recording]",
 )
 @click.option("--expected", type=click.Path(path_type=Path), metavar="FILE", help="Results that are expected (TOML).")
 @click.option("--report-dir", type=click.Path(path_type=Path), metavar="DIR", help="Write the report there.")
@@ -47,10 +47,10 @@ def command(
     show_requirements: bool,
     quiet: bool,
 ) -> int:
-    """Judge recordings (MCAP, pcap, pcapng) of a network without touching it.
+    """Judge recordings (MCAP, pcap, pcapng) of a network offline.
 
-    Invariants of each sender and across senders are held against every frame. A recording decides only what it gave
-    an occasion for.
+    Each frame is checked against invariants per sender and between senders. A requirement is decided only if the
+    recording has occasions for it.
     """
     from dcp_conformance.check.recording import judge_versions
     from dcp_conformance.execution.expected import ExpectedResults
@@ -87,7 +87,7 @@ def command(
             report = ""
             if report_dir is not None:
                 directory = report_dir if len(captures) == 1 else report_dir / capture.stem
-                # Two versions on one bus are two reports.
+                # Write a separate report for each version in the recording.
                 directory = directory if len(runs) == 1 else directory / codec.profile.name
                 report = str(write_report(run, directory, codec))
             shown = msgspec.structs.replace(run, notes=()) if quiet else run

@@ -35,7 +35,7 @@ def command(old: Path, new: Path, *, as_json: bool) -> int:
     if before.profile != after.profile:
         raise UsageError(
             f"{old} was made with the profile {before.profile}, {new} with {after.profile}; "
-            "'dcp-conformance report' puts different ones side by side"
+            "'dcp-conformance report' shows runs with different profiles in one table"
         )
     if before.kind != after.kind:
         _print_requirements(side_by_side(before, after), (before.kind, after.kind), as_json=as_json)

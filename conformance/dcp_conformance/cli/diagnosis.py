@@ -10,14 +10,15 @@ import msgspec
 from dcp_codec.common.commandline import say
 from dcp_conformance.errors import UsageError
 
-#: A diagnosis is good enough if it names this share of the faults, and no more than this share of false ones.
+#: Required minimum share of named faults, and maximum share of false faults among the named ones.
 _RECALL, _FALSE = 0.9, 0.1
 
 
 def make_dictionary(patterns: tuple[str, ...], options: dict[str, Any]) -> int:
-    """Run every case against the mutants, and write the dictionary. Returns the exit status.
+    """Run every case against the mutants, and write the fault dictionary. Return the exit status.
 
-    With patterns, the other faults of an existing dictionary keep their signatures.
+    With patterns, the other faults of an existing dictionary keep their signatures. Raise ``UsageError`` if the file
+    cannot be written.
     """
     from dcp_conformance.diagnosis import Dictionary
     from dcp_conformance.diagnosis.dictionary import decode, encode
@@ -56,7 +57,7 @@ def make_dictionary(patterns: tuple[str, ...], options: dict[str, Any]) -> int:
     invisible = sum(not fault.fails for fault in dictionary.faults)
     say(f"{len(dictionary.faults)} faults, {invisible} without a failed case; {file}")
     for name in sorted(cut):
-        say(f"{name}: not all cases were run: it takes too long")
+        say(f"{name}: not all cases were run, because they take too long")
     return 0
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from types import TracebackType
 from typing import Any, Self
 
@@ -48,15 +48,15 @@ _COLUMNS = (
     Verdict.ERROR,
     Verdict.NOT_APPLICABLE,
 )
-#: Frames of one check that are named.
+#: Maximum number of frames that are named for one check.
 _FRAMES = 8
-#: Failed checks of one case that are shown.
+#: Maximum number of failed checks that are shown for one case.
 _CHECKS = 4
-#: Notes that are shown: an implementation that dies often has one for each time.
+#: Maximum number of notes that are shown. An implementation that crashes often can have many.
 _NOTES = 6
-#: Probable faults that are shown.
+#: Maximum number of probable faults that are shown.
 _FAULTS = 8
-#: Observations in a recording that are shown.
+#: Maximum number of observations in a recording that are shown.
 _OBSERVATIONS = 12
 _HEADINGS = {Verdict.NOT_APPLICABLE: "n/a", Verdict.INCONCLUSIVE: "inconcl.", Verdict.TOO_LITTLE: "too little"}
 
@@ -128,10 +128,10 @@ class Display:
         notable = result.verdict in (Verdict.FAIL, Verdict.ERROR, Verdict.INCONCLUSIVE) or bool(surprise)
         if self._quiet or not (notable or self._verbose):
             return
-        # Through the progress bar's console on a terminal, so that the bar stays below.
+        # On a terminal, print through the progress bar's console, so that the bar stays below the text.
         out = self._progress.console if sys.stdout.isatty() and not self._progress.disable else self._console
         out.print(self._line(result, surprise), soft_wrap=True, highlight=False)
-        # Somebody may be waiting for it at the other end of a pipe.
+        # A program may be reading the output from a pipe.
         out.file.flush()
 
     def _line(self, result: CaseResult, surprise: str) -> str:
@@ -154,9 +154,12 @@ def print_summary(run: RunResult, *, report: str = "") -> None:
     alike = deaths(run)
     for group in alike:
         _print_death(out, group)
-    told = {id(case) for group in alike for case in group.cases}
+    printed = {id(case) for group in alike for case in group.cases}
+    for cases in _errors_alike(run):
+        _print_errors(out, cases)
+        printed.update(map(id, cases))
     for case in run.cases:
-        if case.verdict in (Verdict.FAIL, Verdict.ERROR) and id(case) not in told:
+        if case.verdict in (Verdict.FAIL, Verdict.ERROR) and id(case) not in printed:
             _print_finding(out, case)
     if run.kind == "check":
         _print_observations(out, run)
@@ -194,9 +197,9 @@ def print_summary(run: RunResult, *, report: str = "") -> None:
 
 def _print_diagnosis(out: Console, run: RunResult) -> None:
     """Print the probable faults, starting with the one that explains the most failures."""
-    if run.diagnosis is None or not (said := diagnosed(run)):
+    if run.diagnosis is None or not (heading := diagnosed(run)):
         return
-    out.print(f"\n[bold]{data(said)}[/]", soft_wrap=True)
+    out.print(f"\n[bold]{data(heading)}[/]", soft_wrap=True)
     for number, fault in enumerate(run.diagnosis.faults[:_FAULTS], 1):
         out.print(
             f"  {number}. the implementation {data(fault.what)}  \\[{data(', '.join(fault.requirements))}]",
@@ -213,7 +216,7 @@ def _print_diagnosis(out: Console, run: RunResult) -> None:
 
 
 def _failing(run: RunResult) -> str:
-    """Print the failed requirements, starting with the one that has the most failed cases."""
+    """Return the failed requirements with their numbers of failed cases, the most frequent first."""
     cases: Counter[str] = Counter()
     for case in run.cases:
         failed = (check.requirements for check in case.checks if check.verdict is Verdict.FAIL)
@@ -277,7 +280,7 @@ def _sections(run: RunResult) -> Table:
     for case in run.cases:
         if not case.counted:
             continue
-        # By document: every heading of it would be pages.
+        # Group by document: a row for every heading would fill pages.
         row = sections.setdefault((case.table, case.section.partition(":")[0]), dict.fromkeys(Verdict, 0))
         row[case.verdict] += 1
     totals: dict[str, dict[Verdict, int]] = {}
@@ -311,6 +314,26 @@ def _print_death(out: Console, death: Death) -> None:
     out.print(f"  again     {data(first.rerun)}")
 
 
+def _errors_alike(run: RunResult) -> list[list[CaseResult]]:
+    """Return the cases that ended with the same error of the tester, where these are several."""
+    groups: dict[str, list[CaseResult]] = {}
+    for case in run.cases:
+        if case.verdict is Verdict.ERROR:
+            groups.setdefault(case.reason, []).append(case)
+    return [cases for cases in groups.values() if len(cases) > 1]
+
+
+def _print_errors(out: Console, cases: Sequence[CaseResult]) -> None:
+    """Print one finding for cases that ended with the same error."""
+    named = ", ".join(case.id for case in cases[:_CHECKS])
+    more = f" and {len(cases) - _CHECKS} more" if len(cases) > _CHECKS else ""
+    style, first = STYLES[Verdict.ERROR], cases[0]
+    out.print(f"\n[{style}]error[/] [bold]{len(cases)} cases[/]: {data(first.reason)}", soft_wrap=True)
+    out.print(f"  cases     {data(named)}{more}", soft_wrap=True)
+    if first.rerun:
+        out.print(f"  again     {data(first.rerun)}", soft_wrap=True)
+
+
 def _print_finding(out: Console, case: CaseResult) -> None:
     out.print(f"\n[{STYLES[case.verdict]}]{case.verdict}[/] [bold]{data(case.id)}[/]: {data(case.purpose)}")
     bad = bad_checks(case)
@@ -329,4 +352,5 @@ def _print_finding(out: Console, case: CaseResult) -> None:
         out.print(f"  means     {data(case.consequence)}", soft_wrap=True)
     if case.show:
         out.print(f"  show      {data(case.show)}", soft_wrap=True)
-    out.print(f"  again     {data(case.rerun)}", soft_wrap=True)
+    if case.rerun:
+        out.print(f"  again     {data(case.rerun)}", soft_wrap=True)

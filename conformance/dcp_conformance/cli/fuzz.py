@@ -25,26 +25,26 @@ if TYPE_CHECKING:
     from dcp_conformance.fuzz.steps import Target
 
 EXIT_STATUS = (
-    "Exit status: 0 nothing found; 1 findings; 2 wrong usage; 3 the implementation was not healthy to begin with, or "
-    "did not come back; 4 the tester's own trouble; 130 stopped by Ctrl-C or SIGTERM, nothing found so far."
+    "Exit status: 0 nothing found; 1 findings; 2 wrong usage; 3 the implementation was not healthy at the start, "
+    "or did not answer after a restart; 4 the tester's own trouble; 130 stopped by Ctrl-C or SIGTERM without a finding."
 )
-#: Seconds for minimising a finding of an implementation on the air.
+#: Time limit in seconds for minimising a finding of a live implementation.
 _MINIMISING = 60.0
-#: Sequences of a sweep in one comparison with the model: each begins with a reset, which may be a restart.
+#: Number of sequences of a sweep in one comparison with the model, which begins with a reset or restart.
 _SWEPT_AT_ONCE = 40
 
 
 @click.group("fuzz", epilog=EXIT_STATUS)
 def command() -> None:
-    """Find inputs that break an implementation, and make them small.
+    """Find inputs that break an implementation, and minimise them.
 
-    What is found is saved as an artefact (--artefacts DIR), which 'fuzz replay' does again, and 'run --artefacts DIR'
-    takes as a conformance case.
+    Each finding is saved as an artefact (--artefacts DIR). 'fuzz replay' repeats it, and 'run --artefacts DIR' executes
+    it as a conformance case.
     """
 
 
 _PROFILE = click.option("--profile", default="dcp-2.0", metavar="NAME|FILE", help="Wire profile.  [default: dcp-2.0]")
-_SEED = click.option("--seed", type=int, default=1, metavar="N", help="For what is drawn by chance.  [default: 1]")
+_SEED = click.option("--seed", type=int, default=1, metavar="N", help="Random seed.  [default: 1]")
 
 
 @command.command("codec", epilog=EXIT_STATUS)
@@ -69,15 +69,15 @@ def codec_command(parts: tuple[str, ...], **options: Any) -> int:
     from dcp_conformance.fuzz.execute.functions import PARTS, FunctionInputs
 
     if options["coverage"] in PARTS:
-        raise UsageError(f"--coverage {options['coverage']}: this would be a file; put --coverage last")
+        raise UsageError(f"--coverage {options['coverage']}: this would be the name of a file; put --coverage last")
     if unknown := [part for part in parts if part not in PARTS]:
-        raise UsageError(f"there is no part {unknown[0]!r}; there are {', '.join(PARTS)}")
+        raise UsageError(f"unknown part {unknown[0]!r}; the parts are {', '.join(PARTS)}")
     if options["engine"] == "own":
         make = partial(codec_campaign, parts or PARTS, options)
         with make() as campaign:
             return run_campaign(campaign, options, make=make)
     if options["jobs"] > 1:
-        raise UsageError("--engine atheris is one process: leave out --jobs")
+        raise UsageError("--engine atheris uses one process: leave out --jobs")
     from dcp_conformance.fuzz.execute.atheris_engine import run_engine
 
     part = _only(parts)
@@ -118,12 +118,12 @@ def _only(parts: tuple[str, ...]) -> str:
 @command.command("stack", epilog=EXIT_STATUS)
 @_PROFILE
 @_SEED
-@click.option("--mutant", metavar="ID", help="A mutant of our node instead (see selftest).")
+@click.option("--mutant", metavar="ID", help="Fuzz a mutant of the reference node instead (see selftest).")
 @click.option("--guided", is_flag=True, help="Keep inputs that reach new lines of the code (slower).")
 @jobs_option
 @campaign_options
 def stack_command(**options: Any) -> int:
-    """Fuzz our own node in process, compared with an independent model after every step."""
+    """Fuzz the reference node in process, and compare it with an independent model after every step."""
     make = partial(stack_campaign, options)
     with make() as campaign:
         return run_campaign(campaign, options, make=make)
@@ -144,7 +144,7 @@ def stack_campaign(options: dict[str, Any], seed: str | None = None) -> Iterator
     target = stack_target(codec, options["mutant"] or "")
     reached: Counter[tuple[str, str]] = Counter()
     directed = Directed(Sequences(codec, rng, target.own_id, mutator, recorded), reached)
-    # Each worker sweeps by itself: all of it takes a tenth of a second.
+    # Each worker executes the whole sweep, which takes a tenth of a second.
     sequences = Swept(directed, codec, done=swept(options))
     saved = SavedTarget("stack", target.name, options["mutant"] or "")
     yield Campaign(
@@ -162,7 +162,7 @@ def stack_campaign(options: dict[str, Any], seed: str | None = None) -> Iterator
 
 
 def _live(options: dict[str, Any], *, differential: bool) -> int:
-    """A campaign against an SUT that is opened as by ``dcp-conformance run``."""
+    """Run a campaign against an SUT that is opened as by ``dcp-conformance run``; return the exit status."""
     from dcp_conformance.execution.target import describe, open_target
     from dcp_conformance.fuzz.campaign import Campaign
     from dcp_conformance.fuzz.execute.live import RATE, LiveTarget, UnhealthyError
@@ -176,8 +176,8 @@ def _live(options: dict[str, Any], *, differential: bool) -> int:
     where = target_of(options)
     if not (where.foreign or where.in_process or options["own_node"]):
         raise UsageError(
-            "name the interface that the implementation is on (--interface IF or --link udp[:GROUP:PORT]); nothing is "
-            "sent on one that was not named. --own-node starts our own node on a link of its own, --in-process one here"
+            "name the interface of the implementation (--interface IF or --link udp[:GROUP:PORT]); other "
+            "interfaces are not used. --own-node starts the reference node on a separate link, --in-process one here"
         )
     described, _ = describe(where)
     options = {**options, "profile": options["profile"] or described.profile.name}
@@ -192,7 +192,7 @@ def _live(options: dict[str, Any], *, differential: bool) -> int:
         opened.runner.prepare()
         target = LiveTarget(opened, rate=options["rate"] or RATE, differential=differential)
         options["rate"] = None
-        # Also tells who it is: sequences are about its own identifier, too.
+        # This also determines the node identifier, which the sequences use.
         try:
             target.prepare()
         except UnhealthyError as error:
@@ -228,13 +228,13 @@ def _live(options: dict[str, Any], *, differential: bool) -> int:
 
 
 def _target_words(where: TargetOptions, *, own_node: bool) -> str:
-    """The options that reach the implementation again; its process has another number then."""
+    """Return the options that reach the implementation again, without its process id, which will differ."""
     words = shlex.split(dataclasses.replace(where, pid=None).command_line())[2:]
     return shlex.join([*words, *(["--own-node"] if own_node else [])])
 
 
-_OWN_NODE = click.option("--own-node", is_flag=True, help="Our own node, as a process on a link of its own.")
-#: Stands for the identifier of a node that is not known.
+_OWN_NODE = click.option("--own-node", is_flag=True, help="Start the reference node as a process on a separate link.")
+#: Placeholder for an unknown node identifier.
 NOBODY = b"\x02\x00\x00\x00\x00\x01"
 
 
@@ -242,15 +242,15 @@ NOBODY = b"\x02\x00\x00\x00\x00\x01"
 @target_options
 @_OWN_NODE
 @click.option(
-    "--batch", type=click.IntRange(1), default=20, metavar="N", help="Sequences between looks.  [default: 20]"
+    "--batch", type=click.IntRange(1), default=20, metavar="N", help="Sequences between checks.  [default: 20]"
 )
 @no_jobs
 @campaign_options
 def live_command(**options: Any) -> int:
-    """Fuzz an implementation on the air: does it crash, hang or go mute.
+    """Fuzz a live implementation, to find inputs that make it crash, hang or stop sending.
 
-    It is asked whether it is healthy before anything is sent. With --start, --restart or --pid its process is watched
-    and started again; without, the campaign ends with its death. --rate is in frames.
+    Before the campaign the implementation must answer. With --start, --restart or --pid its process is watched and
+    restarted; without them the campaign ends when it dies. --rate is in frames per second.
     """
     return _live(options, differential=False)
 
@@ -261,10 +261,10 @@ def live_command(**options: Any) -> int:
 @no_jobs
 @campaign_options
 def differential_command(**options: Any) -> int:
-    """Compare an implementation with an independent model, round by round.
+    """Compare an implementation with an independent model after each sequence.
 
-    Both get the same sequence of frames and, with an upper tester, of service calls; then summaries, values, statuses
-    and the neighbour table must agree, within what the specification leaves open. --rate is in frames.
+    Both get the same sequence of frames and, with an upper tester, of service calls. Then summaries, values, statuses
+    and the neighbour table must agree, except where the specification leaves a choice. --rate is in frames per second.
     """
     return _live(options, differential=True)
 
@@ -273,11 +273,11 @@ def differential_command(**options: Any) -> int:
 @click.argument("artefacts", nargs=-1, required=True, type=click.Path(path_type=Path))
 @target_options
 @_OWN_NODE
-@click.option("--attempts", type=click.IntRange(1), default=3, metavar="N", help="How often each.  [default: 3]")
+@click.option("--attempts", type=click.IntRange(1), default=3, metavar="N", help="Attempts for each.  [default: 3]")
 def replay_command(artefacts: tuple[Path, ...], attempts: int, **options: Any) -> int:
-    """Do findings again: fixed, failed, flaky or error for each.
+    """Repeat findings; print fixed, failed, flaky or error for each.
 
-    ARTEFACTS are files or folders. Those of live implementations need to be told where that is.
+    ARTEFACTS are files or folders. For artefacts of a live implementation, give its link and upper tester.
     """
     from dcp_conformance.fuzz.findings.artefact import found_in
     from dcp_conformance.fuzz.findings.replaying import replay, target_in_process
@@ -295,7 +295,7 @@ def replay_command(artefacts: tuple[Path, ...], attempts: int, **options: Any) -
 
 
 def _live_target(options: dict[str, Any], stack: Any) -> Callable[[Artefact], Target] | None:
-    """Return how live artefacts reach the SUT; None if no option names an SUT."""
+    """Return a function that opens the target of an artefact; None if no option names an SUT."""
     target = target_of(options)
     if not (target.foreign or target.in_process or options["own_node"]):
         return None

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
 EXIT_STATUS = (
     "Exit status: 0 every cell that applies passes; 1 a cell fails; 2 wrong usage, or no cell applies; 3 a cell is "
-    "inconclusive; 4 the tester's own trouble; 130 interrupted. With --selftest, 0 means that every fault turns a cell "
-    "red and no permitted variant does."
+    "inconclusive; 4 the tester's own trouble; 130 interrupted. With --selftest, 0 means that every fault makes a cell "
+    "fail and no permitted variant does."
 )
 
 
@@ -33,7 +33,7 @@ EXIT_STATUS = (
 @click.option("--only", multiple=True, metavar="IMPL:IMPL:TEST", help="Only this cell.")
 @click.option("--seed", type=int, default=1, show_default=True, metavar="N", help="First seed of links and scenarios.")
 @click.option("--seeds", type=click.IntRange(1), default=1, show_default=True, metavar="N", help="Seeds of each cell.")
-@click.option("--jobs", type=click.IntRange(1), metavar="N", help="Cells side by side.  [default: by processors]")
+@click.option("--jobs", type=click.IntRange(1), metavar="N", help="Concurrent cells.  [default: by processors]")
 @click.option("--dask", metavar="ADDRESS|local", help="Run the cells by the workers of a Dask cluster (--virtual).")
 @click.option(
     "--report-dir", type=click.Path(path_type=Path), metavar="DIR", help="Write reports and recordings there."
@@ -44,7 +44,7 @@ EXIT_STATUS = (
     metavar="FILE",
     help="Run the cell of a failed/*.json again, with its seed.",
 )
-@click.option("--list", "show_list", is_flag=True, help="Show the network tests and end.")
+@click.option("--list", "show_list", is_flag=True, help="Only show the network tests.")
 @click.option("--selftest", is_flag=True, help="Put known faults and permitted variants into networks instead.")
 @click.option(
     "--document",
@@ -52,7 +52,7 @@ EXIT_STATUS = (
     metavar="FILE",
     help="With --selftest: write the table into its section of FILE (Markdown).",
 )
-@click.option("--quiet", "-q", is_flag=True, help="Only what does not pass.")
+@click.option("--quiet", "-q", is_flag=True, help="Show only cells that do not pass.")
 def command(
     file: Path | None,
     tests: tuple[str, ...],
@@ -72,9 +72,9 @@ def command(
     selftest: bool,
     quiet: bool,
 ) -> int:
-    """Test networks of several implementations: each with each, in both roles.
+    """Test networks of several implementations: each pair, in both roles.
 
-    FILE (TOML) describes the implementations; without FILE our node in all versions meets itself.
+    FILE (TOML) describes the implementations; without FILE the reference node in all versions is tested with itself.
     """
     from dcp_conformance.interop.definition import select_tests
     from dcp_conformance.interop.implementations import BUILT_IN, Matrix, load_description, resolve
@@ -119,14 +119,18 @@ def command(
         if not quiet or result.verdict not in ("pass", "not-applicable"):
             _say_cell(result, f"{done}/{many} ")
 
+    from dcp_conformance.execution.signals import deferred, ending_like_interrupts
+
     if report_dir is not None:
         report_dir.mkdir(parents=True, exist_ok=True)
-    matrix = run_matrix(
-        cells, seeds=seeds, jobs=jobs, folder=report_dir, dask=dask, on_cell=on_cell, command=as_typed()
-    )
-    if file is not None:
-        matrix = _with_file(matrix, file)
-    return _finish(matrix, report_dir)
+    with ending_like_interrupts():
+        matrix = run_matrix(
+            cells, seeds=seeds, jobs=jobs, folder=report_dir, dask=dask, on_cell=on_cell, command=as_typed()
+        )
+        with deferred():
+            if file is not None:
+                matrix = _with_file(matrix, file)
+            return _finish(matrix, report_dir)
 
 
 def _with_file(matrix: MatrixResult, file: Path) -> MatrixResult:
@@ -147,13 +151,19 @@ def _say_cell(result: CellResult, before: str = "") -> None:
 
 def _finish(matrix: MatrixResult, report_dir: Path | None) -> int:
     from dcp_conformance.interop.reports import write_reports
+    from dcp_conformance.interop.results import INTERRUPTED as EARLY
+    from dcp_conformance.model.outcome import INTERRUPTED, TESTER_ERROR
 
     counts = matrix.counts()
     applied = sum(counts.values()) - counts.get("not-applicable", 0)
-    told = ", ".join(f"{number} {name}" for name, number in sorted(counts.items()))
-    say(f"{len(matrix.cells)} cells in {matrix.elapsed_s:.1f} s: {told or 'none'}")
+    listed = ", ".join(f"{number} {name}" for name, number in sorted(counts.items()))
+    say(f"{len(matrix.cells)} cells in {matrix.elapsed_s:.1f} s: {listed or 'none'}")
+    if matrix.incomplete:
+        say(matrix.incomplete, err=True)
     if report_dir is not None:
         say(f"report: {write_reports(matrix, report_dir)}")
+    if matrix.ended_early:
+        return INTERRUPTED if matrix.ended_early == EARLY else TESTER_ERROR
     if not applied:
         say("no network test applies to these implementations", err=True)
         return 2
@@ -185,14 +195,18 @@ def _replay(path: Path, file: Path | None, report_dir: Path | None) -> int:
         a=before.a, b=before.b, test=before.test, implementations=(found[before.a], found[before.b]), world=kind,
         seed=before.seed,
     )  # fmt: skip
+    from dcp_conformance.execution.signals import deferred, ending_like_interrupts
+
     if report_dir is not None:
         report_dir.mkdir(parents=True, exist_ok=True)
-    matrix = run_matrix([cell], jobs=1, folder=report_dir, command=as_typed())
-    for each in matrix.cells:
-        _say_cell(each)
-        if (each.verdict, each.reason) != (before.verdict, before.reason):
-            say(f"before: {before.verdict}  {before.reason}")
-    return _finish(matrix, report_dir)
+    with ending_like_interrupts():
+        matrix = run_matrix([cell], jobs=1, folder=report_dir, command=as_typed())
+        with deferred():
+            for each in matrix.cells:
+                _say_cell(each)
+                if (each.verdict, each.reason) != (before.verdict, before.reason):
+                    say(f"before: {before.verdict}  {before.reason}")
+            return _finish(matrix, report_dir)
 
 
 def _selftest(

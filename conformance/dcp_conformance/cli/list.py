@@ -14,10 +14,10 @@ from .options import selection_of, selection_options
 
 @click.command("list")
 @selection_options
-@click.option("--json", "as_json", is_flag=True, help="Everything that is known of the cases, as JSON.")
-@click.option("--requirements", "by_requirement", is_flag=True, help="By requirement: which cases decide it.")
+@click.option("--json", "as_json", is_flag=True, help="Show all data of the cases as JSON.")
+@click.option("--requirements", "by_requirement", is_flag=True, help="List the deciding cases of each requirement.")
 def command(**options: Any) -> int:
-    """Show the test cases, or those that decide something.
+    """Show all test cases, or the selected ones.
 
     CASES are identifiers of cases or of requirements, or globs of them.
     """
@@ -27,7 +27,7 @@ def command(**options: Any) -> int:
     from dcp_conformance.model.case import all_cases
 
     selection = selection_of(options)
-    # Nothing is run: what takes long is shown, too.
+    # Show cases that take long, too, because none is executed.
     chosen = select(all_cases(), replace(selection, plan="long") if selection.plan == "full" else selection)
     if options["as_json"]:
         import json

@@ -1,4 +1,4 @@
-"""``dcp-conformance report --minimise``: cases are executed again to find out which frames are needed."""
+"""``dcp-conformance report --minimise``: execute cases again to determine the necessary frames of their stimuli."""
 
 from __future__ import annotations
 
@@ -18,9 +18,10 @@ if TYPE_CHECKING:
 
 @contextmanager
 def minimiser(options: dict[str, Any]) -> Iterator[Minimise]:
-    """A function for :func:`~dcp_conformance.reporting.issues.write_issues`, for the implementation of the options.
+    """Open the implementation; provide a function for :func:`~dcp_conformance.reporting.issues.write_issues`.
 
-    Raises ``UsageError`` if they name none, and what opening it raises.
+    Raise ``UsageError`` if the options name no implementation, and the errors of
+    :func:`~dcp_conformance.execution.target.open_target`.
     """
     from dcp_conformance.execution.minimising import executor, minimise
     from dcp_conformance.execution.runner import Runner

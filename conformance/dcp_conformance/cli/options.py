@@ -21,21 +21,21 @@ F = TypeVar("F", bound=Callable[..., Any])
 EXIT_STATUS = (
     "Exit status: 0 everything as expected; 1 an unexpected fail or pass; 2 wrong usage, or nothing to run; "
     "3 nothing unexpected, but something inconclusive, or nothing decided at all; 4 the tester's own trouble; 130 "
-    "interrupted by Ctrl-C, SIGTERM or SIGHUP, with a report of what was run."
+    "interrupted by Ctrl-C, SIGTERM or SIGHUP, with a report of the executed cases."
 )
 
 
 class Factor(click.FloatRange):
-    """A number above 0, up to ``most``."""
+    """Type of options: a number above 0, up to ``most``."""
 
     def __init__(self, most: float) -> None:
         super().__init__(min=0, max=most, min_open=True)
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Return the number; refuse text that is not a number in the range."""
+        """Return the number; reject text that is not a number in the range."""
         number = super().convert(value, param, ctx)
         if math.isnan(number):
-            self.fail(f"{value!r} is no number", param, ctx)
+            self.fail(f"{value!r} is not a number", param, ctx)
         return number
 
 
@@ -46,9 +46,9 @@ def _applied(function: F, decorators: list[Callable[[F], F]]) -> F:
 
 
 def as_typed(*words: str) -> str:
-    """``dcp-conformance`` with these arguments, or those of the process, as reports show it.
+    """Return the command ``dcp-conformance`` with these arguments, or those of the process, for reports.
 
-    Octets that are no text are shown by their numbers.
+    Octets that are not UTF-8 are replaced by escape sequences.
     """
     command = shlex.join(["dcp-conformance", *(words or sys.argv[1:])])
     return command.encode("utf-8", "backslashreplace").decode()
@@ -59,9 +59,11 @@ def target_options(function: F) -> F:
     return _applied(
         function,
         [
-            click.option("--interface", "-i", metavar="IF", help="Network interface that the implementation is on."),
+            click.option("--interface", "-i", metavar="IF", help="Network interface of the implementation."),
             click.option("--link", metavar="udp[:GROUP:PORT]", help="UDP multicast instead of an interface."),
-            click.option("--in-process", is_flag=True, help="Test our own node in this process, in virtual time."),
+            click.option(
+                "--in-process", is_flag=True, help="Test the reference node in this process, in virtual time."
+            ),
             click.option(
                 "--profile", metavar="NAME|FILE", help="Wire profile.  [default: that of the PICS, or dcp-2.0]"
             ),
@@ -77,21 +79,21 @@ def target_options(function: F) -> F:
                 metavar="FILE",
                 help="Claims (PICS) and facts for testing (PIXIT), TOML.",
             ),
-            click.option("--start", metavar="COMMAND", help="Starts the implementation."),
-            click.option("--stop", metavar="COMMAND", help="Stops it."),
-            click.option("--restart", metavar="COMMAND", help="Restarts it, after it was found dead."),
-            click.option("--pid", type=int, metavar="PID", help="Its process, to notice that it died."),
+            click.option("--start", metavar="COMMAND", help="Command that starts the implementation."),
+            click.option("--stop", metavar="COMMAND", help="Command that stops it."),
+            click.option("--restart", metavar="COMMAND", help="Command that restarts it after a crash."),
+            click.option("--pid", type=int, metavar="PID", help="Its process id, to detect a crash."),
             click.option(
                 "--start-timeout",
                 type=Factor(3600),
                 metavar="S",
-                help="How long it may take to answer after a start.  [default: 30 s, less if it is seen to be ready]",
+                help="Timeout of the first answer after a start.  [default: 30 s, less if it has opened the link]",
             ),
             click.option("--beacon-period", type=Factor(1e6), metavar="MS", help="Its beacon period.  [default: 100]"),
             click.option(
                 "--timing-scale", type=Factor(1e3), default=1.0, metavar="X", help="Stretch all time windows."
             ),
-            click.option("--seed", type=int, default=1, metavar="N", help="For what is drawn by chance."),
+            click.option("--seed", type=int, default=1, metavar="N", help="Random seed.  [default: 1]"),
         ],
     )
 
@@ -102,16 +104,18 @@ def selection_options(function: F) -> F:
         function,
         [
             click.argument("cases", nargs=-1),
-            click.option("--section", "-s", multiple=True, metavar="TEXT", help="Cases of sections named like this."),
+            click.option(
+                "--section", "-s", multiple=True, metavar="TEXT", help="Cases of sections whose heading has this text."
+            ),
             click.option(
                 "--requirement", "-r", multiple=True, metavar="ID", help="Cases that decide this requirement."
             ),
-            click.option("--exclude", "-x", multiple=True, metavar="CASE", help="Cases that are left out."),
+            click.option("--exclude", "-x", multiple=True, metavar="CASE", help="Leave out these cases."),
             click.option(
                 "--plan",
                 type=click.Choice(PLANS),
                 default="full",
-                help="smoke: the cases that notice most known faults in 10 s; long: also the cases that take long.",
+                help="smoke: cases that detect most known faults in 10 s; long: also cases that take long.",
             ),
         ],
     )
@@ -130,7 +134,7 @@ def _ether_type(_context: click.Context, _parameter: click.Parameter, value: str
 
 def target_of(options: dict[str, Any]) -> TargetOptions:
     """Return the target given by the options of :func:`target_options`."""
-    # Imported late: the list of options does not need the modules that open targets.
+    # Lazy import: --help does not need the modules that open targets.
     from dcp_conformance.execution.target import TargetOptions
 
     return TargetOptions(

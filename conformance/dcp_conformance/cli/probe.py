@@ -15,21 +15,25 @@ from .options import target_of, target_options
 
 @click.command(
     "probe",
-    epilog="Exit status: 0 something was heard or answered; 2 wrong usage, or a file that cannot be written; 3 nothing "
-    "was heard and nobody answered, or no profile explains what was heard; 4 the tester's own trouble.",
+    epilog="Exit status: 0 a frame or answer was received; 2 wrong usage, or a file that cannot be written; 3 neither "
+    "frame nor answer was received, or no profile explains the frames; 4 the tester's own trouble.",
 )
 @target_options
 @click.option(
-    "--seconds", type=click.FloatRange(0.5, 3600), default=10.0, metavar="S", help="How long to listen.  [default: 10]"
+    "--seconds",
+    type=click.FloatRange(0.5, 3600),
+    default=10.0,
+    metavar="S",
+    help="Duration of listening.  [default: 10]",
 )
 @click.option("--passive", is_flag=True, help="Only listen: do not ask a silent implementation for variables.")
 @click.option(
-    "--output", "-o", type=click.Path(path_type=Path), metavar="FILE", help="Where the PICS goes.  [default: stdout]"
+    "--output", "-o", type=click.Path(path_type=Path), metavar="FILE", help="Write the PICS to FILE.  [default: stdout]"
 )
 def command(*, seconds: float, passive: bool, output: Path | None, **options: Any) -> int:
-    """Draft the PICS and PIXIT of an implementation by listening and asking.
+    """Draft the PICS and PIXIT of an implementation by observation and queries.
 
-    What was seen or told is filled in, with the reason; everything else is a comment with a question for you.
+    Observed and reported values are filled in with the reason. Every other entry is a comment with a question for you.
     """
     from dcp_spec.profile.loading import profile_names
 
@@ -42,11 +46,13 @@ def command(*, seconds: float, passive: bool, output: Path | None, **options: An
 
     target = target_of(options)
     if not target.foreign:
-        raise UsageError("which implementation? --interface IF for Ethernet, --link udp[:GROUP:PORT] for UDP")
+        raise UsageError(
+            "give the link of the implementation: --interface IF for Ethernet, --link udp[:GROUP:PORT] for UDP"
+        )
     codec, _ = describe(target)
     chosen = target.profile is not None or target.pics is not None
     candidates = [codec, *(Codec(name) for name in profile_names() if name != codec.profile.name)]
-    # An implementation is not sent frames of other layouts if its user says which one it speaks.
+    # If the user has named the profile, do not send frames of other profiles.
     asking = [codec] if chosen else None
     lower = open_lower(target, codec)
     try:
@@ -66,7 +72,7 @@ def command(*, seconds: float, passive: bool, output: Path | None, **options: An
         for remark in remarks:
             say(remark, err=True)
     if pics.pixit.profile == UNKNOWN_PROFILE:
-        click.echo("no profile explains what was heard: state pixit.profile before a run", err=True)
+        click.echo("no profile explains the received frames: set pixit.profile before a run", err=True)
         return 3
     heard = not any(remark.startswith("nothing was heard") for remark in remarks)
     return 0 if heard or upper is not None else 3

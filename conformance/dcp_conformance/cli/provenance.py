@@ -19,7 +19,7 @@ _WIDTH: Final = 80
 _TITLES: Final = {
     "gone": "Gone",
     "changed": "Changed",
-    "new": "New, and looks like a rule",
+    "new": "New, and probably a rule",
     "moved": "Moved to another section or file",
     "renumbered": "Steps with another number",
 }
@@ -27,23 +27,23 @@ _TITLES: Final = {
 
 @click.command(
     "provenance",
-    epilog="Exit status: 0 every statement that a requirement stands on is where the catalogue says, and no statement "
-    "that looks like a rule was added or changed; 1 something has to be looked at; 2 wrong usage, or no specification "
-    "there.",
+    epilog="Exit status: 0 every statement that a requirement is based on is at the place in the catalogue, and no "
+    "statement that is probably a rule was added or changed; 1 there are differences to review; 2 wrong usage, or no "
+    "specification found.",
 )
 @click.argument("checkout", type=click.Path(path_type=Path), metavar="[SPEC_CHECKOUT]", required=False)
 @click.option("--rev", metavar="REV", help="Read this tag, branch or commit of the git repository there.")
-@click.option("--requirement", multiple=True, metavar="ID", help="Only show where ID stands in each version.")
-@click.option("--all", "everything", is_flag=True, help="Also show new and changed statements that are no rules.")
-@click.option("--json", "as_json", is_flag=True, help="Everything, as JSON.")
+@click.option("--requirement", multiple=True, metavar="ID", help="Only show the place of ID in each version.")
+@click.option("--all", "everything", is_flag=True, help="Also show new and changed statements that are not rules.")
+@click.option("--json", "as_json", is_flag=True, help="Show all data as JSON.")
 def command(
     checkout: Path | None, *, rev: str | None, requirement: tuple[str, ...], everything: bool, as_json: bool
 ) -> int:
     """Compare the requirement catalogue with another version of the specification.
 
     SPEC_CHECKOUT is a folder with the Markdown files of the specification (at any depth), or a git repository of it,
-    also a bare one. Each change is shown with the requirements that stand on the statement, and these with the cases
-    that decide them and the code of our node that cites them.
+    also a bare one. Each change is shown with the requirements that are based on the statement, and these with the
+    cases that decide them and the code of the reference node that cites them.
     """
     if requirement:
         return _show(requirement)
@@ -97,7 +97,7 @@ def _text(result: ProvenanceResult, *, everything: bool) -> Iterator[str]:
             yield from _statement(each)
     if result.touched:
         yield ""
-        yield f"Requirements that stand on them ({len(result.touched)})"
+        yield f"Requirements that are based on them ({len(result.touched)})"
     for entry in result.touched:
         yield from _requirement(entry)
     yield ""

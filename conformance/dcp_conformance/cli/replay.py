@@ -16,23 +16,25 @@ from dcp_conformance.model.node_id import node_id_octets
 
 from .options import EXIT_STATUS, as_typed, target_of, target_options
 
-#: Seconds of playing that are worth a warning.
+#: Duration of a replay in seconds above which a warning is printed.
 _LONG = 600
 
 
 @click.command("replay", epilog=EXIT_STATUS)
 @click.argument("capture", type=click.Path(path_type=Path))
 @target_options
-@click.option("--node", metavar="ID", help="The recorded node whose part the implementation plays.")
-@click.option("--speed", type=click.FloatRange(min=0), default=1.0, metavar="X", help="2: twice as fast; 0: in step.")
-@click.option("--no-services", is_flag=True, help="Do not do again what the node's applications did.")
+@click.option("--node", metavar="ID", help="The recorded node whose part the implementation takes.")
+@click.option(
+    "--speed", type=click.FloatRange(min=0), default=1.0, metavar="X", help="2: twice as fast; 0: without pauses."
+)
+@click.option("--no-services", is_flag=True, help="Do not repeat the service calls of the node's applications.")
 @click.option("--report-dir", type=click.Path(path_type=Path), metavar="DIR", help="Write the report there.")
 def command(capture: Path, **options: Any) -> int:
-    """Play a recording at an implementation, and judge what it makes of it.
+    """Replay a recording to an implementation, and judge its reactions.
 
-    The implementation takes the part of one recorded node; the frames of all others are played to it, and with an upper
-    tester also what the applications of that node did. Its answers are judged by an independent model of what the
-    specification asks, and the outcome is compared with that of the recorded node.
+    The implementation takes the part of one recorded node. The tester sends the frames of all others and, with an upper
+    tester, repeats the service calls of that node's applications. An independent model of the specification judges the
+    reactions, and the final state is compared with that of the recorded node.
     """
     from dcp_conformance.execution.replay import Replay, ReplayOptions, cast_of, choose_node, decided
     from dcp_conformance.execution.target import describe, open_target
@@ -50,7 +52,7 @@ def command(capture: Path, **options: Any) -> int:
         target_options = dataclasses.replace(target_options, profile=guessed_profile(capture))
     codec, _ = describe(target_options)
     if not target_options.foreign:
-        # Our own node is called as the one whose part it plays.
+        # The reference node gets the identifier of the node whose part it takes.
         chosen = node or choose_node(cast_of(capture, codec), None)
         target_options = dataclasses.replace(target_options, node_id=chosen)
         if target_options.beacon_period_ms is None:
@@ -87,8 +89,8 @@ def _warn_of_length(seconds: float, speed: float) -> None:
     """Warn if the replay will take very long."""
     if speed and seconds / speed > _LONG:
         minutes = round(seconds / speed / 60)
-        told = f"playing takes {minutes // 60} h {minutes % 60} min; --speed 0 plays in step, without the pauses"
-        say(f"dcp-conformance: {told}", err=True)
+        text = f"the replay takes {minutes // 60} h {minutes % 60} min; --speed 0 replays without the pauses"
+        say(f"dcp-conformance: {text}", err=True)
 
 
 def _node_id(text: str | None) -> bytes | None:

@@ -19,12 +19,12 @@ if TYPE_CHECKING:
 
 @click.command("report", epilog="Exit status: 0 done; 2 results that cannot be read, or a page that cannot be written.")
 @click.argument("results", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option("--output", "-o", type=click.Path(path_type=Path), metavar="FILE", help="Where the page goes (HTML).")
+@click.option("--output", "-o", type=click.Path(path_type=Path), metavar="FILE", help="Write the page to FILE (HTML).")
 @click.option(
     "--issues",
     type=click.Path(path_type=Path, file_okay=False),
     metavar="DIR",
-    help="For one run: write a report for each probable fault there, to be pasted into an issue tracker.",
+    help="For one run: write a report for each probable fault to DIR, to be pasted into an issue tracker.",
 )
 @click.option(
     "--requirements",
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     "--summary",
     type=click.Path(path_type=Path, dir_okay=False),
     metavar="FILE",
-    help="For one run: everything that matters on one page (.md).",
+    help="For one run: a summary of one page (.md).",
 )
 @click.option(
     "--badge", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE", help="For one run: a badge (.svg)."
@@ -44,15 +44,15 @@ if TYPE_CHECKING:
 @click.option(
     "--minimise",
     is_flag=True,
-    help="With --issues, execute the cases again to find out which frames of a stimulus are needed. The implementation "
-    "is named as for the run.",
+    help="With --issues, execute the cases again to determine the necessary frames of a stimulus. Name the "
+    "implementation as for the run.",
 )
 @target_options
 def command(results: tuple[Path, ...], output: Path | None, issues: Path | None, minimise: bool, **options: Any) -> int:
-    """Make the page of a run again, or put several runs side by side.
+    """Generate the page of a run again, or compare several runs in one table.
 
-    RESULTS are results.json files, or the folders they are in. Of several, a table of implementations and requirements
-    is shown, and with --output written as a page.
+    RESULTS are results.json files, or the folders that contain them. For several runs, a table of implementations and
+    requirements is shown; with --output it is written as a page.
     """
     from dcp_conformance.reporting import load_results
     from dcp_conformance.reporting.files import codec_of

@@ -24,49 +24,50 @@ if TYPE_CHECKING:
 @click.option("--report-dir", type=click.Path(path_type=Path), metavar="DIR", help="Write the report there.")
 @click.option("--expected", type=click.Path(path_type=Path), metavar="FILE", help="Results that are expected (TOML).")
 @click.option(
-    "--artefacts", type=click.Path(path_type=Path), metavar="DIR", help="Findings of the fuzzer as cases, too."
+    "--artefacts",
+    type=click.Path(path_type=Path),
+    metavar="DIR",
+    help="Also run the fuzzer's findings in DIR as cases.",
 )
 @click.option(
     "--failed",
     type=click.Path(path_type=Path),
     metavar="REPORT",
-    help="First the cases that failed or were undecided in an earlier report (its folder, or results.json).",
+    help="Start with the cases that failed or were undecided in an earlier report (its folder, or results.json).",
 )
-@click.option("--failed-only", is_flag=True, help="With --failed, only these cases.")
-@click.option("--repeat", type=click.IntRange(1), default=1, metavar="N", help="Run everything N times.")
-@click.option("--until-fail", is_flag=True, help="End with the first fail.")
+@click.option("--failed-only", is_flag=True, help="With --failed, run only these cases.")
+@click.option("--repeat", type=click.IntRange(1), default=1, metavar="N", help="Run all cases N times.")
+@click.option("--until-fail", is_flag=True, help="Stop at the first fail.")
 @click.option(
     "--jobs",
     "-j",
     type=click.IntRange(1, 64),
     metavar="N",
-    help="Nodes side by side, of our own.  [default: two for each processor, 4 to 16]",
+    help="Concurrent processes of the reference node.  [default: two for each processor, 4 to 16]",
 )
 @click.option(
     "--side-by-side",
     type=click.IntRange(1, 64),
     metavar="N",
-    help="The most cases at a time against one implementation; 1: one after the other.  [default: 16, in real time]",
+    help="Maximum number of concurrent cases against one implementation; 1: in succession.  [default: 16]",
 )
 @click.option(
     "--impair",
     multiple=True,
     metavar="KEY=VALUE,...",
-    help="Make the link bad while cases run: loss=0.1,burst=3,delay=5ms,jitter=2ms,duplicate=0.01,reorder=0.02,"
-    "corrupt=0.001; with to: or from: before it in one direction (docs/impairment.md).",
+    help="Impair the link during the cases: loss=0.1,burst=3,delay=5ms,jitter=2ms,duplicate=0.01,reorder=0.02,"
+    "corrupt=0.001; with the prefix to: or from: in one direction (docs/impairment.md).",
 )
-@click.option("--dry-run", is_flag=True, help="Only show what would be run.")
-@click.option("--verbose", "-v", is_flag=True, help="A line for every case.")
-@click.option("--quiet", "-q", is_flag=True, help="Only the summary.")
-@click.option(
-    "--pytest", "pytest_options", metavar="OPTIONS", help="Further options for pytest, which then reports itself."
-)
+@click.option("--dry-run", is_flag=True, help="Only show the selected cases.")
+@click.option("--verbose", "-v", is_flag=True, help="Show a line for every case.")
+@click.option("--quiet", "-q", is_flag=True, help="Show only the summary.")
+@click.option("--pytest", "pytest_options", metavar="OPTIONS", help="Run the cases with pytest and these options.")
 def command(**options: Any) -> int:
     """Test an implementation of DCP.
 
-    CASES are identifiers of cases or of requirements, or globs of them; without any, everything is run. Without
-    --interface, --link or --in-process, our own node is started and tested: over a virtual Ethernet in a network
-    namespace of its own, or over UDP where that is not possible.
+    CASES are identifiers of cases or of requirements, or globs of them; by default all cases are run. Without
+    --interface, --link or --in-process, the reference node is started and tested: over a virtual Ethernet in a separate
+    network namespace, or over UDP if that is not possible.
     """
     from dcp_conformance.execution.parallel import run_in_workers, workers_for
     from dcp_conformance.execution.run import ConformanceRun
@@ -118,7 +119,7 @@ def _at_a_time(options: dict[str, Any]) -> int:
     from dcp_conformance.execution.concurrent import WIDTH
 
     if options["impair"]:
-        # Which frame explains what is known for one case at a time.
+        # Impairments are attributed to cases by their frames, which needs cases in succession.
         return 1
     if options["side_by_side"] is not None:
         return int(options["side_by_side"])

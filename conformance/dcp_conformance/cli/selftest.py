@@ -22,20 +22,20 @@ if TYPE_CHECKING:
     from dcp_conformance.selftest.variants.variant import Variant
 
 EXIT_STATUS = (
-    "Exit status: 0 our node passes and every mutant is killed by a case that names its requirement; 1 not so; "
+    "Exit status: 0 the reference node passes and every mutant is killed by a case that names its requirement; 1 not; "
     "2 wrong usage; 4 a case ended in an error of the tester. With --variants, 0 means that no "
     "variant fails a case and that every inconclusive verdict is explained. With --citations, 0 means that "
     "every citation is proved by a case or test, or has a reason in the ledger that is still needed. With "
-    "--recordings, 0 means that nothing is found in networks without a fault."
+    "--recordings, 0 means no finding in networks without a fault."
 )
-#: Mutants up to which each has a row of its own without --verbose.
+#: Maximum number of selected mutants that are shown in separate rows without --verbose.
 _FEW = 40
 
 
 @click.command("selftest", epilog=EXIT_STATUS)
 @click.argument("mutants", nargs=-1)
 @click.option("--profile", multiple=True, metavar="NAME", help="Only on this profile.  [default: all versions]")
-@click.option("--full", is_flag=True, help="Every case against every mutant, not only those that name its requirement.")
+@click.option("--full", is_flag=True, help="Run all cases against each mutant, not only those of its requirement.")
 @click.option("--jobs", type=click.IntRange(1), metavar="N", help="Processes.  [default: one for each processor]")
 @click.option("--report-dir", type=click.Path(path_type=Path), metavar="DIR", help="Write selftest.json there.")
 @click.option(
@@ -67,19 +67,19 @@ _FEW = 40
 @click.option(
     "--variants",
     is_flag=True,
-    help="Try nodes that the specification permits instead: none may fail. MUTANTS are identifiers of variants.",
+    help="Try permitted variants of the node instead: none may fail. MUTANTS are identifiers of variants.",
 )
 @click.option(
     "--citations",
     is_flag=True,
-    help="Check citations (##= ID) in the node's source instead: a case or test with the same ID must notice "
+    help="Check citations (##= ID) in the node's source instead: a case or test with the same ID must detect "
     "changes of the cited code. MUTANTS are IDs or file names.",
 )
 @click.option(
     "--side-by-side",
     is_flag=True,
-    help="Compare verdicts of cases that are executed side by side with those of one after the other, on our node and "
-    "on mutants.",
+    help="Compare the verdicts of concurrent cases with those of cases in succession, for the reference node and for "
+    "mutants.",
 )
 @click.option(
     "--recordings",
@@ -92,13 +92,13 @@ _FEW = 40
     default=50,
     show_default=True,
     metavar="N",
-    help="With --recordings, also judge N networks without a fault, in which nothing may be found.",
+    help="With --recordings, also judge N networks without a fault, which must have no finding.",
 )
 @click.option(
     "--dictionary",
     type=click.Path(dir_okay=False, path_type=Path),
     metavar="FILE",
-    help="Run every case against the mutants, and write which ones fail: the fault dictionary of the diagnosis.",
+    help="Run every case against the mutants, and write the failed cases: the fault dictionary of the diagnosis.",
 )
 @click.option(
     "--diagnose",
@@ -110,15 +110,15 @@ _FEW = 40
     "--smoke-plan",
     type=click.Path(dir_okay=False, path_type=Path),
     metavar="FILE",
-    help="Measure how long each case takes, and choose the cases of the smoke plan by the fault dictionary.",
+    help="Measure the duration of each case, and choose the cases of the smoke plan by the fault dictionary.",
 )
 @click.option("--list", "listing", is_flag=True, help="Only show the mutants or variants.")
-@click.option("--verbose", "-v", is_flag=True, help="A line for every mutant.")
-@click.option("--quiet", "-q", is_flag=True, help="Only what is wrong, and the numbers.")
+@click.option("--verbose", "-v", is_flag=True, help="Show a line for every mutant.")
+@click.option("--quiet", "-q", is_flag=True, help="Show only problems, and the numbers.")
 def command(mutants: tuple[str, ...], **options: Any) -> int:
-    """Test the suite: it must pass our node and permitted variants of it, and notice small faults.
+    """Test the suite: the reference node and its permitted variants must pass, and small faults must be detected.
 
-    MUTANTS are identifiers of mutants or of the requirements that they violate, or globs of them; without any, all.
+    MUTANTS are identifiers of mutants or of the requirements that they violate, or globs of them; all by default.
     """
     if options["dictionary"] is not None or options["diagnose"] is not None:
         from .diagnosis import make_dictionary, measure_diagnosis
@@ -159,7 +159,7 @@ def command(mutants: tuple[str, ...], **options: Any) -> int:
             picked,
             profiles=options["profile"],
             full=options["full"],
-            # A matrix of the first killers would change with the order of the cases.
+            # The document needs all killers: the first one changes with the order of the cases.
             every=options["document"] is not None,
             jobs=options["jobs"],
             on_start=lambda total: progress.update(task, total=total),
@@ -173,7 +173,7 @@ def command(mutants: tuple[str, ...], **options: Any) -> int:
 
 
 def _side_by_side(patterns: tuple[str, ...], options: dict[str, Any]) -> int:
-    """Compare the verdicts of two ways to execute cases. Return the exit status."""
+    """Compare the verdicts of concurrent cases and of cases in succession. Return the exit status."""
     from dcp_conformance.selftest.runner import chosen
     from dcp_conformance.selftest.side_by_side import Comparison, compare_all
 
@@ -323,7 +323,7 @@ def _citations(patterns: tuple[str, ...], options: dict[str, Any]) -> int:
 
 
 def _versions(each: Mutant | Variant) -> str:
-    """Return the versions of the specification that a mutant or variant concerns."""
+    """Return a text with the versions of the specification that a mutant or variant concerns."""
     return f"since {each.since}" if each.until is None else f"{each.since} to {each.until}"
 
 

@@ -17,7 +17,7 @@ from dcp_conformance.selftest.variants.campaign import Judged, VariantsResult
 
 from .display import console, data
 
-#: Columns of the terminal from which on the table of mutants has all of its columns.
+#: Minimum width of the terminal, in characters, for all columns of the table of mutants.
 _WIDE = 110
 
 
@@ -36,7 +36,7 @@ def print_selftest(result: SelftestResult, *, verbose: bool, quiet: bool) -> Non
             )
     for trial in result.survivors:
         out.print(f"[bold red]survives[/] {trial.mutant} ({trial.profile}): {data(trial.what)}", soft_wrap=True)
-        also = f"; noticed by {', '.join(each.case for each in trial.also[:3])}" if trial.also else ""
+        also = f"; detected by {', '.join(each.case for each in trial.also[:3])}" if trial.also else ""
         names = " ".join(trial.requirements)
         out.print(f"         {trial.candidates} cases name {names}{also}", soft_wrap=True)
     for trial in result.mutants:
@@ -52,20 +52,20 @@ def print_selftest(result: SelftestResult, *, verbose: bool, quiet: bool) -> Non
 
 def _baselines(baselines: Sequence[Baseline]) -> Table:
     table = Table(box=None, pad_edge=False, header_style="bold")
-    table.add_column("our node", no_wrap=True)
+    table.add_column("reference node", no_wrap=True)
     table.add_column("cases", justify="right")
     table.add_column("")
     for each in baselines:
-        said = "[green]passes[/]" if each.good else f"[bold red]{len(each.findings)} do not pass[/]"
-        table.add_row(each.profile, str(each.cases), said)
+        outcome = "[green]passes[/]" if each.good else f"[bold red]{len(each.findings)} do not pass[/]"
+        table.add_row(each.profile, str(each.cases), outcome)
     return table
 
 
 def _sections(trials: Sequence[Trial]) -> Table:
     """Return a table of the mutants by group of requirements."""
     table = Table(box=None, pad_edge=False, header_style="bold")
-    table.add_column("mutants of", no_wrap=True)
-    for heading in ("there", "tried", "killed", "survive"):
+    table.add_column("requirements", no_wrap=True)
+    for heading in ("mutants", "trials", "killed", "survive"):
         table.add_column(heading, justify="right", no_wrap=True)
     groups: dict[str, list[Trial]] = {}
     for trial in trials:
@@ -96,7 +96,7 @@ def _mutants(result: SelftestResult, width: int) -> Table:
             f"{trial.mutant} ({trial.profile})" if several else trial.mutant,
             *([trial.requirements[0]] if wide else []),
         ]
-        cells.append(f"[green]{data(killers[0])}[/]{more}" if killers else "[bold red]nobody[/]")
+        cells.append(f"[green]{data(killers[0])}[/]{more}" if killers else "[bold red]no case[/]")
         table.add_row(*cells, *([str(len(trial.also)) if trial.also else "."] if result.full else []))
     return table
 
@@ -112,12 +112,12 @@ def print_generated(result: GeneratedResult, *, verbose: bool) -> None:
             out.print(f"[dim]ledger[/] {data(str(trial.site))}  {data(trial.excused)}", soft_wrap=True)
     for trial in result.misplaced:
         out.print(f"[bold red]not invisible[/] {trial.site.key} {data(str(trial.site))}", soft_wrap=True)
-        out.print(f"              the ledger says: {data(trial.excused)}", soft_wrap=True)
+        out.print(f"              reason in the ledger: {data(trial.excused)}", soft_wrap=True)
         out.print(f"              killed by {data(trial.outcome.by)}", soft_wrap=True)
     for trial in result.survivors:
         out.print(f"[bold red]survives[/] {trial.site.key} {data(str(trial.site))}", soft_wrap=True)
         if trial.outcome.fate == "noticed":
-            out.print(f"         only noticed by {data(trial.outcome.by)}", soft_wrap=True)
+            out.print(f"         not failed, but affected: {data(trial.outcome.by)}", soft_wrap=True)
     judged, excused = len(result.judged), len(result.trials) - len(result.judged)
     out.print(
         f"\n{judged - len(result.survivors)} of {judged} random changes killed ({result.score:.1%}); {excused} more "
@@ -162,7 +162,7 @@ def _by_variant(result: VariantsResult) -> dict[str, list[Judged]]:
 
 
 def _variants(result: VariantsResult, *, verbose: bool) -> Table:
-    """A row for each variant, or with ``verbose`` for each variant and profile."""
+    """Return a table with a row for each variant, or with ``verbose`` for each variant and profile."""
     table = Table(box=None, pad_edge=False, header_style="bold")
     table.add_column("variant", no_wrap=True)
     if verbose:
@@ -200,19 +200,19 @@ def print_citations(result: CitationsResult, *, verbose: bool, quiet: bool) -> N
             out.print(f"{each.citation.requirement:<10} {each.citation}: {data(proof)}", soft_wrap=True)
             if each.change and not quiet:
                 out.print(f"           {data(each.change)}", soft_wrap=True)
-    said = {
-        "none": "no change of the cited code is noticed",
+    texts = {
+        "none": "no change of the cited code is detected",
         "breaks": "changes of the cited code only break the node as a whole",
-        "no change": "there is nothing to change in the cited code",
+        "no change": "the cited code has no possible change",
     }
     for each in result.unproved:
         out.print(
-            f"[bold red]unproved[/] {each.citation.requirement} {each.citation}: {said[each.proof]}", soft_wrap=True
+            f"[bold red]unproved[/] {each.citation.requirement} {each.citation}: {texts[each.proof]}", soft_wrap=True
         )
     for each in result.outdated:
         out.print(
             f"[bold red]proved[/] {each.citation.requirement} {each.citation}, by {data(each.by)}: "
-            "take it out of the ledger",
+            "remove it from the ledger",
             soft_wrap=True,
         )
     counts = {proof: sum(each.proof == proof for each in result.verdicts) for proof in ("case", "test")}

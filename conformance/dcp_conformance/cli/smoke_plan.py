@@ -10,7 +10,7 @@ from dcp_conformance.errors import UsageError
 
 
 def make_smoke_plan(options: dict[str, Any]) -> int:
-    """Measure the cases, choose the smoke plan, and write both. Returns the exit status."""
+    """Measure the durations of the cases, choose the smoke plan, and write both. Return the exit status."""
     from dcp_conformance.diagnosis import load
     from dcp_conformance.model.case_times import encode
     from dcp_conformance.model.results import CaseResult
@@ -30,6 +30,6 @@ def make_smoke_plan(options: dict[str, Any]) -> int:
         file.write_bytes(encode(times))
     except OSError as error:
         raise UsageError(f"{file}: cannot be written: {error.strerror or error}") from None
-    noticed, known = sum(times.smoke.values()), sum(bool(fault.fails) for fault in load().faults)
-    say(f"{len(times.smoke)} of {len(times.seconds)} cases notice {noticed} of {known} faults; {file}")
+    detected, known = sum(times.smoke.values()), sum(bool(fault.fails) for fault in load().faults)
+    say(f"{len(times.smoke)} of {len(times.seconds)} cases detect {detected} of {known} faults; {file}")
     return 0

@@ -10,6 +10,7 @@ length).
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterable, Mapping
 
 from dcp_conformance.model.results import CaseResult, Check, Diagnosis, Probable
@@ -20,6 +21,8 @@ from .dictionary import Dictionary, Fault
 #: Probability that a case fails if it failed in the self-test with an assumed fault, if it was inconclusive there, and
 #: if no assumed fault concerns it.
 _FAILS, _UNDECIDED, _NOISE = 0.93, 0.03, 0.003
+#: Probability that a case does not pass, if it was inconclusive in the self-test with an assumed fault.
+_PREVENTED = 0.5
 #: Log likelihood that a further fault must add; difference of log likelihoods below which explanations are equal.
 _PRICE, _EQUAL = 5.0, 0.7
 #: Maximum number of faults in a diagnosis, and of alternatives to each.
@@ -60,15 +63,18 @@ class _Search:
         self._failed, self._passed = failed, passed
         decided = failed.keys() | passed
         self._chances: dict[str, dict[str, float]] = {}
-        """By fault, by decided case: the probability that the fault makes the case fail."""
+        """By fault, by decided case: probability that the fault makes it fail (failed cases), or not pass (passed)."""
         self._faults: dict[str, Fault] = {}
         for fault in dictionary.faults:
             chances = dict.fromkeys(fault.fails & decided, _FAILS)
-            chances.update((case, _UNDECIDED) for case in fault.undecided & decided)
+            chances.update((case, _UNDECIDED) for case in fault.undecided & failed.keys())
+            chances.update((case, _PREVENTED) for case in fault.undecided & passed)
             # A fault none of whose expected failures was observed cannot explain anything.
             if failed.keys() & fault.fails:
                 self._faults[fault.id] = fault
                 self._chances[fault.id] = chances
+        self._common = Counter(case for fault in dictionary.faults for case in fault.fails)
+        """By case: how many faults of the dictionary make it fail."""
         self._survives: dict[str, float] = {}
         """By case: the probability that it does not fail with the chosen faults; 1 - _NOISE for cases without entry."""
 
@@ -155,15 +161,17 @@ class _Search:
     def _best(self, fault: Fault, explains: Iterable[str]) -> str:
         """Return the case that shows the fault best, or an empty string.
 
-        Preferred is a case whose failed check names a requirement of the fault and cites a frame, then a short case.
+        Preferred is a case whose failed check names a requirement of the fault, which few other faults make fail, whose
+        check cites a frame, and which is short.
         """
 
-        def rank(name: str) -> tuple[bool, bool, bool, int, str]:
+        def rank(name: str) -> tuple[bool, bool, int, bool, int, str]:
             result = self._failed[name]
             check = _decisive(result, fault)
             named = check is not None and not set(check.requirements).isdisjoint(fault.requirements)
             frames = check is not None and bool(check.frames)
-            return (not named, not (check is not None and check.shown), not frames, len(result.evidence), name)
+            shown = check is not None and check.shown
+            return (not named, not shown, self._common[name], not frames, len(result.evidence), name)
 
         return min(explains, key=rank, default="")
 

@@ -1,1 +1,1 @@
-"""Execute test cases: selection, order, one case, one run, and the results of both."""
+"""Execution of test cases: selection and order, single cases, whole runs, and their results."""

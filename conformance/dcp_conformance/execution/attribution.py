@@ -1,8 +1,8 @@
-"""Attribute a death to a case, after confirming it alone from a fresh start.
+"""Attribute the end of the implementation ("death") to a case, and confirm it by executing the case alone.
 
-When the implementation is found dead or silent after a case, that case may have killed it, or one shortly before it (a
-process takes a moment to die), or several together. Each is tried from a fresh start. What a case saw fail while the
-implementation was dying is not held against the requirements of the case: only the death is.
+When the implementation is found dead or silent after a case, the cause may be that case, an earlier one (a process
+takes a moment to end), or several cases together. Each is executed again after a restart. Checks that failed for lack
+of a reaction while the implementation was ending do not count against the requirements of the case.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from dcp_conformance.test_system.traffic import Event, Traffic
 from .life import Loss
 from .service_requirements import concerns, violated_by_death
 
-#: Requirements that ask for survival, by what they are about. A case that names one of them is about survival.
+#: Requirements to survive any input. A case that names one of them is about survival.
 _SURVIVAL_OF_FRAMES: Final = "BP-RX-16"
 _SURVIVAL_OF_PAYLOADS: Final = "VD-ROB-01"
 _SURVIVAL: Final = frozenset({"BP-RX-15", _SURVIVAL_OF_FRAMES, _SURVIVAL_OF_PAYLOADS})
@@ -32,7 +32,7 @@ _SURVIVAL: Final = frozenset({"BP-RX-15", _SURVIVAL_OF_FRAMES, _SURVIVAL_OF_PAYL
 
 @dataclass(slots=True)
 class Trial:
-    """One execution of a case, with what was found of the implementation's life after it."""
+    """One execution of a case, with the state of the implementation after it."""
 
     case: Case
     bench: Bench
@@ -40,16 +40,17 @@ class Trial:
     """Time of the lower tester's clock, ns."""
     checks: list[Check] = field(default_factory=list)
     loss: Loss | None = None
+    """How the implementation was lost in or after the case; None if it is alive."""
     stimulus: Event | None = None
-    """The stimulus that probably ended the implementation; None if there was none."""
+    """The stimulus that probably ended the implementation; None without any stimulus."""
     paused: bool = False
-    """BP was deactivated in the case."""
+    """Whether BP was deactivated in the case."""
     used_up: bool = False
-    """The case stopped because no identifier was left that the implementation cannot know."""
+    """Whether the case stopped because all identifiers that the implementation cannot know were used up."""
     detail: str = ""
     """Traceback of a fault of the tester."""
     hung_up: str = ""
-    """How the upper tester stopped answering; empty if it did not."""
+    """Error message if the upper tester stopped answering; otherwise empty."""
 
     @property
     def verdict(self) -> Verdict:
@@ -58,9 +59,9 @@ class Trial:
 
     @property
     def disturbed(self) -> bool:
-        """Whether nothing but the tester's own trouble has left the case, or parts of it, undecided."""
+        """Whether only a disturbance of the tester (lateness, lost frames) left the case, or parts of it, undecided."""
         undecided = self.verdict in (Verdict.INCONCLUSIVE, Verdict.FAIL)
-        return undecided and self.loss is None and not self.used_up and bool(self.bench.disturbed)
+        return undecided and self.loss is None and not self.used_up and bool(self.bench.verdicts.disturbed)
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,23 +73,24 @@ class Attribution:
     checks: tuple[Check, ...]
     """The checks that count for the case itself."""
     killed: bool
-    """The case is to blame."""
+    """Whether the case is the cause."""
     earlier: Trial | None = None
-    """The execution of an earlier case that is to blame instead."""
+    """The execution of an earlier case that is the cause instead."""
     note: str = ""
     """A note for the results of the run; empty if the checks suffice."""
 
 
 Again = Callable[[Sequence[Case]], Trial | str]
-"""Runs cases one after the other from a fresh start; the trial of the first that ends in a loss, else of the last. A
-text says why the implementation could not be started."""
+"""Function that restarts the implementation and executes cases in succession. It returns the trial of the first case
+that ends in a loss, otherwise of the last case, or a text with the reason why the implementation could not be started.
+"""
 
 
 def attribute(trial: Trial, recent: Sequence[Case], again: Again | None) -> Attribution:
-    """Find out which case ended the life of the implementation.
+    """Determine which case ended the implementation.
 
-    ``recent``: the cases shortly before, in the same life of the implementation, in their order. ``again``: None if
-    the implementation cannot be started by the tester.
+    ``recent`` has the cases shortly before ``trial``, since the last start of the implementation, in their order.
+    ``again`` is None if the tester cannot start the implementation.
     """
     loss, case = trial.loss, trial.case
     assert loss is not None
@@ -98,14 +100,14 @@ def attribute(trial: Trial, recent: Sequence[Case], again: Again | None) -> Attr
     if isinstance(alone, str):
         return _unconfirmed(trial, alone, recent)
     if alone.loss is not None:
-        # The first execution has the evidence of the whole run; both ended alike.
+        # Both executions ended in the same way. Report the first: its evidence is that of the run.
         return Attribution(trial, blamed(trial), killed=True)
     for suspect in reversed(recent):
         earlier = again([suspect])
         if isinstance(earlier, str):
             return _unconfirmed(trial, earlier, recent)
         if earlier.loss is not None:
-            note = f"{case.id} found the implementation dead; {suspect.id}, before it, ends it when it is run alone"
+            note = f"the implementation was dead after {case.id}; {suspect.id}, an earlier case, ends it when run alone"
             checks = with_failures_of(alone.checks, trial.checks)
             return Attribution(alone, checks, killed=False, earlier=earlier, note=note)
     if recent:
@@ -118,9 +120,10 @@ def attribute(trial: Trial, recent: Sequence[Case], again: Again | None) -> Attr
 
 
 def blamed(trial: Trial, text: str = "") -> tuple[Check, ...]:
-    """The checks of a case that ended the life of the implementation: first the death, then what it saw.
+    """Return the checks of a case that ended the implementation: first the death, then the checks of the case.
 
-    Only failures that were received stay fails: what is missing may be missing because the implementation was dying.
+    Failures that a received frame or answer proves stay fails. A missing reaction becomes inconclusive, because the
+    implementation may have been ending. ``text`` is appended to the observation.
     """
     loss = trial.loss
     assert loss is not None
@@ -135,26 +138,26 @@ def blamed(trial: Trial, text: str = "") -> tuple[Check, ...]:
     violated = survival(trial)
     death = Check(verdict, violated, what, loss.observed + text, table=table)
     if service and not violated:
-        # No requirement is about the service: the checks of the case keep their verdicts.
+        # No requirement applies to the service: the checks of the case keep their verdicts.
         return (death, *trial.checks)
     return (death, *_withheld(trial, f"the implementation {loss.how} in this case"))
 
 
 def came_back(trial: Trial, seconds: float) -> tuple[Check, ...]:
-    """The checks of a case after which the implementation was silent, and answered again after this time.
+    """Return the checks of a case after which the implementation was silent, and answered again after ``seconds``.
 
-    A busy machine can do that, as well as what was sent.
+    The cause may be a busy machine or the stimulus, so that the verdict is inconclusive.
     """
     assert trial.loss is not None
     text = f"{trial.loss.observed}; it answered again after {seconds:.1f} s"
-    check = Check(Verdict.INCONCLUSIVE, survival(trial), "the implementation goes on answering", text)
+    check = Check(Verdict.INCONCLUSIVE, survival(trial), "the implementation continues to answer", text)
     return (check, *_withheld(trial, "the implementation did not answer for a while"))
 
 
 def with_failures_of(checks: Sequence[Check], earlier: Sequence[Check]) -> tuple[Check, ...]:
-    """Checks of an execution, with the failures of an earlier one that were proved there and not seen again.
+    """Return the checks of an execution, and the proved failures of an earlier execution that did not occur again.
 
-    The frames of those are in the recording of the earlier execution, which is not kept.
+    The added checks have no frames, because the recording of the earlier execution is not kept.
     """
     seen = {(check.expected, check.requirements) for check in checks if check.verdict is Verdict.FAIL}
     kept = [
@@ -166,7 +169,7 @@ def with_failures_of(checks: Sequence[Check], earlier: Sequence[Check]) -> tuple
 
 
 def _withheld(trial: Trial, why: str) -> tuple[Check, ...]:
-    """The checks of a trial; failures about something missing become inconclusive, proved ones stay."""
+    """Return the checks of a trial; failures for lack of a reaction become inconclusive for the reason ``why``."""
     return tuple(
         msgspec.structs.replace(check, verdict=Verdict.INCONCLUSIVE, observed=f"{check.observed}; but {why}")
         if check.verdict is Verdict.FAIL and not check.shown
@@ -176,24 +179,24 @@ def _withheld(trial: Trial, why: str) -> tuple[Check, ...]:
 
 
 def _unconfirmed(trial: Trial, why: str, recent: Sequence[Case]) -> Attribution:
-    """Without a fresh start there is no confirmation.
+    """Return the attribution without a confirmation, because the implementation cannot be restarted (``why``).
 
-    That a process has ended is a fact, whatever ended it: a fail, but of no requirement where another case comes into
-    question. Silence is only a doubt then.
+    A process that has ended is a fail; it names no requirement if an earlier case may be the cause. Silence is
+    inconclusive in that case.
     """
     loss = trial.loss
     assert loss is not None
     text = f"; not confirmed: {why or 'there is no command to start it again (--start, --restart)'}"
     if not recent:
         return Attribution(trial, blamed(trial, text), killed=True)
-    text = f"{loss.observed}{text}; what ended it may have been sent in {', '.join(each.id for each in recent)}"
+    text = f"{loss.observed}{text}; the cause may have been sent in {', '.join(each.id for each in recent)}"
     verdict = Verdict.FAIL if loss.died else Verdict.INCONCLUSIVE
     check = Check(verdict, (), "the implementation survives", text)
     return Attribution(trial, (check, *_withheld(trial, f"the implementation {loss.how}")), killed=loss.died)
 
 
 def _not_reproduced(alone: Trial, trial: Trial, recent: Sequence[Case]) -> Attribution:
-    """Report a death that was seen only once; it decides no case."""
+    """Return the attribution of a death that occurred only once; it decides no case."""
     loss = trial.loss
     assert loss is not None
     tried = f"{trial.case.id} alone"
@@ -206,15 +209,15 @@ def _not_reproduced(alone: Trial, trial: Trial, recent: Sequence[Case]) -> Attri
 
 
 def survival(trial: Trial) -> tuple[str, ...]:
-    """The requirements that a death in this case violates.
+    """Return the requirements that a death in this case violates.
 
-    Those of the case that ask for survival. Otherwise, after a frame, the one that asks for surviving what was sent;
-    after a service call, the one that says what this service does
+    These are the requirements of the case about survival. Without any, a frame violates the requirement to survive its
+    payload, and a service call violates the requirement about the service
     (:mod:`dcp_conformance.execution.service_requirements`).
     """
     case = trial.case
     if case.needs.link:
-        # The death follows from taking the link down, not from any frame or call.
+        # The cause is the switched-off link, not a frame or a call.
         return case.requirements
     named = tuple(each for each in case.requirements if each in _SURVIVAL)
     deadly = trial.stimulus
@@ -233,12 +236,12 @@ def survival(trial: Trial) -> tuple[str, ...]:
 
 
 def likely_stimulus(case: Case, traffic: Traffic) -> Event | None:
-    """Find the stimulus that probably ended the implementation, without calls that only tidy up.
+    """Find the stimulus that probably ended the implementation, without calls that only restore its state.
 
-    In a case about services that is the last call, as its frames are honest, unless the implementation was heard after
-    the call and before another frame, or the case only uses that service. Nor is it a call that was never answered and
-    that the case only uses, if a frame came between the last sign of life and the call. Otherwise it is a frame since
-    the last beacon.
+    In a case about services with valid frames, it is the last call, with two exceptions. First, the call was answered
+    before a later frame, and a beacon was received in between or the case only uses the service. Second, the case only
+    uses the service, the call was never answered, and a frame was sent between the last sign of life and the call.
+    Otherwise it is a frame that was sent after the last beacon.
     """
     events = traffic.events
     tidying = set(_tidying(case, events))
@@ -259,18 +262,18 @@ def likely_stimulus(case: Case, traffic: Traffic) -> Event | None:
 
 
 def _outlived(case: Case, events: Sequence[Event]) -> bool:
-    """Whether the first of these events, a call, is a less likely cause of death than a frame after it."""
+    """Return whether the first of these events, a call, is a less likely cause of death than a later frame."""
     frame = next((place for place, each in enumerate(events) if each.direction == "sent"), None)
     if frame is None or not any(each.direction == "answer" for each in events[:frame]):
         return False
     if any(each.direction == "heard" for each in events[:frame]):
         return True
-    # An inactive entity must discard frames unread: they are not the cause.
+    # An inactive entity must discard frames unread: then frames are not the cause.
     return not (events[0].text.endswith("-MGMT-Deactivate") or concerns(case, events[0].text))
 
 
 def _dead_before(case: Case, events: Sequence[Event], place: int) -> bool:
-    """Whether the implementation may have been dead before the call at ``place``, which the case only uses."""
+    """Return whether the implementation may have been dead before the call at ``place``, which the case only uses."""
     if concerns(case, events[place].text) or any(each.direction == "answer" for each in events[place + 1 :]):
         return False
     before = next((each for each in reversed(events[:place]) if each.direction in ("sent", "heard", "answer")), None)
@@ -278,9 +281,9 @@ def _dead_before(case: Case, events: Sequence[Event], place: int) -> bool:
 
 
 def _tidying(case: Case, events: Sequence[Event]) -> Iterator[int]:
-    """Places of calls that only prepare or end a case, or undo something, unless the case is about that service.
+    """Yield the indices of calls that only prepare, end or undo something, unless the case is about the service.
 
-    An activation counts only if it was not answered: it undoes a deactivation that may have been deadly.
+    An activation is yielded only if it was not answered: it undoes a deactivation that may be the cause.
     """
     for place, event in enumerate(events):
         if event.direction != "call":

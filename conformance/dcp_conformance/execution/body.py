@@ -1,4 +1,4 @@
-"""Execute the body of a case, and turn whatever ends it into checks."""
+"""Execute the body of a case, and record exceptions that end it as checks."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ from .attribution import Trial, likely_stimulus
 
 @contextmanager
 def recorded(trial: Trial) -> Iterator[None]:
-    """Record an exception of the block as a check of the case. Only ``KeyboardInterrupt`` and the like get through."""
-    case, checks = trial.case, trial.bench.checks
+    """Record an exception of the block as a check of the case. Exceptions outside of ``Exception`` are propagated."""
+    case, checks = trial.case, trial.bench.verdicts.checks
     try:
         yield
     except NamesUsedUp:
@@ -46,7 +46,7 @@ def recorded(trial: Trial) -> Iterator[None]:
     except Exception as error:
         trial.detail = "".join(traceback.format_exception(error))
         what = f"{type(error).__name__}: {error}"
-        checks.append(Check(Verdict.ERROR, case.requirements, "the case runs to its end", what))
+        checks.append(Check(Verdict.ERROR, case.requirements, "the case runs without an internal error", what))
 
 
 def run_body(trial: Trial) -> None:
@@ -54,39 +54,39 @@ def run_body(trial: Trial) -> None:
     case, bench = trial.case, trial.bench
     bench.mark()
     bench.heard.clear()
-    # Frames that were lost before the case are no excuse in it.
+    # Discard the losses before the case: they do not disturb it.
     bench.lower.health()
     try:
-        # Whether there is anything to test is found out on a link that only delays.
+        # The sanity case runs without impairments that lose or change frames.
         with engaged(bench.lower) if case.id != SANITY else nullcontext():
             case.run(bench)
     finally:
-        # Found before restore(): calls that undo changes are not the cause of a death.
+        # Determined before restore(): calls that undo changes are not the cause of a death.
         trial.stimulus = likely_stimulus(case, bench.traffic)
-        bench.restore()
+        bench.restoration.restore()
 
 
 def delete_variables(trial: Trial, serves: Callable[[], bool]) -> bool:
     """Delete the variables that the case has created, so that their summaries do not fill the beacons of later cases.
 
-    ``serves``: whether the upper tester answers. Returns False if the deletion did not succeed.
+    ``serves`` returns whether the upper tester answers. Return False if the deletion did not succeed.
     """
     bench = trial.bench
-    made = bench.created | bench.produced
-    if not made or not (bench.traffic.frames or bench.produced):
+    made = bench.identifiers.created | bench.identifiers.produced
+    if not made or not (bench.traffic.frames or bench.identifiers.produced):
         return True
     upper = bench.session.upper
     try:
-        if upper is not None and "RTDB-Delete" in upper.methods and bench.produced:
+        if upper is not None and "RTDB-Delete" in upper.methods and bench.identifiers.produced:
             if "UT-Hello" in upper.methods and not serves():
-                # It was gone before: the deletions are not the cause.
+                # The upper tester was lost before the deletions, so that they are not the cause.
                 return False
             _delete_own(trial)
         peer = bench.peer()
         peer.send_all(peer.delete(var_id) for var_id in sorted(made))
         bench.wait(1)
         for var_id in made:
-            bench.session.identifiers.deleted(var_id, bench.departure())
+            bench.session.identifier_pool.deleted(var_id, bench.identifiers.departure())
     except UpperTesterError as error:
         trial.hung_up = str(error)
         return False
@@ -96,9 +96,9 @@ def delete_variables(trial: Trial, serves: Callable[[], bool]) -> bool:
 
 
 def _delete_own(trial: Trial) -> None:
-    """Delete the variables of the implementation's application; the last call is the stimulus if it goes wrong."""
+    """Delete the variables of the implementation's application; if a call fails, it becomes the trial's stimulus."""
     bench = trial.bench
-    for var_id in sorted(bench.produced):
+    for var_id in sorted(bench.identifiers.produced):
         try:
             bench.call("RTDB-Delete", varId=var_id)
         except UpperTesterError:

@@ -1,4 +1,4 @@
-"""The result of a case, made from one execution of it."""
+"""Conversion of one execution of a case into its result."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ import msgspec
 
 from dcp_conformance.model.results import CaseResult, Check, EventRecord
 from dcp_conformance.model.verdict import Verdict, worst
-from dcp_conformance.test_system.checks import in_force
+from dcp_conformance.test_system.judgement.verdicts import in_force
 from dcp_conformance.test_system.traffic import Event
 
 from .attribution import Trial
 
-#: Characters of the parameters or of the answer of a call that the evidence shows.
+#: Maximum number of characters of the parameters or the answer of a call in the evidence.
 _SHOWN: Final = 400
 
 
@@ -30,10 +30,11 @@ def result_of(
     executions: int = 1,
     side_by_side: bool = False,
 ) -> CaseResult:
-    """The result of a case with these checks, and with the evidence of the execution ``trial``.
+    """Return the result of a case with these checks, and with the evidence of the execution ``trial``.
 
-    ``ended``: time of the lower tester's clock, ns. ``rerun``: the command of the run, without cases. ``executions``:
-    how often the case was executed. ``side_by_side``: whether other cases were executed at the same time.
+    ``ended`` is the time of the lower tester's clock in ns. ``rerun`` is the command of the run, without cases.
+    ``killed``: whether the case ended the implementation. ``executions``: how often the case was executed.
+    ``side_by_side``: whether other cases were executed at the same time.
     """
     case, bench, checks = trial.case, trial.bench, tuple(checks)
     verdict = worst(check.verdict for check in checks) or Verdict.INCONCLUSIVE
@@ -51,7 +52,7 @@ def result_of(
         duration=(ended - trial.begun) / 1e9,
         table="robustness" if case.robustness else "conformance",
         checks=checks,
-        readings=bench.readings,
+        readings=bench.verdicts.readings,
         evidence=tuple(map(_record, bench.traffic.events)),
         left_out=bench.traffic.left_out,
         rerun=f"{rerun} {shlex.join([*case.options, case.id])}",
@@ -65,10 +66,10 @@ def result_of(
 
 
 def _reason(checks: Iterable[Check], verdict: Verdict, executions: int) -> str:
-    """Why a case is not a pass: the check that decided it."""
+    """Return the text of the check that decided the verdict; empty for a pass."""
     decisive = next((check for check in checks if check.verdict is verdict), None)
     if decisive is None:
-        return "the case has looked at nothing"
+        return "the case has made no check"
     if verdict is Verdict.NOT_APPLICABLE:
         return decisive.expected
     if verdict is Verdict.PASS:

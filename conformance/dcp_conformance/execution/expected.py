@@ -1,13 +1,13 @@
-"""Expected results: what is known to fail, why, and until when.
+"""Expected results: known failures with reason and expiry date.
 
-A file of these lets a run say whether anything has changed, instead of whether everything is perfect. It cannot rot: an
-entry without a reason is not read, one that nothing matched any more or whose day has come fails the run.
+With a file of expected results, a run reports only changes. The file cannot become outdated unnoticed: an entry without
+a reason is rejected, and an entry that matches no result or has expired makes the run fail.
 
 ::
 
     [[expected]]
     case = "TC_VD_STATE_BV_01-*"        # identifier or glob
-    verdict = "fail"                    # what to expect; "fail" unless said otherwise
+    verdict = "fail"                    # expected verdict; default "fail"
     reason = "answers an equal sequence number, reported as #12"
     match = "equal"                     # regular expression that the verdict's reason must contain
     expires = 2027-03-31
@@ -31,7 +31,7 @@ from .selection import matches
 
 
 class Expectation(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """One entry."""
+    """One entry of the file."""
 
     case: str
     reason: str
@@ -41,7 +41,7 @@ class Expectation(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
 
     def __post_init__(self) -> None:
         if not self.reason.strip():
-            raise ValueError("`reason` says nothing")
+            raise ValueError("`reason` is empty")
         re.compile(self.match)
 
 
@@ -50,7 +50,7 @@ class _File(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class ExpectedResults:
-    """The entries of a file, and which of them came true."""
+    """The entries of a file, and which of them have matched a result."""
 
     def __init__(self, entries: Sequence[Expectation] = (), name: str = "") -> None:
         self.entries = tuple(entries)
@@ -59,7 +59,7 @@ class ExpectedResults:
 
     @classmethod
     def load(cls, path: Path, cases: Iterable[Case]) -> ExpectedResults:
-        """Read a file. Raises :class:`UsageError`: unreadable, malformed, or an entry about no case there is."""
+        """Read a file. Raise :class:`UsageError` if it is unreadable or malformed, or if an entry matches no case."""
         try:
             entries = msgspec.toml.decode(path.read_bytes(), type=_File).expected
         except OSError as error:
@@ -73,7 +73,7 @@ class ExpectedResults:
         return cls(entries, str(path))
 
     def judge(self, case: Case, result: CaseResult) -> str:
-        """Why a result is not as expected; empty if it is. Notes which entries came true."""
+        """Return why a result is unexpected, empty if it is expected; remember the entries that it matches."""
         about = [(number, entry) for number, entry in enumerate(self.entries) if matches(case, entry.case)]
         if not about:
             return f"unexpected {result.verdict}" if result.verdict is Verdict.FAIL else ""
@@ -83,7 +83,7 @@ class ExpectedResults:
                 return ""
         wanted = " or ".join(dict.fromkeys(str(entry.verdict) for _, entry in about))
         if result.verdict in (Verdict.NOT_APPLICABLE, Verdict.TOO_LITTLE, Verdict.INCONCLUSIVE, Verdict.ERROR):
-            # Whether the entry still holds cannot be said; that it is not unused can.
+            # This verdict does not show whether the entry is still true, but the entry is not unused.
             self._used.update(number for number, _ in about)
             return ""
         if any(result.verdict is entry.verdict for _, entry in about):
@@ -91,7 +91,7 @@ class ExpectedResults:
         return f"unexpected {result.verdict}: {wanted} was expected ({about[0][1].reason})"
 
     def complaints(self, selected: Sequence[Case], today: datetime.date) -> list[str]:
-        """What is wrong with the entries after a run of ``selected``: unused or expired ones."""
+        """Return messages on entries for the cases ``selected`` that matched no result of the run or have expired."""
         found = []
         for number, entry in enumerate(self.entries):
             if not any(matches(case, entry.case) for case in selected):
@@ -99,5 +99,5 @@ class ExpectedResults:
             if entry.expires is not None and entry.expires < today:
                 found.append(f"{self.name}: {entry.case}: expired on {entry.expires} ({entry.reason})")
             elif number not in self._used:
-                found.append(f"{self.name}: {entry.case}: nothing came out like this; take it out ({entry.reason})")
+                found.append(f"{self.name}: {entry.case}: no result matches this entry; remove it ({entry.reason})")
         return found

@@ -1,6 +1,6 @@
-"""Signs of life: whether the implementation still takes part, and how it ended.
+"""Signs of life: check whether the implementation still takes part in the protocols, and describe how it ended.
 
-The runner asks after every case that leaves a doubt, after every start, and before it believes in a death.
+The runner checks after every case that leaves a doubt, after every start, and before it reports a death.
 """
 
 from __future__ import annotations
@@ -21,23 +21,23 @@ from dcp_conformance.sut.control import SeesSockets, SutControl
 from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.test_system.session import Session
 
-#: Questions without an answer after which an implementation counts as silent: frames get lost.
+#: Number of unanswered probes after which an implementation counts as silent. Several, because frames can be lost.
 QUESTIONS: Final = 4
-#: Seconds that a dying implementation may take until its process has ended. Its connections close first.
+#: Maximum time in seconds from the loss of a connection to the end of the process.
 DEATH_PATIENCE: Final = 1.5
-#: Seconds that an implementation may take to answer after a start.
+#: Maximum time in seconds from a start to the first answer.
 START_PATIENCE: Final = 30.0
-#: Seconds from opening the link to the first answer, after the first start: of several processes the one that opens the
-#: link may be the first to start.
+#: Maximum time in seconds from opening the link to the first answer, after the first start. If the implementation has
+#: several processes, the one that opens the link may start first.
 READY_PATIENCE: Final = 8.0
 #: Seconds of waiting after which the user gets a message.
 SILENT: Final = 3.0
-#: Beacon periods that an implementation may take to send what comes before an answer.
+#: Maximum number of beacon periods for sending the records that precede an answer.
 _BACKLOG: Final = 100
 _BEFORE_REQUESTS: Final = (ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.DELETE_VARIABLES)
 Sign = Literal["answer", "beacon", "service"]
 _POLL_NS: Final = 20_000_000
-#: How the last lines of a process are quoted (``upper.channels.LastLines.shown``).
+#: Separators in quoted last lines of a process (``upper_tester.channels.LastLines.shown``).
 _SAID, _LINES = "; it said: ", " | "
 _FAULT: Final = re.compile(r"fatal|error|terminate|exception|what\(\)|assert|panic|abort|fault", re.IGNORECASE)
 _NUMBERS: Final = re.compile(r"0x[0-9a-fA-F]+|\d+")
@@ -48,63 +48,71 @@ class Loss:
     """How the implementation stopped taking part."""
 
     died: bool
-    """Its process has ended; otherwise it runs, as far as is known, and does not answer."""
+    """Whether its process has ended; otherwise it does not answer, and runs as far as is known."""
     observed: str
-    """What was observed, for the failed check."""
+    """The observation for the failed check."""
     cause: str = ""
-    """How the process ended, and its last words; empty if that is not known."""
+    """How the process ended, and the last lines of its output; empty if that is not known."""
     doubtful: bool = False
-    """It only stopped sending beacons, and never answered on the link: it may have nothing to send."""
+    """Whether it only stopped sending beacons and never answered on the link: it may have nothing to send."""
     upper_only: bool = False
-    """Only the upper tester is gone; the implementation answers on the link."""
+    """Whether only the upper tester is lost; the implementation answers on the link."""
 
     @property
     def how(self) -> str:
-        """A verb for messages."""
+        """The predicate of a message about the loss."""
         if self.upper_only:
             return "lost its upper tester"
         return "died" if self.died else "fell silent"
 
     @property
     def group(self) -> str:
-        """Equal for losses that look alike.
+        """A text that is equal for losses with the same probable cause: :attr:`brief`, with all numbers replaced.
 
-        Numbers (process ids, addresses, line numbers) do not count, and of the last words only the last line that
-        tells of a fault, or else the last one: several processes print in any order.
+        Process ids, addresses and line numbers differ from one loss to the next.
+        """
+        return _NUMBERS.sub("#", self.brief)
+
+    @property
+    def brief(self) -> str:
+        """The loss in one line.
+
+        Of the output only the last line that mentions a fault is used, or else the last line, because several processes
+        print in any order.
         """
         ending, said, words = self.cause.partition(_SAID)
         lines = words.split(_LINES)
         telling = next((line for line in reversed(lines) if _FAULT.search(line)), lines[-1])
         cause = f"{ending}{said}{telling}" or self.observed
-        return _NUMBERS.sub("#", f"{self.how}: {cause}")
+        return f"{self.how}: {cause}"
 
 
 class Life:
-    """Checks whether one implementation lives."""
+    """Checks whether one implementation is alive."""
 
     def __init__(self, session: Session, control: SutControl | None, start_timeout: float | None = None) -> None:
-        """``start_timeout``: seconds that it may take to answer after a start; None: ``START_PATIENCE``."""
+        """``start_timeout``: maximum time in seconds from a start to the first answer; None: ``START_PATIENCE``."""
         self._session = session
         self._control = control
-        self._told = start_timeout is not None
+        self._timeout_given = start_timeout is not None
         self._start_timeout = START_PATIENCE if start_timeout is None else start_timeout
         self._shown: set[Sign] = set()
-        """Kinds of signs of life that were observed; only the absence of these shows a death."""
+        """Kinds of signs of life that were observed before; only the absence of these shows a death."""
         self.hung_up = ""
-        """Why the upper tester lost its connection since the last check; empty if it did not."""
+        """Error message if the upper tester lost its connection since the last check; otherwise empty."""
 
     def ended(self) -> bool:
-        """Whether the process is known to have ended."""
+        """Return whether the process is known to have ended."""
         return self._control is not None and self._control.alive() is False
 
     def await_end(self, bench: Bench) -> bool:
-        """Wait up to ``DEATH_PATIENCE`` for the process to end. Returns whether it is known to have ended."""
+        """Wait up to ``DEATH_PATIENCE`` for the process to end; return whether it is known to have ended."""
         deadline = bench.now() + round(DEATH_PATIENCE * 1e9)
         real = time.monotonic() + DEATH_PATIENCE
-        # Two clocks: that of the lower tester stands still while the link cannot be read.
+        # Two clocks are needed: the lower tester's clock stops while the link cannot be read.
         while not self.ended() and bench.now() < deadline and time.monotonic() < real:
             try:
-                bench.wait_ns(_POLL_NS)
+                bench.waiting.wait_ns(_POLL_NS)
             except UpperTesterError as error:
                 self.hung_up = str(error)
             except LowerTesterError:
@@ -113,22 +121,22 @@ class Life:
 
     @property
     def has_answered(self) -> bool:
-        """Whether it ever answered a summary of an unknown variable in a case."""
+        """Whether the implementation ever answered a summary of an unknown variable."""
         return "answer" in self._shown
 
     def learn(self, bench: Bench, *, answered: bool = False) -> None:
-        """Remember the signs of life in a case. ``answered``: a question about an unknown variable was answered."""
+        """Remember the signs of life in a case. ``answered``: whether a summary of an unknown variable was answered."""
         if bench.heard:
             self._shown.add("beacon")
         if answered:
             self._shown.add("answer")
 
     def answers(self, bench: Bench, questions: int = QUESTIONS) -> bool:
-        """Whether the implementation takes part as it did before.
+        """Send up to ``questions`` probes; return whether the implementation is alive.
 
-        If it ever answered a summary of an unknown variable, it must answer one of several now, or send a VarDis
-        payload that cannot be read. Otherwise, or where no variable is left to ask about, a beacon or an answer of the
-        upper tester is enough.
+        If it ever answered a summary of an unknown variable, it must answer one now, or send a VarDis payload that
+        cannot be decoded. Otherwise, or if all identifiers are used up, a beacon or an answer of the upper tester
+        suffices.
         """
         strict = "answer" in self._shown and self._can_ask(bench)
         for _ in range(questions):
@@ -138,10 +146,10 @@ class Life:
             except LowerTesterError:
                 return False
             except UpperTesterError as error:
-                # The connection of notifications has ended; the implementation may live all the same.
+                # The connection for notifications has ended; the implementation may still be alive.
                 self.hung_up = str(error)
                 continue
-            # Whether a VarDis payload that cannot be read holds the answer, nobody knows: whoever sends it lives.
+            # A VarDis payload that cannot be decoded may hold the answer, and its sender is alive.
             spoken = any(each.vardis_problems for each in bench.heard[before:])
             if answered or spoken or (not strict and len(bench.heard) > before):
                 self.learn(bench, answered=answered and self._can_ask(bench))
@@ -152,12 +160,12 @@ class Life:
     def _asked(self, bench: Bench) -> bool:
         if self._can_ask(bench):
             with contextlib.suppress(StopCase):
-                return bench.probe(max(5, bench.reaction))
+                return bench.probes.probe(max(5, bench.sut.reaction))
         return bool(bench.beacons(1, 5))
 
     @staticmethod
     def _await_backlog(bench: Bench, since: int) -> None:
-        """Wait while records are sent that come before requests in a payload: with small payloads, for many periods."""
+        """Wait while the SUT sends records that precede requests in a payload; with small payloads this takes long."""
 
         def leading(heard: ReceivedBeacon) -> bool:
             return any(heard.instructions(kind) for kind in _BEFORE_REQUESTS)
@@ -167,10 +175,10 @@ class Life:
 
     @staticmethod
     def _can_ask(bench: Bench) -> bool:
-        return bench.pics.vardis is not False and bench.has_unknown_ids()
+        return bench.sut.pics.vardis is not False and bench.identifiers.has_unknown_ids()
 
     def serves(self) -> bool:
-        """Whether the upper tester answers."""
+        """Call UT-Hello; return whether the upper tester answers."""
         upper = self._session.upper
         if upper is None or "UT-Hello" not in upper.methods:
             return False
@@ -183,21 +191,21 @@ class Life:
         return True
 
     def loss(self, bench: Bench, *, ask: bool) -> Loss | None:
-        """Look at the implementation after a case; None if it lives.
+        """Check the implementation after a case; return how it was lost, or None if it is alive.
 
-        ``ask``: the case leaves a doubt, so that the implementation must answer.
+        ``ask``: whether the case leaves a doubt, so that the implementation must answer a probe.
         """
         self.learn(bench)
         if not self.ended():
             if self.hung_up:
-                # A lost connection is often the first sign of an end.
+                # A lost connection often precedes the end of the process.
                 self.await_end(bench)
                 ask = True
             if not self.ended() and (not ask or self.answers(bench)):
                 if not self.hung_up or self.serves():
                     self.hung_up = ""
                     return None
-                # Looking for the upper tester takes seconds, and it often ends before the implementation does.
+                # Calling the upper tester takes seconds, in which the implementation may have ended, too.
                 why = self.hung_up
                 if not self.ended() and self.answers(bench):
                     self.hung_up = ""
@@ -214,7 +222,7 @@ class Life:
         return Loss(False, self._silence(bench), doubtful=not {"answer", "service"} & self._shown)
 
     def _silence(self, bench: Bench) -> str:
-        """Describe how an implementation that does not answer still behaves."""
+        """Describe the remaining activity of an implementation that does not answer."""
         try:
             if bench.beacons(1, 5):
                 return "VarDis does not answer any more, though there are beacons"
@@ -224,9 +232,10 @@ class Life:
         return "it does not answer any more" + (", though its process runs" if runs else "")
 
     def await_answer(self, case: Case) -> str:
-        """Wait until an implementation that was started answers; it misses what is sent before that.
+        """Wait until a started implementation answers, because it misses frames that are sent earlier.
 
-        ``case``: the next one, or the last. Returns why waiting is in vain, empty if it answers.
+        ``case`` is the next case, or the last one. Return the reason if it does not answer in time, otherwise an empty
+        text.
         """
         if not self._shown and self._control is None:
             return ""
@@ -235,9 +244,9 @@ class Life:
     def await_start(self, case: Case, say: Callable[[str], None]) -> str:
         """Wait until the implementation answers after its first start, as :meth:`await_answer` does.
 
-        Nothing is known of it yet: it may never answer. Unless the user has said how long it may take, waiting ends
-        ``READY_PATIENCE`` s after it has opened the link. ``say`` is told what is waited for, once that has taken
-        ``SILENT`` s.
+        The implementation may be unable to answer. Unless the user has set a timeout, the wait ends
+        ``READY_PATIENCE`` s after the implementation has opened the link. After ``SILENT`` s, ``say`` is called with a
+        message for the user.
         """
         begun = self._session.lower.now()
         said, ready = False, 0
@@ -251,19 +260,19 @@ class Life:
                 say(self._waiting(bench, (now - begun) / 1e9, on_link=on_link))
             if on_link and not ready:
                 ready = now
-            if self._told or not ready or now - ready < READY_PATIENCE * 1e9:
+            if self._timeout_given or not ready or now - ready < READY_PATIENCE * 1e9:
                 return ""
             return f"does not answer, though it opened the link {(now - ready) / 1e9:.0f} s ago"
 
         return self._await(case, given_up, questions=1)
 
     def _waiting(self, bench: Bench, passed: float, *, on_link: bool) -> str:
-        """Describe an implementation that does not answer after its start, and how long it is still waited for."""
+        """Describe an implementation that does not answer ``passed`` s after its start, and the remaining wait."""
         runs = self._control is not None and self._control.alive()
         known = "its process runs" if runs else "it is not known whether its process runs"
         if on_link:
             known = "it has opened the link"
-        frames = f"{len(bench.others)} frames of other nodes" if bench.others else "nothing"
+        frames = f"{len(bench.receiver.others)} frames of other nodes" if bench.receiver.others else "nothing"
         left = max(0.0, self._start_timeout - passed)
         return (
             f"waiting for the implementation to start: {known}, {frames} heard on {bench.lower.name}; "
@@ -271,13 +280,16 @@ class Life:
         )
 
     def _await(self, case: Case, given_up: Callable[[Bench], str], questions: int = QUESTIONS) -> str:
-        """Wait for an answer. After each attempt ``given_up`` returns why to stop waiting, or an empty string."""
+        """Wait for an answer; return why there is none, or an empty text.
+
+        After each attempt ``given_up`` returns a reason to stop waiting, or an empty text.
+        """
         # Traffic while waiting is not evidence of the case.
         bench, control = Bench(self._session, case), self._control
         deadline = bench.now() + round(self._start_timeout * 1e9)
         while not self.answers(bench, questions):
             why = given_up(bench)
-            bench.take_newcomer()
+            bench.receiver.take_newcomer()
             if control is not None and control.alive() is False:
                 return f"is dead again: {control.why_dead()}"
             if why or bench.now() >= deadline:
@@ -293,7 +305,7 @@ class Life:
 
 
 def _last_sign(bench: Bench) -> str:
-    """The end of a sentence: before which sent frame its last beacon came; empty if no frame came after it."""
+    """Return a clause with the frame that was sent after the last beacon of the SUT; empty without such a frame."""
     frames = [event for event in bench.traffic.events if event.number and event.direction in ("sent", "heard")]
     last = max((place for place, event in enumerate(frames) if event.direction == "heard"), default=len(frames))
     after = frames[last + 1 :]

@@ -1,7 +1,7 @@
-"""Minimise the stimulus of a failed case: leave out frames of the tester as long as the same check still fails.
+"""Minimise the stimulus of a failed case: remove frames of the tester as long as the same check still fails.
 
-The case is executed again, and a link drops chosen frames before they are sent. A check that expects an answer also
-fails if the stimulus never arrives: so a frame is left out only if a conforming node still passes without it.
+The case is executed again with a lower tester that does not send the removed frames. A check that expects an answer
+also fails without its stimulus. So a frame is removed only if a conforming node still passes without it.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ from dcp_conformance.model.verdict import Verdict
 
 from .runner import Runner
 
-#: Executions of a case for one stimulus; each takes as long as the case.
+#: Maximum number of executions of the case.
 MOST_TRIES: Final = 40
 
 Execute = Callable[[Collection[int]], CaseResult]
-"""Executes the case without the frames at these places (from 0, in the order in which the tester sends them)."""
+"""Function that executes the case without the frames of these numbers (from 0, in the tester's order of sending)."""
 
 
 class DroppingLink:
-    """A lower tester that does not send chosen frames; everything else is that of ``lower``."""
+    """A lower tester that does not send the frames of the numbers ``dropped``, and otherwise uses ``lower``."""
 
     def __init__(self, lower: LowerTester, dropped: Collection[int]) -> None:
         self._lower = lower
@@ -40,20 +40,20 @@ class DroppingLink:
         return self._sent - 1 in self._dropped
 
     def send(self, octets: bytes, source: bytes) -> bytes:
-        """As the lower tester's; a dropped frame is returned as if it had been sent. Raises ``LowerTesterError``."""
+        """Send a bearer payload unless it is dropped; return its frame in both cases. Raise ``LowerTesterError``."""
         if self._drops():
             return b"\xff" * 6 + source + b"\x00\x00" + octets
         return self._lower.send(octets, source)
 
     def send_frame(self, frame: bytes) -> None:
-        """As the lower tester's. Raises ``LowerTesterError``."""
+        """Send a frame unless it is dropped. Raise ``LowerTesterError``."""
         if not self._drops():
             self._lower.send_frame(frame)
 
 
 @contextmanager
 def without_frames(runner: Runner, dropped: Collection[int]) -> Iterator[None]:
-    """The runner's session does not send these frames within the block."""
+    """Drop the frames of the numbers ``dropped`` in the runner's session within the block."""
     session = runner.session
     lower = session.lower
     session.lower = DroppingLink(lower, dropped)
@@ -64,7 +64,7 @@ def without_frames(runner: Runner, dropped: Collection[int]) -> Iterator[None]:
 
 
 def executor(runner: Runner, case: Case) -> Execute:
-    """Executions of a case by a runner that has run the sanity case before."""
+    """Return a function that executes the case with ``runner``, which must have executed the sanity case."""
 
     def execute(dropped: Collection[int]) -> CaseResult:
         with without_frames(runner, dropped):
@@ -74,10 +74,10 @@ def executor(runner: Runner, case: Case) -> Execute:
 
 
 def minimise(check: Check, frames: Sequence[int], faulty: Execute, conforming: Execute) -> tuple[int, ...] | None:
-    """The frames of the tester that are needed for ``check`` to fail, a part of ``frames``.
+    """Return the numbers of the frames, of ``frames``, that ``check`` needs to fail.
 
-    ``faulty`` executes the case against the implementation, ``conforming`` against a node without a fault. Returns None
-    if the check does not fail again even with all frames. At most :data:`MOST_TRIES` executions.
+    ``faulty`` executes the case against the implementation, ``conforming`` against a node without a fault. At most
+    :data:`MOST_TRIES` executions are made. Return None if the check does not fail again with all frames.
     """
     tries = 0
 
@@ -92,7 +92,7 @@ def minimise(check: Check, frames: Sequence[int], faulty: Execute, conforming: E
     if not shows(frames):
         return None
     kept = list(frames)
-    # Large parts first: most frames of a case only prepare, or repeat.
+    # Try to remove large parts first: most frames of a case only prepare or repeat something.
     size = max(1, len(kept) // 2)
     while tries < MOST_TRIES:
         place = 0
@@ -109,7 +109,7 @@ def minimise(check: Check, frames: Sequence[int], faulty: Execute, conforming: E
 
 
 def _is(found: Check, wanted: Check) -> bool:
-    """Whether a check is the same finding: what is observed may differ, since numbers and times do."""
+    """Return whether a check is the same finding; observations are not compared, because numbers and times differ."""
     return (
         found.verdict is Verdict.FAIL
         and found.expected == wanted.expected

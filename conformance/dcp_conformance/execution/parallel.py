@@ -1,7 +1,7 @@
-"""One run in several workers: each has an implementation of its own, and a share of the cases.
+"""Execute one run in several worker processes, each with its own node and a share of the cases.
 
-Cases wait most of the time, so that workers cost little. Only our own node can be had several times; a foreign
-implementation is there once.
+Cases wait most of the time, so that many workers need few processors. Only the reference node can run several times;
+another implementation exists only once.
 """
 
 from __future__ import annotations
@@ -33,20 +33,25 @@ class WorkerEnd(NamedTuple):
     sut: Sut | None
     notes: tuple[str, ...]
     trouble: str
+    """Why the worker could not begin or complete its share; empty if it did."""
     usage: bool
+    """Whether the user caused the trouble."""
     passive: tuple[CaseResult, ...] = ()
+    """Results of the passive rules."""
 
 
 class Revised(NamedTuple):
-    """Replaces a result of a worker; JSON of a ``CaseResult``."""
+    """A message that replaces an earlier result of a worker."""
 
     result: bytes
+    """JSON of a ``CaseResult``."""
 
 
 def workers_for(run: ConformanceRun, jobs: int | None = None) -> int:
-    """How many workers a run needs, at most ``jobs``: one unless it is our own node in processes, or has few cases.
+    """Return the number of workers for a run, at most ``jobs`` and at most the number of cases.
 
-    By default two for each processor, 4 to 16: a worker takes a twentieth of one, but starts with a second of work.
+    It is 1 unless the reference node is tested in separate processes. ``jobs`` defaults to two for each processor, but
+    4 to 16: a worker needs a twentieth of a processor, but a second of processor time to start.
     """
     options = run.options
     jobs = jobs or min(16, max(4, 2 * (os.cpu_count() or 1)))
@@ -54,13 +59,13 @@ def workers_for(run: ConformanceRun, jobs: int | None = None) -> int:
 
 
 def run_in_workers(run: ConformanceRun, workers: int) -> None:
-    """Run the selected cases of ``run`` in this many processes, and pass each result to ``run`` as it comes."""
-    # Every worker begins with the sanity case, and runs only that if nothing else is wanted.
+    """Run the selected cases of ``run`` in ``workers`` processes, and add each result to ``run`` when it arrives."""
+    # Every worker begins with the sanity case, also if no other case is selected.
     cases = [case.id for case in run.selected if case.base != SANITY] or [SANITY]
     workers = max(1, min(workers, len(cases)))
-    # Neighbouring cases take about the same time: dealing them out one by one balances the workers.
+    # Adjacent cases take about the same time: assigning them in turn balances the workers.
     shares = [cases[number::workers] for number in range(workers)]
-    # Imports take most of the time to start a worker: they are done once, in the server that forks the workers.
+    # Imports take most of the time to start a worker. Import once, in the server that forks the workers.
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload([f"{__package__}.preload"])
     if run.on_start is not None:
@@ -96,14 +101,14 @@ def run_in_workers(run: ConformanceRun, workers: int) -> None:
 
 
 def _selection(run: ConformanceRun, cases: Sequence[str]) -> Selection:
-    """The selection of one worker."""
+    """Return the selection of one worker: its share of the cases, with or without the sanity case."""
     return Selection(patterns=tuple(cases), exclude=() if run.with_sanity else (SANITY,), first=run.first)
 
 
 def messages(connections: dict[Connection, Any]) -> Iterator[Any]:
-    """Yield the messages of all workers until all have ended; ``connections``: one for each worker, with its process.
+    """Yield the messages of all workers until all have ended. ``connections`` maps their connections to processes.
 
-    For a worker that ends without a :class:`LaneEnd`, yields one with the reason.
+    If a worker ends without a :class:`WorkerEnd`, yield one with the reason.
     """
     open_ones = dict(connections)
     done: set[Connection] = set()
@@ -113,11 +118,11 @@ def messages(connections: dict[Connection, Any]) -> Iterator[Any]:
             try:
                 message = ready.recv()
             except (EOFError, OSError):
-                # OSError: the worker was killed in the middle of a message.
+                # OSError: the worker was killed while it sent a message.
                 process = open_ones.pop(ready)
                 process.join(5)
                 if process.exitcode or ready not in done:
-                    # It ended without its last message.
+                    # The worker ended without its last message.
                     status = f"with status {process.exitcode}"
                     text = f"a worker of the tester has ended {status}, before all its cases were run"
                     yield WorkerEnd(None, (), text, usage=False)
@@ -135,16 +140,16 @@ def _lane(
     until_fail: bool,
     artefacts: Path | None,
 ) -> None:
-    """The main function of a worker's process."""
-    # Ctrl-C reaches the whole group; the parent decides what it means.
+    """Execute one share of the cases and send the results: the main function of a worker process."""
+    # Ctrl-C is sent to the whole process group; the parent handles it and ends the workers.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    # The parent ends a worker with SIGTERM; everything is closed then.
+    # The parent ends a worker by SIGTERM. As a KeyboardInterrupt it closes all resources.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     sys.stdout = Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115 - for as long as the process lives
     sent: set[tuple[str, int]] = set()
 
     def report(_case: Case, result: CaseResult, _surprise: str) -> None:
-        # A result that replaces another one is sent as such.
+        # A revised result is sent by another callback, as Revised.
         if (result.id, result.attempt) not in sent:
             sent.add((result.id, result.attempt))
             to.send(msgspec.json.encode(result))
@@ -162,7 +167,7 @@ def _lane(
         about = run.result()
         to.send(WorkerEnd(about.sut, about.notes, run.trouble, run.usage, tuple(run.passive)))
     except (BrokenPipeError, KeyboardInterrupt):
-        # The parent has gone, or has ended the worker.
+        # The parent has ended, or has ended the worker.
         return
     finally:
         to.close()

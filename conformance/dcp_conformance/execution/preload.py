@@ -1,4 +1,4 @@
-"""Import once what every worker needs: workers are forked from a process that has imported this module."""
+"""Modules that every worker needs, imported once in the process from which workers are forked."""
 
 from __future__ import annotations
 

@@ -21,24 +21,24 @@ CASES_DIRECTORY = Path(__file__).parents[1] / "suite"
 
 
 class Driver:
-    """The plugin object of one run: has pytest collect and run what the run has selected."""
+    """The plugin object of one run: makes pytest collect and execute the selected cases."""
 
     def __init__(self, run: ConformanceRun) -> None:
         self.run = run
         self.finished = False
-        """Whether there was a session of pytest, with or without results."""
+        """Whether a pytest session has ended, with or without results."""
         self.signalled = False
-        """Whether Ctrl-C has ended the session, and not pytest itself (``-x``)."""
+        """Whether Ctrl-C ended the session, not pytest itself (``-x``)."""
 
     def plan(self, collected: Sequence[Case]) -> list[Case]:
-        """The executions, of cases in the order in which pytest has them; another plugin may have changed it."""
+        """Return the planned executions. The order is that of the run, unless another plugin has changed it."""
         ids = {case.id for case in collected}
         planned = self.run.plan(lambda case: case.id in ids or case.id in self.run.found_by_fuzzer)
         order = {name: number for number, name in enumerate(self.run.cases)}
         places = [order[case.id] for case in collected]
         if places == sorted(places):
             return planned
-        # Sanity first and last, all else as another plugin wants it.
+        # Keep the sanity case first and last, and the other cases in the order of the other plugin.
         there = {case.id: number for number, case in enumerate(collected)}
         rounds = itertools.groupby(planned, lambda case: case.id == SANITY)
         last = len(there)
@@ -48,14 +48,14 @@ class Driver:
     def pytest_collection_modifyitems(
         self, config: pytest.Config, items: list[pytest.Item]
     ) -> Generator[None, None, None]:
-        """Put the selected cases in their order, once all other plugins have chosen among them (``-k``, ``--lf``)."""
+        """Order the selected cases after all other plugins have filtered them (``-k``, ``--lf``)."""
         yield
         collected = [item for item in items if isinstance(item, CaseItem)]
         chosen: list[pytest.Item] = [item for item in items if not isinstance(item, CaseItem)]
         module = collected[0].parent if collected else None
         unused = {item.case.id: item for item in collected}
         for case in self.plan([item.case for item in collected]):
-            # An item runs once: repetitions are items of their own.
+            # pytest executes an item once: repetitions need further items.
             item = unused.pop(case.id, None)
             if item is None and module is not None:
                 item = CaseItem.from_parent(module, name=case.id, case=case)
@@ -66,22 +66,22 @@ class Driver:
         items[:] = chosen
 
     def pytest_collection_finish(self, session: pytest.Session) -> None:
-        """Say how many executions there are."""
+        """Report the number of executions."""
         if self.run.on_start is not None:
             self.run.on_start(len(session.items))
 
     def pytest_runtestloop(self, session: pytest.Session) -> bool | None:
-        """Open the way to the implementation, if there is anything to run."""
+        """Open the connections to the implementation if any case is to be executed; True ends the session."""
         if session.config.option.collectonly or not session.items:
             return None
         return None if self.run.open() else True
 
     def pytest_keyboard_interrupt(self, excinfo: pytest.ExceptionInfo[BaseException]) -> None:
-        """Tell Ctrl-C from what pytest raises itself when it has failed often enough."""
+        """Distinguish Ctrl-C from the exception that pytest raises after enough failures."""
         self.signalled = excinfo.type is KeyboardInterrupt
 
     def pytest_sessionfinish(self, session: pytest.Session, exitstatus: int) -> None:
-        """Close everything; results are complete then, or the run says what is missing."""
+        """Finish and close the run, and set the exit status; cases without a result become errors of the tester."""
         self.finished = True
         run = self.run
         planned = [item.case for item in session.items if isinstance(item, CaseItem)]
@@ -89,7 +89,7 @@ class Driver:
             if exitstatus == pytest.ExitCode.NO_TESTS_COLLECTED or not session.items:
                 run.trouble, run.usage = "no case is left to run", True
             elif exitstatus == pytest.ExitCode.INTERNAL_ERROR:
-                run.trouble = "pytest has failed; what it said of it is above"
+                run.trouble = "pytest failed with an internal error; its messages are above"
             elif self.signalled:
                 run.interrupt(len(run.results), len(planned))
         if run.results and not run.interrupted:
@@ -104,7 +104,7 @@ class CaseFile(pytest.File):
     """A module of cases."""
 
     def collect(self) -> Iterator[CaseItem]:
-        """Its cases as items."""
+        """Yield the cases of the module as items."""
         inside = self.path.relative_to(CASES_DIRECTORY).with_suffix("")
         module = importlib.import_module(".".join((CASES, *inside.parts)))
         for case in cases_of(module):
@@ -112,7 +112,7 @@ class CaseFile(pytest.File):
 
 
 class CaseItem(pytest.Item):
-    """A case."""
+    """A case as an item of pytest."""
 
     def __init__(self, *, case: Case, **kwargs: Any) -> None:
         super().__init__(**kwargs)
@@ -122,7 +122,10 @@ class CaseItem(pytest.Item):
         self.user_properties.append(("requirements", " ".join(case.requirements)))
 
     def runtest(self) -> None:
-        """Run it; verdicts that pytest has no outcome for are skips with their reason."""
+        """Execute the case. Not applicable and inconclusive are skipped items, an expected fail is an xfail.
+
+        Raise :class:`CaseVerdictError` for an unexpected result or an error of the tester.
+        """
         run = self.config.stash[DRIVER].run
         self.result, self.surprise = run.run_case(self.case)
         self.user_properties.append(("verdict", str(self.result.verdict)))
@@ -136,18 +139,18 @@ class CaseItem(pytest.Item):
             pytest.xfail(plain(f"as expected: {self.result.reason}"))
 
     def repr_failure(self, excinfo: pytest.ExceptionInfo[BaseException], style: Any = None) -> Any:
-        """Show a verdict as what was expected and what was observed, not as a traceback."""
+        """Show an unexpected verdict by expectation and observation, not by a traceback."""
         if isinstance(excinfo.value, CaseVerdictError):
             return str(excinfo.value)
         return super().repr_failure(excinfo, style)
 
     def reportinfo(self) -> tuple[Path, int, str]:
-        """The place of the case, and its purpose."""
+        """Return file and line (from 0) of the case, and its purpose."""
         return self.path, self.case.line - 1, f"{self.case.id}: {self.case.purpose}"
 
 
 class CaseVerdictError(Exception):
-    """A case came out other than expected."""
+    """The result of a case is unexpected, or an error of the tester."""
 
     def __init__(self, result: CaseResult, surprise: str) -> None:
         lines = [f"{result.id}: {surprise or result.verdict}", f"  purpose: {result.purpose}"]

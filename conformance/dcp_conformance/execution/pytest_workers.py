@@ -1,6 +1,6 @@
-"""The pytest plugin with pytest-xdist: workers run cases, each with a node of its own; the controller has the results.
+"""The pytest plugin with pytest-xdist: workers execute cases, each against its own node; a controller collects results.
 
-The controller is the process that was started by the user.
+The controller is the process that the user has started.
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ from .parallel import WorkerEnd
 from .pytest_items import Driver
 from .run import ConformanceRun
 
-#: The key of ``workeroutput`` under which a worker puts its :class:`End`, as JSON.
+#: The key of a worker's :class:`End` in ``workeroutput``, as JSON.
 _END = "dcp_conformance"
 
 
 class End(msgspec.Struct, frozen=True):
-    """What a worker has to say when it is done."""
+    """The last report of a worker."""
 
     about: WorkerEnd
     revised: tuple[CaseResult, ...]
-    """Results that replace those of reports."""
+    """Results that replace results which were sent earlier."""
 
 
 class Worker(Driver):
-    """Drives a worker, which gets its share of the cases from the controller."""
+    """Plugin object of a worker, which gets its share of the cases from the controller."""
 
     def __init__(self, run: ConformanceRun, config: pytest.Config) -> None:
         super().__init__(run)
@@ -40,28 +40,28 @@ class Worker(Driver):
         run.on_revised = self._revised.append
 
     def plan(self, collected: Sequence[Case]) -> list[Case]:
-        """Each case once: no worker knows whether it runs the last case, after which the sanity case is repeated."""
+        """Return each case once: a worker cannot know when to repeat the sanity case after the last case."""
         return list({case.id: case for case in super().plan(collected)}.values())
 
     def pytest_runtestloop(self, session: pytest.Session) -> bool | None:
-        """Start the node; without one the whole session ends."""
+        """Start the node; end the session if that fails."""
         ended = super().pytest_runtestloop(session)
         if ended:
             session.shouldstop = self.run.trouble
         return ended
 
     def pytest_sessionfinish(self, session: pytest.Session, exitstatus: int) -> None:  # noqa: ARG002
-        """Close everything, and tell the controller what no report has told."""
+        """Finish and close the run, and send the controller its notes, revised and passive results."""
         if self.run.results:
             self.run.finish()
         self.run.close()
-        told = self.run.result()
-        about = WorkerEnd(told.sut, told.notes, self.run.trouble, self.run.usage, tuple(self.run.passive))
+        result = self.run.result()
+        about = WorkerEnd(result.sut, result.notes, self.run.trouble, self.run.usage, tuple(self.run.passive))
         self._output[_END] = msgspec.json.encode(End(about, tuple(self._revised))).decode()
 
 
 class Controller(Driver):
-    """Drives the process that has started the workers: it runs no case, and takes all results."""
+    """Plugin object of the process that has started the workers: it executes no case, and collects all results."""
 
     def __init__(self, run: ConformanceRun) -> None:
         super().__init__(run)
@@ -70,18 +70,18 @@ class Controller(Driver):
         self._workers = 0
 
     def pytest_runtestloop(self, session: pytest.Session) -> bool | None:  # noqa: ARG002
-        """Leave the loop to pytest-xdist."""
+        """Leave the test loop to pytest-xdist."""
         return None
 
     @pytest.hookimpl(optionalhook=True)
     def pytest_xdist_node_collection_finished(self, ids: Sequence[str]) -> None:
-        """Remember what is planned: all workers collect the same, and an item ends with the identifier of its case."""
+        """Remember the planned cases by the ends of item identifiers; all workers collect the same items."""
         names = (each.rpartition("::")[2].partition("@")[0] for each in ids)
         self._planned = [self.run.cases[name] for name in names if name in self.run.cases]
         self._workers += 1
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        """Take the result of a case."""
+        """Add the result of a case to the run."""
         text = getattr(report, "dcp_result", None)
         if text is not None:
             result = msgspec.json.decode(text, type=CaseResult)
@@ -89,7 +89,7 @@ class Controller(Driver):
 
     @pytest.hookimpl(optionalhook=True)
     def pytest_testnodedown(self, node: Any, error: object | None) -> None:
-        """A worker has ended, with what it has to say, or without a word."""
+        """Store the last report of a worker that has ended, or its error if it sent no report."""
         text = getattr(node, "workeroutput", {}).get(_END)
         if text is not None:
             self._ends.append(msgspec.json.decode(text, type=End))
@@ -98,7 +98,7 @@ class Controller(Driver):
             self._ends.append(End(about, ()))
 
     def pytest_sessionfinish(self, session: pytest.Session, exitstatus: int) -> None:
-        """Put together what all workers have said; each planned case has a result, unless the session was ended."""
+        """Merge the reports of all workers; planned cases without a result become errors unless it was interrupted."""
         self.finished = True
         run, listing = self.run, session.config.option.collectonly
         for result in (result for end in self._ends for result in end.revised):
@@ -106,7 +106,7 @@ class Controller(Driver):
         if self.signalled:
             run.interrupt(len(run.results), len(self._planned))
         elif exitstatus == pytest.ExitCode.INTERNAL_ERROR:
-            run.trouble = "pytest has failed; what it said of it is above"
+            run.trouble = "pytest failed with an internal error; its messages are above"
         elif not self._planned and not listing:
             run.trouble, run.usage = "no case is left to run", True
         whole = not listing and exitstatus != pytest.ExitCode.INTERRUPTED

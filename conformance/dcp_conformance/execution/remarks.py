@@ -1,16 +1,16 @@
-"""Sentences about a run as a whole: what several cases have in common, in one note."""
+"""Notes about a run as a whole, each about several cases."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from typing import Final
 
-#: Cases that a note names; the others are counted.
+#: Maximum number of cases that a note names; further ones are counted.
 _NAMED: Final = 6
 
 
 def executed_again(cases: Mapping[str, str]) -> str:
-    """Cases that were executed more than once, with what the tester did wrong in the first execution of each."""
+    """Return a note on cases that were executed again. ``cases``: by case, the disturbance of its first execution."""
     names = list(cases)
     if len(names) == 1:
         return f"{names[0]} was executed again, since the tester could not decide it: {cases[names[0]]}"
@@ -19,16 +19,16 @@ def executed_again(cases: Mapping[str, str]) -> str:
 
 
 def left_changed(cases: Mapping[str, str]) -> str:
-    """Cases whose changes are still in force, with the reason for each."""
+    """Return a note on cases whose changes could not be undone. ``cases`` has the reasons by case."""
     first = next(iter(cases))
     return (
-        f"not all that was changed in {_listed(list(cases))} could be changed back ({cases[first]}), and there is no "
-        "command to restart the implementation (--restart): what follows may suffer from it"
+        f"not all changes that were made in {_listed(list(cases))} could be undone ({cases[first]}), and there is no "
+        "command to restart the implementation (--restart): later cases may be affected"
     )
 
 
 def deaths_alike(how: str, cases: Sequence[str]) -> str:
-    """Name the cases in which the implementation ended in the same way (``how``: ``Loss.group``)."""
+    """Return a note on cases in which the implementation ended in the same way (``how``: ``Loss.group``)."""
     kind, _, cause = how.partition(": ")
     if len(cases) == 1:
         return f"the implementation {kind} in {cases[0]} and was restarted"
@@ -37,5 +37,5 @@ def deaths_alike(how: str, cases: Sequence[str]) -> str:
 
 
 def _listed(cases: Sequence[str]) -> str:
-    """The first of some cases, and how many more there are."""
+    """Return the first ``_NAMED`` cases, and the number of further ones."""
     return ", ".join(cases[:_NAMED]) + (f" and {len(cases) - _NAMED} more" if len(cases) > _NAMED else "")

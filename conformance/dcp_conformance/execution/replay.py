@@ -1,9 +1,9 @@
-"""A recording as a test: one of its nodes is the implementation, all others are played to it.
+"""Replay of a recording as a test: the implementation takes the part of one node, the tester that of all others.
 
-What the recorded nodes said is the stimulus, as it was; what the applications of the replaced node did is done again at
-the upper interface, as far as there is one. The answers are not compared octet by octet, since the specification leaves
-much of them open: they are held against an independent model (:mod:`dcp_conformance.oracle`), and the outcome against
-that of the recorded node.
+The stimuli are the recorded frames of the other nodes. The service calls of the replaced node's applications are
+repeated at the upper tester, if there is one. The reactions are not compared octet by octet, because the specification
+leaves much of them open. They are compared with an independent model (:mod:`dcp_conformance.oracle`), and the final
+state with that of the recorded node.
 """
 
 from __future__ import annotations
@@ -32,42 +32,48 @@ from dcp_conformance.oracle import Limits, Oracle, Waiting
 from dcp_conformance.test_system.bench import Bench
 
 MS = 1_000_000
-#: How old a payload may be when it is seen on the air, in beacon periods.
+#: Maximum time between composing and receiving a payload, in beacon periods.
 _LATENCY = 1.6
-#: Findings of one kind that are told.
+#: Maximum number of different findings that are reported.
 _MOST = 20
 
 
 @dataclass(frozen=True, slots=True)
 class ReplayOptions:
-    """How to play. ``speed`` 1 is the original timing, 2 twice as fast, 0 as fast as the implementation keeps up."""
+    """Options of a replay."""
 
     node: bytes | None = None
-    """The recorded node whose part the implementation plays."""
+    """The recorded node whose part the implementation takes; None: chosen automatically."""
     speed: float = 1.0
+    """1 is the original timing, 2 is twice as fast, 0 is as fast as the implementation sends beacons."""
     services: bool = True
-    """Do again what the applications of the replaced node did."""
+    """Whether to repeat the service calls of the replaced node's applications."""
 
 
 @dataclass(slots=True)
 class Cast:
-    """Who is in a recording, and from when to when: times of capture in ns, of the first and the latest beacon."""
+    """The nodes of a recording, and its duration."""
 
     beacons: Counter[bytes] = field(default_factory=Counter)
+    """Number of beacons by node."""
     produced: Counter[bytes] = field(default_factory=Counter)
+    """Number of VarCreates of own variables by node."""
     frames: int = 0
+    """Number of all frames."""
     other: int = 0
     first: int | None = None
+    """Capture time of the first beacon in ns."""
     last: int = 0
+    """Capture time of the latest beacon in ns."""
 
     @property
     def seconds(self) -> float:
-        """How long playing takes in the original timing."""
+        """Duration of the replay in the original timing, in seconds."""
         return 0.0 if self.first is None else (self.last - self.first) / 1e9
 
 
 def cast_of(path: Path, codec: Codec) -> Cast:
-    """Read a recording through. Raises :class:`UsageError`: unreadable, or nothing of the profile in it."""
+    """Read a recording and return its nodes. Raise :class:`UsageError` if it is unreadable or has no DCP frame."""
     cast = Cast()
     for frame, heard, _ in beacons_of(path, codec, cast):
         cast.first = frame.time_ns if cast.first is None else cast.first
@@ -84,7 +90,10 @@ def cast_of(path: Path, codec: Codec) -> Cast:
 
 
 def beacons_of(path: Path, codec: Codec, cast: Cast | None = None) -> Iterator[tuple[Frame, ReceivedBeacon, bytes]]:
-    """The DCP frames of a recording, decoded, with the source address. Raises :class:`UsageError`."""
+    """Yield the DCP frames of a recording, with decoded beacon and source address; count all frames in ``cast``.
+
+    Raise :class:`UsageError` if the recording is unreadable.
+    """
     try:
         with open_capture(path) as reader:
             for frame in reader:
@@ -101,14 +110,14 @@ def beacons_of(path: Path, codec: Codec, cast: Cast | None = None) -> Iterator[t
 
 
 def choose_node(cast: Cast, sut_id: bytes | None) -> bytes:
-    """Whose part the implementation plays: its own if it is in the recording, else the one that produces least."""
+    """Return the node whose part the implementation takes: itself if recorded, else the one that produces least."""
     if sut_id is not None and sut_id in cast.beacons:
         return sut_id
     return min(cast.beacons, key=lambda node: (cast.produced[node], -cast.beacons[node], node))
 
 
 class Replay:
-    """Plays one recording; :meth:`cases` are then run like others, and the first of them does the playing."""
+    """Replays one recording as a test case; see :meth:`cases`."""
 
     def __init__(self, path: Path, options: ReplayOptions) -> None:
         self._path = path
@@ -119,7 +128,7 @@ class Replay:
         self.cast = Cast()
 
     def cases(self) -> list[Case]:
-        """The one case that plays the recording."""
+        """Return the one case that replays the recording; a runner executes it like others."""
         return [
             Case(
                 id="TC_NET_REPLAY_BV_01",
@@ -127,7 +136,7 @@ class Replay:
                 requirements=_REQUIREMENTS,
                 kind=Kind.VALID,
                 stimulus="the frames of all other nodes of the recording, in their order and timing",
-                expect="the reactions that the variable states ask for, nothing else, and the same outcome",
+                expect="the reactions that the variable states require, no others, and the same final state",
                 window=4,
                 section="Recordings",
                 module=__name__,
@@ -136,9 +145,10 @@ class Replay:
         ]
 
     def take_part(self, codec: Codec, sut_id: bytes | None) -> None:
-        """Settle whose part the implementation plays; ``sut_id`` is how it is called, None if that is not known yet.
+        """Determine the node whose part the implementation takes. ``sut_id`` is its identifier, None if unknown.
 
-        Raises :class:`UsageError`: unreadable, nothing of the profile, no such node, or the identifier of another one.
+        Raise :class:`UsageError` if the recording is unreadable, has no DCP frame or not the chosen node, or if the
+        implementation has the identifier of another recorded node.
         """
         self.cast = cast = cast_of(self._path, codec)
         self.node = self._options.node or choose_node(cast, sut_id)
@@ -147,31 +157,31 @@ class Replay:
             raise UsageError(f"{self._path}: no node {self.node.hex(':')} in it; there are {there}")
         if sut_id is not None and sut_id != self.node and sut_id in cast.beacons:
             raise UsageError(
-                f"{self._path}: the implementation is called {sut_id.hex(':')} like one of the recorded nodes, whose "
-                f"frames it would ignore; let it take that part (--node {sut_id.hex(':')}), or call it otherwise"
+                f"{self._path}: the implementation has the identifier {sut_id.hex(':')} of another recorded node, "
+                f"whose frames it would ignore; select that node (--node {sut_id.hex(':')}), or change the identifier"
             )
 
-    # -- playing -----------------------------------------------------------------------------------------------
+    # -- replaying ---------------------------------------------------------------------------------------------
 
     def play(self, bench: Bench) -> None:
-        """Play everything, then look at the outcome."""
+        """Replay the whole recording, then check the final state."""
         if bench.session.sut_id is None and not bench.beacons(1, 5):
-            # Without knowing what is its own nothing can be said of it.
-            bench.probe(10)
+            # Only with its node identifier the implementation can be judged.
+            bench.probes.probe(10)
         self.take_part(bench.codec, bench.session.sut_id)
         oracle = self._oracle(bench, bench.session.sut_id or self.node)
-        waiting = Waiting(bench.period, bench.parameter("BPPAR_MAXIMUM_PACKET_SIZE"))
+        waiting = Waiting(bench.period, bench.sut.parameter("BPPAR_MAXIMUM_PACKET_SIZE"))
         recorded: dict[int, int | None] = {}
         actions = _Applications(bench, oracle, self.node) if self._options.services and bench.session.upper else None
-        # What it has said before is no part of the play.
+        # Beacons before the replay are not judged.
         begun, first, judged = bench.now(), 0, len(bench.heard)
         for frame, heard, source in beacons_of(self._path, bench.codec):
             first = first or frame.time_ns
             if self._options.speed > 0:
                 due = begun + round((frame.time_ns - first) / self._options.speed)
-                bench.wait_ns(max(0, due - bench.now()))
+                bench.waiting.wait_ns(max(0, due - bench.now()))
             elif heard.sender == self.node:
-                # In step: a beacon of the implementation for each of the node whose part it plays.
+                # Wait for a beacon of the implementation for each beacon of the replaced node.
                 bench.beacons(1, 3)
             judged = self._judge(bench, oracle, waiting, judged)
             if heard.sender == self.node:
@@ -185,14 +195,14 @@ class Replay:
             else:
                 _doubt(bench.codec, oracle, heard)
         self._finish(bench, oracle, waiting, judged)
-        self._tell(bench, oracle)
+        self._report(bench, oracle)
         self._compare(bench, oracle, recorded)
 
     def _oracle(self, bench: Bench, own_id: bytes) -> Oracle:
         limits = Limits(
-            bench.parameter("VARDISPAR_MAX_VALUE_LENGTH"),
-            bench.parameter("VARDISPAR_MAX_DESCRIPTION_LENGTH"),
-            bench.parameter("VARDISPAR_MAX_REPETITIONS"),
+            bench.sut.parameter("VARDISPAR_MAX_VALUE_LENGTH"),
+            bench.sut.parameter("VARDISPAR_MAX_DESCRIPTION_LENGTH"),
+            bench.sut.parameter("VARDISPAR_MAX_REPETITIONS"),
         )
         return Oracle(
             own_id,
@@ -200,20 +210,20 @@ class Replay:
             bench.profile.types.var_seqno.width,
             limits,
             latency=round(_LATENCY * bench.period),
-            window=round(bench.reaction * bench.period),
+            window=round(bench.sut.reaction * bench.period),
         )
 
     def _send(self, bench: Bench, heard: ReceivedBeacon, source: bytes) -> int:
-        """As recorded, in the network of the implementation."""
+        """Send a recorded beacon with the network identifier of the implementation; return the frame number."""
         octets = heard.octets
         if bench.profile.has_header_field("networkId") and heard.beacon is not None and heard.beacon.bp is not None:
-            network = bench.parameter("BPPAR_NETWORK_ID")
+            network = bench.sut.parameter("BPPAR_NETWORK_ID")
             if heard.beacon.bp.network_id != network:
                 octets = bench.builder.patched(bench.codec.envelope_plan, octets, {"bp.networkId": network})
-        return bench.transmit(octets, source)
+        return bench.transmission.send(octets, source)
 
     def _judge(self, bench: Bench, oracle: Oracle, waiting: Waiting, judged: int) -> int:
-        """Hold what was heard since against the model; what has been judged now."""
+        """Compare the beacons from number ``judged`` on with the model; return the number of judged beacons."""
         for heard in bench.heard[judged:]:
             said = [(each.kind, each.record) for each in heard.instructions()]
             waited = waiting.of(len(heard.octets), vardis=bool(said))
@@ -221,7 +231,7 @@ class Replay:
                 self._complain(each.requirement, each.expected, f"variable {each.var_id}: {each.observed}", each.frame)
         for owed in oracle.overdue(bench.now() - bench.period):
             text = f"{owed.kind.label} of variable {owed.var_id}"
-            self._complain(owed.requirement, f"{text} in time", f"variable {owed.var_id}: it did not come", owed.cause)
+            self._complain(owed.requirement, f"{text} in time", f"variable {owed.var_id}: not sent in time", owed.cause)
         return len(bench.heard)
 
     def _complain(self, requirement: str, expected: str, observed: str, frame: int) -> None:
@@ -232,16 +242,16 @@ class Replay:
             kept.append((expected, observed, frame))
 
     def _finish(self, bench: Bench, oracle: Oracle, waiting: Waiting, judged: int) -> None:
-        """Wait until everything that is owed had its time, and every variable its summary."""
+        """Wait until all due reactions can have been sent, and every variable summarised; judge these beacons."""
         alive = sum(version.state == "alive" for _, version in oracle.holdings())
-        rounds = math.ceil(alive / max(1, bench.parameter("VARDISPAR_MAX_SUMMARIES")))
-        bench.wait(bench.reaction + 2 + rounds)
+        rounds = math.ceil(alive / max(1, bench.sut.parameter("VARDISPAR_MAX_SUMMARIES")))
+        bench.wait(bench.sut.reaction + 2 + rounds)
         self._judge(bench, oracle, waiting, judged)
 
     # -- judging -----------------------------------------------------------------------------------------------
 
-    def _tell(self, bench: Bench, oracle: Oracle) -> None:
-        """The findings as checks; what the recording gave an occasion for, and nothing was found about, is passed."""
+    def _report(self, bench: Bench, oracle: Oracle) -> None:
+        """Record findings as failed checks, and requirements with occasions but without findings as passed."""
         for (requirement, expected), kept in self._complaints.items():
             count = self._counts[requirement, expected]
             times = "" if count == 1 else f" ({count} times)"
@@ -251,41 +261,42 @@ class Replay:
         right = [each for each in _REQUIREMENTS if oracle.occasions.get(each) and each not in wrong]
         if right:
             occasions = sum(oracle.occasions[each] for each in right)
-            what = f"what it says is covered by what it heard, and nothing is missing ({occasions} occasions)"
+            what = f"the records that it sends follow from those it received; none is missing ({occasions} occasions)"
             bench.check(True, what, "", *right)
 
     def _compare(self, bench: Bench, oracle: Oracle, recorded: dict[int, int | None]) -> None:
-        """The outcome: what the implementation holds, what the model says, what the recorded node held."""
-        rounds = max(8, math.ceil(len(oracle.variables) / max(1, bench.parameter("VARDISPAR_MAX_SUMMARIES"))) + 2)
+        """Compare the final state of the implementation with the model, and report differences from the recording."""
+        rounds = max(8, math.ceil(len(oracle.variables) / max(1, bench.sut.parameter("VARDISPAR_MAX_SUMMARIES"))) + 2)
         last: dict[int, int | None] = {}
         for heard in bench.heard[-rounds:]:
             _remember(last, heard, only=ICType.SUMMARIES)
-        summaries = bench.parameter("VARDISPAR_MAX_SUMMARIES") > 0
+        summaries = bench.sut.parameter("VARDISPAR_MAX_SUMMARIES") > 0
         checked = 0
         for var_id, version in sorted(oracle.holdings()):
             expected = version.seqno if version.state == "alive" else None
             has = last.get(var_id)
             if summaries:
                 checked += 1
-                what = f"variable {var_id} in the end: " + ("deleted" if expected is None else f"number {expected}")
+                state = "deleted" if expected is None else f"sequence number {expected}"
+                what = f"variable {var_id} in the end: {state}"
                 requirement = "VD-PD-04" if expected is None else "VD-PU-07"
-                shown = "it is not summarised" if has is None else f"its summaries say {has}"
+                shown = "it is not summarised" if has is None else f"its summaries have sequence number {has}"
                 if has != expected:
                     bench.check(False, what, shown, requirement)
             if var_id in recorded and recorded[var_id] != has:
-                was = "deleted" if recorded[var_id] is None else f"number {recorded[var_id]}"
-                now = "deleted or unknown" if has is None else f"number {has}"
-                agrees = "as the specification asks" if has == expected else "against the specification"
+                was = "deleted" if recorded[var_id] is None else f"sequence number {recorded[var_id]}"
+                now = "deleted or unknown" if has is None else f"sequence number {has}"
+                agrees = "as the specification requires" if has == expected else "against the specification"
                 bench.info(
-                    f"variable {var_id}: the recorded node and the implementation end alike",
+                    f"variable {var_id}: the recorded node and the implementation end in the same state",
                     f"{was} in the recording, {now} now, {agrees}",
                     "VD-PU-07",
                 )
         if checked:
-            what = f"the implementation holds in the end what the model holds ({checked} variables)"
+            what = f"the final state of the implementation is that of the model ({checked} variables)"
             bench.check(True, what, "", "VD-PU-07")
         elif not bench.heard:
-            bench.inconclusive("beacons of the implementation", "it said nothing during the whole recording")
+            bench.inconclusive("beacons of the implementation", "none during the whole recording")
 
 
 _REQUIREMENTS = (
@@ -296,13 +307,13 @@ _REQUIREMENTS = (
 
 
 def decided(result: CaseResult) -> CaseResult:
-    """The result with the requirements that its checks are about: a recording does not give an occasion for all."""
+    """Return the result with only the requirements of its checks: a recording has occasions for some of them."""
     found = dict.fromkeys(each for check in result.checks for each in check.requirements)
     return msgspec.structs.replace(result, requirements=tuple(found) or result.requirements)
 
 
 class _Applications:
-    """Does at the upper interface what the recorded node's applications did."""
+    """Repeats the service calls of the recorded node's applications at the upper tester."""
 
     def __init__(self, bench: Bench, oracle: Oracle, node: bytes) -> None:
         self._bench = bench
@@ -310,29 +321,33 @@ class _Applications:
         self._node = node
         self._circle = Circle(bench.profile.types.var_seqno.width)
         self._own: dict[int, tuple[Any, int]] = {}
-        """Variable -> creation time and number that were last sent."""
+        """By variable: creation time and sequence number of its last record."""
         self._report: Any = None
 
     def act(self, heard: ReceivedBeacon) -> None:
-        """A beacon of the recorded node tells what its applications did."""
+        """Call the services whose effects are in a beacon of the recorded node."""
         for each in heard.instructions(ICType.CREATE_VARIABLES):
             self._create(each.record)
         for each in heard.instructions(ICType.DELETE_VARIABLES):
-            if each.var_id in self._own and "RTDB-Delete" in self._bench.ut.methods:
+            if each.var_id in self._own and "RTDB-Delete" in self._bench.services.upper.methods:
                 del self._own[each.var_id]
                 if self._bench.call("RTDB-Delete", varId=each.var_id).ok:
                     self._oracle.deleted(each.var_id, self._bench.now())
         for each in heard.instructions(ICType.UPDATES):
             self._update(each.record)
         report = heard.report
-        if report is not None and report.seqno != self._report and "SRP-UpdateSafetyData" in self._bench.ut.methods:
+        if (
+            report is not None
+            and report.seqno != self._report
+            and "SRP-UpdateSafetyData" in self._bench.services.upper.methods
+        ):
             self._report = report.seqno
             data = {name: value for name, value in report.s_data.as_dict().items() if not isinstance(value, bytes)}
             self._bench.call("SRP-UpdateSafetyData", sData=data)
 
     def _create(self, record: VarCreate) -> None:
         spec = record.spec
-        if spec.prod_id != self._node or "RTDB-Create" not in self._bench.ut.methods:
+        if spec.prod_id != self._node or "RTDB-Create" not in self._bench.services.upper.methods:
             return
         known = self._own.get(spec.var_id)
         if known is not None and known[0] == spec.creation_time:
@@ -347,14 +362,14 @@ class _Applications:
         if spec.timeout:
             params["timeout"] = spec.timeout
         if self._bench.call("RTDB-Create", **params).ok:
-            # What was updated before it was first seen on the air is created with its newest value.
+            # A variable that was updated before its first beacon is created with its newest value.
             self._own[spec.var_id] = (spec.creation_time, record.upd.seqno)
             own = self._bench.session.sut_id or self._node
             self._oracle.created(msgspec.structs.replace(spec, prod_id=own), record.upd.value, self._bench.now())
 
     def _update(self, record: VarUpdate) -> None:
         known = self._own.get(record.var_id)
-        if known is None or "RTDB-Update" not in self._bench.ut.methods:
+        if known is None or "RTDB-Update" not in self._bench.services.upper.methods:
             return
         missing = (record.seqno - known[1]) % self._circle.modulus
         if not 0 < missing < self._circle.modulus // 2:
@@ -366,7 +381,7 @@ class _Applications:
 
 
 def _remember(table: dict[int, int | None], heard: ReceivedBeacon, only: ICType | None = None) -> None:
-    """Note the last number of each variable that a node sent; None for one that it deleted."""
+    """Store the last sequence number of each variable in a beacon; None for deleted variables."""
     for each in heard.instructions():
         if each.kind is ICType.DELETE_VARIABLES:
             table[each.var_id] = None
@@ -377,7 +392,7 @@ def _remember(table: dict[int, int | None], heard: ReceivedBeacon, only: ICType 
 
 
 def _doubt(codec: Codec, oracle: Oracle, heard: ReceivedBeacon) -> None:
-    """A frame that is no beacon: what the implementation takes of it is open (X34)."""
+    """Mark the variables of an invalid frame as unknown in the model: the processing of its records is open (X34)."""
     for each in dissect(codec.beacon_plan, heard.octets).root.walk():
         if each.name == "varId" and isinstance(each.value, int):
             oracle.doubt(each.value)

@@ -1,6 +1,6 @@
 """One run of the suite: the selected cases in their order, and their results.
 
-Knows nothing of terminals and files; ``dcp-conformance run`` and the pytest plugin both drive it.
+The module does not depend on terminals and files. It is used by ``dcp-conformance run`` and the pytest plugin.
 """
 
 from __future__ import annotations
@@ -61,17 +61,20 @@ class ConformanceRun:
         on_start: Callable[[int], None] | None = None,
         on_result: Callable[[Case, CaseResult, str], None] | None = None,
     ) -> None:
-        """``on_start`` gets the number of executions to come, ``on_result`` each result and what is unexpected in it.
+        """Select the cases. Raise :class:`UsageError` for invalid options, selections or files.
 
-        ``artefacts``: a folder of findings of the fuzzer, which become cases. ``side_by_side``: the most cases that are
-        executed at the same time; with 0 one after the other. Raises :class:`UsageError`.
+        ``on_start`` is called with the number of executions, ``on_result`` with each case, its result, and why the
+        result is unexpected (empty if it is expected). ``expected`` is a file of expected results. ``repeat`` is the
+        number of repetitions of all cases; ``until_fail`` ends the run at the first fail. ``artefacts`` is a folder of
+        findings of the fuzzer, which become cases. ``side_by_side`` is the maximum number of concurrent cases; 0 or 1
+        executes them in succession.
         """
         self.options = target
         self.cases = all_cases()
         self.artefacts = artefacts
         self.found_by_fuzzer: dict[str, Case] = {}
         if artefacts is not None:
-            # By name, as cases of the suite are: the fuzzer is built on this package.
+            # Imported by name, because the fuzzer imports this package.
             artefact_cases: Callable[[Path], Iterable[Case]] = importlib.import_module(ARTEFACT_CASES).artefact_cases
             self.found_by_fuzzer = {case.id: case for case in artefact_cases(artefacts)}
             self.cases |= self.found_by_fuzzer
@@ -82,7 +85,7 @@ class ConformanceRun:
         self.selected = select(self.cases, selection_of_cases)
         self._long = len(left_out(self.cases, selection_of_cases))
         self.first = selection.first
-        """Identifiers of the cases that are run before the others."""
+        """Identifiers of the cases that are executed before the others."""
         self.with_sanity = not any(matches(self.cases[SANITY], pattern) for pattern in selection.exclude)
         self.expected = (
             ExpectedResults()
@@ -98,9 +101,9 @@ class ConformanceRun:
         self.results: list[CaseResult] = []
         """Results of the cases, in the order of their executions."""
         self.passive: list[CaseResult] = []
-        """Results of the invariants that were checked on all beacons of the run."""
+        """Results of the passive rules, which are checked on all beacons of the run."""
         self.trouble = ""
-        """Why the run could not begin or not be completed: a problem of the tester, not of the implementation."""
+        """Why the run could not begin or be completed: a problem of the tester, not of the implementation."""
         self._stopped = False
         """Whether ``until_fail`` has ended the run."""
         self.usage = False
@@ -126,7 +129,7 @@ class ConformanceRun:
         self._started = timestamp()
 
     def _excluded(self, patterns: Sequence[str]) -> tuple[set[str], tuple[str, ...]]:
-        """The invariants that are excluded, and the patterns that mean cases."""
+        """Return the excluded passive rules, and the patterns that do not match a passive rule."""
         meant = {
             pattern: {name for name, case in self._invariants.items() if matches(case, pattern)} for pattern in patterns
         }
@@ -134,12 +137,12 @@ class ConformanceRun:
             pattern for pattern in patterns if not meant[pattern]
         )
 
-    # -- what is run ---------------------------------------------------------------------------------------------------
+    # -- planning ------------------------------------------------------------------------------------------------------
 
     def plan(self, available: Callable[[Case], bool] = lambda _: True) -> list[Case]:
-        """The executions in their order: the sanity case first and last, unless it is excluded.
+        """Return the executions in their order: the sanity case first and last, unless it is excluded.
 
-        ``available``: which of the selected cases can be run.
+        ``available`` returns whether a selected case can be executed.
         """
         sanity, planned = self.cases[SANITY], []
         for _ in range(self.repeat):
@@ -155,10 +158,11 @@ class ConformanceRun:
     # -- running -------------------------------------------------------------------------------------------------------
 
     def execute(self, on_revised: Callable[[CaseResult], None] | None = None) -> None:
-        """Run everything in this process. Every case that was planned has a result afterwards, unless a signal or
-        ``until_fail`` ended the run; :attr:`trouble` says what kept it from being run.
+        """Execute the run in this process.
 
-        ``on_revised`` gets each result that replaces an earlier one.
+        Every planned case has a result afterwards, unless a signal or ``until_fail`` ended the run; :attr:`trouble` is
+        the reason if the run could not be completed. ``on_revised`` is called with each result that replaces an earlier
+        one.
         """
         self.on_revised = on_revised
         planned = self.plan()
@@ -187,14 +191,14 @@ class ConformanceRun:
         self.account(planned)
 
     def _run_side_by_side(self, planned: Sequence[Case]) -> list[Case]:
-        """Execute what can be executed side by side. Returns what is left to be executed alone, in its order."""
+        """Execute cases side by side; return the planned cases without a pass, which must be executed alone."""
         from .concurrent import execute
 
         assert self._runner is not None
         rest = list(planned)
         if rest and rest[0].id == SANITY:
             self.run_case(rest.pop(0))
-        # What did not pass last time is decided at once; side by side it would have to be repeated alone again.
+        # Cases that did not pass last time are executed alone first: side by side most would have to be repeated.
         while rest and rest[0].id in self.first:
             self.run_case(rest.pop(0))
         passed: dict[str, CaseResult] = {}
@@ -204,28 +208,35 @@ class ConformanceRun:
             passed[case.id] = result
             self.take(case, result)
 
-        self.repeated_alone = execute(self._runner, self.cases[SANITY], rest, self.side_by_side, on_result)
+        try:
+            self.repeated_alone = execute(self._runner, self.cases[SANITY], rest, self.side_by_side, on_result)
+        except ConformanceError:
+            raise
+        except Exception as error:
+            # Keep the passes, and execute all other cases alone.
+            self._faulty(error)
+            self._notes.append(f"after it, {len(rest) - len(passed)} cases were executed one at a time")
         if passed:
             repeated = len(self.repeated_alone.keys() - passed)
             beside = sum(result.side_by_side for result in passed.values())
             self._notes.append(
                 f"{beside} cases passed while others were executed beside them, at most {self.side_by_side} at a "
-                f"time; {repeated} that did not were repeated alone, and decided by that"
+                f"time; {repeated} that did not pass were repeated alone, and have the verdict of the repetition"
             )
             if short := [result.short_period for result in passed.values() if result.short_period]:
                 self._notes.append(
                     f"{len(short)} cases passed while the tester had set a beacon period of {short[0]:g} ms, which "
-                    "saves time; their verdicts do not depend on it. --side-by-side 1 leaves it as configured"
+                    "saves time; their verdicts do not depend on it. --side-by-side 1 keeps the configured period"
                 )
         return [case for case in rest if case.id not in passed]
 
     def _faulty(self, error: Exception) -> None:
-        """Record a fault of the tester. The results up to now are still reported."""
+        """Record a fault of the tester. Earlier results are still reported."""
         self.trouble = self.trouble or f"a fault of the tester: {type(error).__name__}: {error}"
         self._notes.append("".join(traceback.format_exception(error)))
 
     def open(self) -> bool:
-        """Open the way to the implementation; False if there is none, see :attr:`trouble`."""
+        """Open the connections to the implementation; return False if that fails (reason: :attr:`trouble`)."""
         try:
             runner = self._stack.enter_context(open_target(self.options)).runner
             self._runner = runner
@@ -244,7 +255,7 @@ class ConformanceRun:
         return True
 
     def close(self) -> None:
-        """Close everything, and end the implementation if it was started here."""
+        """Close all connections, end the implementation if the tester has started it, and add the passive results."""
         runner, self._runner = self._runner, None
         if runner is not None:
             try:
@@ -258,7 +269,7 @@ class ConformanceRun:
             self._stack.close()
 
     def run_case(self, case: Case) -> tuple[CaseResult, str]:
-        """Run one case. Returns its result, and in words what is unexpected in it."""
+        """Execute one case; return its result, and why it is unexpected (empty if it is expected)."""
         assert self._runner is not None
         attempt = self._attempts[case.id] = self._attempts.get(case.id, 0) + 1
         result = self._runner.run(case, attempt)
@@ -267,7 +278,7 @@ class ConformanceRun:
         return result, self.take(case, result)
 
     def finish(self) -> None:
-        """Check, after the last case, that the implementation has survived."""
+        """Check after the last case that the implementation is alive; revise results if it is lost."""
         assert self._runner is not None
         try:
             self._runner.finish()
@@ -277,9 +288,9 @@ class ConformanceRun:
             self.revise(revised)
 
     def take(self, case: Case, result: CaseResult) -> str:
-        """Add a result, from this process or from a worker. Returns what is unexpected in it."""
+        """Add a result of this process or of a worker; return why it is unexpected (empty if it is expected)."""
         if case.id == SANITY and any(each.id == SANITY for each in self.results):
-            # The repetition only checks that the implementation is still there. A failure is a finding, though.
+            # The repetition of the sanity case only checks that the implementation is alive: count it if it fails.
             counted = result.verdict in (Verdict.FAIL, Verdict.ERROR)
             result = msgspec.structs.replace(result, counted=counted)
         surprise = self._surprises[_Key(result.id, result.attempt)] = self.expected.judge(case, result)
@@ -289,7 +300,7 @@ class ConformanceRun:
         return surprise
 
     def take_passive(self, results: Iterable[CaseResult]) -> None:
-        """Add the results of the invariants, from this process or from all workers."""
+        """Add the results of the passive rules, of this process or of all workers."""
         self.passive = [each for each in joined([*self.passive, *results]) if each.id not in self._unheard]
         for each in self.passive:
             self._surprises[_Key(each.id, 1)] = self.expected.judge(self._invariants[each.id], each)
@@ -312,17 +323,17 @@ class ConformanceRun:
             self.on_revised(result)
 
     def stops(self, result: CaseResult) -> bool:
-        """Whether the user wants the run to end after this result."""
+        """Return whether the run ends after this result, because of ``until_fail``."""
         self._stopped = self._stopped or (self.until_fail and result.verdict in (Verdict.FAIL, Verdict.ERROR))
         return self._stopped
 
     def interrupt(self, done: int, planned: int) -> None:
-        """Note that a signal has ended the run, after ``done`` of ``planned`` executions."""
+        """Record that a signal has ended the run, after ``done`` of ``planned`` executions."""
         self.interrupted = True
         self._notes.append(f"interrupted after {done} of {planned} cases")
 
     def account(self, planned: Sequence[Case]) -> None:
-        """Compare planned executions with results: each one without a result becomes an ``error`` of the tester."""
+        """Add an ``error`` of the tester for each planned execution without a result."""
         if self.interrupted or self._stopped:
             return
         there = Counter(result.id for result in self.results)
@@ -350,7 +361,7 @@ class ConformanceRun:
     # -- several workers -----------------------------------------------------------------------------------------------
 
     def close_workers(self, ends: Sequence[WorkerEnd], workers: int, planned: Sequence[Case]) -> None:
-        """Merge what the workers report when all have ended, account for each case, and sort the results."""
+        """Merge the last reports of all workers, add an error for each lost case, and sort the results."""
         self._sut = next((end.sut for end in ends if end.sut is not None), None)
         self._notes += [note for end in ends for note in end.notes]
         if workers > 1:
@@ -366,7 +377,7 @@ class ConformanceRun:
     # -- results -------------------------------------------------------------------------------------------------------
 
     def complaints(self) -> list[str]:
-        """Unexpected results, and faults in the file of expected results."""
+        """Return messages on unexpected results, and on unused or expired entries of expected results."""
         today = datetime.datetime.now(datetime.UTC).date()
         ran = {result.id for result in self.results}
         selected = [case for case in self.selected if case.id in ran]
@@ -375,7 +386,7 @@ class ConformanceRun:
         return [*dict.fromkeys(unexpected), *self.expected.complaints(selected, today)]
 
     def exit_status(self) -> int:
-        """The documented exit status; signals first, then trouble, then unexpected results, then inconclusive ones."""
+        """Return the documented exit status; signals precede trouble, unexpected results, and inconclusive ones."""
         if self.interrupted:
             return INTERRUPTED
         if self.trouble:
@@ -383,7 +394,7 @@ class ConformanceRun:
         return exit_status([*self.results, *self.passive], unexpected=bool(self.complaints()))
 
     def result(self) -> RunResult:
-        """All results and notes of the run, also if it could not begin."""
+        """Return all results and notes of the run, also if it could not begin."""
         notes = [*self._notes, *([self.trouble] if self.trouble else [])]
         if self.expected.entries:
             notes += self.complaints()
@@ -402,7 +413,7 @@ class ConformanceRun:
         return msgspec.structs.replace(run, invariants=invariants, diagnosis=self._diagnosis())
 
     def _diagnosis(self) -> Diagnosis | None:
-        """Which faults explain the failed cases; None if none failed."""
+        """Return the faults that explain the failed cases; None if no case failed."""
         if not any(each.verdict is Verdict.FAIL for each in self.results):
             return None
         from dcp_conformance.diagnosis import explain, load

@@ -1,4 +1,4 @@
-"""Runs cases: preamble, body, postamble, verdict. Knows nothing of pytest, files or terminals."""
+"""Execute single cases: preamble, body, postamble, verdict. The module uses neither pytest nor files or terminals."""
 
 from __future__ import annotations
 
@@ -30,31 +30,34 @@ from .case_results import result_of
 from .life import Life
 from .remarks import deaths_alike, executed_again, left_changed
 
-#: Seconds that an implementation may take to die of a case that is over, and cases that are suspected then.
+#: Maximum time in seconds between a case and the death that it causes, and maximum number of suspected cases.
 SLOW_DEATH = 3.0
 _SUSPECTS = 8
+#: Cases that a remark names.
+_NAMED = 3
 DEACTIVATE = "BP-MGMT-Deactivate"
-#: The expectation that fails where no case can be executed any more.
-_ALIVE = "a living implementation"
-#: Executions of a case that only the tester's own lateness, or frames that it lost, leave undecided.
+#: The expectation of cases that cannot be executed, because the implementation is lost.
+_ALIVE = "the implementation is alive"
+#: Maximum number of executions of a case that only lateness or lost frames of the tester leave undecided.
 MOST_EXECUTIONS = 6
-#: The code of JSON-RPC for a fault of the implementation.
+#: The JSON-RPC code for an internal error.
 _INTERNAL_ERROR = -32603
 
 
 class _Done(NamedTuple):
-    """A case that was run, with the time of its end in ns."""
+    """An executed case."""
 
     trial: Trial
     result: CaseResult
     ended: int
+    """Time of the lower tester's clock, ns."""
 
 
 class Runner:
-    """Runs one case after the other against one implementation.
+    """Executes cases in succession against one implementation.
 
-    A case after which the implementation is dead is run again alone before it is blamed
-    (:mod:`dcp_conformance.execution.body.attribution`); with a command to restart the implementation the run goes on.
+    If the implementation is dead after a case, the case is repeated alone before the death is attributed to it
+    (:mod:`dcp_conformance.execution.attribution`). With a command to restart the implementation the run continues.
     """
 
     def __init__(
@@ -65,40 +68,39 @@ class Runner:
         rerun: str = "dcp-conformance run",
         start_timeout: float | None = None,
     ) -> None:
-        """``rerun``: the command of the run, without cases. ``start_timeout``: seconds, see ``Life``."""
+        """``rerun``: the command of the run, without cases. ``start_timeout``: see :class:`Life`, in seconds."""
         self.session = session
         self.control = control
         self.rerun = rerun
         self.life = Life(session, control, start_timeout)
         self.remarks: list[str] = []
-        """Notes for the reader of the results, without those about deaths."""
+        """Notes for the results, without those on deaths."""
         self.dead = ""
-        """Why no further case can be executed; empty while the implementation lives."""
+        """Why no further case can be executed; empty while the implementation is alive."""
         self.deaths_side_by_side = 0
-        """How often the implementation stopped taking part while cases were executed side by side."""
+        """How often the implementation was lost while cases were executed side by side."""
         self._deaths: dict[str, list[str]] = {}
         """Cases in which the implementation ended, by :attr:`dcp_conformance.execution.life.Loss.group`."""
         self._recent: deque[_Done] = deque(maxlen=_SUSPECTS)
-        """The last cases in this life of the implementation."""
+        """The last cases since the start of the implementation."""
         self._revised: list[CaseResult] = []
         self._measured = 0
         """How often the reaction time was measured."""
         self._unsettled = False
-        """The last case has left the implementation in a state that can spoil later ones, or its upper tester has
-        reported an internal error."""
+        """Whether the last case has left a state that can affect later ones, or got an internal error as an answer."""
         self._spoilt: dict[str, str] = {}
         """Cases whose changes could not be undone, with the reason."""
         self._renewals = 0
-        """Restarts because identifiers were used up."""
+        """Number of restarts because identifiers were used up."""
         self._disturbed: dict[str, str] = {}
-        """Cases that were executed again because the tester was late, with what it did wrong."""
+        """Cases that were executed again because of a disturbance of the tester, with the disturbance."""
         session.can_restart = control is not None and control.can_restart
         session.restart = control.restart if control is not None and control.can_restart else None
         session.switch_link = link_switch(control, session.pics.pixit)
 
     @property
     def notes(self) -> list[str]:
-        """Notes for the reader of the results about the run as a whole."""
+        """Notes on the run as a whole, for the results."""
         found = list(self.remarks)
         if self._spoilt and not self._restartable:
             found.append(left_changed(self._spoilt))
@@ -111,7 +113,10 @@ class Runner:
         return found + [deaths_alike(how, cases) for how, cases in self._deaths.items()]
 
     def prepare(self) -> None:
-        """Find out about the implementation. Raises ``UpperTesterError`` if it does not keep to the contract."""
+        """Read node identifier and parameters of the implementation, and reset it.
+
+        Raise ``UpperTesterError`` if the upper tester violates its contract.
+        """
         session = self.session
         if session.pics.pixit.node_id is not None:
             session.sut_id = node_id_octets(session.pics.pixit.node_id)
@@ -129,12 +134,12 @@ class Runner:
         for method in ("BP-GetParameters", "SRP-GetParameters", "VD-GetParameters"):
             if method in upper.methods:
                 answer = upper.call(method, {})
-                told = answer.result.get("parameters")
-                if answer.ok and isinstance(told, dict):
-                    session.parameters.update({name: value for name, value in told.items() if name in known})
+                reported = answer.result.get("parameters")
+                if answer.ok and isinstance(reported, dict):
+                    session.parameters.update({name: value for name, value in reported.items() if name in known})
 
     def about(self) -> Sut:
-        """Describe the implementation for the results."""
+        """Return the description of the implementation for the results."""
         session, upper = self.session, self.session.upper
         about = upper.about if upper is not None else {}
         target = session.pics.sut
@@ -151,9 +156,9 @@ class Runner:
     # -- one case ------------------------------------------------------------------------------------------------------
 
     def run(self, case: Case, attempt: int = 1) -> CaseResult:
-        """Run one case and return its result. No exception but ``KeyboardInterrupt`` and the like gets through.
+        """Execute one case and return its result. Only exceptions outside of ``Exception`` are propagated.
 
-        The result of the case before may have changed: see :meth:`take_revised`.
+        Results of earlier cases may have changed: see :meth:`take_revised`. ``attempt`` counts repetitions from 1.
         """
         bench = Bench(self.session, case)
         reason = why_not(bench, case)
@@ -164,28 +169,29 @@ class Runner:
         try:
             result = self._run(case, attempt)
         except Exception as error:
-            # A fault of this module: the case still has a result.
+            # A fault of the tester outside of the case body; the case gets a result all the same.
             what = f"{type(error).__name__}: {error}"
-            result = self._without_trial(case, bench, attempt, Verdict.ERROR, "the case runs to its end", what)
+            expected = "the case runs without an internal error"
+            result = self._without_trial(case, bench, attempt, Verdict.ERROR, expected, what)
             detail = "".join(traceback.format_exception(error))
             result = msgspec.structs.replace(result, error_detail=detail)
         return result
 
     def why_not(self, case: Case) -> str:
-        """Why the case does not concern the implementation; empty if it does."""
+        """Return why the case is not applicable to the implementation; empty if it is applicable."""
         return why_not(Bench(self.session, case), case)
 
     def take_revised(self) -> list[CaseResult]:
-        """Results of earlier cases that were found to be wrong since; each replaces the one with its id and attempt."""
+        """Return and clear the revised results of earlier cases; each replaces that with its identifier and attempt."""
         revised, self._revised = self._revised, []
         return revised
 
     def _run(self, case: Case, attempt: int) -> CaseResult:
         if self._unsettled and self._restartable:
-            # The state that the last case has left may spoil this one.
+            # The state after the last case could affect this one.
             self._recent.clear()
             if why := self._start_afresh(case):
-                # A failed restart is not the fault of this case.
+                # This case did not cause the failed restart.
                 self.dead = f"the implementation was restarted after the case before {case.id}; {why}"
                 self.remarks.append(self.dead)
                 bench = Bench(self.session, case)
@@ -211,7 +217,7 @@ class Runner:
         return result
 
     def _wait_for(self, trial: Trial) -> None:
-        """Without a way to restart a silent implementation, wait for it: its loss would be the end of the run."""
+        """Wait until a silent implementation that cannot be restarted answers again: its loss would end the run."""
         loss = trial.loss
         if loss is None or loss.died or loss.upper_only:
             return
@@ -221,15 +227,15 @@ class Runner:
             trial.loss = None
 
     def _undisturbed(self, trial: Trial) -> tuple[Trial, int]:
-        """Run a case again, from the same start, as long as only the tester's own trouble leaves it undecided.
+        """Execute a case again as long as only disturbances of the tester leave it undecided.
 
-        Returns the execution that counts, and how many there were. The last one counts, but a failure is never lost to
-        a later execution without one.
+        Return the execution that counts, and the number of executions. The last one counts, except that a fail is not
+        replaced by a later execution without a fail.
         """
         executions = 1
         most = MOST_IMPAIRED if isinstance(self.session.lower, Impairs) else MOST_EXECUTIONS
         while executions < most and trial.disturbed:
-            self._disturbed.setdefault(trial.case.id, trial.bench.disturbed)
+            self._disturbed.setdefault(trial.case.id, trial.bench.verdicts.disturbed)
             again = self._trial(trial.case)
             executions += 1
             if again.used_up:
@@ -240,10 +246,10 @@ class Runner:
         return trial, executions
 
     def _trial_after_restart(self, trial: Trial) -> Trial:
-        """Run a case again that found all identifiers used up, in the initial state of the implementation."""
+        """Execute a case again that has used up all identifiers, after a restart of the implementation."""
         self._recent.clear()
         if why := self._start_afresh(trial.case):
-            what = "the implementation is there after its restart"
+            what = "the implementation answers after its restart"
             trial.checks.append(Check(Verdict.INCONCLUSIVE, trial.case.requirements, what, why))
             return trial
         self._renewals += 1
@@ -251,9 +257,9 @@ class Runner:
         return self._trial(trial.case, fresh=True)
 
     def finish(self) -> None:
-        """Look after the implementation for the last time: it may be dying of one of the last cases.
+        """Check the implementation after the last case: one of the last cases may have ended it.
 
-        Their results may have changed: see :meth:`take_revised`.
+        Their results may change: see :meth:`take_revised`.
         """
         if self.dead or not self._recent:
             return
@@ -270,7 +276,7 @@ class Runner:
         self._revised.append(msgspec.structs.replace(result, executions=last.result.executions))
 
     def _judge_loss(self, trial: Trial, attempt: int) -> CaseResult:
-        """The result of a case after which the implementation was found dead."""
+        """Attribute a loss to a case; return the result of the case after which the loss was found."""
         assert trial.loss is not None
         suspects = [each for each in self._recent if trial.begun - each.ended <= SLOW_DEATH * 1e9]
         self._recent.clear()
@@ -287,68 +293,67 @@ class Runner:
         return result
 
     def _trial(self, case: Case, *, fresh: bool = False) -> Trial:
-        """Run a case once, and look after the implementation. ``fresh``: it is in its initial state already."""
+        """Execute a case once, and check the implementation. ``fresh``: whether it is in its initial state already."""
         bench = Bench(self.session, case)
-        # What it takes for the case to apply may itself be an assumption, which the bench then knows.
+        # The applicability of the case may depend on assumptions: let the bench record them.
         why_not(bench, case)
-        trial = Trial(case, bench, self.session.lower.now(), bench.checks)
+        trial = Trial(case, bench, self.session.lower.now(), bench.verdicts.checks)
         with recorded(trial):
             # Before the reset, which removes the variables that the measurement creates.
             self._measure()
             if not fresh:
                 self._reset()
             if not fresh and self._reset_mode() == "restart" and (why := self.life.await_answer(case)):
-                # A failed restart is not the fault of this case; the next case restarts again.
-                bench.checks.append(
-                    Check(Verdict.INCONCLUSIVE, case.requirements, "the implementation is there after its restart", why)
-                )
+                # This case did not cause the failed restart; the next case restarts again.
+                what = "the implementation answers after its restart"
+                bench.verdicts.checks.append(Check(Verdict.INCONCLUSIVE, case.requirements, what, why))
                 return trial
             self.session.passive.begin(self.session.lower.now(), bench.traffic, case.id)
             run_body(trial)
         self._note_hang_up(trial)
         trial.paused = any(event.text == DEACTIVATE for event in bench.traffic.events)
-        # Silence since the last stimulus is a doubt, whatever the verdict.
-        doubt = case.destructive or trial.verdict.rank > Verdict.PASS.rank or bench.silent
+        # Silence after the last stimulus leaves a doubt, whatever the verdict.
+        doubt = case.destructive or trial.verdict.rank > Verdict.PASS.rank or bench.steps.silent
         if not self.life.ended() and not self.life.hung_up:
             doubt = not self._clean(trial) or doubt
-        # The sanity case itself has asked for an answer.
         doubt = doubt and not trial.used_up
         self._unsettled = self._reset_mode() != "restart" and _reports_internal_error(bench)
+        # The sanity case itself has probed the implementation: if it failed, another probe adds no evidence.
         ask = doubt and (case.id != SANITY or trial.verdict is Verdict.PASS)
         trial.loss = self.life.loss(bench, ask=ask)
-        if trial.loss is None and bench.spoilt and self._reset_mode() == "none":
+        if trial.loss is None and bench.restoration.spoilt and self._reset_mode() == "none":
             self._unsettled = True
-            self._spoilt.setdefault(case.id, bench.spoilt)
+            self._spoilt.setdefault(case.id, bench.restoration.spoilt)
         return trial
 
     def _measure(self) -> None:
-        """Measure the reaction time of the implementation; again if it did not answer the first time, but later."""
+        """Measure the reaction time before the first case, and a second time once the implementation has answered."""
         if self._measured == 0 or (self._measured == 1 and self.life.has_answered):
             self._measured += 1
             found = prepare(self.session)
-            told = self.session.pics.pixit.reaction_periods is not None
-            if found is not None and not told and (found.periods > FLOOR or found.per_payload):
+            given = self.session.pics.pixit.reaction_periods is not None
+            if found is not None and not given and (found.periods > FLOOR or found.per_payload):
                 self.remarks.append(f"reactions are waited for {found}; pixit.reaction_periods overrides this")
             self.remarks.extend(each for each in self._deviations() if each not in self.remarks)
 
     def _deviations(self) -> Iterator[str]:
-        """What was found at the start and has consequences in many cases."""
+        """Yield notes on deviations that were found at the start and affect many cases."""
         if lost := self.session.lost_container:
             yield (
-                f"it loses the {lost} of two containers in a payload (VD-RX-04): what is missing in cases about other "
-                "requirements that send such payloads is inconclusive"
+                f"it loses the {lost} of two containers in a payload (VD-RX-04): in cases about other requirements "
+                "that send such payloads, missing reactions are inconclusive"
             )
         for text in self.session.misread.values():
-            yield f"{text}: what follows from that in other cases is inconclusive"
+            yield f"{text}: consequences of that in other cases are inconclusive"
 
     def _refuse(self, case: Case, trial: Trial) -> None:
-        """End the run if the sanity case has found that there is nothing to test."""
+        """Make all further cases inconclusive if the sanity case has found no sign of the implementation."""
         if case.id != SANITY:
             return
         passed = trial.verdict is Verdict.PASS
-        self.life.learn(trial.bench, answered=passed and trial.bench.pics.vardis is not False)
+        self.life.learn(trial.bench, answered=passed and trial.bench.sut.pics.vardis is not False)
         contact = self.session.contact
-        # With wrong settings of the tester nothing that is heard can be judged.
+        # With wrong settings of the tester, received frames cannot be judged.
         heard = trial.bench.heard and not (contact is not None and contact.mistaken)
         if passed or heard or self.life.serves():
             return
@@ -358,10 +363,10 @@ class Runner:
     # -- for cases that are executed side by side ----------------------------------------------------------------------
 
     def initial_state(self, case: Case, *, used: bool) -> str:
-        """Bring the implementation into its initial state, as far as the tester can. Returns why that has failed.
+        """Bring the implementation into its initial state, as far as the tester can; return why that failed, or "".
 
-        ``case``: in whose name the implementation is asked whether it answers. ``used``: identifiers have been used up
-        since the last time, so that a restart is worth its time where there is no other way.
+        ``case`` is the case of the probes. ``used``: whether all identifiers have been used up, so that a restart is
+        worth its time if no other reset exists.
         """
         self._recent.clear()
         mode = self._reset_mode()
@@ -379,9 +384,9 @@ class Runner:
         return ""
 
     def attempt(self, case: Case) -> CaseResult | None:
-        """Execute a case alone. Returns its result if it is a plain pass; otherwise it is to be run once more.
+        """Execute a case alone; return its result if it is an undisturbed pass, otherwise None: it must be repeated.
 
-        An implementation that has died is started again where that is possible.
+        An implementation that has died is restarted if possible.
         """
         if self.dead or self._unsettled:
             return None
@@ -393,30 +398,31 @@ class Runner:
             else:
                 self._wait_for(trial)
             return None
-        if trial.verdict is not Verdict.PASS or trial.bench.spoilt or trial.disturbed or trial.hung_up:
+        if trial.verdict is not Verdict.PASS or trial.bench.restoration.spoilt or trial.disturbed or trial.hung_up:
             return None
         result = self._result(trial, 1, trial.checks)
         self.remember(trial, result, self.session.lower.now())
         return result
 
     def remember(self, trial: Trial, result: CaseResult, ended: int) -> None:
-        """Note a case that was executed side by side and passed, ``ended`` ns: a death shortly after may be its."""
+        """Remember a case that passed side by side and ended at ``ended`` (ns): it may cause a later death."""
         self._recent.append(_Done(trial, result, ended))
 
     def check_life(self, case: Case, during: Sequence[str]) -> str:
-        """Ask the implementation whether it still takes part; if it does not, start it again.
+        """Check whether the implementation is alive, and restart it if it is not.
 
-        ``during``: the cases that were executed when a doubt arose. Returns why no further case can be executed side
-        by side, empty if they can.
+        ``during`` has the cases that were executed when a doubt arose. Return why no further case can be executed side
+        by side, or an empty text.
         """
         bench = Bench(self.session, case)
         loss = self.life.loss(bench, ask=True)
         if loss is None:
             return ""
         self.deaths_side_by_side += 1
-        cases = ", ".join(during)
-        text = f"the implementation {loss.how} while these cases were executed side by side: {cases}; {loss.observed}"
-        self.remarks.append(f"{text}. Each of them is executed alone")
+        named = ", ".join(during[:_NAMED]) + (f" and {len(during) - _NAMED} more" if len(during) > _NAMED else "")
+        many = "1 case was" if len(during) == 1 else f"{len(during)} cases were"
+        text = f"while {many} executed side by side ({named}), the implementation {loss.brief}"
+        self.remarks.append(f"{text}. Each of these cases is executed alone")
         if not self._restartable:
             self.dead = f"{text}. There is no command to restart it (--restart)"
             return self.dead
@@ -433,7 +439,7 @@ class Runner:
         return self.control is not None and self.control.can_restart
 
     def _again(self, cases: Sequence[Case]) -> Trial | str:
-        """Run cases from a fresh start, and wait for a slow death after the last."""
+        """Restart, execute cases in succession, and wait for a slow death; see ``attribution.Again``."""
         if why := self._start_afresh(cases[0]):
             return why
         for number, case in enumerate(cases):
@@ -445,7 +451,7 @@ class Runner:
         return trial
 
     def _start_afresh(self, case: Case) -> str:
-        """Restart the implementation and wait until it answers. Returns why it does not, empty if it does."""
+        """Restart the implementation and wait until it answers; return why that failed, or an empty text."""
         assert self.control is not None
         try:
             self.control.restart()
@@ -460,7 +466,7 @@ class Runner:
         return ""
 
     def _revive(self, case: Case, trial: Trial) -> None:
-        """Restart the implementation for the next case, or note why no further case can be executed."""
+        """Restart the implementation for the next case, or set :attr:`dead` if that is impossible."""
         assert trial.loss is not None
         if not self._restartable:
             lost = f"the implementation {trial.loss.how} in {case.id}"
@@ -473,13 +479,13 @@ class Runner:
     def _count_death(self, trial: Trial) -> None:
         assert trial.loss is not None
         if trial.paused:
-            # From now on only cases about deactivation deactivate BP.
+            # Later cases deactivate BP only if they are about deactivation.
             self.session.pausing_fails = True
         if self._restartable and not trial.loss.upper_only:
             self._deaths.setdefault(trial.loss.group, []).append(trial.case.id)
 
     def _blame_earlier(self, trial: Trial, suspects: Sequence[_Done]) -> None:
-        """Revise the result of an earlier case, which ended the implementation when it was run alone."""
+        """Revise the result of an earlier case that ended the implementation when it was executed alone."""
         assert trial.loss is not None
         self._count_death(trial)
         old = next(each.result for each in suspects if each.trial.case is trial.case)
@@ -490,7 +496,7 @@ class Runner:
     # -- before and after a case ---------------------------------------------------------------------------------------
 
     def _clean(self, trial: Trial) -> bool:
-        """Without a way to reset, delete the variables that the case has made. Returns whether nothing went wrong."""
+        """Delete the variables of the case if the implementation cannot be reset; return False if that failed."""
         if self._reset_mode() != "none":
             return True
         deleted = delete_variables(trial, self.life.serves)
@@ -520,7 +526,7 @@ class Runner:
             self._forget()
 
     def _forget(self) -> None:
-        """Forget what the implementation knew: it is in its initial state again."""
+        """Clear the session's knowledge about the implementation's state, which is the initial state again."""
         self.session.forget()
 
     # -- the result ----------------------------------------------------------------------------------------------------
@@ -539,6 +545,6 @@ class Runner:
 
 
 def _reports_internal_error(bench: Bench) -> bool:
-    """Whether a service of the implementation failed for a reason of its own, which may last."""
+    """Return whether a service answered with an internal error, whose cause may persist."""
     answers = (event.data for event in bench.traffic.events if event.direction == "answer")
     return any(isinstance(data, dict) and data.get("code") == _INTERNAL_ERROR for data in answers)

@@ -1,4 +1,4 @@
-"""Which cases are run: by identifier, section, requirement or glob, in a plan, in their order."""
+"""Selection and order of the cases of a run: by identifier, glob, section, requirement and plan."""
 
 from __future__ import annotations
 
@@ -15,40 +15,42 @@ from dcp_conformance.errors import UsageError
 from dcp_conformance.model.case import SANITY, Case
 
 PLANS = ("full", "smoke", "long")
-"""``full``: all cases but those that take long; ``long``: those, too; ``smoke``: those that notice most
-of the known faults in a few seconds."""
+"""``full``: all cases except those that take long; ``long``: all cases; ``smoke``: the cases that detect most of the
+known faults in a few seconds."""
 
 
 @dataclass(frozen=True, slots=True)
 class Selection:
-    """What a user asked for. Empty means everything."""
+    """The selection of a user. Without any criterion, all cases of the plan are selected."""
 
     patterns: tuple[str, ...] = ()
     """Identifiers of cases or requirements, or globs of them."""
     sections: tuple[str, ...] = ()
-    """Parts of section headings, such as ``bp`` or ``receive path``; case does not matter."""
+    """Parts of section headings, such as ``bp`` or ``receive path``, in upper or lower case."""
     requirements: tuple[str, ...] = ()
+    """Identifiers of requirements, or globs of them."""
     exclude: tuple[str, ...] = ()
     """Identifiers of cases, or globs of them, that are left out."""
     plan: str = "full"
+    """One of :data:`PLANS`."""
     first: frozenset[str] = frozenset()
-    """Identifiers of cases that are run before the others; those that no longer exist are ignored."""
+    """Identifiers of cases that are executed before the others; unknown ones are ignored."""
     only_first: bool = False
-    """Whether no other cases are run."""
+    """Whether only the cases in ``first`` are executed."""
 
 
 def select(cases: Mapping[str, Case], selection: Selection) -> list[Case]:
-    """The cases that were asked for, in the order in which they are run.
+    """Return the selected cases in the order of execution.
 
-    Raises :class:`UsageError` for a name that means nothing (with those it resembles), and if nothing is left.
+    Raise :class:`UsageError` for an unknown name (with similar names), and if no case is left.
     """
     chosen = list(cases.values())
     if selection.plan not in PLANS:
-        raise UsageError(f"there is no plan {selection.plan!r}; there are {', '.join(PLANS)}")
+        raise UsageError(f"unknown plan {selection.plan!r}; the plans are {', '.join(PLANS)}")
     if selection.plan == "smoke":
         chosen = [case for case in chosen if case.smoke]
     elif selection.plan == "full":
-        # Those that are named are meant, whatever the plan is.
+        # A case that the user names is executed, although the plan does not have it.
         chosen = [case for case in chosen if not case.long or {case.id, case.base}.intersection(selection.patterns)]
     if selection.patterns:
         wanted = {case.id for pattern in selection.patterns for case in _matching(cases, pattern)}
@@ -57,7 +59,7 @@ def select(cases: Mapping[str, Case], selection: Selection) -> list[Case]:
         if not any(part.lower() in case.section.lower() for case in cases.values()):
             headings = sorted({case.section for case in cases.values()})
             near = difflib.get_close_matches(part, [*headings, *{each.partition(":")[0] for each in headings}], n=3)
-            hint = f"did you mean {' or '.join(near)}?" if near else "'dcp-conformance list' shows those there are"
+            hint = f"did you mean {' or '.join(near)}?" if near else "'dcp-conformance list' shows the sections"
             raise UsageError(f"no section is called {part!r}; {hint}")
     if selection.sections:
         parts = [part.lower() for part in selection.sections]
@@ -74,12 +76,12 @@ def select(cases: Mapping[str, Case], selection: Selection) -> list[Case]:
                 "none of the selected cases failed or was undecided in that report: there is nothing to run"
             )
     if not chosen:
-        raise UsageError("no case is left to run; 'dcp-conformance list' shows those there are")
+        raise UsageError("no case is left to run; 'dcp-conformance list' shows the cases")
     return ordered(chosen, selection.first)
 
 
 def left_out(cases: Mapping[str, Case], selection: Selection) -> list[Case]:
-    """The cases that only the plan ``full`` has left out, because they take long. Raises as :func:`select`."""
+    """Return the cases that the plan ``full`` leaves out because they take long. Raise the errors of :func:`select`."""
     if selection.plan != "full":
         return []
     chosen = {case.id for case in select(cases, selection)}
@@ -87,10 +89,10 @@ def left_out(cases: Mapping[str, Case], selection: Selection) -> list[Case]:
 
 
 def ordered(cases: Iterable[Case], first: Collection[str] = ()) -> list[Case]:
-    """The cases in the order in which they are run.
+    """Return the cases in the order of execution.
 
-    The sanity case, then the identifiers in ``first``, cases about conformance, those about robustness; otherwise as
-    they stand. Destructive cases are last in any case, those in ``first`` before the others.
+    The sanity case comes first, then the cases in ``first``, other cases on conformance, and cases on robustness.
+    Destructive cases are last, those in ``first`` before the others. Otherwise the order of ``cases`` is kept.
     """
     return sorted(
         cases, key=lambda case: (case.base != SANITY, case.destructive, case.id not in first, case.robustness)
@@ -98,7 +100,7 @@ def ordered(cases: Iterable[Case], first: Collection[str] = ()) -> list[Case]:
 
 
 def matches(case: Case, pattern: str) -> bool:
-    """Whether a pattern means this case: its identifier, that of all its variants, or a glob of either."""
+    """Return whether a pattern is the identifier of the case or that of all its variants, or a glob of either."""
     return fnmatch.fnmatchcase(case.id, pattern) or fnmatch.fnmatchcase(case.base, pattern)
 
 
@@ -108,20 +110,20 @@ def _matching(cases: Mapping[str, Case], pattern: str) -> list[Case]:
         ids = [each for each in requirements() if fnmatch.fnmatchcase(each, pattern)]
         found = [case for case in cases.values() if set(ids).intersection(case.requirements)]
         if ids and not found:
-            raise UsageError(f"no case decides {', '.join(ids)}; docs/traceability.md says why")
+            raise UsageError(f"no case decides {', '.join(ids)}; docs/traceability.md has the reason")
     if not found:
         if pattern in retired():
-            raise UsageError(f"the case {pattern} is retired: CHANGELOG.md says what has taken its place")
+            raise UsageError(f"the case {pattern} is retired: CHANGELOG.md names its replacement")
         names: Sequence[str] = list(dict.fromkeys((*cases, *(case.base for case in cases.values()), *requirements())))
         near = difflib.get_close_matches(pattern, names, n=3)
-        hint = f"; did you mean {', '.join(near)}?" if near else "; 'dcp-conformance list' shows those there are"
+        hint = f"; did you mean {', '.join(near)}?" if near else "; 'dcp-conformance list' shows the cases"
         raise UsageError(f"no case is called {pattern!r}{hint}")
     return found
 
 
 @cache
 def retired() -> frozenset[str]:
-    """The identifiers of cases that do not exist any more: reports of earlier runs still name them."""
+    """Return the identifiers of removed cases, which reports of earlier runs still name."""
     ledger = resources.files("dcp_conformance").joinpath("data", "case-ids.txt").read_text(encoding="utf-8")
     return frozenset(name for name, _, why in (line.partition(" ") for line in ledger.splitlines()) if why)
 

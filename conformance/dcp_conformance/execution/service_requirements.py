@@ -1,6 +1,6 @@
-"""The requirement that an implementation violates if it does not live through a service call.
+"""The requirement that an implementation violates if it does not survive a service call.
 
-No requirement asks for surviving a call, but each service has one that says what it does and confirms.
+No requirement states survival of a call, but each service has a requirement about its effect and its confirm.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ class _Rules(NamedTuple):
     """The requirements of one service."""
 
     family: str
-    """Their identifiers begin like this."""
+    """Prefix of their identifiers."""
     usual: str = ""
-    """What the service does if nothing speaks against it; empty if no requirement says that."""
+    """The requirement about the effect of a successful call; empty if there is no such requirement."""
     with_queue: str = ""
-    """The same for a client with a queue, where it is a requirement of its own."""
+    """The requirement about the effect for a client with a queue, if it is a separate one."""
 
 
 _SERVICES: Final[Mapping[str, _Rules]] = {
@@ -58,18 +58,19 @@ _SERVICES: Final[Mapping[str, _Rules]] = {
 
 
 def concerns(case: Case, service: str) -> bool:
-    """Whether a case decides requirements of a service, rather than only using it."""
+    """Return whether a case decides requirements of a service; otherwise it only uses the service."""
     return bool(_own(case, service))
 
 
 def violated_by_death(
     case: Case, call: Event, events: Iterable[Event], shown: Collection[str], version: SpecVersion | str
 ) -> tuple[str, ...]:
-    """The requirement that a service call violates after which the implementation is dead; empty if there is none.
+    """Return the requirement that is violated if the implementation is dead after a service call; empty without any.
 
-    It is the first requirement of the case about this service that was not shown before the call. If all were, it is
-    the last and most specific one: a pass by silence shows nothing if the implementation was dead. If the case is not
-    about the service, it is the requirement that says what the service does. ``events``: those of the case.
+    It is the first requirement of the case about this service that is not in ``shown``, the requirements with a passed
+    check. If all of them are, it is the last and most specific one, because a pass for lack of a reaction is not
+    evidence if the implementation was dead. If the case is not about the service, it is the requirement about the
+    effect of the service. ``events`` are those of the case.
     """
     rules = _SERVICES.get(call.text)
     if rules is None:
@@ -86,7 +87,7 @@ def _own(case: Case, service: str) -> tuple[str, ...]:
 
 
 def _has_queue(call: Event, events: Iterable[Event]) -> bool:
-    """Whether the client of a call was registered with a queueing mode that has a queue."""
+    """Return whether the client of a call was registered with a queueing mode that has a queue."""
     prot_id = _parameters(call).get("protId")
     modes = [
         str(_parameters(each).get("queueingMode", ""))

@@ -1,4 +1,4 @@
-"""Open what the user's options name: link, upper tester and control of the implementation under test."""
+"""Open the link, upper tester and process control of the implementation under test, according to the user's options."""
 
 from __future__ import annotations
 
@@ -26,18 +26,18 @@ from dcp_conformance.upper_tester import UpperTester
 
 from .runner import Runner
 
-#: Beacon period in ms of our own node as a process: short, since nobody else is on its link, and everything is timed in
-#: periods.
+#: Beacon period in ms of the reference node in a process: short, because all waits are multiples of it, and no other
+#: node is on its link.
 OWN_PERIOD = 20.0
-#: Share of a beacon period by which delays of an impaired link may differ: cases about intervals tolerate as much.
+#: Tolerated variation of the delays of an impaired link, as a share of the beacon period: that of cases on intervals.
 _USUAL_DELAY = 0.02
-#: Seconds that an upper tester may take to answer.
+#: Timeout of a call of the upper tester in seconds.
 UPPER_PATIENCE = 5.0
 
 
 @dataclass(frozen=True, slots=True)
 class TargetOptions:
-    """The implementation under test, and how to reach it. Default: our own node."""
+    """The implementation under test and its interfaces. Default: the reference node in a separate process."""
 
     profile: str | None = None
     interface: str | None = None
@@ -53,24 +53,24 @@ class TargetOptions:
     restart: str | None = None
     pid: int | None = None
     start_timeout: float | None = None
-    """Seconds from a start to the first answer; None: 30, and less if it is ready sooner and does not answer."""
+    """Timeout of the first answer after a start in seconds; None: 30, or less if it opens the link but stays silent."""
     beacon_period_ms: float | None = None
     timing_scale: float = 1.0
     seed: int = 1
     impair: tuple[str, ...] = ()
     """Impairment of the link, see ``impairment.parse_directions``."""
     node_id: bytes | None = None
-    """Node identifier of our own node."""
+    """Node identifier of the reference node."""
     node_options: tuple[str, ...] = field(default=())
-    """For our own node as a process: further arguments of ``dcp-node run``."""
+    """Further arguments of ``dcp-node run`` for the reference node in a process."""
 
     @property
     def foreign(self) -> bool:
-        """Whether this is not our own node."""
+        """Whether the implementation is not the reference node."""
         return self.interface is not None or self.link is not None
 
     def command_line(self) -> str:
-        """The options as a command line, for running a case again."""
+        """Return the options as a command line without cases, for repeating a case."""
         import shlex
 
         words = ["dcp-conformance", "run"]
@@ -96,14 +96,14 @@ class TargetOptions:
 
 
 def exact(number: float) -> str:
-    """A number as text, as short as possible without changing its value."""
+    """Return the shortest text of a number that has the same value."""
     short = f"{number:g}"
     return short if float(short) == number else repr(number)
 
 
 @dataclass(slots=True)
 class Target:
-    """An implementation that can be tested."""
+    """An opened implementation with its runner."""
 
     codec: Codec
     pics: Pics
@@ -112,12 +112,12 @@ class Target:
 
 
 def describe(options: TargetOptions) -> tuple[Codec, Pics]:
-    """Profile and PICS, without opening anything. Raises :class:`UsageError`."""
+    """Return codec and PICS of the options without opening any connection. Raise :class:`UsageError`."""
     pics = load_pics(options.pics) if options.pics is not None else Pics()
     name = options.profile or pics.pixit.profile or DEFAULT_PROFILE
     if name == UNKNOWN_PROFILE:
         raise UsageError(
-            f"{options.pics}: pixit.profile: probe could not find out which wire profile the implementation speaks; "
+            f"{options.pics}: pixit.profile: probe could not determine the wire profile of the implementation; "
             "write it there, or give --profile"
         )
     try:
@@ -136,7 +136,7 @@ def describe(options: TargetOptions) -> tuple[Codec, Pics]:
 
 
 def refuse_unusable(profile: Profile) -> None:
-    """Raise :class:`UsageError` for a profile with fields or containers that the suite cannot fill with sense."""
+    """Raise :class:`UsageError` for a profile with fields or containers that the suite cannot fill meaningfully."""
     if (reason := refusal(profile)) is not None:
         raise UsageError(reason)
 
@@ -145,7 +145,7 @@ def _check_node_id(options: TargetOptions, pics: Pics, codec: Codec) -> None:
     """Reject node identifiers that do not fit the profile."""
     profile = codec.profile
     text, width = pics.pixit.node_id, profile.types.node_id.width
-    # A width of 0: identifiers of variable length.
+    # The width 0 means identifiers of variable length.
     if text is not None and width and (octets := len(node_id_octets(text))) != width:
         wrong = f"it has {octets} octets, in the profile {profile.name} it has {width}"
         raise UsageError(f"{options.pics}: pixit.node_id: {text!r}: {wrong}")
@@ -153,21 +153,21 @@ def _check_node_id(options: TargetOptions, pics: Pics, codec: Codec) -> None:
 
 @contextlib.contextmanager
 def open_target(options: TargetOptions) -> Iterator[Target]:
-    """Open everything, and close it again whatever happens.
+    """Open link, upper tester and process control, and close them at the end of the block.
 
-    Raises :class:`UsageError` for what makes no sense, ``LowerTesterError`` and ``UpperTesterError`` for what does not
-    work.
+    Raise :class:`UsageError` for contradictory options, and ``LowerTesterError`` or ``UpperTesterError`` if a
+    connection cannot be opened.
     """
     if not (options.foreign or options.in_process or options.beacon_period_ms):
         options = replace(options, beacon_period_ms=OWN_PERIOD)
     codec, pics = describe(options)
-    # Refused before anything is opened.
+    # Reject invalid impairments before any connection is opened.
     parse_directions(options.impair)
     if options.in_process and options.foreign:
-        raise UsageError("--in-process tests our own node; it needs no --interface or --link")
+        raise UsageError("--in-process tests the reference node; it needs no --interface or --link")
     for name in () if options.foreign else ("ut", "start", "stop", "restart", "pid"):
         if getattr(options, name) is not None:
-            raise UsageError(f"--{name} is for an implementation of yours: name its --interface or --link")
+            raise UsageError(f"--{name} is for your own implementation: give its --interface or --link")
     with contextlib.ExitStack() as stack:
         if options.in_process:
             session, control, notes = _in_process(options, codec, pics)
@@ -179,7 +179,7 @@ def open_target(options: TargetOptions) -> Iterator[Target]:
         if session.upper is not None:
             stack.callback(session.upper.close)
         if options.foreign and options.profile is None and pics.pixit.profile is None:
-            notes.append(f"neither --profile nor pixit.profile says which wire profile: {DEFAULT_PROFILE} is assumed")
+            notes.append(f"neither --profile nor pixit.profile names the wire profile: {DEFAULT_PROFILE} is assumed")
         runner = Runner(session, control, rerun=options.command_line(), start_timeout=options.start_timeout)
         runner.remarks += notes
         yield Target(codec, pics, runner, notes)
@@ -226,7 +226,7 @@ def _own_node(options: TargetOptions, codec: Codec, pics: Pics, stack: contextli
 
 
 def _patience(pics: Pics) -> float:
-    """Seconds that the upper tester may take to answer: what is usual, unless the implementation needs more."""
+    """Return the timeout of a call of the upper tester in seconds: the default, or more if the PIXIT requires it."""
     return max(UPPER_PATIENCE, pics.pixit.least_patience_ms / 1000)
 
 
@@ -248,12 +248,12 @@ def _foreign(options: TargetOptions, codec: Codec, pics: Pics, stack: contextlib
     lower = open_lower(options, codec)
     stack.callback(lower.close)
     if process is not None:
-        other = _somebody_there(_session(options, codec, pics, lower, None)) if options.start else ""
+        other = _node_on_link(_session(options, codec, pics, lower, None)) if options.start else ""
         process.start()
         if other and process.alive():
             raise UsageError(
-                f"--start: {other} has answered on {lower.name} before it was started: end what runs there, leave out "
-                "--start, or say who is tested (pixit.node_id) if others have to be there"
+                f"--start: {other} has answered on {lower.name} before it was started: end the node that runs there, "
+                "leave out --start, or name the implementation (pixit.node_id) if other nodes must be on the link"
             )
     upper = None
     if options.ut is not None:
@@ -263,7 +263,7 @@ def _foreign(options: TargetOptions, codec: Codec, pics: Pics, stack: contextlib
             upper = open_upper(options.ut, _patience(pics), starting=process is not None)
         except UpperTesterError as error:
             if process is not None and process.alive() is False:
-                # The process is dead: that is why the upper tester cannot be reached.
+                # The upper tester cannot be reached because the process is dead: report that instead.
                 raise ConformanceError(f"--start: {process.why_dead()}") from error
             raise
         if process is not None:
@@ -271,10 +271,10 @@ def _foreign(options: TargetOptions, codec: Codec, pics: Pics, stack: contextlib
     return _session(options, codec, pics, lower, upper), control, []
 
 
-def _somebody_there(session: Session) -> str:
-    """The node that answers before the implementation is started; empty if none does.
+def _node_on_link(session: Session) -> str:
+    """Return the identifier of a node that answers before the implementation is started; empty if none answers.
 
-    Two of one implementation speak under one name and are blamed for each other, whatever is tested then.
+    A second instance of the implementation would use the same identifier, and its faults could not be distinguished.
     """
 
     from dcp_conformance.suite import sanity
@@ -282,12 +282,12 @@ def _somebody_there(session: Session) -> str:
     if session.pics.pixit.node_id is not None:
         session.sut_id = node_id_octets(session.pics.pixit.node_id)
     bench = Bench(session, next(cases_of(sanity)))
-    there = bench.beacons(1, 5) if bench.pics.vardis is False else bench.probe()
+    there = bench.beacons(1, 5) if bench.sut.pics.vardis is False else bench.probes.probe()
     return session.sut_id.hex(":") if there and session.sut_id is not None else ""
 
 
 def _udp_port(options: TargetOptions, codec: Codec) -> int:
-    """The port of the link. Raises :class:`UsageError`."""
+    """Return the UDP port of the link. Raise :class:`UsageError` for an invalid ``--link``."""
     from dcp_conformance.lower_tester.udp import DEFAULT_PORT, parse_udp
 
     _, port, _, link = parse_udp(options.link or "udp", codec.profile.link)
@@ -295,12 +295,16 @@ def _udp_port(options: TargetOptions, codec: Codec) -> int:
 
 
 def open_lower(options: TargetOptions, codec: Codec) -> LowerTester:
-    """The lower tester for a foreign implementation."""
+    """Open the lower tester for an implementation that is not the reference node.
+
+    Raise :class:`UsageError` for options that contradict each other or the profile, and ``LowerTesterError`` if the
+    link cannot be opened.
+    """
     if options.interface is not None and options.link is not None:
-        raise UsageError("--interface and --link are two ways to say one thing; give one of them")
+        raise UsageError("--interface and --link both name the link; give one of them")
     if options.interface is not None:
         if codec.profile.link.transport == "udp":
-            raise UsageError(f"the profile {codec.profile.name} goes over UDP: --link udp")
+            raise UsageError(f"the profile {codec.profile.name} uses UDP: give --link udp instead of --interface")
         from dcp_conformance.lower_tester.ethernet import open_ethernet
 
         return open_ethernet(options.interface, codec.profile.link)

@@ -1,1 +1,1 @@
-"""Frames: building them, taking received ones apart, and judging headers that cannot be decoded."""
+"""Frames: build them, decode received ones, and judge headers that cannot be decoded."""

@@ -1,8 +1,8 @@
-"""Frames that may lie: anything can be put on the air with any field wrong.
+"""Build frames, valid ones and frames with any field wrong.
 
-An honest beacon is encoded by the codec, from the same schema as everything else; then the octets of single fields are
-replaced, found by their path in the dissection. Lengths and counts that nobody lies about are therefore right for any
-profile. What no field can express (cut off, added, reordered) is done with the octets.
+The codec encodes a valid beacon from the schema of the profile. Then the octets of single fields are replaced, which
+are located by their path in the dissection. So all other lengths and counts are correct in every profile. Faults that
+are not values of fields (truncated, additional or reordered octets) are made with the octets.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class Block(NamedTuple):
 
 
 class FrameBuilderError(ValueError):
-    """A lie about a field that is not there, or a value that no octets of that field can hold."""
+    """A replacement of a field that does not exist, or by a value that the field cannot hold."""
 
 
 class FrameBuilder:
@@ -51,7 +51,7 @@ class FrameBuilder:
     # -- VarDis ------------------------------------------------------------------------------------------------
 
     def ic_type(self, kind: ICType) -> int:
-        """The number of a container type in this profile."""
+        """Return the number of a container type in this profile."""
         return self._numbers[kind.label]
 
     def container(
@@ -61,34 +61,35 @@ class FrameBuilder:
         ic_type: int | None = None,
         lies: Lies | None = None,
     ) -> bytes:
-        """One container of records of one kind; ``count`` is what icNumRecords says if not the truth.
+        """Encode one container with records of one type; return its octets.
 
-        ``lies`` are paths below the container: ``{"records[0].upd.value.length": 200}``.
+        ``count`` and ``ic_type`` replace the correct values of icNumRecords and icType. ``lies`` has further wrong
+        values by paths below the container: ``{"records[0].upd.value.length": 200}``.
         """
-        honest = self.codec.encode_containers((Container(self.ic_type(KIND_OF[type(records[0])]), tuple(records)),))
+        valid = self.codec.encode_containers((Container(self.ic_type(KIND_OF[type(records[0])]), tuple(records)),))
         wrong = {f"[0].{path}": value for path, value in (lies or {}).items()}
         if count is not None:
             wrong["[0].icNumRecords"] = count
         if ic_type is not None:
             wrong["[0].icType"] = ic_type
-        return self.patched(self.codec.containers_plan, honest, wrong)
+        return self.patched(self.codec.containers_plan, valid, wrong)
 
     def empty_container(self, ic_type: int, count: int = 0, rest: bytes = b"") -> bytes:
-        """The header of a container with no honest record behind it, and then ``rest``."""
+        """Return the header of a container without any record, followed by the octets ``rest``."""
         probe = self.container(VarDelete(0), count=count, ic_type=ic_type)
         return probe[: len(probe) - self.codec.profile.types.var_id.width] + rest
 
     @property
     def container_header_size(self) -> int:
-        """Octets of an ``ICHeaderT``."""
+        """Size of an ``ICHeaderT`` in octets."""
         return len(self.empty_container(1))
 
     def record_size(self, record: VardisRecord) -> int:
-        """Octets of a record in its container."""
+        """Return the size of a record in its container, in octets."""
         return len(self.container(record)) - self.container_header_size
 
     def vardis(self, *containers: bytes | VardisRecord) -> Block:
-        """A VarDis payload. Records become containers: neighbours of one kind share one."""
+        """Return a VarDis payload of containers; adjacent records of the same type share a container."""
         octets = bytearray()
         run: list[VardisRecord] = []
         for each in containers:
@@ -106,7 +107,7 @@ class FrameBuilder:
     # -- SRP ---------------------------------------------------------------------------------------------------
 
     def srp(self, report: ExtendedSafetyData) -> Block:
-        """A state report."""
+        """Return an SRP payload with a state report."""
         return Block(BP_PROTID_SRP, self.codec.encode_report(report))
 
     # -- beacons -----------------------------------------------------------------------------------------------
@@ -120,24 +121,24 @@ class FrameBuilder:
         network_id: int | None = None,
         lies: Lies | None = None,
     ) -> bytes:
-        """The bearer payload of a beacon. ``lies`` are paths as the dissector has them: ``{"bp.length": 0}``.
+        """Return the bearer payload of a beacon. ``lies`` has wrong values by paths: ``{"bp.length": 0}``.
 
-        Raises :class:`ForgeError`, or ``EncodeError`` for what has no octets at all.
+        Raise :class:`FrameBuilderError` for wrong paths or values, and ``EncodeError`` if the beacon cannot be encoded.
         """
         profile = self.codec.profile
         header = None
         if profile.bp.header:
             identifier = profile.bp.network_id if network_id is None else network_id
             header = BPHeader(sender, seqno, identifier if profile.has_header_field("networkId") else None)
-        honest = self.codec.encode_envelope(Beacon(header, tuple(Payload(*block) for block in blocks)))
-        return self.patched(self.codec.envelope_plan, honest, lies or {})
+        valid = self.codec.encode_envelope(Beacon(header, tuple(Payload(*block) for block in blocks)))
+        return self.patched(self.codec.envelope_plan, valid, lies or {})
 
     def patched(self, plan: Node, octets: bytes, lies: Lies) -> bytes:
-        """``octets`` with the fields at these paths replaced; a value may be octets of any number."""
+        """Return ``octets`` with the fields at these paths replaced; a value may be octets of any length."""
         if not lies:
             return octets
         fields = {field.path: field for field in dissect(plan, octets).root.walk()}
-        # From the end, so that octets of another number do not move what is still to be replaced.
+        # Replace from the end: changed lengths must not shift later offsets.
         for path, value in sorted(lies.items(), key=lambda lie: -_found(fields, lie[0]).offset):
             field = _found(fields, path)
             new = value if isinstance(value, bytes) else _number(field, value)
@@ -155,7 +156,7 @@ def _found(fields: Mapping[str, Field], path: str) -> Field:
 def _number(field: Field, value: int) -> bytes:
     layout = field.layout
     if not isinstance(layout, Scalar) or layout.kind != "int":
-        raise FrameBuilderError(f"{field.path} is no number; give its octets")
+        raise FrameBuilderError(f"{field.path} is not a number; give its octets")
     try:
         return value.to_bytes(layout.size, layout.order, signed=layout.signed and value < 0)
     except OverflowError:

@@ -1,4 +1,4 @@
-"""Frames whose headers and block lists are sound, whatever is in the blocks: what can be told from them."""
+"""Statistics on frames with valid headers and block lists, independent of the content of the blocks."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ __all__ = ["blocks_in", "counted", "nearest", "sound"]
 
 
 def nearest(names: Sequence[str], by_name: Mapping[str, Codec], frames: Sequence[Arrival]) -> str:
-    """The profile whose state reports are nearest in size to what comes in their place; the first of several."""
+    """Return the profile whose state reports are nearest in size to the received SRP payloads; the first of several."""
     sizes = [
         len(each.octets)
         for frame in frames
@@ -30,7 +30,7 @@ def nearest(names: Sequence[str], by_name: Mapping[str, Codec], frames: Sequence
 
 
 def sound(codec: Codec, arrivals: Iterable[Arrival]) -> int:
-    """How many frames have the headers and the block list of the profile, whatever is in the blocks."""
+    """Return the number of frames with headers and block list of the profile, whatever the content of the blocks."""
     count = 0
     for arrival in arrivals:
         found = codec.salvage(arrival.octets)
@@ -40,13 +40,13 @@ def sound(codec: Codec, arrivals: Iterable[Arrival]) -> int:
 
 
 def blocks_in(codec: Codec, arrival: Arrival) -> Counter[int]:
-    """How many blocks a frame has for each protocol; none if its headers are not those of the profile."""
+    """Count the blocks of a frame for each protocol; empty if its headers are not those of the profile."""
     beacon = codec.salvage(arrival.octets).beacon if sound(codec, [arrival]) else None
     return Counter() if beacon is None else Counter(each.protocol_id for each in beacon.payloads)
 
 
 def counted(codec: Codec, arrivals: Iterable[Arrival]) -> str:
-    """How many blocks of SRP and VarDis there are and can be read, and what is wrong with the others, in words."""
+    """Describe how many blocks of SRP and VarDis can be decoded, and the first error of the others."""
     total, bad = Counter[int](), Counter[int]()
     why: dict[int, str] = {}
     for arrival in arrivals:

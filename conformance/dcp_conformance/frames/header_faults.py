@@ -1,7 +1,7 @@
-"""Faults that implementers make and that move everything after them, so that a frame cannot be read field by field.
+"""Common faults of implementations that shift all later fields, so that a frame cannot be judged field by field.
 
-Each fault is a changed profile, or a way to mend the octets. A frame shows a fault if its whole block list adds up
-under that fault and no other fault makes more sense of it.
+Each fault is a changed profile, or a function that repairs the octets. A frame shows a fault if its whole block list is
+consistent with the fault, and no other fault explains more of the frame.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from dcp_codec.plan.tree import Group, Scalar
 
 __all__ = ["REQUIREMENT_OF", "Fault", "explanation"]
 
-#: The smallest payload of an Ethernet frame: shorter bearer payloads arrive with padding.
+#: Minimum payload of an Ethernet frame in octets: shorter bearer payloads are received with padding.
 _LEAST_FRAME = 46
-#: Widths of node identifiers that are tried, in octets: first what people use.
+#: Widths of node identifiers that are tried, in octets: usual and unusual ones.
 _USUAL, _UNUSUAL = (6, 8, 4, 2, 16), (1, 3, 5, 7, 10, 12)
 #: The header fields of all versions, in the order of each.
 _LAYOUTS = {
@@ -41,11 +41,11 @@ REQUIREMENT_OF: Final[Mapping[str, str]] = {
     "numPayloads": "BP-HDR-07",
     "seqno": "BP-HDR-08",
 }
-"""The requirement that says what a field of the header holds."""
+"""The requirement about the content of each field of the header."""
 
 
 class Fault(NamedTuple):
-    """A fault of an implementer: how such frames are laid out, or how they are mended first."""
+    """A fault of an implementation, with the layout of such frames, or a function that repairs their octets."""
 
     requirements: str
     """One or more, separated by spaces."""
@@ -55,11 +55,11 @@ class Fault(NamedTuple):
     profile: Profile | None = None
     mended: Callable[[bytes], bytes] | None = None
     missing: bool = False
-    """Whether the field is not there at all."""
+    """Whether the field is missing."""
 
 
 def explanation(octets: bytes, codec: Codec, network_id: int | None, source: bytes | None) -> Fault | None:
-    """The fault that makes most sense of a frame; None if there is none.
+    """Return the fault that explains most of a frame; None if no fault explains it.
 
     ``network_id`` is that of the network, ``source`` the address of the station that sent the frame, if known.
     """
@@ -83,7 +83,7 @@ def explanation(octets: bytes, codec: Codec, network_id: int | None, source: byt
 
 
 def _explains(octets: bytes, codec: Codec, network_id: int | None, source: bytes | None) -> int:
-    """How well a layout explains a frame: 0 not at all, more with each thing in it that makes sense."""
+    """Return how well a layout explains a frame: 0 if it does not, otherwise points for each consistent part."""
     try:
         envelope, end = codec.decode_envelope(octets)
     except DecodeError:
@@ -121,7 +121,7 @@ def _faults(codec: Codec) -> tuple[Fault, ...]:
 
 
 def _all_faults(codec: Codec) -> Iterator[Fault]:
-    """The faults that are tried, the most frequent first."""
+    """Yield the faults that are tried, the most frequent first."""
     profile = codec.profile
     header = tuple(standard_fields(profile.bp.header))
     if not header:
@@ -134,7 +134,7 @@ def _all_faults(codec: Codec) -> Iterator[Fault]:
     if "length" not in header:
         yield from _counts(codec)
     yield from _orders(codec)
-    # What a version had or had not comes first: it is also what a wrong profile looks like.
+    # Fields that only some versions have come first: a wrong profile looks the same.
     for name in sorted(
         header, key=lambda each: ("networkId", "length").index(each) if each in ("networkId", "length") else 2
     ):
@@ -142,7 +142,7 @@ def _all_faults(codec: Codec) -> Iterator[Fault]:
             continue
         left = tuple(each for each in header if each != name)
         expected = f"a {name} in the header"
-        yield Fault(REQUIREMENT_OF[name], expected, "there is none", name, with_header(left), missing=True)
+        yield Fault(REQUIREMENT_OF[name], expected, "the field is missing", name, with_header(left), missing=True)
     yield from _node_ids(profile, _USUAL)
     if "networkId" in header:
         for width in (1, 4, 8):
@@ -160,12 +160,12 @@ def _all_faults(codec: Codec) -> Iterator[Fault]:
     for index in range(len(header) - 1):
         names = [*header]
         names[index : index + 2] = reversed(names[index : index + 2])
-        text = f"{names[index]} stands before {names[index + 1]}"
+        text = f"{names[index]} precedes {names[index + 1]}"
         yield Fault("BP-HDR-10", f"the header {', '.join(header)}", text, header[index], with_header(tuple(names)))
 
 
 def _counts(codec: Codec) -> Iterator[Fault]:
-    """More payloads counted than there are: without a length only numPayloads tells where a beacon ends."""
+    """Yield the fault of a numPayloads that is too large by one, for versions in which only it defines the end."""
     group = next((each for each in getattr(codec.envelope_plan, "members", ()) if each.name == "bp"), None)
     if not isinstance(group, Group):
         return
@@ -185,12 +185,12 @@ def _counts(codec: Codec) -> Iterator[Fault]:
         )
 
     yield Fault(
-        "BP-HDR-07", "numPayloads is the number of payload blocks", "there is one less", "numPayloads", mended=mended
+        "BP-HDR-07", "numPayloads is the number of payload blocks", "it is larger by one", "numPayloads", mended=mended
     )
 
 
 def _orders(codec: Codec) -> Iterator[Fault]:
-    """Integers in the other order, and headers copied from memory."""
+    """Yield faults of byte order, and of headers copied from structures in memory."""
     profile, replace = codec.profile, msgspec.structs.replace
     types, stamp = profile.types, profile.types.timestamp
     names = ("magic_no", "protocol_id", "bp_length", "network_id", "bp_seqno", "srp_seqno", "var_timeout")
@@ -243,7 +243,7 @@ def _width(profile: Profile, kind: str, width: int, name: str, requirement: str)
 
 
 def _unpadded(codec: Codec) -> Callable[[bytes], bytes] | None:
-    """Takes out what a compiler puts between the fields of the header; None if it would put nothing there."""
+    """Return a function that removes the padding of a compiler between header fields; None if there is no padding."""
     header = next((each for each in getattr(codec.envelope_plan, "members", ()) if each.name == "bp"), None)
     if not isinstance(header, Group):
         return None

@@ -1,10 +1,9 @@
-"""Judge one frame that cannot be decoded, octet by octet: which rules its headers break.
+"""Judge one frame that cannot be decoded: find the rules that its headers violate.
 
-``Codec.salvage`` says where the parts of the frame lie, and from that each header field is judged against the
-specification. Where that is not enough, the frame is read under each of some faults that implementers make: all
-integers least significant octet first, a node identifier of another width, a missing field, a structure copied from
-memory. A fault under which the whole block list adds up is what the frame shows, and its requirement is named instead
-of those that its consequences break.
+``Codec.salvage`` locates the parts of the frame, and each header field is compared with the specification. If that is
+not sufficient, the frame is decoded under the assumption of each of some common faults: little-endian integers, a node
+identifier of another width, a missing field, a structure copied from memory. If the whole block list is consistent with
+a fault, the requirement of the fault is reported instead of those that its consequences violate.
 """
 
 from __future__ import annotations
@@ -28,10 +27,10 @@ __all__ = ["Violation", "judge"]
 
 
 class Violation(NamedTuple):
-    """A rule that the octets of a frame break.
+    """A rule that the octets of a frame violate.
 
-    ``offset`` and ``length`` are the octets that show it, counted from the start of the bearer payload; ``requirement``
-    is an id of the catalogue, or empty where the catalogue has none.
+    ``offset`` and ``length`` are those of the octets that show it, from the start of the bearer payload.
+    ``requirement`` is an id of the catalogue; empty if the catalogue has none.
     """
 
     requirement: str
@@ -43,7 +42,7 @@ class Violation(NamedTuple):
 
     @property
     def requirements(self) -> tuple[str, ...]:
-        """The requirement, as checks and findings take it."""
+        """The requirement as a tuple for checks and findings; empty without a requirement."""
         return (self.requirement,) if self.requirement else ()
 
     def __str__(self) -> str:
@@ -53,18 +52,18 @@ class Violation(NamedTuple):
 def judge(
     octets: bytes, codec: Codec, *, network_id: int | None = None, source: bytes | None = None
 ) -> list[Violation]:
-    """What the bearer payload ``octets`` breaks; empty if it can be decoded. Never raises.
+    """Return the violations of the bearer payload ``octets``; empty if it can be decoded. Never raise an exception.
 
-    The most telling violation comes first. Faults inside client payloads come last; a payload that is sound is never
-    mentioned. ``network_id`` (that of the profile unless given) and ``source`` (the address of the station that sent
-    the frame) help to tell faults apart that leave the same number of octets: a node identifier that is two octets
-    short from a network identifier that is missing.
+    The most specific violation comes first, violations inside client payloads come last. Valid payloads have none.
+    ``network_id`` (default: that of the profile) and ``source`` (the address of the station that sent the frame) help
+    to distinguish faults with the same number of octets, such as a node identifier that is two octets too short and a
+    missing network identifier.
     """
     salvaged = codec.salvage(octets)
     if not salvaged.problems:
         return []
     tree = codec.dissect(octets)
-    # No sender counts to zero: where numPayloads should be there is something else.
+    # A sender does not send 0 payloads: another field must be at the position of numPayloads.
     nothing = any(each.reason == "zero-count" and not _inside(each) for each in salvaged.problems)
     if salvaged.clear and not nothing:
         header = list(_of_the_header(octets, codec, tree, salvaged))
@@ -83,11 +82,11 @@ def judge(
 
 
 def _inside(problem: Problem) -> bool:
-    """Whether a problem is one of a client payload, and not of the headers."""
+    """Return whether a problem is in a client payload, not in the headers."""
     return ".srp" in problem.path or ".vardis" in problem.path
 
 
-# -- fields whose place is clear ---------------------------------------------------------------------------------------
+# -- fields with a known position --------------------------------------------------------------------------------------
 
 
 def _of_the_header(octets: bytes, codec: Codec, tree: Dissection, salvaged: Salvaged) -> Iterator[Violation]:
@@ -116,7 +115,7 @@ def _of_the_header(octets: bytes, codec: Codec, tree: Dissection, salvaged: Salv
     elif count is not None and count.value != blocks:
         yield _wrong(count, blocks, f"{count.value}: there {'is' if blocks == 1 else 'are'} {blocks}")
     elif length is not None and any(each.path == length.path for each in salvaged.problems):
-        # A field that has one right value in the profile.
+        # The field has a fixed value in the profile.
         problem = next(each for each in salvaged.problems if each.path == length.path)
         yield _as_told(problem)
 
@@ -127,7 +126,7 @@ def _wrong(field: Field, right: int, observed: str) -> Violation:
 
 
 def _swapped(field: Field) -> int:
-    """The value with its octets in the other order."""
+    """Return the value of a field with its octets in reverse order."""
     return int.from_bytes(field.raw, "little" if getattr(field.layout, "order", "big") == "big" else "big")
 
 
@@ -137,7 +136,7 @@ def _swapped_text(field: Field, right: int) -> str:
 
 
 def _size_of_blocks(codec: Codec, salvaged: Salvaged) -> int:
-    """The octets of all blocks with their headers."""
+    """Return the size of all blocks with their headers, in octets."""
     assert salvaged.beacon is not None
     header = _block_header_size(codec)
     size = 0
@@ -169,7 +168,7 @@ def _length_text(field: Field, right: int, header: int, blocks: int, codec: Code
 
 @functools.lru_cache(maxsize=64)
 def _block_header_size(codec: Codec) -> int:
-    """ssizeof(BPPayloadHeaderT) in the profile."""
+    """Return ssizeof(BPPayloadHeaderT) in the profile, in octets."""
     types = codec.profile.types
     size = 0
     for member in codec.profile.bp.payload_header:
@@ -181,7 +180,7 @@ def _block_header_size(codec: Codec) -> int:
 
 
 def _of_payloads(salvaged: Salvaged) -> Iterator[Violation]:
-    """Everything that is wrong inside of client payloads."""
+    """Yield the violations inside client payloads."""
     seen = set()
     for problem in (*(each.problem for each in salvaged.damaged), *filter(_inside, salvaged.problems)):
         if problem not in seen:
@@ -190,7 +189,7 @@ def _of_payloads(salvaged: Salvaged) -> Iterator[Violation]:
 
 
 def _as_told(problem: Problem) -> Violation:
-    """A problem as the codec says it."""
+    """Convert a problem of the codec to a violation."""
     requirement = (*broken_by(problem), "")[0]
     numbers = quantity(problem.reason, problem.needed, problem.available)
     observed = f"{REASONS[problem.reason]} ({numbers})" if numbers else REASONS[problem.reason]

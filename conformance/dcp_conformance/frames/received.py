@@ -1,4 +1,4 @@
-"""What was heard: beacons taken apart, with the questions that cases ask of them."""
+"""Received beacons, decoded as far as possible, with queries for test cases."""
 
 from __future__ import annotations
 
@@ -19,35 +19,35 @@ from dcp_codec.values import (
 from dcp_codec.views.salvage import Salvaged
 
 KIND_OF: Final[Mapping[type, ICType]] = {record: kind for kind, record in RECORD_CLASSES.items()}
-"""The container of each record of the specification, whatever numbers a profile has for containers."""
+"""The container type of each record class of the specification, independent of the numbers in a profile."""
 
 
-#: The path of a problem inside of a client payload.
+#: The path of a problem inside a client payload.
 _CLIENT: Final = re.compile(r"payloads\[\d+\]\.(srp|vardis)\b")
 
 
 class Instruction(NamedTuple):
-    """A record of a VarDis payload and where it stood."""
+    """A record of a VarDis payload, with its position."""
 
     heard: ReceivedBeacon
     container: int
-    """Counts the containers of the beacon from 0."""
+    """Index of the container in the beacon, from 0."""
     position: int
-    """Counts the records of the container from 0."""
+    """Index of the record in the container, from 0."""
     kind: ICType
     record: Any
 
     @property
     def var_id(self) -> int:
-        """The variable that it is about."""
+        """Identifier of the variable of the record."""
         return var_id_of(self.record)
 
 
 class ReceivedBeacon:
-    """One frame of the implementation, read once.
+    """One frame of the implementation, decoded once.
 
-    ``beacon`` is what can be read of it (see :mod:`dcp_codec.views.salvage`), None if nothing can. ``problems`` is
-    what is wrong with it: a frame with problems is no sound beacon, though parts of it may be.
+    ``beacon`` is the part that can be decoded (see :mod:`dcp_codec.views.salvage`), None without any. ``problems`` has
+    the errors of the frame: a frame with problems is not a valid beacon, but parts of it may be valid.
     """
 
     __slots__ = (
@@ -63,22 +63,22 @@ class ReceivedBeacon:
         self.source = source
         self._codec = codec
         self.salvaged: Salvaged = codec.salvage(octets)
-        """What could be read, how, and what is damaged."""
+        """The decoded and the damaged parts."""
         self.beacon: Beacon | None = self.salvaged.beacon
         self.problems: tuple[Problem, ...] = self.salvaged.problems
         self.sender: bytes | None = self._sender(codec)
-        """The node identifier in the beacon, where there is one."""
+        """The node identifier in the beacon; None if the profile has none, or it is truncated."""
         self.containers = self._containers()
         """The VarDis containers of all blocks, in order."""
         self.report = self._report()
-        """The first state report."""
+        """The first state report; None without any."""
         self.seqno: int | None = self._seqno()
-        """The beacon's sequence number; None if the header cannot be relied on."""
+        """The beacon's sequence number; None if the header is not reliable."""
         self._made: tuple[Instruction, ...] | None = None
 
     @property
     def _instructions(self) -> tuple[Instruction, ...]:
-        """All records; made when first asked for."""
+        """All records, created at the first use."""
         if self._made is None:
             self._made = tuple(self._taken_apart())
         return self._made
@@ -92,40 +92,40 @@ class ReceivedBeacon:
     def _sender(self, codec: Codec) -> bytes | None:
         if self.beacon is not None:
             return None if self.beacon.bp is None else self.beacon.bp.sender_id
-        # What is wrong may stand after the identifier.
+        # The error may be after the identifier.
         field = codec.dissect(self.octets).root.find("bp.senderId")
         return None if field is None else field.value
 
-    # -- what is wrong -------------------------------------------------------------------------------------------------
+    # -- errors --------------------------------------------------------------------------------------------------------
 
     @property
     def problem(self) -> Problem | None:
-        """The first thing that is wrong; None for a sound beacon."""
+        """The first problem; None for a valid beacon."""
         return self.problems[0] if self.problems else None
 
     @property
     def header_problems(self) -> list[Problem]:
-        """What is wrong with the headers and the list of blocks: BP's part."""
+        """The problems of the headers and the list of blocks, which BP processes."""
         return [each for each in self.problems if _CLIENT.match(each.path) is None]
 
     @property
     def vardis_problems(self) -> list[Problem]:
-        """What is wrong inside of VarDis payloads."""
+        """The problems inside VarDis payloads."""
         return self._problems_of("vardis")
 
     @property
     def report_problems(self) -> list[Problem]:
-        """What is wrong inside of SRP payloads."""
+        """The problems inside SRP payloads."""
         return self._problems_of("srp")
 
     def _problems_of(self, client: str) -> list[Problem]:
         return [each for each in self.problems if (found := _CLIENT.match(each.path)) and found[1] == client]
 
-    # -- what it says --------------------------------------------------------------------------------------------------
+    # -- content -------------------------------------------------------------------------------------------------------
 
     @property
     def blocks(self) -> list[tuple[int, bytes]]:
-        """Protocol identifier and octets of each block that is there to its end."""
+        """Protocol identifier and octets of each complete block."""
         envelope = self._codec.salvage_envelope(self.octets).beacon
         if envelope is None:
             return []
@@ -137,7 +137,7 @@ class ReceivedBeacon:
         ]
 
     def _seqno(self) -> int | None:
-        """A header without payloads is none that anybody means: there, other fields stand in other places."""
+        """Return the sequence number; None if the header is unreliable or has numPayloads 0 (shifted fields)."""
         if self.beacon is None or self.beacon.bp is None or not self.salvaged.clear:
             return None
         if self.problems and any(each.reason == "zero-count" for each in self.header_problems):
@@ -146,12 +146,12 @@ class ReceivedBeacon:
 
     @property
     def known(self) -> set[int]:
-        """The variables that its sender must have in its database, deleted ones included."""
+        """The variables that must be in the database of the sender, including deleted ones."""
         requests = (ICType.REQUEST_VARCREATES,)
         return {each.var_id for each in self._instructions if each.kind not in requests}
 
     def _containers(self) -> tuple[Container, ...]:
-        """Those of all VarDis blocks, in order."""
+        """Return the containers of all VarDis blocks, in order."""
         if self.beacon is None:
             return ()
         contents = [each.content for each in self.beacon.payloads if isinstance(each.content, tuple)]
@@ -159,7 +159,7 @@ class ReceivedBeacon:
 
     @property
     def has_vardis(self) -> bool:
-        """Whether there is a VarDis block."""
+        """Whether the beacon has a VarDis block."""
         return self.beacon is not None and any(payload.vardis is not None for payload in self.beacon.payloads)
 
     def _report(self) -> ExtendedSafetyData | None:
@@ -170,11 +170,11 @@ class ReceivedBeacon:
         return None
 
     def data(self, protocol_id: int) -> list[bytes]:
-        """The payloads of a protocol, as octets."""
+        """Return the payloads of a protocol as octets."""
         return [octets for number, octets in self.blocks if number == protocol_id]
 
     def instructions(self, kind: ICType | None = None, var_id: int | None = None) -> list[Instruction]:
-        """The VarDis records of a kind and of a variable, None for any."""
+        """Return the VarDis records of a type and of a variable; None means any."""
         return [
             each
             for each in self._instructions
@@ -182,12 +182,12 @@ class ReceivedBeacon:
         ]
 
     def about(self, kind: ICType, var_id: int) -> Any | None:
-        """The first record of that kind about a variable, or None."""
+        """Return the first record of a type about a variable; None without any."""
         return next((each.record for each in self.instructions(kind, var_id)), None)
 
 
 def var_id_of(record: Any) -> int:
-    """The variable that a record is about; for a VarCreate that of its VarSpec (X14)."""
+    """Return the variable identifier of a record; for a VarCreate that of its VarSpec (X14)."""
     spec = getattr(record, "spec", None)
     number: int = record.var_id if spec is None else spec.var_id
     return number

@@ -15,15 +15,15 @@ import struct
 import time
 import traceback
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import AbstractContextManager
 from multiprocessing.connection import Connection
 from pathlib import Path
-from types import FrameType
 from typing import Any, Final, NamedTuple
 
 from dcp_codec.testing.mutation import Touch
 from dcp_conformance.errors import ConformanceError
+from dcp_conformance.execution.signals import Stop
 from dcp_conformance.sut.process import ending_with_parent
 
 from .campaign import Campaign, Limits, State
@@ -99,33 +99,6 @@ class Failure(NamedTuple):
     """Reason why a worker ends."""
 
     text: str
-
-
-class Stop:
-    """Signal handler for SIGINT and SIGTERM: stores the request, and raises it only within :meth:`heeded`."""
-
-    def __init__(self) -> None:
-        self.wanted = False
-        self._raises = False
-
-    def __call__(self, number: int, frame: FrameType | None) -> None:  # noqa: ARG002 - the signature of handlers
-        """Handle a signal."""
-        self.wanted = True
-        if self._raises:
-            # Raise once only, so that a second signal does not interrupt the cleanup.
-            self._raises = False
-            raise KeyboardInterrupt
-
-    @contextlib.contextmanager
-    def heeded(self) -> Iterator[None]:
-        """Raise :class:`KeyboardInterrupt` in this context for a signal, also for one that was received before."""
-        self._raises = True
-        try:
-            if self.wanted:
-                raise KeyboardInterrupt
-            yield
-        finally:
-            self._raises = False
 
 
 class Slot:

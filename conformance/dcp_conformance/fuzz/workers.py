@@ -35,11 +35,12 @@ from multiprocessing.connection import Connection, wait
 from typing import Any, Final
 
 from dcp_conformance.errors import WorkerError
+from dcp_conformance.execution.signals import Stop
 
 from .campaign import Campaign, Limits, Progress, State
 from .reduce.reduction import Finding, as_it_was
 from .steps import Effect, Step
-from .worker import SLOT_SIZE, Failure, Make, Order, Report, Settings, Shown, Slot, Stop, Totals, work
+from .worker import SLOT_SIZE, Failure, Make, Order, Report, Settings, Shown, Slot, Totals, work
 
 #: Number of rounds that are ordered and not yet reported.
 _AHEAD: Final = 2

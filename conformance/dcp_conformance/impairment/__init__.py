@@ -1,11 +1,10 @@
-"""A bad link between tester and implementation (``run --impair``): a lower tester around a lower tester.
+"""An impaired link between tester and implementation (``run --impair``): a wrapper of a lower tester.
 
-The link is bad while the body of a case is executed. It only delays while the tester finds out what it tests, in the
-sanity case, while it asks whether the implementation lives, and while it undoes changes: what every verdict rests on
-is not left to chance.
+The link is impaired during the body of a case. It only delays frames in the sanity case, during probes and measurements
+of the implementation, and while the tester undoes changes, because all verdicts depend on these steps.
 
-The tester knows which frames the link took, so a failed check that they can explain is inconclusive, and the case is
-executed again (:mod:`dcp_conformance.test_system.checks`, :mod:`dcp_conformance.execution.runner`).
+The tester knows which frames were lost or changed. A failed check that they can explain is inconclusive, and the case
+is executed again (:mod:`dcp_conformance.test_system.judgement.losses`, :mod:`dcp_conformance.execution.runner`).
 """
 
 from __future__ import annotations
@@ -20,12 +19,12 @@ from .directions import Directions, parse_directions
 from .incidents import told
 from .lower_tester import ImpairedLowerTester, impaired
 
-#: The most executions of a case on an impaired link.
+#: Maximum number of executions of a case on an impaired link.
 MOST_EXECUTIONS: Final = 25
 
 
 def engaged(lower: LowerTester) -> AbstractContextManager[None]:
-    """A context in which the link of this lower tester is as bad as the user wants it."""
+    """Return a context in which the link of this lower tester has the impairment that the user has configured."""
     return lower.engaged() if isinstance(lower, Impairs) else contextlib.nullcontext()
 
 

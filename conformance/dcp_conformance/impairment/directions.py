@@ -23,9 +23,9 @@ class Directions(NamedTuple):
 
 
 def parse_directions(texts: Iterable[str]) -> Directions:
-    """Each text is ``KEY=VALUE,...`` for both directions, or begins with ``to:`` or ``from:`` for one.
+    """Parse values of ``--impair``: ``KEY=VALUE,...`` for both directions; the prefix ``to:`` or ``from:`` selects one.
 
-    Raises :class:`UsageError` with the option, the key and the reason.
+    Raise :class:`UsageError` with the option, the key and the reason.
     """
     found: dict[str, Impairment] = {}
     for text in texts:

@@ -1,4 +1,4 @@
-"""What an impaired link did, in words."""
+"""Descriptions of the incidents of an impaired link."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ _DONE: Final = {
     "reordered": "held back",
     "late": "delayed more than usual",
 }
-#: Frames that are named one by one.
+#: Maximum number of frames that are named.
 _MOST: Final = 3
 
 
 def told(incidents: Iterable[Incident], numbers: Sequence[int]) -> str:
-    """One line for all: ``lost on the impaired link: frame 12, 2 beacons of the implementation``.
+    """Describe incidents in one line: ``lost on the impaired link: frame 12, 2 beacons of the implementation``.
 
-    ``numbers``: for each incident the number of the frame in the recording of the case; 0 for what was not recorded.
+    ``numbers`` has for each incident the number of the frame in the recording of the case; 0 if it was not recorded.
     """
     kinds: dict[str, list[tuple[Incident, int]]] = {}
     for incident, number in zip(incidents, numbers, strict=True):
@@ -51,5 +51,5 @@ def _count(number: int, what: str) -> str:
 
 
 def kinds_of(incidents: Iterable[Incident]) -> Counter[str]:
-    """How often each kind occurred."""
+    """Return the number of incidents of each kind."""
     return Counter(incident.what for incident in incidents)

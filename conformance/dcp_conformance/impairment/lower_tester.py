@@ -38,22 +38,22 @@ class _Coming(NamedTuple):
 
 
 class ImpairedLowerTester:
-    """Another lower tester behind a bad link; see :class:`~dcp_conformance.lower.LowerTester`.
+    """A wrapper that impairs the link of another lower tester; see :class:`~dcp_conformance.lower_tester.LowerTester`.
 
-    Frames that are delayed leave while the tester waits: time passes nowhere else. What the link adds to or changes in
-    frames of the implementation is none of its doing, so the second copy of a frame and corrupted frames are
-    discarded, as the check sequence of a real link would do it; a corrupted frame counts as taken.
+    Delayed frames are sent while the tester waits, because time passes only then. Duplicates and corrupted frames of
+    the implementation are discarded, as the frame check sequence of a real link would do, because the implementation
+    did not send them; a corrupted frame counts as lost.
     """
 
     def __init__(self, inner: LowerTester, directions: Directions, *, seed: int = 1, tolerance: int = 0) -> None:
-        """``tolerance``: ns by which the delay of a frame may differ from the usual one without being an incident."""
+        """``tolerance``: maximum excess of a delay over the configured one, in ns, that is not an incident."""
         self.name = inner.name
         self.directions = directions
         self._inner = inner
         self._calm = Directions(directions.to.only_delays(), directions.back.only_delays())
         self._to, self._back = Channel(self._calm.to, seed, "to"), Channel(self._calm.back, seed, "from")
         self._counters = (Counters(), Counters())
-        """What became of frames while the link was bad, to the implementation and from it."""
+        """The numbers of lost and changed frames while the link was impaired, to the implementation and from it."""
         self._uncounted = (self._to.counters, self._back.counters)
         self._tolerance = tolerance
         self._start = inner.now()
@@ -68,7 +68,7 @@ class ImpairedLowerTester:
 
     @contextlib.contextmanager
     def engaged(self) -> Iterator[None]:
-        """The link is as bad as it can be within the block; otherwise it only delays. Blocks may overlap."""
+        """Impair the link during the block; otherwise it only delays. Blocks may overlap."""
         self._engaged += 1
         self._cases += 1
         self._switch()
@@ -92,11 +92,11 @@ class ImpairedLowerTester:
         return bool(self.directions.back.jitter or self.directions.back.reorder)
 
     def counters(self) -> dict[str, Any]:
-        """What became of frames while the link was bad (``to``, ``from``), as plain data for JSON."""
+        """Return the numbers of frames while the link was impaired (``to``, ``from``), as plain data for JSON."""
         return {name: msgspec.to_builtins(each) for name, each in zip(("to", "from"), self._counters, strict=True)}
 
     def summary(self) -> str:
-        """What was wanted and what was realised, in words."""
+        """Describe the configured impairment and its effects."""
         parts = []
         for where, count in zip(("to the implementation", "from it"), self._counters, strict=True):
             done = [f"{count.lost + count.down} of {count.offered} frames lost"]
@@ -112,26 +112,26 @@ class ImpairedLowerTester:
     # -- the contract of a lower tester --------------------------------------------------------------------------------
 
     def now(self) -> int:
-        """Monotonic ns."""
+        """Return the monotonic time in ns."""
         return self._inner.now()
 
     def wall(self) -> int:
-        """ns since 1970."""
+        """Return the wall-clock time in ns since 1970."""
         return self._inner.wall()
 
     def framed(self, octets: bytes, source: bytes) -> bytes:
-        """The whole frame in which a bearer payload goes out."""
+        """Return the whole frame of a bearer payload."""
         return self._inner.framed(octets, source)
 
     def send(self, octets: bytes, source: bytes) -> bytes:
-        """Put a bearer payload on the bad link; the frame as it was sent. Raises ``LowerTesterError``."""
+        """Send a bearer payload through the link; return its unimpaired frame. Raise ``LowerTesterError``."""
         self._flush()
         now = self._inner.now()
         self._hand_over(self._to.offer(octets, now - self._start), octets, source, now)
         return self._inner.framed(octets, source)
 
     def send_frame(self, frame: bytes) -> None:
-        """Put a whole frame on the bad link, which spares its header. Raises ``LowerTesterError``."""
+        """Send a whole frame through the link, which does not corrupt its header. Raise ``LowerTesterError``."""
         self._flush()
         now = self._inner.now()
         self._hand_over(self._to.offer(frame, now - self._start, ETHERNET_HEADER), frame, None, now)
@@ -149,12 +149,12 @@ class ImpairedLowerTester:
                 heapq.heappush(self._leaving, leaving)
 
     def _flush(self) -> None:
-        """Send what is due."""
+        """Send the frames that are due."""
         now = self._inner.now()
         while self._leaving and self._leaving[0].time <= now:
             leaving = heapq.heappop(self._leaving)
             if leaving.case != self._cases:
-                # The case that meets it is not the one that has sent it.
+                # A later case than the one that sent the frame is affected.
                 self._incidents += leaving.incidents
             self._put_out(leaving)
 
@@ -165,7 +165,7 @@ class ImpairedLowerTester:
             self._inner.send(leaving.octets, leaving.source)
 
     def settle(self) -> None:
-        """Wait until no frame is under way to the implementation; what arrives meanwhile is kept."""
+        """Wait until all delayed frames are sent to the implementation; keep frames that arrive during the wait."""
         self._flush()
         while self._leaving:
             if (arrival := self._inner.receive(self._leaving[0].time)) is not None:
@@ -173,7 +173,7 @@ class ImpairedLowerTester:
             self._flush()
 
     def receive(self, until: int, also: Sequence[int] = ()) -> Arrival | None:
-        """The next frame that came through the link before ``until``; None then, or when ``also`` is readable."""
+        """Return the next frame from the link before ``until`` (ns); None at that time, or if ``also`` is readable."""
         while True:
             self._flush()
             limit = until
@@ -186,7 +186,7 @@ class ImpairedLowerTester:
                 self._take(arrival)
                 continue
             if self._inner.now() < limit:
-                # A descriptor is readable.
+                # A descriptor in ``also`` is readable.
                 return None
             if self._coming and self._coming[0].time <= limit and self._coming[0].time < until:
                 coming = heapq.heappop(self._coming)
@@ -196,7 +196,7 @@ class ImpairedLowerTester:
                 return None
 
     def _take(self, arrival: Arrival) -> None:
-        """Decide what becomes of a frame of the implementation."""
+        """Impair a frame of the implementation, and queue it unless it is lost."""
         fate = self._back.offer(arrival.octets, max(0, arrival.time - self._start))
         lost = fate.events & {"lost", "down", "corrupted"}
         if lost:
@@ -218,30 +218,30 @@ class ImpairedLowerTester:
         return any(copy.time + self._start - now > usual for copy in copies)
 
     def take_in(self) -> None:
-        """Read what has arrived, and send what is due. Raises ``LowerTesterError``."""
+        """Read received frames, and send the frames that are due. Raise ``LowerTesterError``."""
         self._inner.take_in()
         self._flush()
 
     def health(self) -> LinkHealth:
-        """What was lost since the last call, with what the impaired link did."""
+        """Return the losses and the incidents of the impaired link since the last call."""
         found, self._incidents = tuple(self._incidents), []
         return self._inner.health()._replace(incidents=found)
 
     def close(self) -> None:
-        """Close the lower tester behind it; frames under way are lost."""
+        """Close the inner lower tester; delayed frames are lost."""
         self._inner.close()
 
 
 class _RealTime(ImpairedLowerTester):
-    """The same around a lower tester in real time."""
+    """A wrapper of a lower tester in real time."""
 
     def overload(self) -> str:
-        """Why this machine may have slowed down what it runs."""
+        """Return why this machine may be overloaded; empty if it is not known to be."""
         return self._inner.overload() if isinstance(self._inner, OnThisMachine) else ""
 
 
 class _Ethernet(_RealTime):
-    """The same around a lower tester that can listen to all types of frames. Listening is not impaired."""
+    """A wrapper of a lower tester that can listen to all types of frames. Listening is not impaired."""
 
     @property
     def ether_type(self) -> int:
@@ -250,13 +250,13 @@ class _Ethernet(_RealTime):
         return self._inner.ether_type
 
     def overhear(self, asked: Iterable[bytes], duration: int) -> list[bytes]:
-        """Send whole frames, and listen for ``duration`` ns."""
+        """Send whole frames, listen for ``duration`` ns, and return the received frames."""
         assert isinstance(self._inner, HearsEveryType)
         return self._inner.overhear(asked, duration)
 
 
 def impaired(inner: LowerTester, directions: Directions, *, seed: int, tolerance: int) -> LowerTester:
-    """The lower tester behind an impaired link, with what else it can do; itself if the link is perfect."""
+    """Wrap a lower tester in an impaired link, with the same capabilities; return it unchanged for a perfect link."""
     if directions.to.perfect and directions.back.perfect:
         return inner
     if isinstance(inner, HearsEveryType):

@@ -17,11 +17,11 @@ from dcp_conformance.errors import UpperTesterError
 from dcp_conformance.frames.builder import Block
 from dcp_conformance.frames.header_rules import Violation, judge
 from dcp_conformance.frames.received import ReceivedBeacon, var_id_of
+from dcp_conformance.interconnection.misread_fields import stores_reports
 from dcp_conformance.model.results import Mark
 from dcp_conformance.test_steps.bp_clients import ACTIVATE, CLIENT, DEREGISTER, RECEIVED, BPClient, indications, until
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.contact import BrokenRule, Contact, Question, Stimulus, stimuli
-from dcp_conformance.test_system.misreading import stores_reports
+from dcp_conformance.test_system.judgement.contact import BrokenRule, Contact, Question, Stimulus, stimuli
 
 from .misconfiguration import PERIODS, first_suspects, look_elsewhere, misnamed, suspect
 
@@ -58,17 +58,17 @@ class _Test:
     @property
     def began_late(self) -> bool:
         """Whether the first frame came after the first question had been given up."""
-        return self._silent and bool(self._bench.heard or self._bench.others)
+        return self._silent and bool(self._bench.heard or self._bench.receiver.others)
 
     def run(self) -> Contact:
         """The whole test."""
         bench = self._bench
-        if bench.pics.vardis is False:
+        if bench.sut.pics.vardis is False:
             if bench.beacons(1, _SILENCE):
                 return self._contact()
         elif self._ask("summary", _ATTEMPTS):
             return self._contact()
-        self._silent = not (bench.heard or bench.others)
+        self._silent = not (bench.heard or bench.receiver.others)
         suspicion = _suspect(bench)
         if not suspicion:
             self._try_other_stimuli()
@@ -103,17 +103,17 @@ class _Test:
     def _ask(self, kind: Question, attempts: int = _FURTHER) -> bool:
         """Try a stimulus on the link; whether it is answered."""
         bench = self._bench
-        if kind == "summary" and not bench.has_unknown_ids():
+        if kind == "summary" and not bench.identifiers.has_unknown_ids():
             return False
         self._tried.add(kind)
-        if any(bench.ask(kind, PERIODS) for _ in range(attempts)):
+        if any(bench.probes.ask(kind, PERIODS) for _ in range(attempts)):
             self._answered.add(kind)
             return True
         return False
 
     def _try_other_stimuli(self) -> None:
         bench = self._bench
-        if bench.pics.vardis is not False:
+        if bench.sut.pics.vardis is not False:
             self._ask("create")
             self._ask("request")
         if bench.session.upper is None:
@@ -126,9 +126,9 @@ class _Test:
     def _through_the_upper_tester(self, methods: frozenset[str]) -> None:
         if methods.issuperset(CLIENT):
             self._play_client()
-        if "RTDB-Create" in methods and self._bench.has_unknown_ids():
+        if "RTDB-Create" in methods and self._bench.identifiers.has_unknown_ids():
             self._create_variable()
-        if not self._bench.profile.srp.is_report or self._bench.pics.srp is False:
+        if not self._bench.profile.srp.is_report or self._bench.sut.pics.srp is False:
             return
         if "SRP-NeighbourTable" in methods:
             self._tried.add("report")
@@ -158,7 +158,7 @@ class _Test:
     def _create_variable(self) -> None:
         """A variable of the implementation's application comes in a beacon."""
         bench = self._bench
-        var_id = bench.own_var_id()
+        var_id = bench.identifiers.own_var_id()
         if not bench.call("RTDB-Create", varId=var_id, repCnt=1, descr="tester", value="01").ok:
             return
         self._tried.add("variable")
@@ -188,7 +188,9 @@ class _Test:
         except UpperTesterError as error:
             self._trouble = str(error)
             return False
-        return bool(bench.beacons(1, PERIODS)) if bench.pics.vardis is False else bench.ask("summary", PERIODS)
+        return (
+            bool(bench.beacons(1, PERIODS)) if bench.sut.pics.vardis is False else bench.probes.ask("summary", PERIODS)
+        )
 
     # -- in words ------------------------------------------------------------------------------------------------------
 
@@ -248,7 +250,7 @@ def _violations(bench: Bench) -> Iterator[tuple[ReceivedBeacon, Violation]]:
         heard, block, number = turned
         yield heard, _at(bench, heard, f"payloads[{block}].protocolId", "DATA-01", f"{number:#06x}, not swapped")
         return
-    network_id = bench.parameter("BPPAR_NETWORK_ID")
+    network_id = bench.sut.parameter("BPPAR_NETWORK_ID")
     for heard in _sampled(bench.heard):
         source = heard.source if bench.profile.link.transport == "ethernet" else None
         broken = judge(heard.octets, bench.codec, network_id=network_id, source=source)
@@ -310,7 +312,11 @@ def _swapped_number(bench: Bench) -> tuple[ReceivedBeacon, int, int] | None:
 
 def _odd_answer(bench: Bench) -> str:
     """A record about a variable that the tester has summarised, and that is no request for it; empty if none came."""
-    asked = {var_id for kind, var_id in stimuli(bench.codec, bench.traffic.events, bench.made) if kind == "summary"}
+    asked = {
+        var_id
+        for kind, var_id in stimuli(bench.codec, bench.traffic.events, bench.identifiers.created)
+        if kind == "summary"
+    }
     for heard in bench.heard:
         for each in heard.instructions():
             if each.var_id in asked and each.kind is not ICType.REQUEST_VARCREATES:

@@ -26,7 +26,7 @@ def misnamed(bench: Bench) -> ReceivedBeacon | None:
     if own is None or bench.heard:
         return None
     ethernet = bench.profile.link.transport == "ethernet"
-    for heard in bench.others:
+    for heard in bench.receiver.others:
         if heard.sender == own[::-1] or (ethernet and heard.source == own and heard.sender is not None):
             return heard
     return None
@@ -52,7 +52,7 @@ def _other_network(bench: Bench) -> str:
     """All beacons carry another network identifier than the tester's."""
     if not bench.profile.has_header_field("networkId"):
         return ""
-    ours = bench.parameter("BPPAR_NETWORK_ID")
+    ours = bench.sut.parameter("BPPAR_NETWORK_ID")
     beacons = [each.beacon for each in bench.heard if each.beacon is not None and each.beacon.bp is not None]
     theirs = Counter(each.bp.network_id for each in beacons if each.bp is not None)
     if not theirs or ours in theirs:
@@ -67,11 +67,11 @@ def _other_network(bench: Bench) -> str:
 
 def _other_node(bench: Bench, frames: Sequence[Event]) -> str:
     """Explain silence if beacons were received, but none with the identifier of the implementation."""
-    if bench.heard or not bench.others or bench.session.sut_id is None or misnamed(bench) is not None:
+    if bench.heard or not bench.receiver.others or bench.session.sut_id is None or misnamed(bench) is not None:
         return ""
     senders = Counter(each.who for each in frames)
     listed = ", ".join(f"{who} ({count} frames)" for who, count in senders.most_common(4))
-    from_pics = bench.pixit.node_id is not None
+    from_pics = bench.sut.pixit.node_id is not None
     source = "[pixit] node_id" if from_pics else "UT-Hello"
     advice = "give its own node identifier there" if from_pics else "is that the implementation's own?"
     return f"frames came from {listed}, none from {bench.session.sut_id.hex(':')} of {source}: {advice}"
@@ -111,11 +111,11 @@ def _asked_otherwise(bench: Bench) -> str:
     for number, name in enumerate(profile_names()):
         codec = get_codec(name)
         if name != bench.profile.name:
-            bench.transmit(question(codec, number), bench.peer().address)
+            bench.transmission.send(question(codec, number), bench.peer().address)
     bench.beacons(1, PERIODS)
-    if not bench.heard and not bench.others and bench.profile.has_header_field("networkId"):
-        var_id = bench.unknown_ids(1)[0] if bench.has_unknown_ids() else 0
-        for network_id in network_ids(bench.codec, bench.parameter("BPPAR_NETWORK_ID")):
+    if not bench.heard and not bench.receiver.others and bench.profile.has_header_field("networkId"):
+        var_id = bench.identifiers.unknown_ids(1)[0] if bench.identifiers.has_unknown_ids() else 0
+        for network_id in network_ids(bench.codec, bench.sut.parameter("BPPAR_NETWORK_ID")):
             peer = bench.peer()
             peer.send(peer.summary(var_id, 1), network_id=network_id)
         bench.beacons(1, PERIODS)
@@ -136,6 +136,6 @@ def first_suspects(bench: Bench) -> str:
         (f"its specification is {profile.spec_version}", about.get("specVersion")),
     ]
     if profile.has_header_field("networkId"):
-        compared.append((f"the network identifier is {bench.parameter('BPPAR_NETWORK_ID')}", told))
+        compared.append((f"the network identifier is {bench.sut.parameter('BPPAR_NETWORK_ID')}", told))
     listed = [f"{ours} (it says {theirs if theirs not in (None, '') else 'nothing'})" for ours, theirs in compared]
     return f"for the tester {', '.join(listed)}: is that so? ('dcp-conformance probe' finds them by trying)"

@@ -13,10 +13,10 @@ from typing import Final
 from dcp_spec.constants import ICType
 
 from dcp_conformance.frames.received import ReceivedBeacon
+from dcp_conformance.interconnection.lost_containers import lost_container
+from dcp_conformance.interconnection.misread_fields import misread_fields
 from dcp_conformance.model.case import Case, Kind
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.extraction import lost_container
-from dcp_conformance.test_system.misreading import misread_fields
 from dcp_conformance.test_system.session import FLOOR, Reaction, Session
 
 #: Number of questions asked one by one, and number of questions asked at once.
@@ -90,7 +90,7 @@ def _told(bench: Bench) -> float:
 
     With something to say in every beacon it does not look, and answers faster than it will when it is idle.
     """
-    told = bench.session.parameters.get(_CHECK_PERIOD, bench.pixit.buffer_check_period_ms)
+    told = bench.session.parameters.get(_CHECK_PERIOD, bench.sut.pixit.buffer_check_period_ms)
     return float(told) * 1e6 / bench.period + 1 if isinstance(told, int | float) else 0.0
 
 
@@ -99,9 +99,9 @@ def _ask(bench: Bench, count: int) -> list[float]:
 
     Fewer questions where fewer identifiers are left.
     """
-    while count and not bench.has_unknown_ids(count):
+    while count and not bench.identifiers.has_unknown_ids(count):
         count //= 2
-    peer, waiting = bench.peer(), set(bench.unknown_ids(count))
+    peer, waiting = bench.peer(), set(bench.identifiers.unknown_ids(count))
     begun = bench.now()
     for each in sorted(waiting):
         peer.send(peer.summary(each, 1))

@@ -36,6 +36,34 @@ def spreading_time(hops: int, loss: float, variables: int, limits: Limits) -> fl
     An attempt succeeds if summary, request and record are all received. Attempts happen each time that the summary of
     the variable comes round, so their interval grows with ``variables``.
     """
+    return _seconds(attempts(max(hops, 1), _success(loss)), hops, variables, limits)
+
+
+def expected_time(hops: int, loss: float, variables: int, limits: Limits) -> float:
+    """Return the seconds that such a change takes on the average, by the same model; at most ``spreading_time``."""
+    return _seconds(max(hops, 1) / max(_success(loss), MISS), hops, variables, limits)
+
+
+def cycle_time(limits: Limits) -> tuple[float, float]:
+    """Return the seconds that a link is up and down at a time, so that each time up has room for an attempt."""
+    up = 10 * limits.beacon_period_ms + max(0.0, 2 * limits.buffer_check_ms - limits.beacon_period_ms)
+    return up / 1000, 2 * up / 1000
+
+
+def time_through_outages(hops: int, limits: Limits) -> tuple[float, float]:
+    """Return the bound and the average of the seconds in which a change crosses links of :func:`cycle_time`.
+
+    A time up is enough for a hop; the bound grants three more, one of them for a change that comes in the middle.
+    """
+    up, down = cycle_time(limits)
+    return (hops + 3) * (up + down) + _PATIENCE, (hops + 1) * (up + down) + _PATIENCE
+
+
+def _success(loss: float) -> float:
+    return (1 - loss) ** 3
+
+
+def _seconds(tries: float, hops: int, variables: int, limits: Limits) -> float:
     # An entry of a summary has 3 octets at most in all versions; 30 octets are left for containers and a record.
     room = max(1, min(limits.summaries or 20, (limits.payload - 30) // 3))
     rounds = math.ceil(variables / room)
@@ -43,6 +71,6 @@ def spreading_time(hops: int, loss: float, variables: int, limits: Limits) -> fl
     records = (
         math.ceil(variables * (limits.description + limits.value + 30) / max(limits.payload, 1)) if variables > 1 else 0
     )
-    crossing = attempts(max(hops, 1), (1 - loss) ** 3) * (_PERIODS + rounds - 1) + records * max(hops, 1) * 4
+    crossing = tries * (_PERIODS + rounds - 1) + records * max(hops, 1) * 4
     checks = crossing / _PERIODS * 2 * limits.buffer_check_ms
     return (crossing * limits.beacon_period_ms + checks) / 1000 + _PATIENCE

@@ -5,13 +5,16 @@ from __future__ import annotations
 import time
 import traceback
 from collections.abc import Iterator
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Literal
 
 import msgspec
 from dcp_spec.profile.definition import Profile
 
+from dcp_codec.common.commandline import say
 from dcp_conformance.errors import ConformanceError
+from dcp_conformance.execution.signals import Stop
 from dcp_conformance.model.results import Check
 from dcp_conformance.model.verdict import Verdict, worst
 
@@ -68,8 +71,12 @@ def _has(profile: Profile, entity: str) -> bool:
     return bool(profile.srp.is_report) if entity == "srp" else True
 
 
-def run_cell(cell: Cell, test: NetworkTest, folder: Path | None = None) -> CellResult:
-    """Run a cell. ``folder``: for recordings and logs; without one only cells that fail keep their moments."""
+def run_cell(cell: Cell, test: NetworkTest, folder: Path | None = None, stop: Stop | None = None) -> CellResult:
+    """Run a cell. ``folder``: for recordings and logs.
+
+    ``stop``: the handler of signals, which then interrupt the test only, and not the making or removal of its network.
+    Raises ``KeyboardInterrupt`` after the removal.
+    """
     began = time.perf_counter()
     a, b = cell.implementations
     profile = meeting_profile(a, b) or a.profile
@@ -82,7 +89,8 @@ def run_cell(cell: Cell, test: NetworkTest, folder: Path | None = None) -> CellR
     except ConformanceError as error:
         return _result(cell, test, profile, Verdict.ERROR, str(error))
     try:
-        result = _play(cell, test, world, profile)
+        with nullcontext() if stop is None else stop.heeded():
+            result = _play(cell, test, world, profile)
         if folder is not None:
             from .recording import write_recordings
 
@@ -106,7 +114,11 @@ def _world(cell: Cell, test: NetworkTest) -> World:
         return VirtualWorld(made, test.shape, cell.seed)
     from .real import RealWorld
 
-    return RealWorld(list(zip(names, roles, profiles, strict=True)), test.shape, cell.seed)
+    def on_wait(text: str) -> None:
+        say(f"{cell.a} with {cell.b}: {test.id}: {text}", err=True)
+
+    stations = list(zip(names, roles, profiles, strict=True))
+    return RealWorld(stations, test.shape, cell.seed, on_wait=on_wait)
 
 
 def _play(cell: Cell, test: NetworkTest, world: World, profile: str) -> CellResult:
@@ -128,7 +140,10 @@ def _play(cell: Cell, test: NetworkTest, world: World, profile: str) -> CellResu
             detail = traceback.format_exc()
             text = f"{type(error).__name__}: {error}"
             checks.append(Check(Verdict.ERROR, test.requirements, "the tester does not stumble", text))
-    world.settle()
+    try:
+        world.settle()
+    except ConformanceError as error:
+        checks.append(Check(Verdict.ERROR, test.requirements, "the processes of the network end", str(error)))
     checks += scene.checks
     checks += deaths(world, test.requirements)
     if not skipped and test.rules:

@@ -48,9 +48,9 @@ class Implementation(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     upper_tester: str = ""
     """As ``--ut`` of ``run``, with placeholders; empty: none."""
     ready: Ready = "beacon"
-    """What shows that the process is ready: its first beacon, or an answer of its upper tester."""
-    ready_s: float = 10.0
-    """Seconds that this may take."""
+    """What shows that the process is ready: an answer of its upper tester; without one, its first beacon or socket."""
+    ready_s: float = 60.0
+    """Seconds that this may take at most."""
     srp: bool = True
     """Whether it has SRP."""
     vardis: bool = True

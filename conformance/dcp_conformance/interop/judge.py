@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Collection, Iterator, Sequence
-from typing import Final
 
 from dcp_codec.capture.frame import Frame
 from dcp_codec.codec import Codec
@@ -15,9 +14,6 @@ from dcp_conformance.model.results import Check
 from dcp_conformance.model.verdict import Verdict
 
 from .world import Place, Received, Sent, World
-
-#: 2026-01-01T00:00:00Z in ns since 1970: the time 0 of recordings.
-EPOCH: Final = 1_767_225_600_000_000_000
 
 
 def ether_frame(codec: Codec, source: bytes, octets: bytes) -> bytes:
@@ -35,7 +31,7 @@ def frames_of(world: World, transmissions: Sequence[Sent | Received]) -> list[Fr
         place = world.places[0 if tester else sender]
         source = world.tester_address if tester else address_of(place)
         data = ether_frame(place.codec, source, each.octets)
-        found.append(Frame(number, EPOCH + each.time, data, len(data)))
+        found.append(Frame(number, world.epoch + each.time, data, len(data)))
     return found
 
 

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import multiprocessing
+import contextlib
 import os
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from importlib import import_module
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 import msgspec
 from dcp_spec.version import __version__
 
 from dcp_conformance.errors import ConformanceError, UsageError
+from dcp_conformance.execution.signals import Stop
 from dcp_conformance.model.declared import declared_by
 from dcp_conformance.model.moment import timestamp
 from dcp_conformance.model.verdict import Verdict
@@ -22,7 +21,8 @@ from dcp_conformance.model.verdict import Verdict
 from .cell import Cell, WorldKind, obstacle, run_cell
 from .definition import NetworkTest, all_tests
 from .implementations import Implementation, codec_of
-from .results import CellResult, ImplementationResult, MatrixResult
+from .results import INTERRUPTED, CellResult, ImplementationResult, MatrixResult
+from .workers import run_in_workers
 
 OnCell = Callable[[CellResult, int, int], None]
 """Called with each result, how many there are, and of how many."""
@@ -101,11 +101,11 @@ def run_seeds(cell: Cell, seeds: int, folder: Path | None = None) -> CellResult:
     return msgspec.structs.replace(found, seeds=seeds, failed_seeds=tuple(failed))
 
 
-def _job(cell: Cell, seeds: int, folder: str | None) -> CellResult:
-    where = None if folder is None else Path(folder)
+def _job(cell: Cell, stop: Stop, *, seeds: int, folder: Path | None) -> CellResult:
     if cell.world == "real":
-        return run_cell(cell, all_tests()[cell.test], where)
-    return run_seeds(cell, seeds, where)
+        return run_cell(cell, all_tests()[cell.test], folder, stop)
+    with stop.heeded():
+        return run_seeds(cell, seeds, folder)
 
 
 def default_jobs(world: WorldKind) -> int:
@@ -128,6 +128,9 @@ def run_matrix(
 
     ``folder``: gets recordings and logs. ``dask``: the address of a Dask scheduler whose workers run the cells, or
     ``local`` for a cluster on this machine. Raises ``UsageError`` if there is no such scheduler.
+
+    ``KeyboardInterrupt``, and the loss of a worker, end the matrix early: the result then says so, and has the cells
+    that were finished.
     """
     began, started = time.monotonic(), timestamp()
     results: list[CellResult | None] = [None] * len(cells)
@@ -140,13 +143,22 @@ def run_matrix(
         else:
             waiting.append(number)
     done = len(cells) - len(waiting)
-    where = None if folder is None else str(folder.resolve())
+    where = None if folder is None else folder.resolve()
     chosen = [cells[number] for number in waiting]
-    for number, result in _executed(chosen, seeds, jobs, where, dask):
-        results[waiting[number]] = result
-        done += 1
-        if on_cell is not None:
-            on_cell(result, done, len(cells))
+    ended_early = ""
+    try:
+        with contextlib.closing(_executed(chosen, seeds, jobs, where, dask)) as executed:
+            for number, result in executed:
+                results[waiting[number]] = result
+                done += 1
+                if on_cell is not None:
+                    on_cell(result, done, len(cells))
+    except KeyboardInterrupt:
+        ended_early = INTERRUPTED
+    except UsageError:
+        raise
+    except ConformanceError as error:
+        ended_early = str(error)
     names = {name: each for cell in cells for name, each in zip((cell.a, cell.b), cell.implementations, strict=True)}
     return MatrixResult(
         tool=f"dcp-conformance {__version__}",
@@ -155,6 +167,8 @@ def run_matrix(
         command=command,
         implementations=tuple(_described(name, each) for name, each in names.items()),
         cells=tuple(result for result in results if result is not None),
+        ended_early=ended_early,
+        unfinished=results.count(None),
     )
 
 
@@ -168,68 +182,19 @@ def _described(name: str, each: Implementation) -> ImplementationResult:
 
 
 def _executed(
-    cells: Sequence[Cell], seeds: int, jobs: int | None, folder: str | None, dask: str | None
-) -> Iterator[tuple[int, CellResult]]:
+    cells: Sequence[Cell], seeds: int, jobs: int | None, folder: Path | None, dask: str | None
+) -> Generator[tuple[int, CellResult]]:
+    """Run cells and yield their results with their places in ``cells``."""
+    if not cells:
+        return
+    jobs = jobs or default_jobs(cells[0].world)
+    job = partial(_job, seeds=seeds, folder=folder)
     if dask is not None:
-        yield from _on_cluster(cells, seeds, folder, dask, jobs)
-        return
-    jobs = min(jobs or default_jobs(cells[0].world if cells else "virtual"), max(1, len(cells)))
-    if jobs == 1:
-        for number, cell in enumerate(cells):
-            yield number, _job(cell, seeds, folder)
-        return
-    context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload([f"{__package__}.preload"])
-    with ProcessPoolExecutor(jobs, mp_context=context) as pool:
-        running: dict[Future[CellResult], int] = {}
-        left = iter(enumerate(cells))
-        try:
-            while True:
-                for number, cell in left:
-                    running[pool.submit(_job, cell, seeds, folder)] = number
-                    if len(running) >= 2 * jobs:
-                        break
-                if not running:
-                    return
-                finished, _ = wait(running, return_when=FIRST_COMPLETED)
-                for each in finished:
-                    yield running.pop(each), each.result()
-        except BaseException:
-            pool.shutdown(cancel_futures=True)
-            raise
+        from .cluster import run_on_cluster
 
-
-def _on_cluster(
-    cells: Sequence[Cell], seeds: int, folder: str | None, scheduler: str, jobs: int | None
-) -> Iterator[tuple[int, CellResult]]:
-    """Run cells by the workers of a Dask cluster, all of which see ``folder``."""
-    try:
-        # By name: it says nothing of types.
-        distributed: Any = import_module("distributed")
-    except ImportError:
-        raise UsageError("--dask needs dask.distributed: pip install 'dcp-conformance-kit[table]'") from None
-    try:
-        if scheduler == "local":
-            cluster = distributed.LocalCluster(
-                n_workers=jobs or default_jobs("virtual"), threads_per_worker=1, dashboard_address=None, silence_logs=50
-            )
-            client = distributed.Client(cluster)
-        else:
-            cluster, client = None, distributed.Client(scheduler, timeout=10)
-    except (OSError, ValueError) as error:
-        raise UsageError(f"--dask {scheduler}: the scheduler cannot be reached: {error}") from None
-    try:
-        numbers = {}
+        yield from run_on_cluster(job, cells, dask, jobs)
+    elif jobs == 1 and cells[0].world == "virtual":
         for number, cell in enumerate(cells):
-            future = client.submit(_job, cell, seeds, folder, pure=False)
-            numbers[future.key] = number
-            numbers[number] = future
-        futures = [numbers[number] for number in range(len(cells))]
-        for future, result in distributed.as_completed(futures, with_results=True):
-            yield numbers[future.key], result
-    except (distributed.KilledWorker, distributed.CancelledError) as error:
-        raise ConformanceError(f"the Dask cluster lost a cell: {error}") from None
-    finally:
-        client.close()
-        if cluster is not None:
-            cluster.close()
+            yield number, run_seeds(cell, seeds, folder)
+    else:
+        yield from run_in_workers(job, cells, min(jobs, len(cells)))

@@ -7,9 +7,9 @@ import shutil
 import socket
 import tempfile
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from dcp_codec.framing.locate import OtherTraffic, locate
 from dcp_codec.impairment import PERFECT, Impairment
@@ -22,18 +22,32 @@ from dcp_stack.sim.virtual.network import node_id
 from .definition import Shape
 from .implementations import Implementation, codec_of, command_of, upper_tester_of
 from .judge import address_of, ether_frame
-from .processes import Station, wait_ready
+from .processes import Station
 from .taps import Taps, inside
 from .world import Place, Received, Sent
+
+#: Seconds after which the world says what it waits for.
+_QUIET: Final = 3.0
 
 
 class RealWorld:
     """See :class:`~dcp_conformance.interop.world.World`. Needs the right to make network namespaces."""
 
     patience = 3.0
+    #: 1500 payloads in a minute: the kernel keeps a few hundred for a process that does not read them.
+    most_backlog = 60.0
 
-    def __init__(self, stations: Sequence[tuple[str, Implementation, str]], shape: Shape, seed: int) -> None:
+    def __init__(
+        self,
+        stations: Sequence[tuple[str, Implementation, str]],
+        shape: Shape,
+        seed: int,
+        *,
+        on_wait: Callable[[str], None] | None = None,
+    ) -> None:
         """``stations``: for each place the name of its implementation, its description, and its profile.
+
+        ``on_wait``: called with what the world waits for when processes take long to be ready.
 
         Raises ``LowerTesterError`` if the network cannot be built.
         """
@@ -47,6 +61,7 @@ class RealWorld:
         self._deaths: dict[int, str] = {}
         self._paused = 0
         self._pending: list[Station] = []
+        self._on_wait = on_wait
         self._counters: dict[str, Any] = {}
         self._settled = False
         self._directory = Path(tempfile.mkdtemp(prefix="dcp-it-"))
@@ -63,6 +78,7 @@ class RealWorld:
             self._closing.close()
             raise
         self._begin = time.monotonic_ns()
+        self.epoch = time.time_ns()
 
     def _build(self, stations: Sequence[tuple[str, Implementation, str]], count: int, seed: int) -> None:
         namespaces.sweep()
@@ -120,12 +136,33 @@ class RealWorld:
         if not self._pending:
             return
         begin = time.monotonic()
-        deadline = begin + max(station.ready_s for station in self._pending) + len(self._pending)
-        while self._pending:
-            self._pending = wait_ready(self._pending, deadline, self._heard)
-            if self._pending:
-                self._listen(0.02)
+        told = False
+        while True:
+            waiting = {each: each.awaited(heard=each.place in self._heard) for each in self._pending}
+            self._pending = [each for each, missing in waiting.items() if missing]
+            if not self._pending:
+                break
+            waited = time.monotonic() - begin
+            if waited > max(each.ready_s for each in self._pending):
+                self._give_up(waiting)
+                break
+            if waited > _QUIET and not told and self._on_wait is not None:
+                told = True
+                self._on_wait(f"waiting for {self._missing(waiting)}")
+            self._listen(0.02)
         self._paused += round((time.monotonic() - begin) * 1e9)
+
+    def _give_up(self, waiting: Mapping[Station, str]) -> None:
+        """Go on with stations that are silent, which the test then judges; raise for upper testers that are."""
+        silent = {each: missing for each, missing in waiting.items() if missing and each.methods is None}
+        self._pending = []
+        if silent:
+            longest = max(each.ready_s for each in silent)
+            raise ConformanceError(f"not ready within {longest:g} s: {self._missing(silent)}")
+
+    def _missing(self, waiting: Mapping[Station, str]) -> str:
+        told = [f"place {s.place} ({self.places[s.place].implementation}): {why}" for s, why in waiting.items() if why]
+        return "; ".join(told)
 
     def _listen(self, patience_s: float) -> None:
         now, wall = self.now(), time.time_ns()

@@ -10,6 +10,8 @@ from dcp_conformance.model.results import Check
 from dcp_conformance.model.verdict import Verdict
 
 SCHEMA: Final = "dcp-conformance-interop/1"
+INTERRUPTED: Final = "interrupted"
+"""Why a matrix ended early: Ctrl-C, SIGTERM or SIGHUP."""
 
 
 class Moment(msgspec.Struct, frozen=True, omit_defaults=True):
@@ -101,6 +103,17 @@ class MatrixResult(msgspec.Struct, frozen=True, kw_only=True):
     command: str = ""
     implementations: tuple[ImplementationResult, ...] = ()
     cells: tuple[CellResult, ...] = ()
+    ended_early: str = ""
+    """Why cells are missing: ``interrupted``, or what went wrong; empty if all were run."""
+    unfinished: int = 0
+    """How many cells are missing."""
+
+    @property
+    def incomplete(self) -> str:
+        """Say why cells are missing, and how many; empty if all were run."""
+        if not self.ended_early:
+            return ""
+        return f"{self.ended_early}: {self.unfinished} of {len(self.cells) + self.unfinished} cells were not run"
 
     def counts(self) -> dict[str, int]:
         """The number of cells by verdict."""

@@ -10,13 +10,13 @@ from dcp_spec.constants import features
 
 from dcp_codec.analysis.holdings import DELETED, UNKNOWN, Holdings
 from dcp_codec.errors import DecodeError
-from dcp_codec.impairment import Impairment
+from dcp_codec.impairment import Impairment, Outage
 from dcp_codec.testing.mutation import Mutator
 from dcp_conformance.model.results import Check
 from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.upper_tester import Answer
 
-from .bounds import spreading_time
+from .bounds import cycle_time, expected_time, spreading_time, time_through_outages
 from .definition import Shape
 from .results import Moment, Spread
 from .world import Limits, Sent, World
@@ -56,6 +56,8 @@ class Scene:
         """Node identifiers that the tester itself uses: nothing that they do is a finding."""
         self.loss = 0.0
         """The expected loss of the links, for the time that spreading may take."""
+        self.outages = False
+        """Whether links are down most of the time, as :func:`bounds.cycle_time` has it."""
         self.held: dict[int, Holdings] = {place: Holdings() for place in self.places}
         """What each place has said about variables since it was switched on."""
         self.heard_from: dict[int, int] = {}
@@ -201,6 +203,12 @@ class Scene:
         self.note(None, f"links: {impairment or 'perfect'}")
         self.world.set_quality(impairment, sender, receiver)
 
+    def set_outages(self) -> None:
+        """Let all links be down two thirds of the time, in turns that leave room for one attempt to cross a hop."""
+        up, down = (round(each * SECOND) for each in cycle_time(self.limits))
+        self.set_quality(Impairment(down=(Outage(up // 2, down, up + down),)))
+        self.outages = True
+
     def partition(self, *groups: Sequence[int]) -> None:
         """Let frames stay within their groups; no groups: heal."""
         self.note(None, f"partition {' | '.join(str(list(g)) for g in groups)}" if groups else "the partition ends")
@@ -219,7 +227,7 @@ class Scene:
     def until(self, reached: Callable[[], bool], limit: float) -> float | None:
         """Wait until ``reached``, at most ``limit`` s; returns the seconds that it took, None if it did not happen."""
         begin = self.world.now()
-        if self._pass_until(begin + round(limit * self.world.patience * SECOND), reached):
+        if self._pass_until(begin + round(limit * SECOND), reached):
             return (self.world.now() - begin) / SECOND
         return None
 
@@ -341,11 +349,11 @@ class Scene:
         """Check that all places (or ``places``) come to hold what ``producer`` holds: in time, on the air, by services.
 
         ``among``: the number of variables in the network, which share the summaries of a beacon. ``patience``: seconds
-        that are granted in addition, for what the stations still have to work off. Raises ``StopError`` if it takes
-        longer: the cell is decided, and each later change could take all of its limit as well.
+        that are granted in addition, for what the stations still have to work off (a minute at most in real time).
+        Raises ``StopError`` if it takes longer: the cell is decided, and each later change could take as long.
         """
         chosen = list(self.places if places is None else places)
-        limit = self.time_to_spread(producer, chosen, among or len(variables)) + patience
+        limit = self.time_to_spread(producer, chosen, among or len(variables)) + min(patience, self.world.most_backlog)
         begin = self.world.now()
         pending = set(variables)
 
@@ -382,9 +390,17 @@ class Scene:
         return found
 
     def time_to_spread(self, producer: int, places: Sequence[int], variables: int = 1) -> float:
-        """The seconds after which all places must hold what a producer has changed."""
-        hops = self.shape.hops(producer)
-        return spreading_time(max(hops.get(place, 1) for place in places), self.loss, variables, self.limits)
+        """The seconds after which all places must hold what a producer has changed, on this world's machine."""
+        distances = self.shape.hops(producer)
+        hops = max(distances.get(place, 1) for place in places)
+        if self.outages:
+            return self._extended(*time_through_outages(hops, self.limits))
+        model = (hops, self.loss, variables, self.limits)
+        return self._extended(spreading_time(*model), expected_time(*model))
+
+    def _extended(self, limit: float, expected: float) -> float:
+        """A limit (s) with the patience that the world's machine needs, from the time that is expected (s)."""
+        return limit + (self.world.patience - 1) * min(limit, expected)
 
     def expect_deleted(self, variable: int, places: Iterable[int] | None = None) -> None:
         """Check that all places (or ``places``) say or show that a variable is deleted; else raise ``StopError``."""
@@ -412,11 +428,12 @@ class Scene:
         return number is not None and number >= 0
 
     def expect_neighbours(self, limit: float, absent: Iterable[int] = ()) -> None:
-        """Check that each place lists exactly its neighbours, without ``absent``, within ``limit`` s.
+        """Check that each place lists exactly its neighbours, without ``absent``, within ``limit`` s (more if busy).
 
         Raises ``StopError`` if it takes longer, and ``NotApplicableError`` if no place shows its table.
         """
         gone = set(absent)
+        limit = self._extended(limit, limit)
         wanted = {p: sorted(set(self.shape.neighbours(p)) - gone) for p in self.places if p not in gone}
         asked = [place for place in wanted if self.can(place, "SRP-NeighbourTable")]
         self.require(bool(asked), "SRP-NeighbourTable cannot be called anywhere")
@@ -449,6 +466,6 @@ class Scene:
             ]
 
         # In real time nobody listens while services are called, and hundreds of calls take longer than that.
-        self.until(lambda: not silent(), quiet / SECOND)
+        self.until(lambda: not silent(), self._extended(quiet / SECOND, quiet / SECOND))
         found = silent()
         self.expect(not found, "every station that is on sends beacons", f"silent: {', '.join(found)}")

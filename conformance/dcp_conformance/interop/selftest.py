@@ -6,10 +6,10 @@ our node as the other one. The first red cell decides; cells that run before it 
 
 from __future__ import annotations
 
-import multiprocessing
+import contextlib
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from fnmatch import fnmatchcase
+from functools import partial
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -17,6 +17,7 @@ import msgspec
 
 from dcp_codec.common.atomic_write import write_whole
 from dcp_conformance.errors import UsageError
+from dcp_conformance.execution.signals import Stop
 from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.selftest.variants.variant import all_variants
 
@@ -24,6 +25,7 @@ from .cell import Cell, obstacle, run_cell
 from .definition import all_tests, select_tests
 from .implementations import built_in, meeting_profile
 from .matrix import default_jobs
+from .workers import run_in_workers
 
 #: Faults that show between nodes: what spreads, what is asked for and answered, what is kept, what harms others.
 FAULTS: Final = (
@@ -133,16 +135,21 @@ def run_selftest(
     chosen = list(dict.fromkeys(chosen)) or every
     for pattern in tests:
         select_tests((pattern,))
-    context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload([f"{__package__}.preload"])
-    trials: list[Trial] = []
-    with ProcessPoolExecutor(jobs or default_jobs("virtual"), mp_context=context) as pool:
-        for trial in pool.map(_try, chosen, [tuple(tests)] * len(chosen), [seeds] * len(chosen)):
-            trials.append(trial)
+    made: dict[int, Trial] = {}
+    job = partial(_job, patterns=tuple(tests), seeds=seeds)
+    with contextlib.closing(run_in_workers(job, chosen, jobs or default_jobs("virtual"))) as results:
+        for number, trial in results:
+            made[number] = trial
             if on_line is not None:
                 on_line(f"{trial.name:<44} {trial.red or 'no red cell'} ({trial.cells} cells)")
+    trials = [made[number] for number in range(len(chosen))]
     faults = tuple(each for each in trials if each.name.startswith("mutant:"))
     return SelftestResult(faults, tuple(each for each in trials if not each.name.startswith("mutant:")))
+
+
+def _job(name: str, stop: Stop, *, patterns: tuple[str, ...], seeds: int) -> Trial:
+    with stop.heeded():
+        return _try(name, patterns, seeds)
 
 
 def _try(name: str, patterns: tuple[str, ...], seeds: int) -> Trial:

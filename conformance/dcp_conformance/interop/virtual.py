@@ -13,6 +13,7 @@ import msgspec
 
 from dcp_codec.impairment import Impairment, Network
 from dcp_conformance.errors import UpperTesterError
+from dcp_conformance.reference.inprocess import EPOCH
 from dcp_conformance.selftest.variants.surroundings import Tested
 from dcp_conformance.selftest.variants.variant import Setup
 from dcp_conformance.upper_tester import Answer
@@ -62,7 +63,9 @@ class _Station(Tested):
 class VirtualWorld:
     """See :class:`~dcp_conformance.interop.world.World`."""
 
+    epoch = EPOCH
     patience = 1.0
+    most_backlog = float("inf")
 
     def __init__(self, setups: Sequence[tuple[str, Setup, Limits]], shape: Shape, seed: int = 1) -> None:
         """``setups``: for each place the name of its implementation, how it is made, and its limits."""

@@ -86,8 +86,22 @@ class World(Protocol):
         ...
 
     @property
+    def epoch(self) -> int:
+        """The start as the clocks of the stations have it, in ns since 1970: recordings begin there."""
+        ...
+
+    @property
     def patience(self) -> float:
-        """The factor by which limits are extended: 1 in virtual time, more where machines are busy."""
+        """1 in virtual time, more where machines are busy.
+
+        A limit is extended by ``patience`` - 1 times the time that the change takes on the average (not by that factor:
+        limits on bad links allow for bad luck, which a busy machine does not multiply).
+        """
+        ...
+
+    @property
+    def most_backlog(self) -> float:
+        """The most seconds that are granted to stations for what they still have to work off."""
         ...
 
     def now(self) -> int:

@@ -19,7 +19,7 @@ def why_not(bench: Bench, case: Case) -> str:
     if needs.until is not None and version > needs.until:
         return f"the specification has this until {needs.until}; the profile {bench.profile.name} follows {version}"
     for entity in needs.entities:
-        if getattr(bench.pics, entity) is False:
+        if getattr(bench.sut.pics, entity) is False:
             return f"the PICS says that there is no {entity}"
     if "srp" in needs.entities and not bench.profile.srp.is_report:
         return f"the profile {bench.profile.name} has no octets for a state report"
@@ -33,7 +33,7 @@ def why_not(bench: Bench, case: Case) -> str:
         if missing:
             return f"the upper tester does not offer {', '.join(missing)}"
     for name in needs.pics:
-        claimed = getattr(bench.pics, name)
+        claimed = getattr(bench.sut.pics, name)
         if claimed is None:
             return f"the PICS does not say whether there is {name} ([pics] {name} = true)"
         if claimed is False:

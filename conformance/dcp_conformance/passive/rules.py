@@ -1,27 +1,28 @@
-"""Which invariants hold for an implementation under test, whatever it is sent.
+"""Invariants that every beacon of an implementation under test must satisfy, whatever the tester sends.
 
-During a run the peers lie on purpose: malformed beacons, forged senders, impossible sequence numbers, variables that
-nobody ever created. The tester also resets and restarts the implementation and sets its parameters. What remains to be
-judged is what no stimulus can excuse: the octets that the implementation sends, its own counters, and what it composes
-from one state of its database. Of the invariants of ``check``:
+During a run the tester violates the protocol on purpose: it sends malformed beacons, forged senders, impossible
+sequence numbers, and records of variables that no node has created. It also resets and restarts the implementation and
+sets its parameters. Only properties that no stimulus can excuse are therefore judged: the octets that the
+implementation sends, its own counters, and the payloads that it composes from one state of its database. Of the
+invariants of ``check``:
 
-* Used as they are: ``CK_BP_FORMAT``, ``CK_UWB_BROADCAST``, ``CK_BP_NETWORK``, ``CK_BP_SEQNO``,
+* Used unchanged: ``CK_BP_FORMAT``, ``CK_UWB_BROADCAST``, ``CK_BP_NETWORK``, ``CK_BP_SEQNO``,
   ``CK_VD_ORDER``, ``CK_VD_PAYLOAD``.
 * Used with a change: ``CK_BP_PERIOD`` (pauses are frequent in a run, so that only short intervals are judged, and the
-  implementation may have told its period), ``CK_BP_SIZE`` (it may have told its limit),
+  implementation may have reported its period), ``CK_BP_SIZE`` (the implementation may have reported its limit),
   ``CK_DATA_ORDER`` (only time stamps of the implementation's own state reports; peers send creation times of any kind),
-  ``CK_SRP_SEQNO`` (only reports under the implementation's own name), ``CK_SRP_OWN`` (where the address of the station
-  is that of the report, the header is wrong).
+  ``CK_SRP_SEQNO`` (only reports with the implementation's own identifier), ``CK_SRP_OWN`` (if nodeId of the report is
+  the source address of the frame, the senderId is wrong).
 * Not used: ``CK_DATA_PACKED`` (the profile itself declares the octets that belong to no field), ``CK_BP_SENDER``
-  (frames of another sender are never attributed to the implementation), ``CK_VD_RECORDS`` (most of what it finds is
-  forwarded from a lying peer; what is not is judged by ``CK_VD_DISTINCT`` and ``CK_BP_EMPTY``), ``CK_SRP_TIME``
-  and ``CK_SRP_VALUES`` (they judge nothing, and cases look at that), ``CK_SRP_LENGTH`` (a report of another length is
-  what ``CK_BP_FORMAT`` finds).
-* Not used, since their occasions come from peers that lie: ``CK_VD_SEQNO``, ``CK_VD_VALUE``, ``CK_VD_SPEC``,
+  (frames of another sender are never attributed to the implementation), ``CK_VD_RECORDS`` (most of its findings would
+  be records forwarded from the tester; ``CK_VD_DISTINCT`` and ``CK_BP_EMPTY`` judge the others), ``CK_SRP_TIME`` and
+  ``CK_SRP_VALUES`` (they only report; test cases judge these values), ``CK_SRP_LENGTH`` (``CK_BP_FORMAT`` finds reports
+  of another length).
+* Not used, since their occasions come from invalid beacons of peers: ``CK_VD_SEQNO``, ``CK_VD_VALUE``, ``CK_VD_SPEC``,
   ``CK_VD_DELETED``, ``CK_VD_CREATION``, ``CK_VD_REPEAT``, ``CK_VD_REQUEST``, ``CK_VD_ANSWER_UPDATE``,
   ``CK_VD_ANSWER_CREATE``, ``CK_VD_TAKES_CREATE``, ``CK_VD_TAKES_UPDATE``, ``CK_VD_TAKES_DELETE``, ``CK_VD_ASK_UPDATE``,
   ``CK_VD_ASK_CREATE``, ``CK_VD_TEACH``, ``CK_VD_BACKED``, ``CK_VD_ENDLESS``.
-* Not used, since they are about several nodes, of which a run has one: ``CK_NET_HEARS``, ``CK_NET_AGREES``,
+* Not used, since they compare several nodes, and a run has only one: ``CK_NET_HEARS``, ``CK_NET_AGREES``,
   ``CK_NET_SILENT``.
 """
 
@@ -48,23 +49,23 @@ from dcp_conformance.check.rules.srp import OwnReports, ReportNumbers
 from dcp_conformance.check.rules.vardis import ContainerOrder, PayloadConsistency
 from dcp_conformance.model.verdict import Verdict
 
-#: Intervals after a start that are compared, and how close (ms) they must be to be the same.
+#: Number of intervals after a start that are compared, and the maximum difference in ms of equal ones.
 _INTERVALS, _ALIKE = 6, 0.3
-#: Starts that are remembered.
+#: Maximum number of starts whose intervals are kept.
 _STARTS = 256
 
 
 class OwnByteOrder(ByteOrder):
-    """Network byte order in the implementation's own state reports."""
+    """Check the byte order of time stamps in the implementation's own state reports."""
 
     def applies(self) -> str:
-        """Only where the profile does not itself declare another order."""
+        """Exclude profiles that declare little-endian time stamps, and those without a known epoch."""
         if self._stamp.byte_order != "big":
-            return "the profile declares time stamps with the least significant octet first"
+            return "the profile declares little-endian time stamps"
         return super().applies()
 
     def feed(self, seen: Seen) -> None:
-        """Read the time stamp in both orders."""
+        """Compare the time stamp in both byte orders with the time of the recording."""
         report = seen.heard.report
         if report is None:
             return
@@ -72,17 +73,17 @@ class OwnByteOrder(ByteOrder):
         if self._near(report.t_stamp, seen.time) != self._near(little, seen.time):
             self.exercised()
             if self._near(little, seen.time):
-                text = f"{name(seen.sender)}: tStamp is such a time only when read least significant octet first"
+                text = f"{name(seen.sender)}: tStamp is near the time of the recording only if read as little-endian"
                 self.violated(text, [seen], once=seen.sender, cite=3)
 
 
 class OwnNodeId(OwnReports):
-    """One identifier in the header and in state reports."""
+    """Check that the BP header and the state report have the same node identifier."""
 
     requirements = ("SRP-TYP-04", "SRP-RX-06", "BP-HDR-03")
 
     def feed(self, seen: Seen) -> None:
-        """Compare; where the station's address agrees with the report, the header is wrong."""
+        """Compare both; if the report has the source address of the frame, report the senderId as wrong."""
         report = seen.heard.report
         if report is None or report.node_id != seen.heard.source or report.node_id == seen.heard.sender:
             super().feed(seen)
@@ -92,29 +93,29 @@ class OwnNodeId(OwnReports):
 
 
 class OwnReportNumbers(ReportNumbers):
-    """The counter of the implementation's own reports; ``CK_SRP_OWN`` finds those under another name."""
+    """Check the counter of the implementation's own reports; ``CK_SRP_OWN`` finds those with another identifier."""
 
     def feed(self, seen: Seen) -> None:
-        """Compare reports of the sender with its last one."""
+        """Compare a report of the sender with its previous one."""
         report = seen.heard.report
         if report is not None and report.node_id == seen.sender:
             super().feed(seen)
 
 
 class UndisturbedPeriod(BeaconPeriod):
-    """The mean interval between beacons, of those between which there was something to send all the time.
+    """Check the mean interval between beacons, without pauses in which the node had nothing to send.
 
-    Where calls of the upper tester are slow, most intervals may be pauses: there is less to send than a beacon in each
-    period. Those that are no longer than the period allows are judged then.
+    If calls of the upper tester are slow, most intervals may be pauses: there is less to send than one beacon in each
+    period. Then only intervals up to ``_LONGEST`` periods are judged.
     """
 
-    #: Of the period. Two intervals in a row without anything to send in between are longer, unless jitter is large.
+    #: Longest interval that is not a pause, in periods. A skipped beacon makes a longer one, unless jitter is large.
     _LONGEST = 1.6
-    #: Intervals that are enough for a mean, and the share of all that has to be short if the others are pauses.
+    #: Minimum number of intervals, and minimum share of short intervals if the others are pauses.
     _ENOUGH, _PAUSING = 100, 0.02
 
     def finish(self) -> None:
-        """Compare mean and median; both are off if the period is."""
+        """Compare mean and median with the period; both differ from it if the period is wrong."""
         period = float(self.context.parameters.get("BPPAR_BEACON_PERIOD", self.context.pics.pixit.beacon_period_ms))
         tolerance = self.context.pics.pixit.period_tolerance * period
         for sender, intervals in self._intervals.items():
@@ -129,14 +130,14 @@ class UndisturbedPeriod(BeaconPeriod):
                 text = f"{name(sender)}: {mean:.2f} ms +/- {error:.2f} (99 %), median {median:.2f} ms, n = {len(kept)}"
                 text += f"; the period is {period:g} ms"
                 if mean > period and (why := self.context.overload()):
-                    # An implementation on this machine waits for its turn in every period.
+                    # On an overloaded machine, an implementation that runs on it waits in every period.
                     self.violated(f"{text}; but {why}", [], once=sender, verdict=Verdict.INCONCLUSIVE)
                 else:
                     self.violated(text, [], once=sender)
 
     def _without_pauses(self, intervals: Sequence[float], period: float) -> tuple[float, list[float]]:
-        """The median and the intervals to judge, in ms; few or none if it is open what the others are."""
-        # Of all of them: with much jitter the mean of those that are kept is too low.
+        """Return the median and the intervals to judge, in ms; few or none if pauses cannot be recognised."""
+        # The median of all intervals: with much jitter, the mean of the selected ones is too low.
         usual = statistics.median(intervals)
         if usual >= self._LONGEST * period:
             short = [each for each in intervals if 0 <= each < self._LONGEST * period]
@@ -146,25 +147,25 @@ class UndisturbedPeriod(BeaconPeriod):
 
 
 class RepeatedJitter(Invariant):
-    """Draws that begins again with the same numbers."""
+    """Find jitter that repeats after each start, as from a random number generator with a fixed seed."""
 
     id = "CK_BP_JITTER"
     section = "dcp-bp.md: Transmit Path"
     purpose = "Jittered beacon intervals differ from start to start"
     requirements = ("BP-TX-02",)
-    expect = "other intervals after each start"
+    expect = "different intervals after each start"
 
     def __init__(self, context: Context) -> None:
         super().__init__(context)
         self._first = context.profile.behaviour.first_beacon_seqno
         self._last: tuple[int, int] | None = None
         self._run: list[float] | None = None
-        """Intervals since the last start, None once one is missing."""
+        """Intervals in ms since the last start; None if a beacon is missing, or if there are enough intervals."""
         self._starts: dict[int, list[tuple[float, ...]]] = {}
-        """The intervals after earlier starts, by the first of them in units of what counts as the same."""
+        """The intervals after earlier starts, by the first of them in units of ``_ALIKE``."""
 
     def interrupted(self) -> None:
-        """The implementation may start again."""
+        """Forget the intervals: the implementation may restart."""
         self._last = self._run = None
 
     def feed(self, seen: Seen) -> None:
@@ -184,12 +185,13 @@ class RepeatedJitter(Invariant):
             self._run = None
 
     def _compare(self, run: tuple[float, ...], seen: Seen) -> None:
+        """Compare the intervals (ms) after a start with those after earlier starts, and store them."""
         self.exercised()
         if max(run) - min(run) < 10 * _ALIKE:
-            # Strictly periodic: there is no chance to repeat.
+            # Beacons without jitter are always alike.
             return
         if len({round(each / _ALIKE) for each in run}) < _INTERVALS - 1:
-            # A coarse clock: intervals of few different lengths repeat by chance.
+            # With a coarse clock there are few different intervals, and they repeat by chance.
             return
         unit = round(run[0] / _ALIKE)
         alike = [each for near in (unit - 1, unit, unit + 1) for each in self._starts.get(near, ())]
@@ -202,10 +204,10 @@ class RepeatedJitter(Invariant):
 
 
 class OwnPacketSize(PacketSize):
-    """The limit on beacons that the implementation has told, or that the PIXIT gives."""
+    """Check the length of beacons against the limit that the implementation reported, or that of the PIXIT."""
 
     def feed(self, seen: Seen) -> None:
-        """Compare with what is known of the limit by now."""
+        """Compare with the limit known so far."""
         told = self.context.parameters.get("BPPAR_MAXIMUM_PACKET_SIZE")
         if isinstance(told, int):
             self._limit = told
@@ -213,7 +215,7 @@ class OwnPacketSize(PacketSize):
 
 
 class DistinctVariables(Invariant):
-    """One record for each variable in a container."""
+    """Check that a container has at most one record of each variable."""
 
     id = "CK_VD_DISTINCT"
     section = "dcp-vardis.md: Payload Construction"
@@ -222,7 +224,7 @@ class DistinctVariables(Invariant):
     expect = "distinct variables in each container"
 
     def feed(self, seen: Seen) -> None:
-        """Count the identifiers of each container with several records."""
+        """Compare the variable identifiers in each container."""
         records: dict[int, set[int]] = {}
         instructions = seen.heard.instructions()
         for each in instructions if len(instructions) > 1 else ():
@@ -236,7 +238,7 @@ class DistinctVariables(Invariant):
 
 
 class EmptyBlocks(Invariant):
-    """Payloads with something in them."""
+    """Check that payload blocks are not empty."""
 
     id = "CK_BP_EMPTY"
     section = "dcp-bp.md: Packet Format"
@@ -245,7 +247,7 @@ class EmptyBlocks(Invariant):
     expect = "at least one octet in each payload block"
 
     def feed(self, seen: Seen) -> None:
-        """Look at what a sound beacon carries."""
+        """Check the payloads of a beacon that can be decoded."""
         if seen.heard.beacon is None:
             return
         for payload in seen.heard.beacon.payloads:
@@ -262,7 +264,7 @@ class EmptyBlocks(Invariant):
 
 
 class MostSummaries(Invariant):
-    """The maximum of summaries, where the PIXIT states it."""
+    """Check the number of summaries against the maximum that the implementation reported, or that of the PIXIT."""
 
     id = "CK_VD_SUMMARIES"
     section = "dcp-vardis.md: Payload Construction"
@@ -271,25 +273,26 @@ class MostSummaries(Invariant):
     expect = "at most VARDISPAR_MAX_SUMMARIES summaries in a payload"
 
     def applies(self) -> str:
-        """Only with a maximum that somebody has stated: what a profile assumes blames nobody."""
-        return "" if self._most() is not None else "nobody has stated VARDISPAR_MAX_SUMMARIES (pixit.max_summaries)"
+        """Require a maximum from the implementation or the PIXIT: the default of a profile is only an assumption."""
+        return "" if self._most() is not None else "VARDISPAR_MAX_SUMMARIES is unknown (pixit.max_summaries is not set)"
 
     def _most(self) -> int | None:
+        """Return the maximum; None if it is unknown."""
         told = self.context.parameters.get("VARDISPAR_MAX_SUMMARIES")
         return int(told) if isinstance(told, int) else self.context.pics.pixit.max_summaries
 
     def feed(self, seen: Seen) -> None:
-        """Count."""
+        """Count the summaries of a beacon."""
         count, most = len(seen.heard.instructions(ICType.SUMMARIES)), self._most()
         if most is None or not count:
             return
         self.exercised()
         if count > most:
-            text = f"{name(seen.sender)} sends {count} summaries in a beacon, and {most} is the maximum"
+            text = f"{name(seen.sender)} sends {count} summaries in a beacon; the maximum is {most}"
             self.violated(text, [seen], once=seen.sender)
 
 
-#: Rules that look at nothing but state reports, or at nothing but instructions of VarDis.
+#: Rules that need only beacons with state reports, and rules that need only beacons with VarDis records.
 OF_REPORTS: Final = frozenset({"CK_DATA_ORDER", "CK_SRP_OWN", "CK_SRP_SEQNO"})
 OF_INSTRUCTIONS: Final = frozenset({"CK_VD_ORDER", "CK_VD_PAYLOAD", "CK_VD_DISTINCT", "CK_VD_SUMMARIES"})
 

@@ -1,4 +1,4 @@
-"""Feeds the invariants with the beacons of the implementation, and makes results of what they find."""
+"""Apply the invariants to the beacons of the implementation during a run, and make case results of the findings."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ if TYPE_CHECKING:
 
 SECTION: Final = "Passive testing: every beacon of the run"
 SIDE_BY_SIDE: Final = "the cases side by side"
-"""In place of a case, where several were executed at the same time."""
-_STIMULUS: Final = "none of its own: whatever the cases of the run do"
-#: Frames that a result holds; every finding is counted, these are shown.
+"""Stands for the case if several were executed at the same time."""
+_STIMULUS: Final = "none of its own: the stimuli of the cases in the run"
+#: Maximum number of frames in a result. Findings with further frames are counted without them.
 MOST_FRAMES = 24
-#: Frames of the case so far that a finding can still cite.
+#: Number of recent frames that a finding can cite.
 _RECENT = 16
-#: The command that repeats a finding which cites no frame names the cases with the most beacons: as few as have this
-#: many beacons together, and no more than this many cases.
+#: If a finding cites no frame, the command that repeats it names the cases with the most beacons, until these have
+#: ``_ENOUGH_BEACONS`` beacons together, and at most ``_MOST_CASES`` cases.
 _ENOUGH_BEACONS, _MOST_CASES = 300, 5
 
 _BLOCKS = frozenset(
@@ -43,28 +43,30 @@ _BLOCKS = frozenset(
         "CK_VD_PAYLOAD", "CK_VD_DISTINCT", "CK_VD_SUMMARIES",
     }
 )  # fmt: skip
-"""Rules about octets of SRP and VarDis, which the tester itself hands down when it plays these client protocols."""
+"""Rules for payloads of SRP and VarDis, which the tester itself submits when it acts as one of these protocols."""
 _OF_PERIOD: Final = frozenset({"CK_BP_PERIOD", "CK_BP_JITTER"})
 _DISTURBED: Final[Mapping[str, frozenset[str]]] = {
     "BP-SetParameter": frozenset({"CK_BP_PERIOD", "CK_BP_JITTER", "CK_BP_SIZE", "CK_BP_NETWORK"}),
     "BP-MGMT-Deactivate": _OF_PERIOD,
     "VD-SetParameter": frozenset({"CK_VD_SUMMARIES"}),
 }
-"""Service -> rules that do not hold from its call to the end of the case."""
+"""Service -> rules that are suspended from its call to the end of the case."""
 
 
 class PassiveTester:
-    """Judges every beacon of the implementation by the invariants that no stimulus excuses. Bounded in memory.
+    """Judges every beacon of the implementation by the invariants in :data:`RULES`. Its memory use is bounded.
 
-    Frames of others are never given to it. It must be told of every reset and restart, since numbers start again then.
+    The caller passes only frames of the implementation to :meth:`heard`, and must call :meth:`interrupted` at every
+    reset and restart, since numbers start again then.
     """
 
     def __init__(
         self, codec: Codec, pics: Pics, parameters: Mapping[str, Any], overload: Callable[[], str] | None = None
     ) -> None:
-        """``parameters``: what the implementation has told of its own so far; later entries count, too.
+        """Prepare the rules.
 
-        ``overload`` says at the end of the run why the machine may have slowed down what it runs; None in virtual time.
+        ``parameters``: parameter values that the implementation has reported; the caller may add entries later.
+        ``overload``: returns at the end of the run why the machine was too busy for exact timing; None in virtual time.
         """
         self._codec = codec
         self._context = Context(codec, pics, restarts_known=True)
@@ -73,39 +75,39 @@ class PassiveTester:
         if overload is not None:
             self._context.overload = overload
         self._rules = [rule(self._context) for rule in RULES]
-        # Some apply once the implementation has told a parameter.
+        # MostSummaries applies as soon as the implementation has reported the parameter.
         self._active = [rule for rule in self._rules if not rule.applies() or isinstance(rule, MostSummaries)]
         self._suspended: dict[str, frozenset[str]] = {}
-        """By case: the rules that do not hold until it ends."""
+        """Case -> rules that are suspended until it ends."""
         self._side_by_side = False
         self._another_period = False
         """Whether the tester has set another beacon period than the configured one."""
         self._deal()
         self._since = -1
-        """What came until then, in ns of the lower tester's clock, belongs to what was before."""
+        """Frames up to this time (ns of the lower tester's clock) belong to the time before the last interruption."""
         self._traffic: object = None
         self._recent: deque[_Place] = deque(maxlen=_RECENT)
         self._evidence: dict[str, list[_Place]] = {}
         self._executions: Counter[str] = Counter()
-        """How often each case was executed: frames are numbered in each execution anew."""
+        """Case -> number of its executions; each one numbers its frames from 1."""
         self._beacons: Counter[str] = Counter()
-        """Beacons that were judged, by the case in which they were heard."""
+        """Case -> number of beacons judged during it."""
         self._heard_in: Counter[str] = Counter()
-        """The same; those heard while several cases were executed count for each of them."""
+        """Case -> number of beacons judged during it; those during several cases count for each of them."""
         self._beside: set[str] = set()
-        """The cases that are being executed side by side."""
+        """The cases that are being executed at the same time."""
 
     @property
     def frames(self) -> int:
         """The number of beacons that were judged."""
         return self._beacons.total()
 
-    # -- what the run tells --------------------------------------------------------------------------------------------
+    # -- events of the run ---------------------------------------------------------------------------------------------
 
     def begin(self, now: int, traffic: object, case: str = "") -> None:
-        """A case begins; ``now`` is the lower tester's clock. Frames that came before it are not judged.
+        """Announce the start of a case. ``now``: lower tester's clock in ns; earlier frames are not judged.
 
-        ``traffic`` is what the case's recording is made from: only frames that go there are judged.
+        ``traffic``: object that records the frames of the case; only frames for this object are judged.
         """
         self._traffic = traffic
         self._side_by_side = False
@@ -116,7 +118,7 @@ class PassiveTester:
         self.interrupted(now)
 
     def begin_side_by_side(self, now: int) -> None:
-        """As :meth:`begin`, for several cases at once: each is to be announced with :meth:`enter`."""
+        """Announce the start of several cases at once; announce each of them with :meth:`enter`. ``now`` in ns."""
         if self._suspended:
             self._suspended.clear()
             self._deal()
@@ -124,25 +126,25 @@ class PassiveTester:
         self.interrupted(now)
 
     def without_intervals(self) -> None:
-        """From now on do not judge the times between beacons: the link changes them."""
+        """Stop judging the intervals between beacons: the link changes them."""
         self._active = [rule for rule in self._active if rule.id not in _OF_PERIOD]
         self._deal()
 
     def enter(self, case: str) -> None:
-        """Another case begins beside those that are being executed."""
+        """Announce that a case starts while others are being executed."""
         self._executions[case] += 1
         self._beside.add(case)
 
     def leave(self, case: str) -> None:
-        """A case that was announced with :meth:`enter` has ended."""
+        """Announce the end of a case that was announced with :meth:`enter`."""
         self._beside.discard(case)
         if self._suspended.pop(case, None):
             self._deal()
 
     def interrupted(self, now: int) -> None:
-        """The implementation was, or may have been, reset or restarted: its numbers may start again.
+        """Announce that the implementation was, or may have been, reset or restarted: its numbers may start again.
 
-        What came until ``now`` is not judged any more.
+        Frames up to ``now`` (ns of the lower tester's clock) that arrive later are not judged.
         """
         self._since = max(self._since, now)
         self._recent.clear()
@@ -150,9 +152,9 @@ class PassiveTester:
             rule.interrupted()
 
     def called(self, method: str, params: Mapping[str, Any], case: str = "") -> None:
-        """A case has called a service. Rules that it disturbs are suspended until it ends.
+        """Announce the call of a service, and suspend the rules that it disturbs until the end of the case.
 
-        ``case``: where several are executed side by side, the one that has called it.
+        ``case``: the calling case, if several are executed at the same time.
         """
         if method == "BP-TransmitPayload" and params.get("protId") in (ProtocolId.SRP, ProtocolId.VARDIS):
             self._suspend(case, _BLOCKS)
@@ -160,7 +162,7 @@ class PassiveTester:
             self._suspend(case, _DISTURBED[method])
 
     def another_period(self, is_set: bool) -> None:
-        """The tester has set another beacon period than the configured one, or has restored that."""
+        """Announce that the tester has changed the configured beacon period (True) or restored it (False)."""
         self._another_period = is_set
         self._deal()
         for rule in self._active:
@@ -168,6 +170,7 @@ class PassiveTester:
                 rule.interrupted()
 
     def _suspend(self, case: str, rules: frozenset[str]) -> None:
+        """Suspend rules until the end of a case, and make them forget the previous beacons."""
         self._suspended[case] = self._suspended.get(case, frozenset()) | rules
         self._deal()
         for rule in self._active:
@@ -175,7 +178,7 @@ class PassiveTester:
                 rule.interrupted()
 
     def _deal(self) -> None:
-        """Sort the rules that are not suspended by what they look at."""
+        """Sort the rules that are not suspended by the beacons that they need."""
         suspended = frozenset().union(*self._suspended.values())
         if self._another_period:
             suspended |= _OF_PERIOD
@@ -185,7 +188,11 @@ class PassiveTester:
         self._fed = [rule for rule in fed if rule.id not in OF_REPORTS | OF_INSTRUCTIONS]
 
     def heard(self, heard: ReceivedBeacon, frame: bytes, start: int, case: str, traffic: object) -> None:
-        """A frame of the implementation; ``heard.number`` is its number in the recording of ``case``."""
+        """Judge a frame of the implementation.
+
+        ``heard.number``: its number in the recording of ``case``. ``start``: offset of the bearer payload in ``frame``,
+        in octets. ``traffic``: object that records the frame.
+        """
         if heard.time <= self._since or not (self._side_by_side or traffic is self._traffic):
             return
         self._beacons[case] += 1
@@ -202,7 +209,7 @@ class PassiveTester:
                 rule.feed(seen)
 
     def _cite(self, rule: str, mark: Mark) -> Mark | None:
-        """Keep the frame for the evidence of a rule, where frames have numbers of their own."""
+        """Keep a frame as evidence of a rule; return the mark with its number there, or None if it cannot be kept."""
         place = next((each for each in self._recent if each.heard.number == mark.frame), None)
         kept = self._evidence.setdefault(rule, [])
         if place is None or (place not in kept and len(kept) >= MOST_FRAMES):
@@ -211,20 +218,21 @@ class PassiveTester:
             kept.append(place)
         return msgspec.structs.replace(mark, frame=kept.index(place) + 1)
 
-    # -- what came of it -----------------------------------------------------------------------------------------------
+    # -- results -------------------------------------------------------------------------------------------------------
 
     def results(self, rerun: str, options: Mapping[str, Sequence[str]] | None = None) -> tuple[CaseResult, ...]:
-        """A result for each invariant; ``rerun`` is the command of the run, without cases. Call once, at the end.
+        """Return a result for each invariant; call once, at the end of the run.
 
-        ``options``: further options by the identifier of the case that needs them to be known. An invariant that holds
-        decides no requirement: that a fault never showed is less than a case demands.
+        ``rerun``: the command of the run, without cases. ``options``: case identifier -> further options that define
+        the case. An invariant without a finding decides no requirement, since a test case demands more than the absence
+        of a fault.
         """
         for rule in self._active:
             rule.finish()
         return tuple(self._result(rule, rerun, options or {}) for rule in self._rules)
 
     def _cases_again(self, cited: str | None) -> list[str]:
-        """The cases to repeat for a finding: the one that it cites, or else those in which most beacons were heard."""
+        """Return the cases that repeat a finding: the one that it cites, or else those with the most beacons."""
         if cited is not None and cited != SIDE_BY_SIDE:
             return [cited]
         chosen: list[str] = []
@@ -234,10 +242,11 @@ class PassiveTester:
                 break
             chosen.append(case)
             beacons += count
-        # The sanity case is run in any case.
+        # Every run includes the sanity case.
         return [case for case in chosen if case != SANITY] or chosen
 
     def _result(self, rule: Invariant, rerun: str, options: Mapping[str, Sequence[str]]) -> CaseResult:
+        """Return the case result of one invariant."""
         kept = self._evidence.get(rule.id, [])
         checks = [
             Check(
@@ -254,7 +263,7 @@ class PassiveTester:
         if not checks:
             holds = bool(occasions)
             text = (
-                f"{rule.expect} (looked at {occasions} times)" if holds else rule.applies() or "no occasion in this run"
+                f"{rule.expect} (checked {occasions} times)" if holds else rule.applies() or "no occasion in this run"
             )
             checks.append(Check(Verdict.PASS if holds else Verdict.NOT_APPLICABLE, (), text))
         verdict = worst(check.verdict for check in checks) or Verdict.NOT_APPLICABLE
@@ -276,41 +285,42 @@ class PassiveTester:
             checks=tuple(checks),
             evidence=tuple(each.event(number, self._where(each)) for number, each in enumerate(kept, 1)),
             left_out=rule.left_out,
-            # What holds is no case beside the others; what does not is a finding.
+            # Only failures count in the summary: an invariant without a finding is not an executed test case.
             counted=verdict is Verdict.FAIL,
             rerun=f"{rerun} {shlex.join(again)}" if again else rerun,
         )
 
     def _where(self, place: _Place) -> str:
-        """Where a frame was heard, in words."""
+        """Return the text that says in which case a frame was heard."""
         case = place.case
         if self._executions[case] > 1:
             case = f"execution {place.execution} of {case}"
         return f"frame {place.heard.number} of {case}"
 
     def _with_places(self, observed: str, marks: Iterable[Mark], kept: list[_Place]) -> str:
+        """Append the places of the cited frames to the text of a finding."""
         places = [self._where(kept[number - 1]) for number in dict.fromkeys(mark.frame for mark in marks)]
         return f"{observed}; {', '.join(places)}" if places else observed
 
 
 class _Place(NamedTuple):
-    """A frame, and where in the run it was heard."""
+    """A frame, and the case during which it was heard."""
 
     case: str
     execution: int
-    """Of the case: the first is 1."""
+    """Number of the case's execution, from 1."""
     heard: ReceivedBeacon
     frame: bytes
     start: int
 
     def event(self, number: int, text: str) -> EventRecord:
-        """As evidence, where it has another number."""
+        """Return the frame as evidence with the given number and text."""
         who = (self.heard.sender or self.heard.source).hex(":")
         return EventRecord(self.heard.wall, "heard", who, number, text, self.frame.hex(), self.start)
 
 
 def cases() -> tuple[Case, ...]:
-    """The invariants as cases, for files of expected results and for exclusion. They are never run as such."""
+    """Return the invariants as cases, for files of expected results and for exclusion. Nothing executes them."""
     return tuple(
         Case(
             id=rule.id,
@@ -329,11 +339,12 @@ def cases() -> tuple[Case, ...]:
 
 
 def _never(_bench: Bench) -> None:
-    raise AssertionError("an invariant is no case to run")
+    """Refuse execution."""
+    raise AssertionError("an invariant cannot be executed as a case")
 
 
 def joined(results: Iterable[CaseResult]) -> list[CaseResult]:
-    """One result for each invariant, of several passive testers: with nodes side by side each has its own."""
+    """Merge the results of several passive testers (one for each node of a run) into one result for each invariant."""
     found: dict[str, CaseResult] = {}
     for each in results:
         before = found.get(each.id)
@@ -342,6 +353,7 @@ def joined(results: Iterable[CaseResult]) -> list[CaseResult]:
 
 
 def _both(first: CaseResult, second: CaseResult) -> CaseResult:
+    """Merge two results of one invariant: the worse one, or both together if both fail."""
     if Verdict.FAIL not in (first.verdict, second.verdict) or first.verdict is not second.verdict:
         return max(second, first, key=lambda result: result.verdict.rank)
     behind = len(first.evidence)

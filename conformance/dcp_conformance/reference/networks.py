@@ -20,7 +20,7 @@ from dcp_codec.capture.frame import Frame
 from dcp_codec.codec import Codec
 from dcp_stack.config import BPConfig, NodeConfig, SRPConfig, VardisConfig
 from dcp_stack.control.client import ServiceError
-from dcp_stack.links.memory import Quality
+from dcp_stack.links.quality import Quality
 from dcp_stack.links.topology import Full, Grid, Line, Neighbours, Topology
 from dcp_stack.node import Node
 from dcp_stack.sim.virtual.network import Network, node_id

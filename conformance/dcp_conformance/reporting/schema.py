@@ -10,6 +10,7 @@ from typing import Any
 
 import msgspec
 
+from dcp_codec.common.schemas import schema_components
 from dcp_conformance.model.results import SCHEMA, RunResult
 
 PATH = Path(__file__).resolve().parent.parent / "data" / "results.schema.json"
@@ -20,7 +21,7 @@ def results_schema() -> dict[str, Any]:
 
     A later release may add members without a new schema version; readers must ignore unknown members.
     """
-    (reference,), definitions = msgspec.json.schema_components([RunResult], ref_template="#/$defs/{name}")
+    (reference,), definitions = schema_components([RunResult])
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "$id": f"urn:{SCHEMA.replace('/', ':')}",

@@ -1,1 +1,1 @@
-"""Test the tester: mutants that cases must detect, and permitted variants that no case may fail."""
+"""Tests of the test suite: mutants that cases must detect, and permitted variants that no case may fail."""

@@ -1,6 +1,6 @@
-"""``docs/selftest.md``: a document of sections, each of which one command writes and all others leave alone.
+"""The sections of ``docs/selftest.md``. Each section is written by one command and kept by all others.
 
-A section stands between two lines that are comments in Markdown::
+A section is enclosed by two lines that are comments in Markdown::
 
     <!-- section: mutants -->
     ...
@@ -15,31 +15,31 @@ from typing import Final
 from dcp_codec.common.atomic_write import write_whole
 
 SECTIONS: Final = ("mutants", "generated", "variants")
-"""The names of sections in the order in which they stand in a document."""
+"""The names of sections in the order of the document."""
 _PREFACE: Final = (
-    "# Who tests the tester\n\nMade by `make selftest-doc`; do not edit. Each section says which command makes it.\n"
+    "# Tests of the test suite\n\nMade by `make selftest-doc`; do not edit. Each section names its own command.\n"
 )
 
 
 class DocumentError(ValueError):
-    """The markers of a document do not match, so that no section can be replaced without losing text."""
+    """The markers of a document do not match: replacing a section could delete other text."""
 
 
 def write_section(path: Path, name: str, text: str) -> None:
-    """Put ``text`` into the section ``name`` of the document at ``path``; a document that is missing is made.
+    """Replace the section ``name`` of the document at ``path`` with ``text``; create a missing document.
 
-    ``name`` is one of :data:`SECTIONS`. Raises :class:`DocumentError`, and OSError if the file cannot be read or
-    written.
+    ``name`` is one of :data:`SECTIONS`. Raise :class:`DocumentError` for markers that do not match, and OSError if the
+    file cannot be read or written.
     """
     document = path.read_text(encoding="utf-8") if path.exists() else ""
     write_whole(path, with_section(document, name, text).encode())
 
 
 def with_section(document: str, name: str, text: str) -> str:
-    """The document with ``text`` as its section ``name``, in place of the one that it has.
+    """Return the document with ``text`` as its section ``name``, instead of the section that it has.
 
-    A section that the document lacks comes after those that precede it in :data:`SECTIONS`. Text outside of sections
-    stays as it is. Raises :class:`DocumentError`.
+    A new section is inserted after the sections that precede it in :data:`SECTIONS`. Text outside of sections is kept.
+    Raise :class:`DocumentError` for markers that do not match.
     """
     if name not in SECTIONS:
         raise ValueError(f"no section is called {name!r}: {', '.join(SECTIONS)}")
@@ -52,7 +52,7 @@ def with_section(document: str, name: str, text: str) -> str:
 
 
 def section_of(document: str, name: str) -> str:
-    """The text of the section ``name``, empty if there is none. Raises :class:`DocumentError`."""
+    """Return the text of the section ``name``; empty if the document does not have it. Raise :class:`DocumentError`."""
     place = _place(document, name)
     if place is None:
         return ""
@@ -68,7 +68,7 @@ def _end(name: str) -> str:
 
 
 def _place(document: str, name: str) -> tuple[int, int] | None:
-    """Where the section begins and ends, its markers and the end of their line included."""
+    """Return the start and end of a section with its markers, as offsets in the text; None without the section."""
     begin, end = (document.count(f"{mark(name)}\n") for mark in (_begin, _end))
     if (begin, end) == (0, 0):
         return None
@@ -80,7 +80,7 @@ def _place(document: str, name: str) -> tuple[int, int] | None:
 
 
 def _after_predecessors(document: str, name: str) -> int:
-    """Where a new section belongs: after the last one that precedes it, before the first one that follows it."""
+    """Return the offset for a new section: after the last section that precedes it, before the first that follows."""
     position = SECTIONS.index(name)
     before = [place[1] for each in SECTIONS[:position] if (place := _place(document, each))]
     after = [place[0] for each in SECTIONS[position + 1 :] if (place := _place(document, each))]

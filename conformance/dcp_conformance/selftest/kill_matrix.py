@@ -1,4 +1,4 @@
-"""The kill matrix as Markdown: which mutants the suite notices, by which cases, and what else fails then."""
+"""The kill matrix as Markdown: the mutants, the cases that detect each of them, and the other cases that fail."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _PROTOCOLS = {"DATA": "Data types", "UWB": "Bearer", "BP": "BP", "SRP": "SRP", "
 
 
 def markdown(result: SelftestResult) -> str:
-    """The section ``mutants`` of the document; the same for the same suite and mutants, whenever it is made."""
+    """Return the section ``mutants`` of the document; it depends on the suite and the mutants only."""
     there = {trial.mutant for trial in result.mutants}
     killed = len(there) - len({trial.mutant for trial in result.survivors})
     lines = [
@@ -24,17 +24,17 @@ def markdown(result: SelftestResult) -> str:
         "",
         "Made by `dcp-conformance selftest --document docs/selftest.md`.",
         "",
-        "The suite runs against our node as it is, which must pass, and against *mutants*: the same node with one",
-        "small fault each (`dcp_conformance.selftest.mutants`). A mutant is killed by a case that fails with a",
-        "check that names the requirement which the mutant violates: of so many cases that name it, so many do.",
-        "Cases that fail with checks that name only other requirements are counted as *also*; they follow from the",
-        "fault, too, but do not point at it.",
+        "The suite runs against the reference node, which must pass, and against *mutants*: the same node with one",
+        "small fault each (`conformance/dcp_conformance/selftest/mutants/`). A case kills a mutant if one of its",
+        "failed checks names a requirement that the mutant violates. `4 of 7` means that 7 cases name such a",
+        "requirement and that 4 cases and passive rules kill the mutant. The column *also* counts the cases whose",
+        "failed checks name other requirements only: these are consequences of the fault, but do not identify it.",
         "",
         f"{killed} of {len(there)} mutants are killed by a case that names the violated requirement, on each version",
-        "that has it. Cases are counted on the newest of them. A version in brackets is one on which a mutant is not",
-        "tried, because it is no fault there or cannot be seen; the mutant says why.",
+        "that has it. Cases are counted on the newest of them. A mutant is not tried on the versions in brackets,",
+        "because it is permitted or cannot be observed there; its source states the reason.",
         "",
-        "### The node as it is",
+        "### The reference node",
         "",
         "| profile | cases | neither pass, info nor not applicable |",
         "|---|---:|---|",
@@ -70,7 +70,7 @@ def _table(trials: Sequence[Trial], result: SelftestResult) -> Iterator[str]:
 
 def _killers(tried: Sequence[Trial], *, counted: bool) -> str:
     if alive := [each.profile for each in tried if not each.killed]:
-        return f"**nobody** on {', '.join(alive)}"
+        return f"**no case** on {', '.join(alive)}"
     trial = tried[0]
     number = f"{len(trial.killers)} of {trial.candidates}: " if counted else ""
     return number + _names(trial.killers)

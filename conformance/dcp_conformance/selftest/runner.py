@@ -1,9 +1,8 @@
-"""Who tests the tester: the suite against our node, which must pass, and against mutants of it, which must not.
+"""Run the suite against the reference node, which must pass, and against mutants of it, which must fail.
 
-A mutant is *killed* by a case that fails with a check that names the requirement which the mutant violates. A case that
-fails with checks that only name other requirements is listed beside it (``also``): that may follow from the fault, but
-it would have sent whoever reads the report to the wrong place. A case that ends with ``error`` is the tester's own
-fault, whatever the implementation did.
+A case *kills* a mutant if a failed check names a requirement that the mutant violates. A case whose failed checks name
+other requirements only is listed separately (``also``): its failure is a consequence of the fault, but its report would
+point the user to the wrong requirement. The verdict ``error`` is always a fault of the tester.
 """
 
 from __future__ import annotations
@@ -42,27 +41,27 @@ from .mutants import Mutant, all_mutants
 
 SCHEMA: Final = "dcp-conformance-selftest/1"
 PROFILES: Final = ("dcp-1.0", "dcp-1.1", "dcp-1.2", "dcp-1.3", "dcp-2.0", "cpp-1.2", "cpp-1.3", "cpp-2.0")
-"""Profiles on which our node must pass: every version, and the layouts of the public C++ implementation."""
+"""Profiles on which the reference node must pass: every version, and the layouts of the public C++ implementation."""
 _FINE: Final = frozenset({Verdict.PASS, Verdict.INFO, Verdict.NOT_APPLICABLE})
 
 
 class Finding(msgspec.Struct, frozen=True, omit_defaults=True):
-    """A case that came out as it does with our node as it is, or does not."""
+    """The outcome of one case in a trial or a baseline."""
 
     case: str
     verdict: Verdict
     requirements: tuple[str, ...] = ()
-    """Those that failed checks name."""
+    """The requirements that failed checks name."""
     reason: str = ""
 
 
 class Baseline(msgspec.Struct, frozen=True):
-    """The suite against our node as it is, on one profile."""
+    """The outcome of the suite for the reference node on one profile."""
 
     profile: str
     cases: int
     findings: tuple[Finding, ...]
-    """What is neither pass, info nor not applicable: there should be none."""
+    """Cases whose verdict is neither pass, info nor not applicable; empty if the node passes."""
     seconds: float
 
     @property
@@ -72,7 +71,7 @@ class Baseline(msgspec.Struct, frozen=True):
 
 
 class Trial(msgspec.Struct, frozen=True):
-    """A mutant, and what the suite said of it."""
+    """The outcome of the suite for one mutant on one profile."""
 
     mutant: str
     requirements: tuple[str, ...]
@@ -81,23 +80,23 @@ class Trial(msgspec.Struct, frozen=True):
     candidates: int
     """Cases that name a requirement of the mutant and apply to the profile."""
     cases: int
-    """Cases that were run."""
+    """Cases that were executed."""
     killers: tuple[Finding, ...]
-    """Cases that failed and name the requirement in a failed check; only the first one unless all were run."""
+    """Cases with a failed check that names a violated requirement; only the first one unless all were executed."""
     also: tuple[Finding, ...]
-    """Cases that failed and name other requirements."""
+    """Cases whose failed checks name other requirements only."""
     errors: tuple[Finding, ...]
-    """Cases in which the tester stumbled."""
+    """Cases with the verdict ``error``."""
     seconds: float
 
     @property
     def killed(self) -> bool:
-        """Whether a case that names the violated requirement noticed."""
+        """Whether a failed check names a violated requirement."""
         return bool(self.killers)
 
 
 class SelftestResult(msgspec.Struct, frozen=True, kw_only=True):
-    """What ``selftest.json`` holds."""
+    """The content of ``selftest.json``."""
 
     schema: str = SCHEMA
     tool: str = f"dcp-conformance {__version__}"
@@ -106,25 +105,25 @@ class SelftestResult(msgspec.Struct, frozen=True, kw_only=True):
     duration: float = 0.0
     """Seconds."""
     full: bool = False
-    """Whether every mutant met every case, on its newest version or on the profiles that were asked for."""
+    """Whether all cases were executed against each mutant, on its newest version or on the selected profiles."""
     every: bool = False
-    """Whether every mutant met all cases that name its requirement, likewise; otherwise those until one killed it."""
+    """Whether all cases that name a requirement of a mutant were executed; otherwise only up to the first killer."""
     baselines: tuple[Baseline, ...] = ()
     mutants: tuple[Trial, ...] = ()
 
     @property
     def survivors(self) -> tuple[Trial, ...]:
-        """Mutants that no case noticed which names the requirement, each on the version where that is so."""
+        """The trials, one for each mutant and profile, in which no case killed the mutant."""
         return tuple(each for each in self.mutants if not each.killed)
 
     @property
     def stumbled(self) -> bool:
-        """Whether a case ended in an error of the tester."""
+        """Whether a case has the verdict ``error``."""
         findings = [each for baseline in self.baselines for each in baseline.findings]
         return any(trial.errors for trial in self.mutants) or any(each.verdict is Verdict.ERROR for each in findings)
 
     def exit_status(self) -> int:
-        """0: our node passes and every mutant is killed; 1: not so; 4: the tester stumbled."""
+        """Return 0 if the reference node passes and every mutant is killed, 4 after an error of the tester, else 1."""
         if self.stumbled:
             return 4
         return 1 if self.survivors or not all(each.good for each in self.baselines) else 0
@@ -132,7 +131,7 @@ class SelftestResult(msgspec.Struct, frozen=True, kw_only=True):
 
 @cache
 def cases() -> tuple[Case, ...]:
-    """All cases, in the order in which they are run."""
+    """Return all cases in the order of execution."""
     return tuple(ordered(all_cases().values()))
 
 
@@ -151,7 +150,7 @@ def _codec(profile: str) -> Codec:
 
 
 class Suite:
-    """Our node, as it is or as a mutant, on one profile, with the cases one after the other."""
+    """The suite with one node in the process, the reference node or a mutant, on one profile."""
 
     def __init__(self, profile: str, make: MakeNode = plain_node) -> None:
         codec = _codec(profile)
@@ -162,7 +161,10 @@ class Suite:
         self._begun = False
 
     def run(self, cases: Iterable[Case]) -> Iterator[CaseResult]:
-        """The results of ``cases``, after that of the sanity case, as in a run; a node that died is started again."""
+        """Execute ``cases`` in succession and yield their results, that of the sanity case first.
+
+        The node is restarted after a crash. A result is yielded again if a later case revises it.
+        """
         for case in cases:
             if not self._begun and case.id != SANITY:
                 yield self._runner.run(_sanity())
@@ -173,7 +175,7 @@ class Suite:
         yield from self._runner.take_revised()
 
     def run_side_by_side(self, cases: Sequence[Case], width: int) -> list[CaseResult]:
-        """As :meth:`run`, with at most ``width`` cases at a time."""
+        """Return the results of :meth:`run`, but execute up to ``width`` cases concurrently."""
         passed: dict[str, CaseResult] = {}
         first = self._runner.run(_sanity())
         self._begun = True
@@ -182,14 +184,14 @@ class Suite:
         return [first, *passed.values(), *self.run(left)]
 
     def passive(self) -> Iterator[CaseResult]:
-        """The invariants that did not hold while the cases were run."""
+        """Yield the results of the passive rules that failed during the cases."""
         for result in self._runner.session.passive.results("dcp-conformance run"):
             if result.verdict is Verdict.FAIL:
                 yield result
 
 
 def baseline(profile: str) -> Baseline:
-    """Run everything against our node as it is."""
+    """Execute all cases and passive rules against the reference node."""
     begun = time.monotonic()
     suite = Suite(profile)
     results = list(suite.run(cases()))
@@ -202,7 +204,10 @@ def baseline(profile: str) -> Baseline:
 
 
 def is_declared(result: CaseResult, profile: Profile) -> bool:
-    """Whether a result says no more than what the profile itself declares, with a PICS that is silent."""
+    """Return whether the failed checks of a result are exactly the violations that the profile itself declares.
+
+    The PICS is assumed to be empty.
+    """
     failed = {each for check in result.checks if check.verdict is Verdict.FAIL for each in check.requirements}
     declared = {DECLARED: declared_by(profile), DENIED: denied_by(Capabilities(), profile)}.get(result.id)
     return bool(declared) and failed == set(declared or ())
@@ -211,10 +216,10 @@ def is_declared(result: CaseResult, profile: Profile) -> bool:
 def trials(
     mutant: Mutant, profiles: Sequence[str] | None = None, *, full: bool = False, every: bool = False
 ) -> list[Trial]:
-    """Try ``mutant`` on each of ``profiles``, by default on one profile for each version that it is tried on.
+    """Try ``mutant`` on each of ``profiles``, by default on ``mutant.profiles`` (one for each version that it affects).
 
-    By default, ``full`` and ``every`` (as for :func:`trial`) hold for the newest version only. The case that killed it
-    on one version is the first one on the next, where it mostly does so as well.
+    ``full`` and ``every`` are those of :func:`trial`; without ``profiles`` they apply to the newest version only. The
+    case that killed the mutant on one profile is executed first on the next, because it usually kills it there, too.
     """
     found: list[Trial] = []
     first = ""
@@ -228,10 +233,10 @@ def trials(
 def trial(
     mutant: Mutant, *, profile: str | None = None, full: bool = False, every: bool = False, first: str = ""
 ) -> Trial:
-    """Run the cases that name a requirement of ``mutant`` until one kills it.
+    """Execute the cases that name a requirement of ``mutant`` until one kills it.
 
-    ``every``: all of these cases; ``full``: the whole suite. ``profile`` is by default the mutant's own. ``first``:
-    the case to begin with, if the others need not be run.
+    ``every`` executes all of these cases, ``full`` the whole suite. ``profile`` defaults to ``mutant.profile``.
+    ``first`` is the identifier of the case to begin with; ``full`` and ``every`` ignore it.
     """
     begun = time.monotonic()
     name = profile or mutant.profile
@@ -245,7 +250,7 @@ def trial(
     try:
         suite = Suite(name, mutant.make)
     except ConformanceError as error:
-        # It cannot even be talked to; a run would end here, with this message.
+        # The suite could not be prepared with this node; a run would end here with this message.
         return Trial(
             mutant.id, mutant.requirements, mutant.what, name, len(named), 0, (), (),
             (Finding("", Verdict.ERROR, reason=str(error)),), round(time.monotonic() - begun, 3),
@@ -279,16 +284,16 @@ def trial(
 
 
 def finding_of(result: CaseResult) -> Finding:
-    """A result in short, with the requirements that its failed checks name."""
+    """Return the summary of a result, with the requirements that its failed checks name."""
     failed = [check for check in result.checks if check.verdict is Verdict.FAIL]
     named = dict.fromkeys(each for check in failed for each in check.requirements)
     return Finding(result.id, result.verdict, tuple(named), result.reason)
 
 
 def chosen(patterns: Sequence[str]) -> list[Mutant]:
-    """The mutants that identifiers, requirements or globs of either mean; all without any.
+    """Return the mutants that match identifiers, requirements or globs of either; all mutants without a pattern.
 
-    Raises :class:`UsageError` for a pattern that means none.
+    Raise :class:`UsageError` for a pattern that matches no mutant.
     """
     mutants = list(_mutants().values())
     if not patterns:
@@ -297,9 +302,7 @@ def chosen(patterns: Sequence[str]) -> list[Mutant]:
     for pattern in patterns:
         meant = [each.id for each in mutants if any(fnmatchcase(name, pattern) for name in (each.id, each.requirement))]
         if not meant:
-            raise UsageError(
-                f"no mutant is called {pattern!r}; 'dcp-conformance selftest --list' shows those there are"
-            )
+            raise UsageError(f"no mutant is called {pattern!r}; 'dcp-conformance selftest --list' shows the mutants")
         found.update(dict.fromkeys(meant))
     return [each for each in mutants if each.id in found]
 
@@ -309,7 +312,7 @@ def _baseline_task(profile: str) -> Baseline:
 
 
 def _trials_task(mutant: str, profiles: tuple[str, ...] | None, full: bool, every: bool) -> list[Trial]:
-    # A mutant may fail in a service: that is an answer, and nobody needs to read its traceback.
+    # Services of a mutant may fail by intention: do not log their tracebacks.
     logging.getLogger("dcp_stack.control.server").setLevel(logging.CRITICAL)
     return trials(_mutants()[mutant], profiles, full=full, every=every)
 
@@ -327,10 +330,12 @@ def selftest(
     on_start: Callable[[int], None] | None = None,
     on_result: Progress | None = None,
 ) -> SelftestResult:
-    """Our node as it is, then each of ``mutants``. Raises :class:`UsageError` for a profile that there is not.
+    """Run the suite against the reference node, then against each of ``mutants``.
 
-    ``profiles``: instead of those in :data:`PROFILES` for the node and one for each version for each mutant; a mutant
-    is tried on those of them in whose version it is a fault. ``jobs``: processes, by default one for each processor.
+    ``profiles`` replaces :data:`PROFILES` for the reference node, and the default profiles of the mutants; a mutant is
+    tried on those of them in whose version it is a fault. ``full`` and ``every`` are those of :func:`trial`. ``jobs``
+    is the number of processes, by default one for each processor. ``on_start`` is called with the number of expected
+    results, and ``on_result`` with each result. Raise :class:`UsageError` for an unknown profile.
     """
     for name in profiles:
         try:
@@ -344,7 +349,7 @@ def selftest(
     wanted = {each: names for each, names in wanted.items() if names}
     if on_start is not None:
         on_start(len(profiles or PROFILES) + sum(map(len, wanted.values())))
-    # Before the processes are forked, so that each of them has it.
+    # Load the cases and mutants before the processes are forked: all of them share these.
     cases(), _mutants()
     with process_pool(jobs or os.cpu_count() or 1) as pool:
         waiting = [pool.submit(_baseline_task, profile) for profile in profiles or PROFILES]
@@ -372,7 +377,7 @@ def selftest(
 
 
 def _profiles(mutant: Mutant, profiles: Sequence[str]) -> tuple[str, ...]:
-    """Those of ``profiles`` on which a mutant is tried; by default one for each version."""
+    """Return the profiles on which a mutant is tried: of ``profiles``, or by default one for each version."""
     if not profiles:
         return mutant.profiles
     return tuple(each for each in profiles if mutant.exists_in(_codec(each).profile.spec_version))
@@ -380,10 +385,10 @@ def _profiles(mutant: Mutant, profiles: Sequence[str]) -> tuple[str, ...]:
 
 @contextmanager
 def process_pool(jobs: int) -> Iterator[ProcessPoolExecutor]:
-    """So many processes; at the end, what has not begun is dropped."""
+    """Provide a pool of ``jobs`` processes; on exit, cancel the tasks that have not started."""
     pool = ProcessPoolExecutor(jobs)
     try:
         yield pool
     finally:
-        # What has not begun is not begun any more: on Ctrl-C nobody waits for the rest.
+        # On Ctrl-C, do not wait for tasks that have not started.
         pool.shutdown(cancel_futures=True)

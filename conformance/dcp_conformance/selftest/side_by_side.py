@@ -1,4 +1,4 @@
-"""Compare the verdicts of cases that are executed side by side with those of the same cases one after the other."""
+"""Compare the verdicts of concurrently executed cases with the verdicts of the same cases in succession."""
 
 from __future__ import annotations
 
@@ -18,58 +18,60 @@ from dcp_conformance.model.verdict import Verdict
 from .mutants import Mutant, all_mutants
 from .runner import PROFILES, Suite, cases, process_pool
 
-#: Cases that are executed beside those that name a requirement of the mutant.
+#: Number of further cases that are executed concurrently with the cases that name a requirement of the mutant.
 COMPANIONS: Final = 40
 
 
 class Difference(msgspec.Struct, frozen=True):
-    """A case with another verdict side by side."""
+    """A case whose verdict differs when it is executed concurrently with others."""
 
     mutant: str
     profile: str
     case: str
     alone: str
-    """Its verdict, and the reason, with one case after the other."""
+    """Verdict and reason with the cases in succession; ``none`` without a result."""
     side_by_side: str
+    """Verdict and reason with concurrent cases."""
 
     def __str__(self) -> str:
         return f"{self.mutant} ({self.profile}): {self.case}: alone {self.alone}; side by side {self.side_by_side}"
 
 
 class Comparison(msgspec.Struct, frozen=True):
-    """The outcome for one mutant on one profile; without a mutant, for our node."""
+    """The outcome for one mutant, or for the reference node, on one profile."""
 
     mutant: str
     profile: str
     differences: tuple[Difference, ...]
     killed: tuple[bool, bool]
-    """Whether a case that names its requirement failed: alone, and side by side."""
+    """Whether a case that names a requirement of the mutant failed: in succession, and concurrently."""
     our_node: bool = False
+    """Whether the comparison is that of the reference node, without a mutant."""
 
     @property
     def survives(self) -> bool:
-        """Whether the mutant is noticed with one case after the other only."""
+        """Whether the mutant is detected only by cases in succession."""
         return self.killed == (True, False)
 
 
 class Comparisons(msgspec.Struct, frozen=True):
-    """What ``side-by-side.json`` holds."""
+    """The content of ``side-by-side.json``."""
 
     comparisons: tuple[Comparison, ...]
 
     def summary(self) -> str:
-        """The numbers, in one line."""
+        """Return the numbers of comparisons and of different verdicts in one line."""
         mutants = [each for each in self.comparisons if not each.our_node]
         different = [each for each in mutants if each.differences]
         ours = [each for each in self.comparisons if each.our_node]
         return (
-            f"our node on {len(ours)} profiles: {sum(len(each.differences) for each in ours)} verdicts differ; "
-            f"{len(mutants)} mutants: {sum(each.survives for each in mutants)} noticed with one case after the other "
-            f"only, {sum(len(each.differences) for each in mutants)} verdicts differ, of {len(different)} mutants"
+            f"reference node on {len(ours)} profiles: {sum(len(each.differences) for each in ours)} verdicts differ; "
+            f"{len(mutants)} mutants: {sum(each.survives for each in mutants)} detected by cases in succession only, "
+            f"{sum(len(each.differences) for each in mutants)} verdicts differ, of {len(different)} mutants"
         )
 
     def exit_status(self) -> int:
-        """0: the same verdicts for our node, and the same mutants are noticed; 1: not so."""
+        """Return 0 if the reference node gets the same verdicts and the same mutants are detected, otherwise 1."""
         ours = any(each.our_node and each.differences for each in self.comparisons)
         return 1 if ours or any(each.survives for each in self.comparisons) else 0
 
@@ -83,9 +85,11 @@ def compare(
     seed: int = 1,
     width: int = WIDTH,
 ) -> Comparison:
-    """Execute cases against a mutant (or our node) both ways, and compare the verdicts.
+    """Execute cases against a mutant in succession and concurrently, and compare the verdicts.
 
-    With a mutant: the cases that name one of its requirements, and ``companions`` others, drawn with ``seed``.
+    With a mutant, the cases that name one of its requirements are executed, and ``companions`` others, drawn with
+    ``seed``. Without a mutant, all cases of ``suite`` are executed against the reference node. ``width`` is the number
+    of concurrent cases.
     """
     rng = random.Random(f"{seed} {mutant.id if mutant else ''}")  # noqa: S311 - a draw of cases, no secret
     chosen = list(suite)
@@ -116,9 +120,10 @@ def compare_all(
     on_start: Callable[[int], None] = lambda _: None,
     on_result: Callable[[Comparison], None] = lambda _: None,
 ) -> Comparisons:
-    """Compare our node on ``profiles`` (by default one for each version), and each mutant on its newest version.
+    """Compare the reference node on ``profiles`` (default: ``PROFILES``), and each mutant on its newest version.
 
-    ``jobs``: processes, by default one for each processor. ``on_start`` gets the number of comparisons.
+    ``jobs`` is the number of processes, by default one for each processor. ``on_start`` is called with the number of
+    comparisons, and ``on_result`` with each comparison when it is complete.
     """
     tasks = [("", name) for name in profiles or PROFILES]
     tasks += [(each.id, each.profile) for each in mutants]
@@ -148,7 +153,7 @@ def _killed(mutant: Mutant | None, results: Mapping[str, CaseResult]) -> bool:
 
 
 def _verdicts(results: Iterable[CaseResult]) -> dict[str, CaseResult]:
-    """The last result of each case, which is the one that counts."""
+    """Return the last result of each case by identifier: a later result revises an earlier one."""
     return {result.id: result for result in results}
 
 

@@ -1,4 +1,4 @@
-"""The smoke plan: the cases that notice most known faults per second."""
+"""Selection of the smoke plan: the cases that detect the most known faults per second."""
 
 from __future__ import annotations
 
@@ -14,27 +14,28 @@ from dcp_conformance.model.verdict import Verdict
 
 from .runner import Suite, cases
 
-#: The version whose cases are measured.
+#: The profile on which the durations of cases are measured.
 PROFILE: Final = "dcp-2.0"
-#: Seconds that the plan may take by the cost of its cases: for those without an upper tester, and for all.
+#: Upper bounds of the cost of the plan, in seconds: for its cases that need no upper tester, and for all its cases.
 BUDGET: Final = (3.5, 9.0)
-#: Cases side by side that the costs assume. Fewer than are executed: waves of cases end one by one.
+#: Number of concurrent cases that the costs assume. It is less than the width of the executor, because cases that start
+#: together do not end together.
 _BESIDE: Final = 8
-#: Seconds of the longest case: whatever runs beside it, the plan takes as long.
+#: Duration in seconds of the longest case that may be chosen: the plan takes at least as long as its longest case.
 _LONGEST: Final = 2.0
 
 
 def cost(case: Case, seconds: Mapping[str, float]) -> float:
-    """Seconds by which a case makes the plan longer."""
+    """Return the seconds by which a case extends the plan."""
     return max(seconds[case.id], 0.05) / (1 if why_alone(case) else _BESIDE)
 
 
 def choose(candidates: Iterable[Case], seconds: Mapping[str, float], dictionary: Dictionary) -> dict[str, int]:
-    """Choose cases greedily: always the one that notices most further faults for its cost, until the budget is spent.
+    """Choose cases greedily: the case that detects the most further faults for its cost, until the budget is spent.
 
-    First from those that need no upper tester, then from all, so that the plan is useful for every implementation.
-    ``seconds``: how long cases take; others are not chosen. Returns the cases in this order, each with the number of
-    faults that no earlier one notices.
+    Cases that need no upper tester are chosen first, so that the plan is useful for every implementation. ``seconds``
+    has the durations of cases by identifier; cases without a duration are not chosen. Return the identifiers in the
+    order of their choice, each with the number of faults that no earlier case detects.
     """
     able = [case for case in candidates if _is_able(case, seconds)]
     fails = {case.id: {fault.id for fault in dictionary.faults if case.id in fault.fails} for case in able}
@@ -63,7 +64,7 @@ def _best(
     seconds: Mapping[str, float],
     left: float,
 ) -> Case | None:
-    """The affordable case with most further faults for its cost; None if there is none."""
+    """Return the case of cost ``left`` or less with the most further faults for its cost; None if no case has any."""
     worth = {
         case.id: (len(fails[case.id].difference(noticed)) / cost(case, seconds), case)
         for case in candidates
@@ -74,7 +75,7 @@ def _best(
 
 
 def make(on_result: Callable[[CaseResult], None] = lambda _: None) -> Times:
-    """Run every case against our node in virtual time, one after the other, and choose the smoke plan."""
+    """Measure all cases in succession with the reference node in virtual time, and choose the smoke plan."""
     seconds: dict[str, float] = {}
     for result in Suite(PROFILE).run(cases()):
         on_result(result)

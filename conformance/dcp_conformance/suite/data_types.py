@@ -24,9 +24,7 @@ from dcp_conformance.frames.header_rules import judge
 from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.model.case import Needs, Variant, case
 from dcp_conformance.test_steps.bp_clients import CLIENT, header_octets, some_beacons, talking, unused_protocol_id
-from dcp_conformance.test_system.bench import MS, Bench
-from dcp_conformance.test_system.peers import Peer
-from dcp_conformance.test_system.services import (
+from dcp_conformance.test_steps.services import (
     Moment,
     create_request,
     longest_description,
@@ -34,6 +32,8 @@ from dcp_conformance.test_system.services import (
     timed,
     until_report,
 )
+from dcp_conformance.test_system.bench import MS, Bench
+from dcp_conformance.test_system.sending.peers import Peer
 
 from .bp.beacons.receive import check_dropped, check_processed
 
@@ -135,7 +135,7 @@ def long_block(bench: Bench) -> None:
     ),
 )
 def order_of_creation_times(bench: Bench) -> None:
-    first = (bench.creation_time() >> 16 << 16) + 0x17F
+    first = (bench.records.creation_time() >> 16 << 16) + 0x17F
     second = first + 0x82
     bench.session.creation_time = second
     peer, var_id = bench.peer(), bench.var_id()
@@ -146,7 +146,7 @@ def order_of_creation_times(bench: Bench) -> None:
     found = bench.instructions(ICType.CREATE_VARIABLES, var_id, since=start)
     expected = f"the variable created at {second:#x} replaces the one created at {first:#x}"
     bench.check(
-        passed is not None and passed.upd.value == bench.value(b"second"),
+        passed is not None and passed.upd.value == bench.records.value(b"second"),
         expected,
         "it was not replaced",
         frames=found,
@@ -165,7 +165,7 @@ def order_of_creation_times(bench: Bench) -> None:
     needs=Needs(since=V2_0, ut=(CREATE,)),
 )
 def own_creation_time(bench: Bench) -> None:
-    var_id = bench.own_var_id()
+    var_id = bench.identifiers.own_var_id()
     request = timed(bench, CREATE, **create_request(bench, var_id, timeout=0x1234))
     record = bench.until_instruction(ICType.CREATE_VARIABLES, var_id)
     bench.require(record is not None, "a VarCreate of the variable", "none in time", "VD-CRE-12")
@@ -209,7 +209,7 @@ def check_time(bench: Bench, stamp: int, request: Moment, name: str) -> None:
         bench.check(False, f"{name} within a day of now", f"{stamp:#x}, {what}", "DATA-01", "DATA-05", shown=True)
         return
     bench.check(True, f"{name} within a day of now", "", "DATA-01")
-    off, limit = (told - wall) / MS, bench.pixit.clock_tolerance_ms
+    off, limit = (told - wall) / MS, bench.sut.pixit.clock_tolerance_ms
     # The time stamp may have been taken at any time between request and answer.
     near = -limit <= off <= limit + (request.after - request.before) / MS
     bench.check(near, f"{name} within {limit:g} ms of the tester's clock", f"{off:.1f} ms off", "DATA-05", shown=True)
@@ -221,7 +221,7 @@ def check_time(bench: Bench, stamp: int, request: Moment, name: str) -> None:
 def _sends_something(bench: Bench) -> str | None:
     """Return why the tester cannot make the implementation send beacons, or None; for ``Needs.when``."""
     upper = bench.session.upper
-    if bench.pics.vardis is False and (upper is None or not set(CLIENT) <= upper.methods):
+    if bench.sut.pics.vardis is False and (upper is None or not set(CLIENT) <= upper.methods):
         return "without VarDis and without an upper tester the tester has no way to cause beacons"
     return None
 
@@ -238,11 +238,11 @@ def _sends_something(bench: Bench) -> str | None:
 def packed(bench: Bench) -> None:
     upper = bench.session.upper
     with talking(bench, clients=2):
-        reports = bench.profile.srp.safety_data and bench.pics.srp is not False
+        reports = bench.profile.srp.safety_data and bench.sut.pics.srp is not False
         if upper is not None and "SRP-UpdateSafetyData" in upper.methods and reports:
             bench.must("SRP-UpdateSafetyData", sData=safety_data(bench, 5))
         peer = bench.peer()
-        for length in (1, 3) if bench.pics.vardis is not False else ():
+        for length in (1, 3) if bench.sut.pics.vardis is not False else ():
             var_id = bench.var_id()
             peer.send(peer.create(var_id, value=bytes(length), descr=b"d" * length))
             peer.send(peer.update(var_id, 1, bytes(length + 1)), peer.summary(bench.unknown_id(), 1))
@@ -300,9 +300,9 @@ def _trailing(bench: Bench, heard: ReceivedBeacon) -> bytes:
 )
 def any_identifier(bench: Bench, made: Callable[[bytes], bytes]) -> None:
     if bench.session.sut_id is None:
-        bench.probe()
+        bench.probes.probe()
     peer, var_id, start = bench.peer(), bench.unknown_id(), bench.mark()
-    peer.send(peer.summary(var_id, 1), sender=made(bench.sut_id))
+    peer.send(peer.summary(var_id, 1), sender=made(bench.identifiers.sut_id))
     check_processed(bench, [var_id], start, "a beacon with this senderId")
 
 
@@ -340,9 +340,9 @@ def check_passed_on(bench: Bench, value: bytes, descr: bytes, *requirements: str
 def memory_blocks(bench: Bench, length: int | None) -> None:
     # Every maximum allows a value of one octet.
     if length != 1:
-        length = max(1, min(bench.bound("VARDISPAR_MAX_VALUE_LENGTH"), length or 255))
+        length = max(1, min(bench.sut.bound("VARDISPAR_MAX_VALUE_LENGTH"), length or 255))
     octets = bytes([0, 0xFF, 0x0A, 0x05, 0x49, 0x7E, 0x0D]) * 40
-    check_passed_on(bench, octets[:length], bench.descr(b"octets"))
+    check_passed_on(bench, octets[:length], bench.records.descr(b"octets"))
 
 
 @case(
@@ -366,11 +366,11 @@ def memory_blocks(bench: Bench, length: int | None) -> None:
     },
 )
 def descriptions(bench: Bench, descr: bytes) -> None:
-    if len(descr) > bench.longest_description:
-        bench.not_applicable(
-            f"descriptions have at most {bench.longest_description} octets, and this one has {len(descr)}"
+    if len(descr) > bench.sut.longest_description:
+        bench.verdicts.not_applicable(
+            f"descriptions have at most {bench.sut.longest_description} octets, and this one has {len(descr)}"
         )
-    check_passed_on(bench, bench.value(b"value"), descr)
+    check_passed_on(bench, bench.records.value(b"value"), descr)
 
 
 @case(
@@ -387,7 +387,7 @@ def descriptions(bench: Bench, descr: bytes) -> None:
 def length_of_text(bench: Bench) -> None:
     longest = min(longest_description(bench), 254)
     text = "\u00e9" * (longest // 2)
-    var_id, other = bench.own_var_id(), bench.unknown_id()
+    var_id, other = bench.identifiers.own_var_id(), bench.unknown_id()
     bench.expect_status("VARDIS-STATUS-OK", CREATE, "DATA-08", **create_request(bench, var_id, descr=text))
     record: Any = bench.until_instruction(ICType.CREATE_VARIABLES, var_id)
     bench.require(record is not None, "a VarCreate of the variable", "none in time", "DATA-08")
@@ -466,7 +466,7 @@ def other_type(bench: Bench, number: int) -> None:
     def send(peer: Peer, summary: Any) -> None:
         ether_type = own + 1 if number == 1 else number
         head = b"\xff" * 6 + peer.address + ether_type.to_bytes(2, "big")
-        bench.transmit_frame(head + peer.beacon(summary), len(head))
+        bench.transmission.send_frame(head + peer.beacon(summary), len(head))
 
     check_dropped(bench, send, "a frame with another EtherType")
 

@@ -26,13 +26,13 @@ def down_and_up(bench: Bench) -> None:
         before = bench.beacons(2)
         if not before:
             bench.inconclusive("beacons before the link goes down", "none in time")
-        with bench.link_down():
+        with bench.control.link_down():
             bench.wait(_AWAY)
         mark = bench.mark()
-        answers = bench.pics.vardis is not False and any(bench.probe() for _ in range(4))
-        after = bench.heard[mark:] or bench.beacons(1, 4 * bench.reaction)
+        answers = bench.sut.pics.vardis is not False and any(bench.probes.probe() for _ in range(4))
+        after = bench.heard[mark:] or bench.beacons(1, 4 * bench.sut.reaction)
         bench.check(after, "beacons after the link is up again", "none in time")
-        if bench.pics.vardis is not False:
+        if bench.sut.pics.vardis is not False:
             bench.check(answers, "an answer of VarDis after the link is up again", "no answer to four probes")
         numbers = [each.seqno for each in (before[-1], *after[:1]) if each.seqno is not None]
         if len(numbers) == 2:

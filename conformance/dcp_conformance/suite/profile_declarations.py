@@ -40,7 +40,7 @@ def declared(bench: Bench) -> None:
 
 
 def _denies_nothing(bench: Bench) -> str | None:
-    if denied_by(bench.pics, bench.profile):
+    if denied_by(bench.sut.pics, bench.profile):
         return None
     return f"the PICS denies nothing that is mandatory in version {bench.profile.spec_version}"
 
@@ -54,5 +54,5 @@ def _denies_nothing(bench: Bench) -> str | None:
     needs=Needs(entities=(), when=_denies_nothing),
 )
 def denied(bench: Bench) -> None:
-    for identifier, observed in denied_by(bench.pics, bench.profile).items():
+    for identifier, observed in denied_by(bench.sut.pics, bench.profile).items():
         bench.check(False, requirement(identifier).statement, observed, identifier, shown=True)

@@ -9,7 +9,7 @@ from dcp_conformance.interconnection.basic_test import make_contact
 from dcp_conformance.model.case import Needs, case
 from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.contact import Contact
+from dcp_conformance.test_system.judgement.contact import Contact
 
 
 @case(
@@ -31,7 +31,7 @@ def sanity(bench: Bench) -> None:
     try:
         _judge(bench, contact)
     finally:
-        failed = (each for each in bench.checks if each.verdict is Verdict.FAIL)
+        failed = (each for each in bench.verdicts.checks if each.verdict is Verdict.FAIL)
         blamed = frozenset(requirement for each in failed for requirement in each.requirements)
         bench.session.contact = replace(contact, blamed=blamed)
     if contact.trouble:
@@ -46,7 +46,7 @@ def _judge(bench: Bench, contact: Contact) -> None:
         bench.check(False, each.expected, each.observed, each.requirement, frames=[each.mark], shown=True)
     if contact.inactive:
         _judge_inactive(bench, contact)
-    elif bench.pics.vardis is False:
+    elif bench.sut.pics.vardis is False:
         _judge_beacons(bench, contact)
     else:
         _judge_answers(bench, contact)
@@ -95,4 +95,4 @@ def _should_answer(bench: Bench) -> bool:
     """Return whether the implementation is known to have VarDis."""
     upper = bench.session.upper
     services = upper is not None and any(method.startswith("RTDB-") for method in upper.methods)
-    return bench.pics.vardis is True or services or any(heard.has_vardis for heard in bench.heard)
+    return bench.sut.pics.vardis is True or services or any(heard.has_vardis for heard in bench.heard)

@@ -42,10 +42,10 @@ def in_a_gap(
     ``paused``: deactivate BP for this time; inconclusive if that fails.
     """
     guard = bench.period // _GUARD
-    with bench.deactivated("BP") if paused else contextlib.nullcontext():
+    with bench.services.deactivated("BP") if paused else contextlib.nullcontext():
         if paused:
             # A beacon that was sent before may still be in transit.
-            bench.wait_ns(guard)
+            bench.waiting.wait_ns(guard)
         start = bench.mark()
         try:
             result = act()
@@ -54,7 +54,7 @@ def in_a_gap(
             raise
         end = bench.now()
     if not paused:
-        bench.wait_ns(guard)
+        bench.waiting.wait_ns(guard)
         end += guard
     bench.mark()
     return result, not any(heard.time <= end and sent(heard) for heard in bench.heard[start:])

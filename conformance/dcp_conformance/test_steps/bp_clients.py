@@ -69,7 +69,7 @@ def queue_mode(bench: Bench) -> QueueingMode:
 
 def no_confirm(bench: Bench) -> str | None:
     """Return why the status of BP-TransmitPayload cannot be judged (BP-TXP-08), or None; for ``Needs.when``."""
-    if bench.pics.transmit_payload_confirm is False and bench.profile.spec_version >= SpecVersion.V1_2:
+    if bench.sut.pics.transmit_payload_confirm is False and bench.profile.spec_version >= SpecVersion.V1_2:
         return "according to the PICS, BP-TransmitPayload is not confirmed"
     return None
 
@@ -110,7 +110,7 @@ def block_header_octets(bench: Bench) -> int:
 
 
 def _place(bench: Bench, path: str) -> int:
-    peer_id = bench.peers_made[0].node_id if bench.peers_made else bench.node_id()
+    peer_id = bench.peers.made[0].node_id if bench.peers.made else bench.identifiers.node_id()
     octets = bench.builder.beacon(peer_id, 0, [Block(unused_protocol_id(bench), b"x")])
     field = bench.codec.dissect(octets).root.find(path)
     return 0 if field is None else field.offset
@@ -122,12 +122,12 @@ def largest_payload(bench: Bench) -> int:
     Before 1.1 the limit assumes four octets for the BP header, whatever its size.
     """
     header = header_octets(bench) if bench.features.registration_counts_bp_header else 4
-    return bench.bound("BPPAR_MAXIMUM_PACKET_SIZE") - header - block_header_octets(bench)
+    return bench.sut.bound("BPPAR_MAXIMUM_PACKET_SIZE") - header - block_header_octets(bench)
 
 
 def room(bench: Bench) -> int:
     """Return the number of octets for payload blocks, including their headers, in one beacon."""
-    return bench.bound("BPPAR_MAXIMUM_PACKET_SIZE") - header_octets(bench)
+    return bench.sut.bound("BPPAR_MAXIMUM_PACKET_SIZE") - header_octets(bench)
 
 
 def areas_of_fixed_size(bench: Bench) -> str | None:
@@ -151,7 +151,7 @@ def unused_protocol_id(bench: Bench) -> int:
     numbers = (first + (session.next_protocol + 1 + step) % size for step in range(size))
     number = next((each for each in numbers if each not in session.held_protocols), None)
     if number is None:
-        bench.used_up("an unregistered protocol identifier", 0, size)
+        bench.identifiers.used_up("an unregistered protocol identifier", 0, size)
     session.next_protocol = number - first
     return number
 
@@ -287,7 +287,9 @@ def registered(bench: Bench) -> dict[int, dict[str, Any]]:
 def indications(bench: Bench, method: str, prot_id: int, since: int = 0) -> list[Notification]:
     """Return the notifications of a kind about a protocol, from a number of notifications on."""
     return [
-        each for each in bench.notifications[since:] if each.method == method and each.params.get("protId") == prot_id
+        each
+        for each in bench.receiver.notifications[since:]
+        if each.method == method and each.params.get("protId") == prot_id
     ]
 
 
@@ -301,11 +303,11 @@ def octets_of(notification: Notification) -> bytes:
 
 def until(bench: Bench, holds: Callable[[], bool], periods: float | None = None) -> bool:
     """Wait until a condition holds that depends on notifications; return whether it does."""
-    deadline = bench.now() + round((bench.reaction if periods is None else periods) * bench.period)
+    deadline = bench.now() + round((bench.sut.reaction if periods is None else periods) * bench.period)
     while not holds():
         if bench.now() >= deadline:
             return False
-        bench.wait_ns(max(1, min(deadline - bench.now(), bench.period // 10)))
+        bench.waiting.wait_ns(max(1, min(deadline - bench.now(), bench.period // 10)))
     return True
 
 
@@ -331,7 +333,7 @@ def talking(bench: Bench, *, clients: int = 1) -> Iterator[list[BPClient]]:
                 client = stack.enter_context(BPClient(bench, REPEAT))
                 client.transmit(client.payload(9 + 7 * number))
                 made.append(client)
-        if bench.pics.vardis is not False:
+        if bench.sut.pics.vardis is not False:
             peer = bench.peer()
             peer.send(peer.create(bench.var_id()))
         yield made
@@ -348,4 +350,4 @@ def some_beacons(bench: Bench, count: int) -> list[ReceivedBeacon]:
 def needed(bench: Bench, found: object, what: str) -> None:
     """Stop as inconclusive without required beacons: BP does not guarantee when a payload is sent (BP-GEN-02)."""
     if not found:
-        bench.inconclusive(f"{what}, which this case needs", f"none within {bench.reaction:g} periods")
+        bench.inconclusive(f"{what}, which this case needs", f"none within {bench.sut.reaction:g} periods")

@@ -11,7 +11,7 @@ from dcp_spec.constants import ICType
 
 from dcp_codec.values import VarCreate
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.peers import Peer
+from dcp_conformance.test_system.sending.peers import Peer
 
 PAYLOAD_SIZE: Final = "VARDISPAR_MAX_PAYLOAD_SIZE"
 
@@ -24,8 +24,8 @@ def settable(bench: Bench) -> bool:
 
 def longest(bench: Bench) -> tuple[bytes, bytes]:
     """Return the longest value and description that the implementation accepts, of at most 200 octets."""
-    value = min(bench.bound("VARDISPAR_MAX_VALUE_LENGTH"), 200)
-    description = min(bench.bound("VARDISPAR_MAX_DESCRIPTION_LENGTH"), 200)
+    value = min(bench.sut.bound("VARDISPAR_MAX_VALUE_LENGTH"), 200)
+    description = min(bench.sut.bound("VARDISPAR_MAX_DESCRIPTION_LENGTH"), 200)
     # The parameter of 1.0 counts the NUL after the text.
     nul = bench.features.string_format == "nul-terminated"
     return b"v" * max(1, value), b"d" * max(1, description - nul)
@@ -50,7 +50,7 @@ def filling(bench: Bench, peer: Peer, kind: ICType, octets: int, *, seqno: int =
     if count < 1 or octets < count * least:
         return None
     creates = []
-    for place, var_id in enumerate(bench.var_ids(count)):
+    for place, var_id in enumerate(bench.identifiers.var_ids(count)):
         more = octets // count + (place < octets % count) - least
         in_value = min(more, len(value) - 1)
         creates.append(made(var_id, 1 + in_value, 1 + more - in_value))

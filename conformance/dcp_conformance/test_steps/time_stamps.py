@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from dcp_conformance.test_steps.services import Moment, nanoseconds
 from dcp_conformance.test_system.bench import MS, Bench
-from dcp_conformance.test_system.services import Moment, nanoseconds
 
 #: Number of comparisons of two stamps if their difference is wrong.
 _MEASUREMENTS = 3
@@ -54,7 +54,7 @@ def check_later(bench: Bench, expected: str, least: int, measure: Callable[[], i
 
 def check_now(bench: Bench, what: str, stamp: int, request: Moment) -> None:
     """Check that a stamp, in ns since 1970, is the time of the request, within the tolerance of the clocks (PIXIT)."""
-    slack = round(bench.pixit.clock_tolerance_ms * MS) + nanoseconds(bench, 1)
+    slack = round(bench.sut.pixit.clock_tolerance_ms * MS) + nanoseconds(bench, 1)
     near = request.before - slack <= stamp <= request.after + slack
     off = (stamp - request.before) / MS
     expected = f"{what} within {slack / MS:.0f} ms of the time of the request"

@@ -12,9 +12,9 @@ from dcp_spec.constants import ICType
 
 from dcp_codec.values import VardisRecord
 from dcp_conformance.frames.received import Instruction
+from dcp_conformance.test_steps.services import create_request
 from dcp_conformance.test_system.bench import MS, Bench
-from dcp_conformance.test_system.peers import Peer
-from dcp_conformance.test_system.services import create_request
+from dcp_conformance.test_system.sending.peers import Peer
 
 _DELETE = ICType.DELETE_VARIABLES
 
@@ -32,7 +32,7 @@ SHORT = 200
 
 def scrubbing_period_ms(bench: Bench) -> int:
     """Return VARDISPAR_SCRUBBING_PERIOD in ms."""
-    return bench.parameter("VARDISPAR_SCRUBBING_PERIOD")
+    return bench.sut.parameter("VARDISPAR_SCRUBBING_PERIOD")
 
 
 def hurry(bench: Bench) -> int:
@@ -50,8 +50,8 @@ def hurry(bench: Bench) -> int:
 
 def latest(bench: Bench, timeout_ms: int) -> int:
     """Return the time in ns within which the VarDelete must be received."""
-    tolerance = bench.pixit.timer_tolerance_ms * bench.session.timing_scale
-    return round((timeout_ms + scrubbing_period_ms(bench) + tolerance) * MS + bench.reaction * bench.period)
+    tolerance = bench.sut.pixit.timer_tolerance_ms * bench.session.timing_scale
+    return round((timeout_ms + scrubbing_period_ms(bench) + tolerance) * MS + bench.sut.reaction * bench.period)
 
 
 def deleted(bench: Bench, name: int, since: Change, timeout_ms: int) -> Instruction | None:
@@ -61,7 +61,7 @@ def deleted(bench: Bench, name: int, since: Change, timeout_ms: int) -> Instruct
         bench.until_instruction(_DELETE, name, max(0.0, left / bench.period))
     found = next(iter(bench.instructions(_DELETE, name)), None)
     if found is None:
-        bench.bound("VARDISPAR_SCRUBBING_PERIOD")
+        bench.sut.bound("VARDISPAR_SCRUBBING_PERIOD")
     return found
 
 
@@ -76,7 +76,7 @@ def check_time(
     # Clocks with a resolution of milliseconds may differ by one at both ends.
     least, most = (timeout_ms - 2) * MS, latest(bench, timeout_ms) + since.after - since.before
     if took > most:
-        bench.bound("VARDISPAR_SCRUBBING_PERIOD")
+        bench.sut.bound("VARDISPAR_SCRUBBING_PERIOD")
     what = f"the VarDelete {timeout_ms} ms to {most / MS:.0f} ms after the last change"
     early = took < least and received
     bench.check(least <= took <= most, what, f"{took / MS:.0f} ms", *requirements, frames=[found], shown=early)
@@ -123,4 +123,4 @@ def lasting(bench: Bench, timeout_ms: int, beacons: int = 3) -> int:
 
     A variable that times out before its VarCreate is sent is never sent, which is correct.
     """
-    return max(timeout_ms, round(1.2 * beacons * bench.slowness * bench.period / MS))
+    return max(timeout_ms, round(1.2 * beacons * bench.sut.slowness * bench.period / MS))

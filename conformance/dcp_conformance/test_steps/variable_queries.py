@@ -14,7 +14,7 @@ from dcp_spec.constants import ICType, seqno_modulus
 from dcp_codec.values import VarCreate
 from dcp_conformance.frames.received import Instruction
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.peers import Peer
+from dcp_conformance.test_system.sending.peers import Peer
 
 State = Literal["unknown", "alive", "deleted"]
 #: All records about a single variable except summaries, which are sent repeatedly.
@@ -74,7 +74,7 @@ def own_id(bench: Bench) -> bytes:
     """Return the implementation's node identifier; a probe makes it send a beacon if none was received so far."""
     if bench.session.sut_id is None:
         bench.require_alive("its start")
-    return bench.sut_id
+    return bench.identifiers.sut_id
 
 
 def taught_all(bench: Bench, peer: Peer, creates: Iterable[VarCreate]) -> list[VarCreate]:
@@ -88,9 +88,11 @@ def taught_all(bench: Bench, peer: Peer, creates: Iterable[VarCreate]) -> list[V
         missing.difference_update(each.var_id for each in bench.instructions(ICType.CREATE_VARIABLES, since=start))
         return not missing
 
-    bench.until(lambda _: heard_all(), max(bench.reaction + len(creates) / 2, bench.sending(2 * len(creates))))
+    bench.until(
+        lambda _: heard_all(), max(bench.sut.reaction + len(creates) / 2, bench.teaching.periods(2 * len(creates)))
+    )
     if not heard_all():
-        bench.not_learnt(missing)
+        bench.teaching.not_learnt(missing)
     return creates
 
 

@@ -13,9 +13,9 @@ from dcp_spec.constants import ICType
 
 from dcp_codec.values import VarCreate, VardisRecord, VarUpdate
 from dcp_conformance.frames.received import ReceivedBeacon
+from dcp_conformance.test_steps.services import create_request
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.peers import Peer
-from dcp_conformance.test_system.services import create_request
+from dcp_conformance.test_system.sending.peers import Peer
 
 from .variable_queries import INSTRUCTIONS, ask, named, stepped, traces
 
@@ -49,8 +49,8 @@ class VariableState:
         """Return a creationTime later than, equal to or earlier than the stored one, by the sign of ``distance``."""
         stored = None if self.stored is None else self.stored.spec.creation_time
         if stored is None:
-            return self.bench.creation_time()
-        return max(stored + 1, self.bench.creation_time()) if distance > 0 else stored + distance
+            return self.bench.records.creation_time()
+        return max(stored + 1, self.bench.records.creation_time()) if distance > 0 else stored + distance
 
     def create(self, distance: int, producer: bytes | None = None) -> VarCreate:
         """Return a VarCreate that differs from the stored one in every field but the identifier."""
@@ -71,7 +71,7 @@ class VariableState:
             since = self.bench.mark()
             self.bench.must("RTDB-Delete", varId=self.var_id)
             self.bench.mark()
-            if len(self.bench.frames_with(ICType.DELETE_VARIABLES, self.var_id, since)) >= self.rep_cnt:
+            if len(self.bench.receiver.frames_with(ICType.DELETE_VARIABLES, self.var_id, since)) >= self.rep_cnt:
                 self.bench.inconclusive(
                     "remaining repetitions of the VarDelete", "none left when RTDB-Delete was confirmed"
                 )
@@ -96,7 +96,7 @@ def _repetitions(bench: Bench, state: str) -> int:
         return 1
     reaction = bench.session.reaction
     longest = max(bench.session.slow_call / bench.period, 0 if reaction is None else reaction.per_payload)
-    return bench.rep_cnt(2 + math.ceil(1.5 * longest))
+    return bench.sut.rep_cnt(2 + math.ceil(1.5 * longest))
 
 
 def foreign(bench: Bench, state: str) -> VariableState:
@@ -128,9 +128,9 @@ def _until_deleted(situation: VariableState) -> None:
 
 def own(bench: Bench, state: str) -> VariableState:
     """Create one of the node's own variables, with sequence number 2, and bring it into a state."""
-    var_id, rep_cnt, since = bench.own_var_id(), _repetitions(bench, state), bench.mark()
+    var_id, rep_cnt, since = bench.identifiers.own_var_id(), _repetitions(bench, state), bench.mark()
     bench.must("RTDB-Create", **create_request(bench, var_id, rep_cnt=rep_cnt))
-    for value in (bench.value(b"first"), bench.value(b"next")):
+    for value in (bench.records.value(b"first"), bench.records.value(b"next")):
         bench.must("RTDB-Update", varId=var_id, value=value.hex())
 
     def newest(heard: ReceivedBeacon) -> VarUpdate | None:
@@ -227,7 +227,7 @@ def stores(situation: VariableState, since: int, sent: VardisRecord) -> None:
     """The implementation stores and forwards the record unchanged."""
     bench = situation.bench
     creates = type(sent) is VarCreate
-    bench.created.add(situation.var_id)
+    bench.identifiers.created.add(situation.var_id)
     only(situation, since, ICType.CREATE_VARIABLES if creates else ICType.UPDATES, sent)
     held = ask(bench, situation.var_id)
     record = held.record if creates or held.record is None else held.record.upd

@@ -1,4 +1,4 @@
-"""What happened in a case, in order: frames both ways, calls, notifications, remarks. Bounded."""
+"""The recording of a case: frames in both directions, calls, notifications and remarks in order. Bounded."""
 
 from __future__ import annotations
 
@@ -6,25 +6,25 @@ from typing import Any, Literal
 
 import msgspec
 
-#: Events of one case that are kept; a case that produces more keeps the first and the last half of them.
+#: Maximum number of events of one case; of a longer recording, the first and the last half of this number are kept.
 MOST_EVENTS = 20_000
 
 Direction = Literal["sent", "heard", "other", "call", "answer", "notified", "note"]
 
 
 class Event(msgspec.Struct, frozen=True, omit_defaults=True):
-    """One line of the timeline."""
+    """An entry of the recording."""
 
     number: int
-    """Frames are counted from 1 in the order of the recording; 0 for what is no frame."""
+    """Number of the frame, counted from 1 in the order of the recording; 0 if the event is not a frame."""
     wall: int
-    """ns since 1970."""
+    """Time in ns since 1970."""
     direction: Direction
     who: str = ""
     frame: bytes = b""
     """The whole link-layer frame."""
     start: int = 0
-    """Where the bearer payload starts in it."""
+    """Offset of the bearer payload in ``frame``."""
     text: str = ""
     data: Any = None
 
@@ -39,22 +39,22 @@ class Traffic:
 
     @property
     def events(self) -> list[Event]:
-        """What is kept, in order."""
+        """The kept events, in order."""
         return self._events
 
     def frame(self, direction: Direction, wall: int, who: str, frame: bytes, start: int) -> int:
-        """Note a frame; its number."""
+        """Record a frame and return its number."""
         self.frames += 1
         self._add(Event(self.frames, wall, direction, who, frame, start))
         return self.frames
 
     def note(self, direction: Direction, wall: int, text: str, data: Any = None, who: str = "") -> None:
-        """Note something else."""
+        """Record an event that is not a frame."""
         self._add(Event(0, wall, direction, who, text=text, data=data))
 
     def _add(self, event: Event) -> None:
         if len(self._events) >= MOST_EVENTS:
-            # The middle goes: how it began and how it ended is what people look for.
+            # Drop from the middle: the beginning and the end are of most interest to readers.
             del self._events[MOST_EVENTS // 2]
             self.left_out += 1
         self._events.append(event)

@@ -1,8 +1,8 @@
-"""Rows of damaged beacons: their header, their sound payloads, and one row of errors for each bad payload.
+"""Rows of damaged beacons: their header, their valid payloads, and one row of errors for each invalid payload.
 
-The compiled decoder takes back whatever it has read of a frame that is not plainly good. Such frames come here, are
-read with :meth:`dcp_codec.codec.Codec.salvage`, and get the rows that a good frame has, except for the content of bad
-payloads. A beacon whose blocks do not add up in any reading has rows in ``errors`` only.
+The compiled decoder stores no rows of an invalid frame. Such frames are decoded here with
+:meth:`dcp_codec.codec.Codec.salvage`, and get the rows of a valid frame without the content of invalid payloads. A
+beacon whose blocks are inconsistent in every reading has rows in ``errors`` only.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ from dcp_codec.views.fields import Field
 from dcp_codec.views.salvage import Salvaged
 
 _Row = dict[str, Any]
-#: The block that a problem is about.
+#: The payload block in the path of a problem.
 _BLOCK = re.compile(r"payloads\[(\d+)\]")
 
 
 class DamagedFrames:
-    """Collects the rows of damaged frames, in the order in which they are added."""
+    """Collects the rows of damaged frames in the order in which they are added."""
 
     def __init__(
         self,
@@ -42,21 +42,24 @@ class DamagedFrames:
         schemas: Mapping[str, pa.Schema],
         node_text: Callable[[bytes], str],
     ) -> None:
-        """``schemas`` are those of all tables, ``node_text`` writes a node identifier as text."""
+        """``schemas`` has the schemas of all tables; ``node_text`` converts a node identifier to text."""
         self._codec, self._link, self._shape, self._schemas = codec, link, shape, schemas
         self._node_text = node_text
         self._sender_at = _sender_offset(shape)
         self._rows: dict[str, list[_Row]] = defaultdict(list)
 
     def add(self, data: bytes, number: int, time: int, length: int, interface: int) -> None:
-        """A frame that the compiled decoder refuses; ``time`` is ns since 1970, ``length`` that on the wire."""
+        """Add a frame that the compiled decoder rejects. ``time``: ns since 1970. ``length``: octets on the wire.
+
+        Raise AssertionError if the strict decoder accepts the frame.
+        """
         framing = locate(data, self._link)
         assert isinstance(framing, Framing)
         octets = data[framing.start : framing.end]
         found = self._codec.salvage(octets)
         if not found.problems:
             raise AssertionError(
-                f"the columnar decoder of {self._codec.profile.name} refuses what the strict one accepts"
+                f"the columnar decoder of {self._codec.profile.name} rejects a frame that the strict one accepts"
             )
         keys = {"frame": number, "time": time, "sender": self._sender(octets, framing)}
         self._rows[ERRORS] += [keys | _error(each.moved(framing.start)) for each in found.faults]
@@ -74,11 +77,11 @@ class DamagedFrames:
         _Beacon(self._shape, self._rows, found, self._node_text).rows(tree.root, keys)
 
     def tables(self) -> dict[str, pa.RecordBatch]:
-        """The rows so far by table; tables without any are left out."""
+        """Return the collected rows by table; tables without rows are left out."""
         return {name: _batch(rows, self._schemas[name]) for name, rows in self._rows.items() if rows}
 
     def _sender(self, octets: bytes, framing: Framing) -> str | None:
-        """As :attr:`dcp_codec.framing.frames.DissectedFrame.sender`."""
+        """Return the sender as :attr:`dcp_codec.framing.frames.DissectedFrame.sender` does; None if unknown."""
         sender = self._shape.sender
         if sender is None:
             return mac(framing.src) if framing.src is not None else None
@@ -87,7 +90,7 @@ class DamagedFrames:
 
 
 class _Beacon:
-    """Makes the rows of one beacon from its fields."""
+    """Creates the rows of one beacon from its dissected fields."""
 
     def __init__(
         self, shape: Shape, rows: dict[str, list[_Row]], found: Salvaged, node_text: Callable[[bytes], str]
@@ -98,7 +101,7 @@ class _Beacon:
         self._damaged = {each.payload for each in found.damaged}
 
     def rows(self, root: Field, keys: _Row) -> None:
-        """Add the row of the beacon, which has all of ``keys``, and those of what is in it."""
+        """Add the row of the beacon, which has all of ``keys``, and the rows of its nested records."""
         row = dict(keys)
         self._rows[self._shape.tables[0].name].append(row)
         self._keys = {name: keys[name] for name in ("frame", "time", "sender")}
@@ -147,11 +150,11 @@ class _Beacon:
             self._node(case, field, row, indices, numbers)
 
     def _bad(self, indices: Sequence[int]) -> bool:
-        """Whether this is the content of a damaged payload block."""
+        """Return whether these are the indices of the content of a damaged payload block."""
         return len(indices) == 1 and indices[0] in self._damaged
 
     def _sound(self, node: Many, field: Field, indices: Sequence[int]) -> int:
-        """How many elements of a list can be relied on."""
+        """Return the number of valid elements at the start of a list."""
         if node.element.type_name == "Payload":
             return len(self._payloads)
         if self._bad(indices):
@@ -184,7 +187,7 @@ class _Beacon:
 
 
 def _as_text(name: str, octets: bytes) -> tuple[str, str]:
-    """The column that holds a text, and the text: its hex where it is not UTF-8."""
+    """Return column and value of a text: the text, or its hex if it is not UTF-8."""
     try:
         return name, octets.decode()
     except UnicodeDecodeError:
@@ -192,7 +195,7 @@ def _as_text(name: str, octets: bytes) -> tuple[str, str]:
 
 
 def _octets_column(table: Table, shape: Shape) -> Column | None:
-    """Our own column for the length of a record, if its table has one."""
+    """Return the additional column for the size of a record; None if the table does not have it."""
     return next((column for column in table.columns if column.name == OCTETS and shape.own(column)), None)
 
 
@@ -210,7 +213,7 @@ def _error(problem: Problem) -> _Row:
 
 
 def _fitting(number: int | None) -> int | None:
-    """A number of a problem, limited to what a column of signed 64-bit integers can hold."""
+    """Return a number of a problem, limited to the range of a signed 64-bit integer."""
     return None if number is None else min(number, (1 << 63) - 1)
 
 
@@ -228,7 +231,7 @@ def _array(values: list[Any], kind: pa.DataType) -> pa.Array:
 
 
 def merged(good: pa.RecordBatch, more: pa.RecordBatch) -> pa.RecordBatch:
-    """The rows of both, by the number of their frame."""
+    """Return the rows of both batches, sorted by frame number."""
     if not good.num_rows:
         return more
     arrays = [pa.concat_arrays([one, other]) for one, other in zip(good.columns, more.columns, strict=True)]
@@ -238,7 +241,7 @@ def merged(good: pa.RecordBatch, more: pa.RecordBatch) -> pa.RecordBatch:
 
 
 def _sender_offset(shape: Shape) -> int:
-    """Octets of the header before the sender's identifier."""
+    """Return the offset of the sender's identifier in the header, in octets."""
     if shape.sender is None:
         return 0
     header = next(node for node in walk(shape.plan) if isinstance(node, Group) and shape.sender in node.members)

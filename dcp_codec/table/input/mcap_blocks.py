@@ -1,4 +1,4 @@
-"""MCAP files as blocks of frames: the reader of :mod:`dcp_codec.capture`, with its chunks walked by machine code."""
+"""Read MCAP files as blocks of frames: the reader of :mod:`dcp_codec.capture`, with machine code for its chunks."""
 
 from __future__ import annotations
 
@@ -17,26 +17,26 @@ from dcp_codec.table.kernel.jit import machine
 
 from .mcap_messages import FULL, ODD, OTHER, RAW, walk_messages
 
-#: Octets of unpacked chunks that one block has, unless one chunk has more.
+#: Size in octets of the buffer for uncompressed chunks of one block; a larger chunk gets its own buffer.
 _BUFFER = 1 << 23
 _CHANNELS = 1 << 16
 
 
-#: Pieces of memory of one kind that are kept: for the block being made, the one being decoded, and one between them.
+#: Number of pieces of memory that are kept: for the current block, the one being decoded, and one between them.
 _KEPT = 3
 
 
 class _Reused:
-    """Memory that is given out again as soon as nobody refers to it; fresh memory costs as much as filling it."""
+    """Memory that is reused when it has no other references. Allocating new memory takes as long as filling it."""
 
     def __init__(self, make: Callable[[], Any]) -> None:
         self._make = make
         self._made: list[Any] = []
 
     def take(self) -> Any:
-        """Return memory that nobody uses, with whatever was left in it."""
+        """Return unused memory; its content is undefined."""
         for index in range(len(self._made)):
-            # The list and the call refer to it. Views of an array do, too.
+            # Two references are those of the list and of the call. Views of an array have references, too.
             if sys.getrefcount(self._made[index]) <= 2:
                 return self._made[index]
         made = self._make()
@@ -45,31 +45,31 @@ class _Reused:
 
 
 class McapBlocks(McapReader):
-    """Reads an MCAP file as blocks; everything but plain messages with raw frames is taken as McapReader takes it.
+    """Reads an MCAP file as blocks. Messages other than plain ones with raw frames are processed by McapReader.
 
-    Chunks are unpacked into the buffer of the block that is being made, and frames stay where they lie in it.
+    Chunks are decompressed into the buffer of the current block, and frames are not copied from there.
     """
 
     def __init__(self, source: ByteSource, link_types: frozenset[int], frames: int) -> None:
         self._most = frames
         self._channels = np.zeros(_CHANNELS, np.uint8)
         self._known = (0, 0)
-        #: Whether there is a channel whose messages only the reader understands.
+        #: Whether a channel has messages that only the reader can decode.
         self._others_too = False
-        #: Blocks that are finished, to be given out before anything else.
+        #: Complete blocks, which are yielded first.
         self._ready: list[Block] = []
         self._buffers = _Reused(lambda: np.empty(_BUFFER, np.uint8))
         self._columns = _Reused(lambda: np.empty((6, frames), np.int64))
         self._buffer: Any = self._buffers.take()
-        #: Octets of the buffer that are taken, and where the last of them begin that were asked for at once.
+        #: Number of used octets of the buffer, and start of the last request.
         self._used = self._last = 0
         self._begin()
         super().__init__(source, link_types, self._room)
 
     def _begin(self) -> None:
-        """Begin an empty block, in what is left of the buffer."""
+        """Start an empty block in the rest of the buffer."""
         self._count = 0
-        # The rows refer to the whole.
+        # The rows keep a reference to the whole array.
         self._arrays = list(self._columns.take())
 
     def _records(self) -> Iterator[Any]:
@@ -80,11 +80,11 @@ class McapBlocks(McapReader):
         yield from self._take_ready()
 
     def blocks(self) -> Iterator[Block]:
-        """All frames."""
+        """Yield all frames in blocks."""
         yield from self  # type: ignore[misc] # blocks take the place of frames
 
     def _end_block(self) -> None:
-        """Set aside the block that was being made, and begin another."""
+        """Complete the current block, and start another."""
         if self._count:
             octets = self._buffer[: max(self._used, 1)]
             octets.flags.writeable = False
@@ -98,7 +98,7 @@ class McapBlocks(McapReader):
             yield self._ready.pop(0)
 
     def _room(self, size: int) -> memoryview:
-        """Return memory for ``size`` octets at the end of the buffer, of a fresh one if this one has no room."""
+        """Return memory for ``size`` octets at the end of the buffer, or in a new buffer if it has no room."""
         if self._used + size > len(self._buffer):
             self._end_block()
             self._buffer = self._buffers.take() if size <= _BUFFER else np.empty(size, np.uint8)
@@ -109,20 +109,20 @@ class McapBlocks(McapReader):
         return memory[self._last : self._used]
 
     def _copied(self, octets: bytes | memoryview) -> int:
-        """Copy ``octets`` into the buffer; returns where they begin in it."""
+        """Copy ``octets`` into the buffer; return their start."""
         self._room(len(octets))[:] = octets
         return self._last
 
     def _inside(
         self, records: bytes | memoryview, base: int, *, whole: bool = True, position: int = 0
     ) -> Iterator[Any]:
-        # Chunks that were packed are in the buffer already, see _room.
+        # Chunks that were compressed are already in the buffer, see _room.
         unpacked = isinstance(records, memoryview) and records.obj is self._buffer
         begin = self._last if unpacked else self._copied(records)
         buffer = self._buffer
         while not self._others_too:
             if buffer is not self._buffer:
-                # A frame that the reader took did not fit, and all frames of a block lie in one buffer.
+                # A frame of the reader did not fit into the buffer: copy the rest, because a block has one buffer.
                 begin = self._copied(records[position:]) - position
                 buffer = self._buffer
             before = self._count
@@ -145,7 +145,7 @@ class McapBlocks(McapReader):
                 break
             yield from self._by_reader(records[:stop], base, position)
             position = stop
-        # What is left is for the reader: no whole record, or messages of a channel that only it understands.
+        # The reader processes the rest: an incomplete record, or messages that only the reader can decode.
         yield from self._by_reader(records, base, position, whole=whole)
 
     def _by_reader(self, records: bytes | memoryview, base: int, position: int, *, whole: bool = True) -> Iterator[Any]:
@@ -167,7 +167,7 @@ class McapBlocks(McapReader):
         self._count += 1
 
     def _kinds(self) -> np.ndarray[Any, np.dtype[np.uint8]]:
-        """What each channel is, as far as they have been described."""
+        """Return the kind of each channel (``UNKNOWN``, ``RAW`` or ``OTHER``)."""
         if self._known != (len(self._topics), len(self._raw)):
             self._known = len(self._topics), len(self._raw)
             for channel in self._topics:

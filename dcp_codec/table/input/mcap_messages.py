@@ -1,6 +1,6 @@
-"""Finding raw frames in the chunks of an MCAP file, for Numba: protobuf messages as our writer writes them.
+"""Functions for Numba that find raw frames in the chunks of an MCAP file: protobuf messages as our writer writes them.
 
-A message that is written in any other way ends the walk there, and the reader takes it (``dcp_codec.capture``).
+Any other message ends the walk, and is processed by the reader (``dcp_codec.capture``).
 """
 
 from __future__ import annotations
@@ -15,18 +15,19 @@ from dcp_codec.table.kernel.jit import helper
 _I64: Any = np.int64
 _U64: Any = np.uint64
 _HEAD, _MESSAGE_HEAD, _MESSAGE = 9, 22, 5
-#: Where the log time is in a message.
+#: Offset of the log time in a message.
 _LOG_TIME = 6
 _MOST_32 = (1 << 32) - 1
 _MOST_NUMBER = 1 << 62
 
-#: What a channel is: not described, raw frames in protobuf, something else without frames.
+#: Kinds of channels: not described yet, raw frames in protobuf, others without frames.
 UNKNOWN, RAW, OTHER = 0, 1, 2
-#: Why the walk ended: something for the reader, or no room for another frame.
+#: Reasons for the end of the walk: a record for the reader, or no room for another frame.
 ODD, FULL = 0, 1
 
-# Tags of protobuf: number of the field and wire type (0 is a number, 2 are octets with their length), in the order
-# of `dcp_codec.capture.mcap.raw_frame.FIELDS`. A timestamp, which comes first, is for the reader: our writer has none.
+# Tags of protobuf: number of the field and wire type (0 is a number, 2 are octets with their length), in the order of
+# `dcp_codec.capture.mcap.raw_frame.FIELDS`. Messages with a timestamp, the first field, are left to the reader, because
+# our writer does not write it.
 _NUMBER, _INTERFACE, _LINK_TYPE, _ORIG_LEN, _DATA = 0x10, 0x18, 0x20, 0x28, 0x32
 
 
@@ -40,7 +41,7 @@ def _little(b: Any, at: int, size: int) -> Any:
 
 @helper
 def _varint(b: Any, at: int, stop: int, most: int) -> tuple[int, int]:
-    """Read the number at ``at``: the number and where it ends, or -1 if there is none of at most ``most``."""
+    """Return the number at ``at`` and its end; the number is -1 if it is invalid or greater than ``most``."""
     value = shift = _I64(0)
     while at < stop and shift < 63:
         octet = _I64(b[_U64(at)])
@@ -54,7 +55,7 @@ def _varint(b: Any, at: int, stop: int, most: int) -> tuple[int, int]:
 
 @helper
 def _tagged(b: Any, at: int, stop: int, tag: int, most: int) -> tuple[int, int]:
-    """As :func:`_varint` for a field with this tag."""
+    """Return the value of the field at ``at`` as :func:`_varint` does; -1 if the field has another tag."""
     if at >= stop or b[_U64(at)] != tag:
         return _I64(-1), at
     return _varint(b, at + 1, stop, most)
@@ -73,10 +74,10 @@ def walk_messages(
     lengths: Any,
     interfaces: Any,
 ) -> tuple[int, int, int]:
-    """Take the messages of the records ``b[position:end]`` into a block that has ``count`` frames.
+    """Add the messages of the records ``b[position:end]`` to a block that has ``count`` frames.
 
-    ``channels`` says of each channel what it is. Frames stay where they are: ``starts`` and ``stops`` are places in
-    ``b``. Returns the position of the first record that was not taken, the new ``count``, and why the walk ended.
+    ``channels`` has the kind of each channel. Frames are not copied: ``starts`` and ``stops`` are offsets in ``b``.
+    Return the position of the first record that was not added, the new ``count``, and the reason for the end.
     """
     while end - position >= _HEAD:
         start = position + _HEAD
@@ -92,7 +93,7 @@ def walk_messages(
             break
         if count == starts.size:
             return position, count, FULL
-        # Its log time, which is negative here for times after 2262.
+        # The log time, which is negative here for times after 2262.
         time, at = _little(b, start + _LOG_TIME, 8), start + _MESSAGE_HEAD
         if time < 0:
             break

@@ -1,7 +1,7 @@
-"""Recordings as blocks of frames: memory-mapped and walked by machine code where that can be, read frame by frame else.
+"""Read recordings as blocks of frames: memory-mapped with machine code where possible, otherwise frame by frame.
 
-The readers of :mod:`dcp_codec.capture` open every file and have the last word: whatever a walker does not take for
-plain is read by them, and what is wrong with a file is in their words.
+The readers of :mod:`dcp_codec.capture` open every file. They read everything that is unusual for the machine code
+("walkers"), and report all problems of a file.
 """
 
 from __future__ import annotations
@@ -29,23 +29,23 @@ from .walkers import walk_pcap, walk_pcapng
 if TYPE_CHECKING:
     from .mcap_blocks import McapBlocks
 
-#: Frames, and octets of the file, that one block holds at most.
+#: Maximum number of frames, and of octets of the file, in one block.
 FRAMES, SPAN = 1 << 16, 1 << 24
-#: Frames that are collected into one block where they come one by one.
+#: Maximum number of frames in one block if they are read one by one.
 _COLLECTED = 1 << 13
-#: Blocks of a pcapng file that may be unusual, more than there are usual ones, before it is read block by block.
+#: Maximum excess of unusual blocks over usual ones in a pcapng file, before it is read block by block.
 _ODD_BLOCKS = 1 << 10
 
 _BIGGEST = (1 << 63) - 1
 
 
 class Recording:
-    """A recording to be read once, in blocks. A context manager.
+    """A recording that is read once, in blocks. A context manager.
 
-    ``walk`` says whether machine code finds the frames; by default it does in files that are worth it.
+    ``walk``: whether machine code finds the frames; by default it does in large files. ``frames`` and ``span`` limit a
+    block (see ``FRAMES`` and ``SPAN``). ``problems`` is complete when ``blocks()`` has ended.
 
-    Raises :class:`~dcp_codec.capture.CaptureError` if it cannot be read at all; ``problems`` is complete when
-    ``blocks()`` has ended. ``frames`` counts those given out.
+    Raise :class:`~dcp_codec.capture.CaptureError` if the recording cannot be read at all.
     """
 
     def __init__(
@@ -58,7 +58,7 @@ class Recording:
         if reader.format == "mcap" and mapped:
             assert isinstance(source, str | Path)
             reader.close()
-            # Here, so that nobody who has no MCAP file pays for importing the library.
+            # Imported only here, because other files do not need the library.
             from .mcap_blocks import McapBlocks
 
             octets = open_source(source)
@@ -68,29 +68,29 @@ class Recording:
                 octets.close()
                 raise
         self._reader: CaptureReader = reader
-        #: The file, if it can be mapped and is worth walking by machine code.
+        #: The file, if it can be mapped and is large enough for machine code.
         self._file = Path(str(source)) if mapped else None
         self._frames, self._span = frames, span
-        #: Frames that were given out so far.
+        #: Number of frames in the yielded blocks.
         self.frames = 0
 
     @property
     def name(self) -> str:
-        """The file, as the caller called it."""
+        """The name of the file as given by the caller."""
         return self._reader.name
 
     @property
     def size(self) -> int | None:
-        """Octets of the file, None for pipes."""
+        """Size of the file in octets; None for pipes."""
         return self._reader.size
 
     @property
     def problems(self) -> list[CaptureProblem]:
-        """What was wrong with the file so far."""
+        """Problems of the part of the file that has been read."""
         return self._reader.problems
 
     def blocks(self) -> Iterator[Block]:
-        """All frames, in file order."""
+        """Yield all frames in the order of the file."""
         for block in self._blocks():
             self.frames += block.frames
             yield block
@@ -108,7 +108,7 @@ class Recording:
             yield from self._pcapng(mapped, reader)
 
     def _mapped(self) -> mmap.mmap | None:
-        """The file in memory; None for what cannot be mapped (pipes, streams) and for little files."""
+        """Map the file into memory; return None for pipes and streams, which cannot be mapped, and for small files."""
         if self._file is None:
             return None
         try:
@@ -133,7 +133,7 @@ class Recording:
             starts, stops, numbers, times, lengths = arrays
             yield Block(octets, starts, stops, numbers, times, lengths, nothing, count, position)
             done(position)
-        # The end of the file, or what makes it end here: the reader finds out which.
+        # This is the end of the file or an unusual record: the reader decides.
         reader.resume(position, number)
         yield from collected(reader, lambda: reader.position)
 
@@ -171,7 +171,7 @@ class Recording:
                 odd.append(frame)
                 given += 1
             if odd_blocks > _ODD_BLOCKS:
-                # Nothing here is plain: walking only costs time.
+                # Most blocks are unusual, so that the walker saves no time.
                 break
         if odd:
             yield packed(odd, position)
@@ -179,7 +179,7 @@ class Recording:
             yield from collected(reader, lambda: reader.position)
 
     def close(self) -> None:
-        """Let go of the file. May be called again."""
+        """Close the file. Further calls have no effect."""
         self._reader.close()
 
     def __enter__(self) -> Self:
@@ -192,31 +192,32 @@ class Recording:
 
 
 def _arrays(many: int, size: int) -> list[Integers]:
-    # In one piece: memory that is let go and asked for again at once has to be fetched anew if it is in small ones.
+    # One piece of memory: small pieces that are freed and allocated again would cause page faults again.
     return list(np.empty((many, size), np.int64))
 
 
 class _Passed:
-    """Gives the pages of a mapped file back that lie behind us, so that memory does not grow with the file."""
+    """Releases the pages of a mapped file that have been read, so that memory does not grow with the file."""
 
     _STEP = 1 << 26
 
     def __init__(self, mapped: mmap.mmap) -> None:
         self._mapped = mapped
-        self._behind = 0
+        self._released = 0
 
     def __call__(self, position: int) -> None:
-        if position - self._behind >= self._STEP:
+        """Release the pages before ``position``."""
+        if position - self._released >= self._STEP:
             end = position - position % mmap.PAGESIZE
-            self._mapped.madvise(mmap.MADV_DONTNEED, self._behind, end - self._behind)
-            self._behind = end
+            self._mapped.madvise(mmap.MADV_DONTNEED, self._released, end - self._released)
+            self._released = end
 
 
 def _described(interfaces: Sequence[Interface]) -> Integers:
-    """What :func:`~dcp_codec.table.input.walkers.walk_pcapng` wants to know of the interfaces of a section."""
+    """Return the table of interfaces of a section for :func:`~dcp_codec.table.input.walkers.walk_pcapng`."""
     table = np.zeros((len(interfaces), 6), np.int64)
     for row, each in zip(table, interfaces, strict=True):
-        # Clocks that do not fit are read by the reader, which knows integers without bounds.
+        # Frames with other clocks are left to the reader, which has unbounded integers.
         fits = each.multiply <= _BIGGEST and each.divide <= _BIGGEST and 0 <= each.shift_ns <= MAX_TIME_NS
         if not each.accepted or not fits:
             continue
@@ -226,14 +227,14 @@ def _described(interfaces: Sequence[Interface]) -> Integers:
 
 
 def collected(frames: Iterable[Frame], position: Callable[[], int]) -> Iterator[Block]:
-    """Frames that come one by one as blocks."""
+    """Collect single frames into blocks. ``position`` returns the number of octets that have been read."""
     iterator = iter(frames)
     while some := list(islice(iterator, _COLLECTED)):
         yield packed(some, position())
 
 
 def packed(frames: Sequence[Frame], position: int) -> Block:
-    """A block of frames; their octets are copied into one buffer."""
+    """Return a block of frames, with their octets copied into one buffer."""
     buffer = np.frombuffer(b"".join([frame.data for frame in frames]) or b"\0", np.uint8)
     stops = np.cumsum([len(frame.data) for frame in frames], dtype=np.int64)
     starts = np.concatenate([np.zeros(1, np.int64), stops[:-1]])

@@ -1,7 +1,7 @@
-"""Finding the frames of a memory-mapped recording, for Numba. Whatever is unusual ends the walk there.
+"""Functions for Numba that find the frames of a memory-mapped recording.
 
-What is to be said about the unusual is the business of the readers in :mod:`dcp_codec.capture`, which go on from
-where the walk ended.
+A walk ends at an unusual record. The readers in :mod:`dcp_codec.capture` process it, report its problems, and continue
+from there.
 """
 
 from __future__ import annotations
@@ -12,18 +12,18 @@ import numpy as np
 
 from dcp_codec.table.kernel.jit import helper
 
-# Numba knows these types; to everybody else the numbers are plain integers.
+# These types are for Numba; for type checkers the numbers are plain integers.
 _I64: Any = np.int64
 _U64: Any = np.uint64
 _SECOND = 1_000_000_000
 _RECORD = 16
-#: Octets that are fetched from memory ahead of the walk.
+#: Distance of the prefetch from the current record, in octets.
 _AHEAD = 4096
 
 
 @helper
 def word(b: Any, at: int, big: bool) -> Any:
-    """The unsigned 32-bit number at ``at``."""
+    """Return the unsigned 32-bit number at ``at``, big-endian or little-endian."""
     w, x, y, z = _I64(b[_U64(at)]), _I64(b[_U64(at + 1)]), _I64(b[_U64(at + 2)]), _I64(b[_U64(at + 3)])
     return (w << 24) | (x << 16) | (y << 8) | z if big else (z << 24) | (y << 16) | (x << 8) | w
 
@@ -43,9 +43,9 @@ def walk_pcap(
     times: Any,
     lengths: Any,
 ) -> tuple[int, int, int]:
-    """Up to ``most`` records, and about ``span`` octets, of a pcap file from ``position``, behind frame ``number``.
+    """Find up to ``most`` records in about ``span`` octets of a pcap file from ``position``, after frame ``number``.
 
-    Returns how many, the position behind them, and something of no meaning.
+    Return the number of records, the next position, and a dummy that keeps the prefetching loads alive.
     """
     count, seen = _I64(0), _I64(0)
     size = _I64(b.size)
@@ -53,7 +53,7 @@ def walk_pcap(
     while count < most and position < last:
         if size - position < _RECORD:
             break
-        # Where the next record starts is known when this one was read from memory; so that this has begun before.
+        # Prefetch: the position of the next record depends on this one, so that the processor cannot load ahead.
         seen |= _I64(b[_U64(min(position + _AHEAD, size - 1))])
         captured = word(b, position + 8, big)
         length = word(b, position + 12, big)
@@ -74,7 +74,7 @@ def walk_pcap(
     return count, position, seen
 
 
-#: Columns of the description of interfaces that :func:`walk_pcapng` is given: one row for each of the section.
+#: Columns of the table of interfaces for :func:`walk_pcapng`, which has one row for each interface of the section.
 ACCEPTED, MULTIPLY, DIVIDE, SHIFT, INDEX, MOST_TICKS = range(6)
 
 _ENHANCED_PACKET = 6
@@ -83,7 +83,7 @@ _FIXED, _LEAST = 28, 32
 
 @helper
 def _plain_options(b: Any, at: int, stop: int, big: bool) -> bool:
-    """Whether the options in ``b[at:stop]`` lie within it."""
+    """Return whether the options in ``b[at:stop]`` end within this range."""
     while at < stop:
         if stop - at < 4:
             return False
@@ -114,10 +114,11 @@ def walk_pcapng(
     lengths: Any,
     interfaces: Any,
 ) -> tuple[int, int]:
-    """As :func:`walk_pcap` for the enhanced packet blocks of one section, over those with plain contents.
+    """Find usual enhanced packet blocks of one section of a pcapng file; see :func:`walk_pcap`.
 
-    ``described`` says of each interface whether it is wanted, how to read its clock (``ticks * MULTIPLY // DIVIDE +
-    SHIFT``, exact for all stamps up to ``MOST_TICKS``), and its index in the file. ``limit`` is the longest block.
+    ``described`` has for each interface whether its frames are read, how to convert its time stamps (``ticks * MULTIPLY
+    // DIVIDE + SHIFT``, exact up to ``MOST_TICKS``), and its index in the file. ``limit`` is the maximum size of a
+    block. Return the number of blocks and the next position.
     """
     count = _I64(0)
     size = _I64(b.size)

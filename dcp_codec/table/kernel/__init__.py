@@ -1,1 +1,1 @@
-"""The columnar decoder: generated from a plan, compiled by Numba, kept in the user's cache."""
+"""The columnar decoder: generated from a plan, compiled by Numba, and stored in the user's cache."""

@@ -1,8 +1,8 @@
-"""Turning generated source into machine code, and keeping it for the next process; or running it as it is.
+"""Compile generated source to machine code that later processes reuse, or run the source as plain Python.
 
-Numba keeps what it compiled beside the source file, so the source is written to a folder of the user's cache under a
-name made of its contents: another profile, version or generator is another file. Where there is no such folder to be
-had, everything is compiled anew in each process.
+Numba stores machine code beside the source file. So the source is written to a folder in the user's cache, under a name
+that is a hash of its content: another profile, version or generator gets another file. Without such a folder each
+process compiles again.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ I64, U64 = np.int64, np.uint64
 
 '''
 
-#: What the generated source calls, in machine code.
+#: The functions that the generated source calls, for machine code.
 _NATIVE: Mapping[str, Any] = {
     "I64": np.int64,
     "U64": np.uint64,
@@ -58,7 +58,7 @@ def _locate(b: Any, start: int, stop: int, udp: bool, kind: int) -> tuple[int, i
 
 
 def _intern(b: Any, at: int, size: int, slots: Any, ends: Any, arena: Any, many: int) -> int:
-    # The hash wraps around on purpose.
+    # The hash overflows on purpose.
     with np.errstate(over="ignore"):
         return int(native.intern(b, at, size, slots, ends, arena, many))
 
@@ -74,7 +74,7 @@ def _move(stage: Any, rows: int, target: Any, done: int, moves: Any, begin: int,
         target[to : to + rows * size] = stage[at : at + rows * size]
 
 
-#: The same for plain Python: numbers are integers of Python, which are several times as fast there as those of NumPy.
+#: The functions for plain Python. They use integers of Python, which are several times as fast as those of NumPy.
 PLAIN: Mapping[str, Any] = {
     "I64": int,
     "U64": int,
@@ -86,18 +86,18 @@ PLAIN: Mapping[str, Any] = {
 
 
 def interpreted(shape: Shape) -> Decode:
-    """The columnar decoder as plain Python: hundreds of times slower, and nothing to compile."""
+    """Return the columnar decoder as plain Python: hundreds of times slower, but without compilation."""
     decode = function_of(kernel_source(shape), PLAIN)
 
     def with_views(*arguments: Any) -> tuple[int, int]:
-        # Elements of memoryviews are integers of Python.
+        # Elements of memoryviews are integers of Python, those of arrays are not.
         return decode(*(each.data if isinstance(each, np.ndarray) else each for each in arguments))
 
     return with_views
 
 
 def function_of(text: str, names: Mapping[str, Any]) -> Decode:
-    """The function of a source in which these names stand for something."""
+    """Return the function ``decode`` of the source ``text``, with ``names`` as its global names."""
     namespace: dict[str, Any] = {"__name__": __name__, **names}
     filename = f"<dcp_codec table {hashlib.sha256(text.encode()).hexdigest()[:12]}>"
     linecache.cache[filename] = (len(text), None, text.splitlines(keepends=True), filename)
@@ -107,9 +107,9 @@ def function_of(text: str, names: Mapping[str, Any]) -> Decode:
 
 
 def compiled(shape: Shape) -> Decode:
-    """The columnar decoder as machine code; compiled when it is first called, unless an earlier process did it."""
+    """Return the columnar decoder as machine code, compiled at the first call unless an earlier process has done so."""
     text = kernel_source(shape)
-    # What the machine code depends on, and Numba does not look at.
+    # The machine code depends on these, too, but Numba does not check them.
     helpers = Path(native.__file__).read_bytes() + repr(options()).encode()
     digest = hashlib.sha256(text.encode() + helpers + version("numba").encode()).hexdigest()[:20]
     folder = cache_folder()
@@ -122,16 +122,16 @@ def compiled(shape: Shape) -> Decode:
     except (OSError, UnicodeDecodeError):
         same = False
     if not same:
-        # Whoever comes first writes it; the name says what is in it, so all write the same.
+        # Several processes may write the file at once; all write the same content, of which the name is a hash.
         write_whole(path, wanted.encode())
     return machine(_module(path, digest))
 
 
 def cache_folder() -> Path | None:
-    """Our folder in the user's cache, made if need be; None if there is none that nobody else can change.
+    """Return our folder in the user's cache, created if necessary; None if other users could change it.
 
-    What lies there is executed. A process of root with the home of somebody else (``sudo -E``) has none, and leaves
-    nothing of its own there.
+    Files in the folder are executed. A process of root with another user's home (``sudo -E``) gets None, and creates no
+    files there.
     """
     base = Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser())
     folder = base / "dcp-codec"

@@ -1,13 +1,12 @@
 """Generate the columnar decoder of a plan: Python source that Numba compiles.
 
-The function takes frames that lie in one buffer, finds the bearer payload in each, and appends what it says to the
-columns of the tables (:mod:`dcp_codec.table.kernel.generator.shape`). It judges no further than "plainly good": of any
-other frame it takes everything
-back and notes its number, and the strict decoder says what is wrong with it. Every rule of the layout is therefore
-told by one decoder only.
+The function reads frames in one buffer, finds the bearer payload of each, and appends the decoded values to the columns
+of the tables (:mod:`dcp_codec.table.kernel.shape`). It only distinguishes valid frames from others. It removes the
+values of an invalid frame and stores the number of the frame, and the strict decoder reports the error. So only the
+strict decoder reports violations of the layout.
 
-The source is generated as that of the strict decoder is: from the plan, with numbered names, nothing from outside in
-it. It is plain Python too, so that tests can run it for profiles that are not worth compiling.
+Like that of the strict decoder, the source is generated from the plan with numbered names, and contains no text from
+outside. It is also plain Python, so that tests can run it for profiles that are not worth compiling.
 """
 
 from __future__ import annotations
@@ -18,24 +17,24 @@ from .lines import DONE, FULL, POOL_FULL, KernelLines
 from .row_buffer import ITEMS, item, places
 from .shape import OCTETS, Column, Shape, Table
 
-#: What the function is given before the columns, in this order.
+#: The parameters of the function before the columns, in this order.
 PARAMETERS = (
     "b",  # the octets
     "starts", "stops", "numbers", "times", "lengths", "interfaces",  # of each frame
     "first", "count",  # which of them
     "udp", "kind",  # whether beacons are in UDP, and the port or EtherType
-    "room", "space",  # rows after which a batch ends, octets that each column of varying octets has
-    "high", "moved",  # rows that the stage has, and after which those of a table are moved
-    *ITEMS, "moves",  # the stage and what to move, see stage.py
+    "room", "space",  # number of rows after which a batch ends, octets of each column of variable length
+    "high", "moved",  # capacity of the stage in rows, and number of rows after which those of a table are moved
+    *ITEMS, "moves",  # the stage and its columns, see row_buffer.Stage
     "a_slots", "a_keys", "a_many",  # pool of addresses
     "n_slots", "n_keys", "n_ends", "n_arena", "n_many",  # pool of node identifiers
     "rows",  # for results: rows of each table, then the pools' sizes, malformed, other traffic, octets of each column
-    "bad",  # for results: indices of the frames that are not plainly good
+    "bad",  # for results: indices of the invalid frames
 )  # fmt: skip
 
 
 class _Ref:
-    """A scalar that other members refer to: the name of its variable."""
+    """The name of the variable of a scalar that other members refer to."""
 
     def __init__(self, variable: str) -> None:
         self.variable = variable
@@ -57,13 +56,13 @@ class _Generator(KernelLines):
     def __init__(self, shape: Shape) -> None:
         super().__init__()
         self.shape = shape
-        #: Names of the index columns' variables, outermost first.
+        #: Names of the variables of the index columns, outermost first.
         self.indices: list[str] = []
 
     # -- records --------------------------------------------------------------------------------------------
 
     def table(self, group: Group, end: str, *, fits: bool = False) -> None:
-        """Read a record that is a row of its own table."""
+        """Generate the decoding of a record that is a row of its own table. ``fits``: its size is already checked."""
         table = self.shape.table_of(group)
         row = f"r{table.number}"
         self.keys(table, row)
@@ -111,7 +110,7 @@ class _Generator(KernelLines):
                     self.node(member, row, end, scope)
 
     def flush(self, run: list[tuple[Scalar, _Scope]], row: str, end: str, *, fits: bool) -> None:
-        """Read a run of neighbouring scalars and move ``o`` behind them."""
+        """Generate the decoding of adjacent scalars, with a single check of their size, and advance ``o``."""
         if not run:
             return
         size = sum(scalar.size for scalar, _ in run)
@@ -147,7 +146,7 @@ class _Generator(KernelLines):
         self.put(column, row, variable)
 
     def text(self, text: Text, lengths: list[str], row: str, end: str) -> None:
-        """Read the octets behind the lengths (already read) of ``text``."""
+        """Generate the decoding of the octets of ``text``, whose lengths are in the variables ``lengths``."""
         column, size = self.shape.of(text), self.fresh("s")
         assert column is not None
         if not lengths:
@@ -202,7 +201,7 @@ class _Generator(KernelLines):
             case Fill():
                 self.fill(node, row, end, scope)
             case _:
-                raise TypeError(f"{type(node).__name__} stands outside a record")
+                raise TypeError(f"{type(node).__name__} is outside of a record")
 
     def fill(self, node: Fill, row: str, end: str, scope: _Scope) -> None:
         column, used, size = self.shape.of(node), _resolve(scope, node.used), self.fresh("s")
@@ -216,9 +215,9 @@ class _Generator(KernelLines):
     def select(self, node: Select, row: str, end: str, scope: _Scope) -> None:
         key, column = _resolve(scope, node.key), self.shape.of(node)
         cases = [*node.cases.values(), *([node.default] if node.default is not None else [])]
-        # Octets of varying number that only one case has: the offsets of the other rows say "none".
+        # Columns of variable length that only one case has: rows of the other cases have the length 0.
         own = [self.shape.of(case) if isinstance(case, Rest | Fill) else None for case in cases]
-        # A case may fail, and only a loop can be left.
+        # A case may fail, which is a `break`: this needs a loop.
         with self.loop("for _once in range(1):"):
             keyword = "if"
             for index, (number, case) in enumerate(node.cases.items()):
@@ -265,14 +264,14 @@ class _Generator(KernelLines):
 
 
 def _pattern(value: int, scalar: Scalar) -> int:
-    """``value`` as the int64 that reading it gives."""
+    """Return ``value`` as the int64 that the decoder reads for it."""
     if scalar.size == 8 and not scalar.signed and value >= 1 << 63:
         return value - (1 << 64)
     return value
 
 
 def kernel_source(shape: Shape) -> str:
-    """The source of ``decode(...)`` for the tables of ``shape``; see ``PARAMETERS``."""
+    """Return the source of ``decode(...)`` for the tables of ``shape``; see ``PARAMETERS``."""
     generator = _Generator(shape)
     add, block = generator.add, generator.block
     varying = [column for column in shape.columns if column.kind in ("varying", "text")]
@@ -285,7 +284,7 @@ def kernel_source(shape: Shape) -> str:
     before = places(shape.columns)
     for column in shape.columns:
         add(f"at{column.number} = {before[column.number] // int(item(column)[1])} * high")
-    # Rows in the stage, and rows that were moved.
+    # Numbers of rows in the stage, and of moved rows.
     add(f"{' = '.join(f'r{table.number}' for table in tables)} = I64(0)")
     add(f"{' = '.join(f'n{table.number}' for table in tables)} = I64(0)")
     for column in varying:
@@ -328,17 +327,17 @@ def kernel_source(shape: Shape) -> str:
 
 
 def result_names(shape: Shape) -> list[str]:
-    """What ``rows`` holds when the function returns, by the names of its variables."""
+    """Return the names of the variables whose values are in ``rows`` when the function returns."""
     varying = [f"m{column.number}" for column in shape.columns if column.kind in ("varying", "text")]
     return [*(f"n{table.number}" for table in shape.tables), "a_many", "n_many", "malformed", "other", *varying]
 
 
 def _make_room(generator: _Generator, varying: list[Column]) -> None:
-    """See to it that a frame fits; leave the loop over frames where a batch is full."""
+    """Generate the code that makes room for a frame in the stage, and ends the loop over frames if a batch is full."""
     add, block, tables = generator.add, generator.block, generator.shape.tables
-    # No record and no value can be more than the octets that are left.
+    # The remaining octets are an upper bound of the numbers of records and of octets of values.
     add("most = e - o")
-    # Of the numbers of rows none is greater than all of them or-ed.
+    # The OR of all row counts is an upper bound, so that one comparison covers every table.
     any_rows = " | ".join(f"r{table.number}" for table in tables)
     over = [f"m{column.number} + most > space" for column in varying]
     with block(f"if {' or '.join([f'({any_rows}) >= moved', 'most > high - moved', *over])}:"):
@@ -355,18 +354,18 @@ def _make_room(generator: _Generator, varying: list[Column]) -> None:
 
 
 def _move(generator: _Generator, table: Table) -> None:
-    """Move the rows of a table from the stage to its columns."""
+    """Generate the code that moves the rows of a table from the stage to its columns."""
     number = table.number
     begin = sum(len(other.columns) for other in generator.shape.tables[:number])
     end = begin + len(table.columns)
-    # As numbers of 64 bits like all others, or Numba would make another function for each table.
+    # I64, so that all calls have the same types: otherwise Numba would compile the function for each table.
     generator.add(f"move(u1, r{number}, t{number}, n{number}, moves, I64({begin}), I64({end}))")
     generator.add(f"n{number} += r{number}")
     generator.add(f"r{number} = 0")
 
 
 def _beacon(generator: _Generator) -> None:
-    """One frame: the columns that are ours, then the record of the plan."""
+    """Generate the decoding of one frame: the additional columns, then the record of the plan."""
     add, shape = generator.add, generator.shape
     beacons = shape.tables[0]
     row = "r0"

@@ -1,7 +1,7 @@
-"""Machine code from functions of this package, kept for the next process where that can be.
+"""Compile functions of this package with Numba; later processes reuse the machine code where possible.
 
-The functions themselves are plain Python, and Numba is imported when the first of them is asked for as machine code:
-whoever decodes a small recording waits for neither.
+The functions are plain Python. Numba is imported only when machine code is requested for the first time, so that
+decoding a small recording needs neither the import nor the compilation.
 """
 
 from __future__ import annotations
@@ -15,21 +15,21 @@ from typing import Any, TypeVar, cast
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
-#: Says at level INFO, once in a process, that something has to be compiled; that takes about ten seconds.
+#: Logger of the message, once in a process and at level INFO, that the decoder is compiled (about ten seconds).
 LOG = logging.getLogger("dcp_codec.table.compiling")
 COMPILING = "compiling the decoder, once; this takes about ten seconds"
 
-#: Functions that others call in machine code, and how many of them Numba knows.
+#: Functions that compiled functions call, and the number of them that are registered with Numba.
 _helpers: list[Callable[..., Any]] = []
 _known = 0
 
 
 def options_of(registry: str) -> dict[str, Any]:
-    """What Numba is told; ``registry``: its module that says which options there are.
+    """Return the options for Numba. ``registry`` is the name of Numba's module that defines the available options.
 
-    Other threads may run. References to arrays are not counted, which took up to a fifth of the time: a function has to
-    make do with the arrays that it is given. That option is Numba's own (0.60 to 0.68 have it): where there is none, or
-    no such module, it is left out, and everything is the same but for the time.
+    ``nogil`` lets other threads run. ``_nrt=False`` disables reference counts of arrays, which took up to a fifth of
+    the time; such functions cannot create arrays. This internal option exists in Numba 0.60 to 0.68. Without it only
+    the speed differs.
     """
     options: dict[str, Any] = {"nogil": True}
     try:
@@ -41,21 +41,21 @@ def options_of(registry: str) -> dict[str, Any]:
 
 @cache
 def options() -> dict[str, Any]:
-    """The options for functions that make no arrays."""
+    """Return the options of the installed Numba for functions that create no arrays."""
     return options_of("numba.core.registry")
 
 
 def helper(function: _Function) -> _Function:
-    """Mark a function that others call in machine code, of which it becomes a part. It stays plain Python."""
+    """Mark a function that compiled functions call; it is compiled as a part of them. Return it unchanged."""
     _helpers.append(function)
     return function
 
 
 def machine(function: _Function) -> _Function:
-    """``function`` as machine code that lets other threads run; compiled when it is first called.
+    """Return ``function`` as machine code that runs without the GIL; it is compiled at the first call.
 
-    Numba keeps it beside the source or in the user's cache. Where neither can be written, each process compiles anew.
-    It is for arguments of one kind: processes that keep machine code for several at once mix them up.
+    Numba stores it beside the source or in the user's cache. If neither can be written, each process compiles again.
+    All calls must have the same argument types: concurrent processes that store machine code for several mix them up.
     """
     return cast(_Function, _compiled(function))
 
@@ -72,7 +72,7 @@ def _compiled(function: Callable[..., Any]) -> Any:
 
 
 class _Announcer(logging.Handler):
-    """Passes what is logged on as text."""
+    """Logging handler that calls a function with the text of each record."""
 
     def __init__(self, say: Callable[[str], object]) -> None:
         super().__init__(logging.INFO)
@@ -83,7 +83,7 @@ class _Announcer(logging.Handler):
 
 
 def announce(say: Callable[[str], object]) -> logging.Handler:
-    """Call ``say`` with one sentence for people when something has to be compiled, as long as the process lives."""
+    """Call ``say`` with a message for the user when the process compiles; return the handler for removal."""
     handler = _Announcer(say)
     LOG.addHandler(handler)
     LOG.setLevel(logging.INFO)
@@ -92,7 +92,7 @@ def announce(say: Callable[[str], object]) -> logging.Handler:
 
 @contextmanager
 def announcing(say: Callable[[str], object]) -> Iterator[None]:
-    """As :func:`announce` for the time of a with-block."""
+    """Call ``say`` with a message for the user when the process compiles during the ``with`` block."""
     level = LOG.level
     handler = announce(say)
     try:
@@ -103,7 +103,7 @@ def announcing(say: Callable[[str], object]) -> Iterator[None]:
 
 
 def _prepare() -> None:
-    """Have Numba know all helpers, and say when it compiles."""
+    """Register all helpers with Numba, and log its compilations."""
     global _known
     from numba.extending import register_jitable
 

@@ -1,7 +1,7 @@
 """Source of the columnar decoder, line by line: reading numbers, filling columns, numbering identifiers.
 
-Integers are ``int64`` throughout: an unsigned number of eight octets is its bit pattern, and a length with the top bit
-set is too long. Indices into arrays are unsigned, or Numba would ask of each whether it counts from the end.
+All integers are ``int64``: an unsigned number of eight octets is represented by its bit pattern, and a length with the
+highest bit set is too long. Indices of arrays are unsigned, so that Numba does not check for negative indices.
 """
 
 from __future__ import annotations
@@ -14,19 +14,19 @@ from dcp_codec.plan.tree import Scalar
 from .row_buffer import item
 from .shape import Column
 
-#: Why the function returned: all frames are done, a table is full, or a pool of identifiers is full.
+#: Reasons why the function returns: all frames are decoded, a table is full, or a pool of identifiers is full.
 DONE, FULL, POOL_FULL = 0, 2, 3
 
-#: Odd, and its bits are as good as any: spreads identifiers over the slots of a pool.
+#: Odd multiplier of the hash that distributes identifiers to the slots of a pool.
 _MULTIPLIER = 0x9E3779B97F4A7C1
-#: Octets of an identifier that can be its own key.
+#: Maximum size in octets of an identifier that is used as its own key.
 SHORT = 8
 
 
 class KernelLines:
-    """Lines of the function, and the statements that read values and put them into columns.
+    """Source lines of the function, with methods that append statements for reading values and filling columns.
 
-    Reading fails by leaving the innermost loop: everything that may fail stands in one.
+    A failure is a ``break`` of the innermost loop, so that all statements that may fail must be in a loop.
     """
 
     def __init__(self) -> None:
@@ -41,13 +41,13 @@ class KernelLines:
         self.lines.append("    " * self.depth + line)
 
     def fresh(self, stem: str = "v") -> str:
-        """A name that nothing else in the function has."""
+        """Return a new unique name of a variable."""
         self._names += 1
         return f"{stem}{self._names}"
 
     @contextmanager
     def block(self, line: str) -> Iterator[None]:
-        """A compound statement: ``line`` and what is added inside."""
+        """Append a compound statement: ``line``, and the lines that are added in the ``with`` block."""
         self.add(line)
         self.depth += 1
         before = len(self.lines)
@@ -57,13 +57,13 @@ class KernelLines:
         self.depth -= 1
 
     def fail_if(self, condition: str) -> None:
-        """Leave the innermost loop with ``bad`` still set."""
+        """Append a statement that leaves the innermost loop, with ``bad_now`` still set, if ``condition`` is true."""
         with self.block(f"if {condition}:"):
             self.add("break")
 
     @contextmanager
     def loop(self, line: str) -> Iterator[None]:
-        """A loop whose body may fail: ``ok`` is false while an element is being read."""
+        """Append a loop whose body may fail; the variable ``ok`` is false while an element is read."""
         ok = self.fresh("ok")
         self.add(f"{ok} = True")
         with self.block(line):
@@ -76,11 +76,11 @@ class KernelLines:
 
     @staticmethod
     def octet(at: str, relative: int) -> str:
-        """The expression of an octet."""
+        """Return the expression of the octet at ``at + relative``."""
         return f"I64(b[U64({at} + {relative})])" if relative else f"I64(b[U64({at})])"
 
     def number(self, scalar: Scalar, at: str, relative: int) -> str:
-        """The expression of an integer, or of the bit pattern of a float, at ``at + relative``."""
+        """Return the expression of an integer, or of the bit pattern of a float, at ``at + relative``."""
         size = scalar.size
         order = range(size) if scalar.order == "little" else range(size - 1, -1, -1)
         parts = [
@@ -95,17 +95,17 @@ class KernelLines:
         return text
 
     def put(self, column: Column | None, row: str, value: str) -> None:
-        """Put a number into a column, if there is one."""
+        """Append the assignment of a number to a column; nothing if ``column`` is None."""
         if column is not None:
             self.add(f"{self.place(column, row)} = {value}")
 
     @staticmethod
     def place(column: Column, row: str) -> str:
-        """Where the stage holds the value of a column in a row; of varying octets where they end."""
+        """Return the expression of a column's value in a row of the stage; for variable lengths the end offset."""
         return f"{item(column)}[U64(at{column.number} + {row})]"
 
     def put_octets(self, column: Column, row: str, at: str, size: int) -> None:
-        """Put ``size`` octets into a column of octets."""
+        """Append statements that copy ``size`` octets into a column of octets."""
         place = self.fresh("q")
         self.add(f"{place} = at{column.number} + {row} * {size}")
         if size <= SHORT:
@@ -117,7 +117,7 @@ class KernelLines:
                 self.add(f"u1[U64({place} + {step})] = b[U64({at} + {step})]")
 
     def put_varying(self, column: Column, row: str, at: str, size: str) -> None:
-        """Append ``size`` octets to a column of varying ones."""
+        """Append statements that add ``size`` octets to a column of variable length."""
         number, index = column.number, self.fresh("i")
         with self.block(f"for {index} in range({size}):"):
             self.add(f"d{number}[U64(m{number} + {index})] = b[U64({at} + {index})]")
@@ -125,7 +125,7 @@ class KernelLines:
         self.put(column, row, f"m{number}")
 
     def intern(self, pool: str, at: str, size: int, target: str) -> None:
-        """Turn ``size`` <= 8 octets into their number in a pool."""
+        """Append statements that set ``target`` to the number of an identifier of ``size`` <= 8 octets in a pool."""
         key, place = self.fresh("k"), self.fresh("h")
         self.add(f"{key} = {self.number(Scalar('', 'int', size, '', 'big'), at, 0)}")
         self.add(f"{place} = ((({key} ^ ({key} >> 29)) * {_MULTIPLIER}) >> 20) & {pool}_mask")
@@ -146,7 +146,7 @@ class KernelLines:
         self.fail_if(f"bad_now == {POOL_FULL}")
 
     def intern_any(self, at: str, size: str, target: str) -> None:
-        """As :meth:`intern` for node identifiers of any number of octets."""
+        """Append the statements of :meth:`intern` for node identifiers of any size."""
         self.add(
             f"{target} = intern(b, {at}, {size}, n_slots, n_ends, n_arena, n_many)",
         )
@@ -157,7 +157,7 @@ class KernelLines:
             self.add("n_many += 1")
 
     def node_id(self, at: str, size: int, target: str) -> None:
-        """Turn a node identifier of fixed size into its number."""
+        """Append statements that set ``target`` to the number of a node identifier of fixed size."""
         if size <= SHORT:
             self.intern("n", at, size, target)
         else:

@@ -1,6 +1,6 @@
-"""What every generated decoder calls: finding the bearer payload in a frame, and numbering identifiers. For Numba.
+"""Functions for Numba that every generated decoder calls: locate the bearer payload of a frame, number identifiers.
 
-:func:`locate` says the same as :func:`dcp_codec.framing.locate.locate`, octet for octet; tests hold the two together.
+:func:`locate` must have the same results as :func:`dcp_codec.framing.locate.locate`; tests compare the two.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import numpy as np
 
 from .jit import helper
 
-# Numba knows these types; to everybody else the numbers are plain integers.
+# These types are for Numba; for type checkers the numbers are plain integers.
 _I64: Any = np.int64
 _U64: Any = np.uint64
 _HEADER, _IPV4, _IPV6, _UDP = 14, 0x0800, 0x86DD, 17
@@ -22,22 +22,22 @@ _HASH_START = 0x4BF29CE484222325
 
 @helper
 def _pair(b: Any, at: int) -> Any:
-    """The 16-bit number at ``at``, big-endian."""
+    """Return the 16-bit number at ``at``, big-endian."""
     return (_I64(b[_U64(at)]) << 8) | _I64(b[_U64(at + 1)])
 
 
 @helper
 def wrapped(number: Any) -> Any:
-    """The number whose 64 bits, with a sign, are those of ``number``: in machine code it is there already."""
+    """Return the signed number with the 64 bits of ``number``: in machine code ``number`` itself."""
     return number
 
 
 @helper
 def locate(b: Any, start: int, stop: int, udp: bool, kind: int) -> tuple[int, int, int]:
-    """Where the bearer payload of the frame ``b[start:stop]`` starts and stops, and the EtherType.
+    """Return start and end of the bearer payload of the frame ``b[start:stop]``, and the EtherType.
 
-    The start is -1 for other traffic, and the EtherType -1 where the frame is too short to have one. ``kind`` is the
-    UDP port or the EtherType that says what is DCP.
+    The start is -1 for other traffic, and the EtherType is -1 if the frame is too short. ``kind`` is the UDP port or
+    the EtherType of DCP.
     """
     if stop - start < _HEADER:
         return -1, -1, -1
@@ -68,9 +68,10 @@ def locate(b: Any, start: int, stop: int, udp: bool, kind: int) -> tuple[int, in
 
 @helper
 def intern(b: Any, at: int, size: int, slots: Any, ends: Any, arena: Any, many: int) -> Any:
-    """The number of the identifier ``b[at:at + size]`` in a pool that has ``many``; a new one is appended.
+    """Return the number of the identifier ``b[at:at + size]`` in a pool of ``many``; append a new identifier.
 
-    -1 if the pool is full. ``ends[n]`` is where identifier ``n`` starts in ``arena``, and ends that before it.
+    Return -1 if the pool is full. ``ends[n]`` is the start of identifier ``n`` in ``arena``, and the end of the one
+    before.
     """
     mask = _I64(len(slots) - 1)
     mixed = _I64(_HASH_START)
@@ -105,7 +106,7 @@ def intern(b: Any, at: int, size: int, slots: Any, ends: Any, arena: Any, many: 
 def move(stage: Any, rows: int, target: Any, done: int, moves: Any, begin: int, end: int) -> None:
     """Append the first ``rows`` rows of the columns ``moves[begin:end]`` to the ``done`` rows that they have.
 
-    Of each column ``moves`` says where it starts in the ``stage`` and in the ``target``, and the octets of a row.
+    ``moves`` has for each column its start in ``stage``, its start in ``target``, and the size of a row in octets.
     """
     for column in range(begin, end):
         size = moves[column, 2]

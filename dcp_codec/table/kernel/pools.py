@@ -1,4 +1,4 @@
-"""Pools: node identifiers and addresses as small numbers, so that a column of them is a dictionary column."""
+"""Pools that number node identifiers and addresses, so that columns of them are dictionary columns."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ import pyarrow as pa
 
 Array = npt.NDArray[np.generic]
 
-#: Identifiers that a pool holds before a fresh one is begun. A swarm has dozens; garbage has millions.
+#: Capacity of a pool. A swarm has dozens of identifiers; random octets have millions.
 MOST = 1 << 15
 
 
 def text_array(texts: Sequence[str]) -> pa.Array:
     """Return texts as an Arrow array of strings.
 
-    ``pyarrow.array`` would import pandas, where that is installed, to find out whether a list is a pandas object. That
-    takes as long as decoding some thousand beacons.
+    ``pyarrow.array`` would import pandas, if installed, to check whether a list is a pandas object. That takes as long
+    as decoding some thousand beacons.
     """
     octets = [text.encode() for text in texts]
     ends = np.zeros(len(octets) + 1, np.int32)
@@ -27,9 +27,9 @@ def text_array(texts: Sequence[str]) -> pa.Array:
 
 
 class Pool:
-    """Identifiers of at most eight octets (``size``), or of any number of octets (``size`` 0).
+    """A pool of identifiers of a fixed ``size`` in octets, or of variable size (``size`` 0).
 
-    ``write`` turns the octets of one into text.
+    ``write`` converts the octets of an identifier to text. ``most`` is the capacity.
     """
 
     def __init__(self, size: int, write: Callable[[bytes], str], most: int = MOST) -> None:
@@ -38,7 +38,7 @@ class Pool:
         self._write = write
         self._texts: list[str] = []
         self._dictionary: pa.Array | None = None
-        #: Open addressing: the number of an identifier, or -1. At least three quarters are free.
+        #: Hash table with open addressing: the number of an identifier, or -1. At least three quarters are free.
         self.slots = np.full(4 * most, -1, np.int32)
         short = 0 < size <= 8
         self.keys = np.empty(most if short else 0, np.int64)
@@ -47,11 +47,11 @@ class Pool:
         self.many = 0
 
     def grown(self) -> Pool:
-        """An empty pool for twice as many."""
+        """Return an empty pool of twice the capacity."""
         return Pool(self.size, self._write, 2 * self.most)
 
     def fresh(self) -> Pool:
-        """An empty pool for as many."""
+        """Return an empty pool of the same capacity."""
         return Pool(self.size, self._write, self.most)
 
     @property

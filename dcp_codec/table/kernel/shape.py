@@ -1,9 +1,9 @@
-"""The tables of a profile: which columns they have, derived from the plan of its layout.
+"""The tables of a profile with their columns, derived from the plan of its layout.
 
-Every record type of the plan is a table, nested records are laid flat into the table around them, and every table
-starts with the keys that join it to the others. Column names are the field names of the specification, as in JSON and
-Wireshark. What the profile fixes to one value (version, magic number) is no column; what follows from other fields
-(lengths, counts) is one, since overhead is counted with it.
+Every record type of the plan is a table. Nested records are flattened into the enclosing table, and every table starts
+with the keys that join it to the others. Column names are the field names of the specification, as in JSON and
+Wireshark. Fields with a fixed value (version, magic number) have no column. Lengths and counts have columns, because
+they are needed to compute overhead.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from dcp_spec.profile.definition import Profile
 
 from dcp_codec.plan.tree import Exact, Fill, Group, Many, Node, Region, Rest, Scalar, Select, Text, snake
 
-#: Record type of the schema -> name of its table, in the order in which tables are listed.
+#: Names of tables by record type of the schema, in the order in which tables are listed.
 TABLE_NAMES = {
     "Beacon": "beacons",
     "Payload": "payloads",
@@ -28,27 +28,27 @@ TABLE_NAMES = {
     "VarReqUpdate": "req_updates",
     "VarReqCreate": "req_creates",
 }
-#: The table of frames that are no beacon of the profile; it has the same columns for every profile.
+#: The table of frames that are not valid beacons of the profile; it has the same columns for every profile.
 ERRORS = "errors"
 TABLES = (*TABLE_NAMES.values(), ERRORS)
 
 
 def table_name(type_name: str) -> str:
-    """The name of the table of a record type; ``GeoFence``, a profile's own, has ``geo_fence``."""
+    """Return the name of the table of a record type; that of a profile's own type ``GeoFence`` is ``geo_fence``."""
     return TABLE_NAMES.get(type_name) or snake(type_name)
 
 
 def table_names(profile: Profile) -> tuple[str, ...]:
-    """The tables that recordings of a profile can have: the usual ones, and those of its own record types."""
+    """Return the tables that recordings of a profile can have: the usual ones, and those of its own record types."""
     own = [table_name(container.type_name) for container in profile.vardis.own_containers]
     report = ["own_report"] if profile.srp.record and not profile.srp.is_report else []
     return (*TABLE_NAMES.values(), *report, *own, ERRORS)
 
 
-#: Our own column of the tables whose records say nothing of their length.
+#: Additional column with the size of records that have no length field.
 OCTETS = "octets"
 
-#: Lists that are counted by nobody get an index of this many octets.
+#: Size in octets of the index of lists without a count field.
 _FREE_INDEX = 4
 
 Kind = Literal["int", "float", "octets", "address", "node", "varying", "text", "label", "time"]
@@ -56,11 +56,11 @@ Kind = Literal["int", "float", "octets", "address", "node", "varying", "text", "
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """One column. ``size`` is octets of a value in memory (1, 2, 4, 8; of ``octets`` any number).
+    """One column. ``size`` is the size of a value in memory in octets (1, 2, 4 or 8; for ``octets`` any size).
 
-    ``address`` and ``node`` are link-layer addresses and node identifiers, carried as numbers of a pool; ``varying``
-    are octets of varying number, ``text`` the same as UTF-8; ``label`` is an index into ``labels``.
-    ``only`` says that values are there only where the column of that number has that index; others are null.
+    ``address`` and ``node`` are link-layer addresses and node identifiers, stored as numbers in a pool. ``varying``
+    are octets of variable length, ``text`` the same as UTF-8. ``label`` is an index of ``labels``. ``only`` is the
+    number of a label column and an index: only rows with that index have a value, others are null.
     """
 
     name: str
@@ -76,7 +76,7 @@ class Column:
 
 @dataclass(slots=True)
 class Table:
-    """One table: ``number`` among those of the shape, ``keys`` first among its ``columns``."""
+    """One table. ``number`` is its index in the shape; its keys are the first of its ``columns``."""
 
     name: str
     type_name: str
@@ -84,7 +84,7 @@ class Table:
     columns: list[Column] = field(default_factory=list)
 
     def column(self, name: str) -> Column:
-        """The column of that name; KeyError if there is none."""
+        """Return the column of that name. Raise KeyError if it does not exist."""
         for column in self.columns:
             if column.name == name:
                 return column
@@ -92,27 +92,29 @@ class Table:
 
 
 class Shape:
-    """The tables of a plan, and for every node of the plan that is stored the column that holds it.
+    """The tables of a plan, and the columns of its nodes.
 
-    ``columns`` are all columns by number; ``of(node)`` finds that of a node of this very plan.
+    ``columns`` are all columns by number. ``of(node)`` returns the column of a node, which must be an object of this
+    plan.
     """
 
     def __init__(self, plan: Node) -> None:
         assert isinstance(plan, Group)
         self.tables: list[Table] = []
         self.columns: list[Column] = []
-        #: Nodes by identity: equal scalars in two records are two columns. The plan is kept so that none dies.
+        #: Columns by the identity of nodes, because equal scalars in two records have different columns. The reference
+        #: to the plan keeps the identities valid.
         self._places: dict[int, Column] = {}
         self.plan = plan
         self.sender = _sender_of(plan)
-        #: Whether beacons name their sender; without, it is the source address of the frame.
+        #: Type of the sender: the node identifier in the beacon, or the source address if beacons have none.
         self.sender_kind: Literal["node", "address"] = "address" if self.sender is None else "node"
         table = self._table(plan, [])
         for name, size, doc in (
             ("interface", 4, "interface of the recording, from 0"),
             ("frameLength", 4, "octets of the frame on the wire"),
             (OCTETS, 4, "octets of the bearer payload without padding"),
-            ("padding", 4, "octets behind the bearer payload"),
+            ("padding", 4, "octets after the bearer payload"),
         ):
             self._add(table, Column(name, "int", size, 0, unit="octets" if name != "interface" else "", doc=doc))
         for name, doc in (("src", "source address of the frame"), ("dst", "destination address of the frame")):
@@ -120,22 +122,22 @@ class Shape:
         self._group(table, plan, [])
 
     def named(self, name: str) -> Table:
-        """The table of that name; KeyError if the profile has none."""
+        """Return the table of that name. Raise KeyError if the profile does not have it."""
         for table in self.tables:
             if table.name == name:
                 return table
         raise KeyError(name)
 
     def of(self, node: Node) -> Column | None:
-        """The column of ``node``; None if it has none."""
+        """Return the column of ``node``; None without a column."""
         return self._places.get(id(node))
 
     def own(self, column: Column) -> bool:
-        """Whether a column is ours, and no field of the profile."""
+        """Return whether a column is an additional one, not a field of the profile."""
         return all(other is not column for other in self._places.values())
 
     def table_of(self, group: Group) -> Table:
-        """The table of a record that is not laid flat into another; KeyError if it is."""
+        """Return the table of a record. Raise KeyError if the record is flattened into another table."""
         return self.named(table_name(group.type_name))
 
     # -- building -------------------------------------------------------------------------------------------
@@ -156,7 +158,7 @@ class Shape:
         name = column.name
         taken = {other.name for other in table.columns}
         if name in taken:
-            # Elements of lists have no name of their own.
+            # Elements of lists have no name.
             name = f"{group or table.type_name.lower()}_{name}"
         while name in taken:
             name += "_"
@@ -221,7 +223,7 @@ class Shape:
                 labels = tuple(str(names.get(number, case.name)) for number, case in cases)  # type: ignore[arg-type]
                 name = key.name_field or "content"
                 chosen = self._add(
-                    table, Column(name, "label", 1, 0, labels=labels, doc=f"what {node.key} stands for"), node
+                    table, Column(name, "label", 1, 0, labels=labels, doc=f"meaning of {node.key}"), node
                 )
                 for number, (_, case) in enumerate(cases):
                     self._node(table, case, indices, scope, (chosen.number, number))
@@ -233,7 +235,7 @@ _INDEX_OF = {"Payload": "payload", "Container": "container"}
 
 
 def _sender_of(plan: Group) -> Scalar | None:
-    """The field of the header that says who sent the beacon."""
+    """Return the field of the header with the sender of the beacon; None if there is none."""
     for member in plan.members:
         if isinstance(member, Group):
             for inner in member.members:
@@ -243,7 +245,7 @@ def _sender_of(plan: Group) -> Scalar | None:
 
 
 def _scalars(group: Group, prefix: str, found: dict[str, Scalar]) -> None:
-    """The scalars of a record under the names by which members of it refer to them."""
+    """Add the scalars of a record to ``found``, by the names with which its members refer to them."""
     for member in group.members:
         if isinstance(member, Scalar):
             found[prefix + member.name] = member
@@ -252,12 +254,12 @@ def _scalars(group: Group, prefix: str, found: dict[str, Scalar]) -> None:
 
 
 def _width(counter: Scalar | None) -> int:
-    """Octets of an index below what ``counter`` can count."""
+    """Return the size in octets of an index for the counts of ``counter``."""
     return held(min(counter.size, _FREE_INDEX)) if counter is not None else _FREE_INDEX
 
 
 def held(size: int) -> int:
-    """Octets that an integer of ``size`` octets takes in memory."""
+    """Return the size in memory, in octets, of an integer of ``size`` octets."""
     return 1 if size == 1 else 2 if size == 2 else 4 if size <= 4 else 8
 
 

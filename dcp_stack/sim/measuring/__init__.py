@@ -1,4 +1,4 @@
-"""What a simulation measures: where each value went and how long it took, and who has the newest."""
+"""Measurements of a simulation: delay and reception of each value, and the share of nodes with the newest values."""
 
 from .consistency import Consistency, VariableConsistency
 from .measurements import Measurements

@@ -1,7 +1,8 @@
-"""Who has the newest value of each variable, as a share of the nodes over time.
+"""The share of nodes that have the newest value of each variable, over time.
 
-Under continuous updates the databases may never agree, and yet most nodes may have the newest value most of the time.
-Times are virtual ns, nodes are numbers from 0; the producer of a variable is not counted, it always has the newest.
+Under continuous updates the databases may never agree completely, although most nodes have the newest value most of
+the time. Times are virtual ns, nodes are numbers from 0. The producer of a variable always has its newest value and is
+not counted.
 """
 
 from __future__ import annotations
@@ -10,19 +11,24 @@ import msgspec
 
 
 class VariableConsistency(msgspec.Struct, frozen=True):
-    """One variable of one producer, from its creation (or the end of the warm-up) to its deletion (or the end)."""
+    """Shares for one variable of one producer.
+
+    They cover the time from its creation or the end of the warm-up to its deletion or the end of the run.
+    """
 
     variable: int
     producer: int
     seconds: float
-    """For how long there were other nodes to compare with."""
+    """Length of this time, as far as other nodes were present."""
     newest_share: float
     """Mean over this time of the share of the other nodes that had the newest value, 0..1."""
     complete_share: float
-    """Share of this time in which all of them had it, 0..1."""
+    """Share of this time in which all other nodes had the newest value, 0..1."""
 
 
 class _Variable:
+    """The newest value of a variable, the nodes that hold it, and the integrals so far."""
+
     __slots__ = ("alive", "area", "complete", "holders", "looked", "newest", "present_holders", "time")
 
     def __init__(self, now: int) -> None:
@@ -36,7 +42,7 @@ class _Variable:
 
 
 class Consistency:
-    """Integrates the shares; call it for each change, in order of time."""
+    """Integrates the shares over time. Call its methods for each change, in order of time."""
 
     def __init__(self, nodes: int) -> None:
         self._variables: dict[tuple[int, int], _Variable] = {}
@@ -45,7 +51,7 @@ class Consistency:
         self._held: list[dict[tuple[int, int], object]] = [{} for _ in range(nodes)]
 
     def born(self, now: int, producer: int, var_id: int, value: object) -> None:
-        """A producer has given a variable this value: nobody else has it yet."""
+        """Note that a producer created or updated a variable; no other node has the new value yet."""
         key = (producer, var_id)
         variable = self._variables.get(key)
         if variable is None:
@@ -57,7 +63,7 @@ class Consistency:
         variable.present_holders = 0
 
     def holds(self, now: int, node: int, producer: int, var_id: int, value: object) -> None:
-        """A node has taken this value."""
+        """Note that a node stored this value."""
         key = (producer, var_id)
         self._held[node][key] = value
         variable = self._variables.get(key)
@@ -72,7 +78,7 @@ class Consistency:
                 self._drop(variable, node)
 
     def lost(self, now: int, node: int, var_id: int) -> None:
-        """A node has the variable no longer; if that is its producer, the variable has ended."""
+        """Note that a node no longer has the variable; if it is the producer, the variable's time ends."""
         for key in [key for key in self._held[node] if key[1] == var_id]:
             del self._held[node][key]
             variable = self._variables.get(key)
@@ -85,7 +91,7 @@ class Consistency:
             own.alive = False
 
     def enter(self, now: int, node: int, present: bool) -> None:
-        """A node is there from now on, or not."""
+        """Note that a node is present (switched on, with active VarDis) from now on, or absent."""
         if self._present[node] == present:
             return
         self.settle(now)
@@ -98,7 +104,7 @@ class Consistency:
                 variable.present_holders += by
 
     def forget(self, now: int, node: int) -> None:
-        """A node has lost its memory; its own variables go on as they are at the others."""
+        """Note that a node lost its memory. The measurement of the variables that it produces continues."""
         for key in self._held[node]:
             variable = self._variables.get(key)
             if variable is not None and node in variable.holders:
@@ -107,17 +113,20 @@ class Consistency:
         self._held[node].clear()
 
     def settle(self, now: int) -> None:
-        """Count what is so up to now."""
+        """Integrate up to now."""
         for key, variable in self._variables.items():
             self._settle(key, variable, now)
 
     def restart(self, now: int) -> None:
-        """Begin to count now: the warm-up is over."""
+        """Set all integrals to zero, at the end of the warm-up."""
         for variable in self._variables.values():
             variable.looked, variable.time, variable.complete, variable.area = now, 0, 0, 0.0
 
     def found(self, now: int) -> list[VariableConsistency]:
-        """What is known by now, by variable and producer; variables that nobody could share are left out."""
+        """Return the shares up to now, sorted by variable and producer.
+
+        Variables that existed only while no other node was present are left out.
+        """
         self.settle(now)
         return [
             VariableConsistency(
@@ -132,10 +141,12 @@ class Consistency:
         ]
 
     def _drop(self, variable: _Variable, node: int) -> None:
+        """Remove a node from the holders of the newest value."""
         variable.holders.discard(node)
         variable.present_holders -= self._present[node]
 
     def _settle(self, key: tuple[int, int], variable: _Variable, now: int) -> None:
+        """Integrate one variable up to now."""
         elapsed, variable.looked = now - variable.looked, now
         others = self._count - self._present[key[0]]
         if not elapsed or not variable.alive or not others:

@@ -1,4 +1,4 @@
-"""The measurements of one simulated network, fed with its events."""
+"""The measurements of one simulated network, updated by its events."""
 
 from __future__ import annotations
 
@@ -11,11 +11,14 @@ from .values import ValueLog
 
 
 class Measurements:
-    """Follows values and their newest holders; nodes are numbers from 0, times virtual ns."""
+    """Measures delays and consistency. Nodes are numbers from 0, times virtual ns."""
 
     def __init__(self, medium: Medium, numbers: dict[bytes, int], *, warm_up: int, held_back: int) -> None:
-        """``numbers`` are the nodes by identifier. Values born before ``warm_up`` (ns) are not counted.
-        ``held_back`` is how long (ns) a payload can wait at its node before it is sent."""
+        """``numbers``: number of each node by its identifier.
+
+        Values produced before ``warm_up`` (ns) are not counted. ``held_back``: longest time (ns) that a payload can
+        wait at its node before it is sent.
+        """
         self._medium = medium
         self._numbers = numbers
         self._warm_up = warm_up
@@ -26,23 +29,26 @@ class Measurements:
         self._topology_version = -1
 
     def on(self, node: int) -> None:
-        """A node was switched on."""
+        """Note that a node was switched on."""
         self._on.add(node)
         self._reaches.clear()
 
     def off(self, now: int, node: int) -> None:
-        """A node was switched off; its memory is lost."""
+        """Note that a node was switched off, which clears its memory."""
         self._on.discard(node)
         self._reaches.clear()
         self.values.switched_off(node)
         self.consistency.forget(now, node)
 
     def connections_changed(self) -> None:
-        """Links or partitions are others from now on."""
+        """Note that links or partitions changed."""
         self._reaches.clear()
 
     def stored(self, now: int, node: int, var_id: int, entry: DBEntry, delivery: Delivery | None, event: str) -> None:
-        """A node has a value: its own (``delivery`` None) or that of a frame. ``event``: ``created``, ``updated``."""
+        """Note that a node stored a value. ``event``: ``created`` or ``updated``.
+
+        ``delivery``: the frame that carried the value; None if the node produced it.
+        """
         producer = self._numbers.get(entry.spec.prod_id)
         if producer is None:
             return
@@ -68,12 +74,12 @@ class Measurements:
         self.consistency.holds(now, node, producer, var_id, taken)
 
     def deleted(self, now: int, node: int, var_id: int) -> None:
-        """A variable is deleted at a node."""
+        """Note that a node deleted a variable."""
         self.values.lost(node, var_id)
         self.consistency.lost(now, node, var_id)
 
     def _reach(self, producer: int) -> Reach:
-        """Where a value of this producer can get to now."""
+        """Return the nodes that a value of this producer can reach now."""
         if self._topology_version != self._medium.topology.version:
             self._topology_version = self._medium.topology.version
             self._reaches.clear()

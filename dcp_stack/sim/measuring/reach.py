@@ -5,27 +5,27 @@ from __future__ import annotations
 from collections import Counter, deque
 from collections.abc import Callable, Iterable
 
-#: The distance of a node that no path leads to.
+#: The distance of a node without a path from the producer.
 UNREACHABLE = -1
 
 
 class Reach:
-    """Which nodes a value born now can be counted at, and how many hops away each of them is."""
+    """The nodes at which a new value is counted, and their distances from its producer in hops."""
 
     __slots__ = ("by_hops", "hops", "mask")
 
     def __init__(self, producer: int, present: Iterable[int], hops: dict[int, int]) -> None:
-        """``present`` are the nodes that are switched on, ``hops`` the distances of those that can be reached."""
+        """``present``: the nodes that are switched on. ``hops``: distances of the nodes that can be reached."""
         self.hops = hops
         others = [node for node in present if node != producer]
         self.mask = sum(1 << node for node in others)
-        """One bit for each node, by its number."""
+        """The nodes as bits; the bit of node n has the value 2^n."""
         self.by_hops = Counter(hops.get(node, UNREACHABLE) for node in others)
-        """How many nodes there are at each distance; :data:`UNREACHABLE` for those without a path."""
+        """Number of nodes at each distance; :data:`UNREACHABLE` for those without a path."""
 
 
 def distances(source: int, neighbours: Callable[[int], Iterable[int]]) -> dict[int, int]:
-    """Hops from ``source`` to each node that can be reached, itself included."""
+    """Return the hops from ``source`` to each node that can be reached, including 0 for itself."""
     found, waiting = {source: 0}, deque([source])
     while waiting:
         node = waiting.popleft()
@@ -37,7 +37,10 @@ def distances(source: int, neighbours: Callable[[int], Iterable[int]]) -> dict[i
 
 
 def longest_distance(count: int, neighbours: Callable[[int], Iterable[int]], sources: Iterable[int]) -> int | None:
-    """The largest distance from any of ``sources`` to any node of 0..count-1; None if a node cannot be reached."""
+    """Return the largest distance in hops from any of ``sources`` to any of the nodes 0 to ``count`` - 1.
+
+    Returns None if a source cannot reach one of them.
+    """
     longest = 0
     for source in sources:
         found = distances(source, neighbours)

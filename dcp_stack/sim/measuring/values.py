@@ -1,9 +1,9 @@
-"""Follow each value from its producer to the nodes that take it.
+"""Tracking of each value from its producer to the nodes that store it.
 
-A sequence number of a few bits does not say which value a node has: after 256 updates it says the same again, and
-with a long delay or a lost connection both are under way at once. Here a value is an object with an identity: its
-producer, its variable, the creation it belongs to and its number since then, which never wraps. A receiver has it from
-the node that sent the beacon, and that node's own history says which value it held under this number when it sent.
+A sequence number does not identify a value: one of 8 bits repeats after 256 updates, and with a long delay or after a
+partition both values can be in flight at once. Here the identity of a value consists of its producer, its variable,
+the creation to which it belongs, and its number since then, which never wraps. To identify a received value, the log
+searches the history of the beacon's sender for the value that it held with this sequence number when it sent.
 
 Times are virtual ns, nodes are numbers from 0.
 """
@@ -23,23 +23,23 @@ from dcp_stack.sim.scenario.definition import NS_PER_MS
 
 from .reach import UNREACHABLE, Reach
 
-#: Entries of a history from which on it is looked through for what can be forgotten.
+#: Length of a history from which on entries that are no longer needed are removed.
 _TIDY_FROM = 64
-#: Entries that one history can have. Longer ones would be of more than a beacon's delay of 1.8 h at 10 updates/s.
+#: Maximum length of a history: enough for a beacon's delay of 1.8 h at 10 updates/s.
 LONGEST_HISTORY = 1 << 16
-#: Sentences kept about numbers that went back.
+#: Number of examples kept of newer values that were replaced by older ones.
 _EXAMPLES = 3
 
 Kind = Literal["creation", "update"]
 
 
 class Series:
-    """A variable from one creation on."""
+    """A variable from one creation to its next creation."""
 
     __slots__ = ("creation_time", "last", "ordinal", "producer", "seqno", "var_id")
 
     def __init__(self, producer: int, var_id: int, creation_time: int | None, ordinal: int) -> None:
-        """``ordinal`` counts the creations by this producer, from 0."""
+        """``ordinal``: number of the creation by this producer, from 0. ``creation_time``: in the profile's units."""
         self.producer = producer
         self.var_id = var_id
         self.creation_time = creation_time
@@ -49,12 +49,12 @@ class Series:
 
 
 class Value:
-    """One value that a producer gave a variable; ``number`` counts from 0, the creation, and never wraps."""
+    """One value of a variable. ``number`` is 0 for the value of the creation, counts up and never wraps."""
 
     __slots__ = ("born", "number", "octets", "reach", "received", "seqno", "series")
 
     def __init__(self, series: Series, number: int, seqno: int, octets: bytes, born: int, reach: Reach | None) -> None:
-        """``reach`` None: the value is followed and not counted."""
+        """``reach``: the nodes at which the value is counted; None to track it without counting."""
         self.series = series
         self.number = number
         self.seqno = seqno
@@ -62,25 +62,26 @@ class Value:
         self.born = born
         self.reach = reach
         self.received = 0
-        """The nodes that took it, as bits."""
+        """The nodes that stored it, as bits."""
 
     @property
     def kind(self) -> Kind:
-        """Whether it came into the world with the variable or later."""
+        """``creation`` for the value of the creation, otherwise ``update``."""
         return "update" if self.number else "creation"
 
 
 class DelayRow(msgspec.Struct, frozen=True):
-    """What became of the values of one kind at nodes of one distance. Times in ms; None without any reception.
+    """Reception of the values of one kind at nodes of one distance. Times are in ms, None without any reception.
 
     ``received + missed == due``.
     """
 
     kind: Kind
     hops: int | None
-    """Shortest path when the value was born over connections that carry frames; None: there was no path."""
+    """Length of the shortest path over connections that carried frames when the value was produced; None without a
+    path."""
     due: int
-    """Values, each counted once for each node that was switched on when it was born."""
+    """Number of values, each counted once per other node that was switched on when it was produced."""
     received: int
     missed: int
     share: float
@@ -95,24 +96,26 @@ class DelayRow(msgspec.Struct, frozen=True):
 
 
 class ValueTotals(msgspec.Struct, frozen=True):
-    """All values of a run that were born after the warm-up. ``received + missed == due``."""
+    """Totals of all values produced after the warm-up. ``received + missed == due``."""
 
     produced: int = 0
     due: int = 0
     received: int = 0
     missed: int = 0
     missed_newest: int = 0
-    """Of ``missed``: the newest value of a variable that lives, so that it could still come after the end."""
+    """The part of ``missed`` that are newest values of alive variables, which could still arrive after the end."""
     wrapped: int = 0
-    """How often a sequence number of a producer began again at its lowest value."""
+    """Number of times that a sequence number of a producer wrapped around."""
     older_for_newer: int = 0
-    """How often a node gave up a newer value for an older one of the same producer."""
+    """Number of times that a node replaced a newer value by an older one of the same producer."""
     unidentified: int = 0
-    """Receptions of which nobody can say which value it was: they are in no delay and in no share."""
+    """Number of receptions whose value could not be identified; delays and shares do not include them."""
     notes: list[str] = []
 
 
 class _Group:
+    """Expected receptions and measured delays (ns) of the values of one kind at one distance."""
+
     __slots__ = ("delays", "due")
 
     def __init__(self) -> None:
@@ -121,18 +124,21 @@ class _Group:
 
 
 class _History(NamedTuple):
-    """What a node held of a variable, in order: when it came, and the value."""
+    """The values of a variable that a node held, in order, with the times at which it stored them."""
 
     times: list[int]
     values: list[Value]
 
 
 class ValueLog:
-    """All values of a network; see the module. Call it for each change of a variable at any node, in order of time."""
+    """The values of all variables of a network. Call its methods for each change at any node, in order of time."""
 
     def __init__(self, nodes: int, *, oldest_in_flight: Callable[[], int], held_back: int) -> None:
-        """``oldest_in_flight`` says when the oldest frame under way was sent; what was held before that and
-        ``held_back`` (ns that a payload can wait at its node) earlier can be forgotten."""
+        """``oldest_in_flight`` returns the time at which the oldest frame in flight was sent.
+
+        ``held_back``: longest time (ns) that a payload can wait at its node before it is sent. Values that were
+        replaced earlier than both together are removed from the histories.
+        """
         self._oldest_in_flight = oldest_in_flight
         self._held_back = held_back
         self._series: dict[tuple[int, int], Series] = {}
@@ -145,15 +151,15 @@ class ValueLog:
         self._examples: list[str] = []
 
     def held(self, node: int, var_id: int) -> Value | None:
-        """What a node has as the value of a variable; None if it is unknown or deleted."""
+        """Return the value of a variable at a node; None if the variable is unknown or deleted."""
         return self._held[node].get(var_id)
 
     def newest(self, producer: int, var_id: int) -> Value | None:
-        """The last value that a producer gave a variable."""
+        """Return the last value of a variable from this producer; None if it never created it."""
         series = self._series.get((producer, var_id))
         return None if series is None else series.last
 
-    # -- what happens --------------------------------------------------------------------------------------------------
+    # -- changes -------------------------------------------------------------------------------------------------------
 
     def born(
         self,
@@ -167,7 +173,10 @@ class ValueLog:
         created: bool,
         reach: Reach | None,
     ) -> Value:
-        """A producer created a variable or gave it a new value. ``reach`` None leaves it out of the counts."""
+        """Note that a producer created or updated a variable; returns the new value.
+
+        ``reach``: the nodes at which it is counted; None to track it without counting.
+        """
         series = self._series.get((producer, var_id))
         if created or series is None:
             ordinal = 0 if series is None else series.ordinal + 1
@@ -198,7 +207,10 @@ class ValueLog:
         sender: int,
         sent: int,
     ) -> Value | None:
-        """A node took a value from a frame that ``sender`` had sent at ``sent``; None if nobody can say which."""
+        """Note that a node stored a value from a frame that ``sender`` had sent at ``sent``.
+
+        Returns the value, None if it cannot be identified.
+        """
         value = self._identify(var_id, producer, creation_time, seqno, octets, sender, sent)
         if value is None:
             self._unidentified += 1
@@ -215,22 +227,22 @@ class ValueLog:
         return value
 
     def lost(self, node: int, var_id: int) -> None:
-        """A variable is deleted at a node, or the node has forgotten it."""
+        """Note that a node deleted a variable."""
         self._held[node].pop(var_id, None)
 
     def switched_off(self, node: int) -> None:
-        """A node lost its memory. What it had sent before is still under way, so its history stays."""
+        """Note that a node lost its memory. Its history stays, because its frames may still be in flight."""
         self._held[node].clear()
 
-    # -- what came of it -----------------------------------------------------------------------------------------------
+    # -- results -------------------------------------------------------------------------------------------------------
 
     def rows(self) -> list[DelayRow]:
-        """Delays and shares: creations, then updates, each by distance, nodes without a path last."""
+        """Return delays and shares: creations before updates, each by distance, nodes without a path last."""
         order = sorted(self._groups, key=lambda key: (key[0], key[1] == UNREACHABLE, key[1]))
         return [_row(kind, hops, self._groups[kind, hops]) for kind, hops in order]
 
     def totals(self) -> ValueTotals:
-        """The sums, and what a reader of the delays has to know."""
+        """Return the totals, with notes that restrict the meaning of the delays."""
         due = sum(group.due for group in self._groups.values())
         received = sum(len(group.delays) for group in self._groups.values())
         return ValueTotals(
@@ -246,12 +258,14 @@ class ValueLog:
         )
 
     def _missed_newest(self, series: Series) -> int:
+        """Return the number of counted nodes without the newest value of an alive variable, otherwise 0."""
         last = series.last
         if last is None or last.reach is None or self._held[series.producer].get(series.var_id) is not last:
             return 0
         return (last.reach.mask & ~last.received).bit_count()
 
     def _notes(self) -> list[str]:
+        """Return a sentence each about wrapped sequence numbers, older values and unidentified values, if any."""
         notes = []
         if self._wraps:
             which = ", ".join(f"{var_id} ({times})" for var_id, times in sorted(self._wraps.items())[:8])
@@ -266,9 +280,10 @@ class ValueLog:
             notes.append(f"{self._unidentified} received values could not be identified: delays do not contain them")
         return notes
 
-    # -- inside --------------------------------------------------------------------------------------------------------
+    # -- internals -----------------------------------------------------------------------------------------------------
 
     def _group(self, kind: Kind, hops: int) -> _Group:
+        """Return the group of a kind and a distance; create it if necessary."""
         group = self._groups.get((kind, hops))
         if group is None:
             group = self._groups[kind, hops] = _Group()
@@ -284,10 +299,11 @@ class ValueLog:
         sender: int,
         sent: int,
     ) -> Value | None:
+        """Return the latest value with this content that the sender held at ``sent``, None without one."""
         history = self._histories[sender].get(var_id)
         if history is None:
             return None
-        # The latest that fits: a payload is composed shortly before it is sent.
+        # The latest matching value is the right one: a payload is composed shortly before it is sent.
         for index in range(bisect_right(history.times, sent) - 1, -1, -1):
             value = history.values[index]
             series = value.series
@@ -301,6 +317,7 @@ class ValueLog:
         return None
 
     def _compare(self, now: int, node: int, before: Value, value: Value) -> None:
+        """Count, with an example, if a node replaced a newer value by an older one."""
         if (value.series.ordinal, value.number) >= (before.series.ordinal, before.number):
             return
         if value.reach is None:
@@ -313,6 +330,7 @@ class ValueLog:
             )
 
     def _hold(self, now: int, node: int, value: Value) -> None:
+        """Add a value to the history of a node, as the one that it holds from now on."""
         var_id = value.series.var_id
         self._held[node][var_id] = value
         history = self._histories[node].get(var_id)
@@ -324,7 +342,10 @@ class ValueLog:
             self._tidy(node, var_id, history)
 
     def _tidy(self, node: int, var_id: int, history: _History) -> None:
-        """Forget what no frame under way can contain; the last value from before that time is kept."""
+        """Remove the values of a history that no frame in flight can contain.
+
+        The last value from before the oldest possible frame is kept.
+        """
         first = bisect_right(history.times, self._oldest_in_flight() - self._held_back) - 1
         first = max(first, len(history.times) - LONGEST_HISTORY, 0)
         del history.times[:first], history.values[:first]
@@ -332,6 +353,7 @@ class ValueLog:
 
 
 def _row(kind: Kind, hops: int, group: _Group) -> DelayRow:
+    """Return the row of a group, with the statistics of its delays."""
     delays, received = sorted(group.delays), len(group.delays)
     found = DelayRow(
         kind=kind,

@@ -1,1 +1,1 @@
-"""Scenario files: what they say, how they are read, and how their outcome is reported."""
+"""Scenario files: their content, how they are loaded, and the report of a run."""

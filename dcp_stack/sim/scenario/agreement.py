@@ -1,4 +1,4 @@
-"""Do the databases agree, and how long did it take them?"""
+"""Agreement of the nodes' databases, and the time until they agree after an event."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import msgspec
 
 
 class Known(NamedTuple):
-    """What a node knows about a variable that is alive."""
+    """The state of an alive variable at a node."""
 
     producer: bytes
     creation_time: int | None
@@ -19,10 +19,10 @@ class Known(NamedTuple):
 
 
 class Agreement:
-    """Compares what nodes know about variables that are alive, in constant time for each change.
+    """Compares the alive variables of all present nodes, in constant time for each change.
 
-    A variable that a node does not know and one that it knows as deleted are the same: those who come late never hear
-    of deletions. Nodes that are absent (switched off, or VarDis deactivated) are not asked.
+    Unknown and deleted variables count as equal, because a node that joins late never receives a VarDelete. Absent
+    nodes (switched off, or with VarDis deactivated) are not compared.
     """
 
     def __init__(self, nodes: int) -> None:
@@ -34,25 +34,25 @@ class Agreement:
 
     @property
     def reached(self) -> bool:
-        """Whether all who are present agree on all variables."""
+        """Whether all present nodes agree on all variables."""
         return not self._disputed
 
     @property
     def disputed(self) -> list[int]:
-        """The variables that they do not agree on."""
+        """The identifiers of variables on which the present nodes disagree, ascending."""
         return sorted(self._disputed)
 
     @property
     def present(self) -> int:
-        """How many nodes are asked."""
+        """Number of present nodes."""
         return self._count
 
     def known(self, node: int) -> Mapping[int, Known]:
-        """What a node knows."""
+        """Return the alive variables of a node."""
         return self._known[node]
 
     def enter(self, node: int, present: bool) -> None:
-        """A node is there from now on, or not."""
+        """Set whether a node is present."""
         if self._present[node] == present:
             return
         self._present[node] = present
@@ -63,12 +63,12 @@ class Agreement:
             self._judge(var_id)
 
     def forget(self, node: int) -> None:
-        """A node knows nothing any more."""
+        """Remove all variables of a node."""
         for var_id in list(self._known[node]):
             self.learn(node, var_id, None)
 
     def learn(self, node: int, var_id: int, state: Known | None) -> None:
-        """What a node knows about a variable now; None if it is not alive for it."""
+        """Set the state of a variable at a node; None if it is unknown or deleted there."""
         known, present = self._known[node], self._present[node]
         before = known.pop(var_id, None)
         if present and before is not None:
@@ -80,7 +80,7 @@ class Agreement:
         self._judge(var_id)
 
     def replace(self, node: int, known: Mapping[int, Known]) -> None:
-        """All that a node knows."""
+        """Replace all alive variables of a node."""
         for var_id in [var_id for var_id in self._known[node] if var_id not in known]:
             self.learn(node, var_id, None)
         for var_id, state in known.items():
@@ -88,12 +88,14 @@ class Agreement:
                 self.learn(node, var_id, state)
 
     def _count_state(self, var_id: int, state: Known, by: int) -> None:
+        """Change the number of present nodes that have this state of a variable."""
         states = self._states.setdefault(var_id, Counter())
         states[state] += by
         if not states[state]:
             del states[state]
 
     def _judge(self, var_id: int) -> None:
+        """Determine whether the present nodes agree on a variable."""
         states = self._states.get(var_id)
         if not states:
             self._states.pop(var_id, None)
@@ -105,9 +107,9 @@ class Agreement:
 
 
 class Convergence(msgspec.Struct):
-    """How long after an event all databases agreed; ``took`` None: they did not before the next event or the end.
+    """An event, and how long it took until all databases agreed. Times are in ns.
 
-    Times are ns.
+    ``what``: description of the event. ``took``: None if the databases did not agree before the end of the run.
     """
 
     time: int
@@ -116,7 +118,7 @@ class Convergence(msgspec.Struct):
 
 
 class ConvergenceClock:
-    """Stops the time from each event until the databases agree."""
+    """Measures the time from each event until the databases agree."""
 
     def __init__(self) -> None:
         self.events: list[Convergence] = []
@@ -124,18 +126,18 @@ class ConvergenceClock:
 
     @property
     def pending(self) -> bool:
-        """Whether there is an event since which they did not agree."""
+        """Whether the databases have not agreed yet since some event."""
         return bool(self._open)
 
     def event(self, time: int, what: str) -> None:
-        """Something happened that the databases have to come to terms with."""
-        # The time of an event that is overtaken by the next one goes on: they may agree on both at once.
+        """Start to measure the time of an event that changes the variables or the network."""
+        # The measurement of earlier events continues: the databases may agree on several events at once.
         each = Convergence(time, what)
         self.events.append(each)
         self._open.append(each)
 
     def look(self, time: int, agreement: Agreement) -> None:
-        """Look whether they agree now."""
+        """End all measurements if the databases agree now."""
         if self._open and agreement.reached:
             for each in self._open:
                 each.took = time - each.time

@@ -1,4 +1,4 @@
-"""The scenario if the user gives none: all nodes move and beacon, and some variables change now and then."""
+"""The default scenario, if the user gives none: all nodes move and send beacons, and some variables are updated."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from .definition import (
 EVERY_S = 5.0
 #: Seconds that the databases may take to agree in a small network without losses.
 AGREE_S = 5.0
-#: Seconds for each hop: two beacon periods without losses, of which a value needs one and a half at most on average.
+#: Seconds for each hop without losses: two beacon periods. On average a value needs one and a half at most.
 HOP_S = 0.2
 
 
@@ -39,17 +39,18 @@ def default_scenario(
     seed: int = 1,
     link: LinkQuality = PERFECT,
 ) -> Scenario:
-    """``variables`` are created after a second by nodes spread over the network, and updated every five seconds.
+    """Return a scenario in which nodes spread over the network create and update variables.
 
-    The databases are expected to agree some time after the last event, if the duration has room for that: longer in
-    networks of many hops and over connections with losses. Raises ProfileError for an unknown profile.
+    ``variables``: number of variables, created after 1 s and updated every :data:`EVERY_S` s. The databases are
+    expected to agree within :func:`time_to_agree` after the last event, if the duration is long enough. Raises
+    ProfileError for an unknown profile.
     """
     producers = [number * nodes // max(variables, 1) for number in range(variables)]
     within = time_to_agree(topology, nodes, producers, link.loss)
     events: list[Action] = []
     updates = max(int((duration_s - 1.0 - within) / EVERY_S), 0) if math.isfinite(within) else int(duration_s / EVERY_S)
     for number, node in enumerate(producers):
-        # A variable later than a second would be one event each; those of one moment are one for convergence.
+        # All variables are created at the same moment, so they are one event for convergence.
         events.append(Create(at_s=min(1.0, duration_s), node=node, variable=number, text="0"))
         if updates > 0:
             again = Update(
@@ -73,7 +74,10 @@ def default_scenario(
 
 
 def time_to_agree(topology: Topology, nodes: int, producers: list[int], loss: float) -> float:
-    """Seconds after which values of these producers should be everywhere; infinite where no path leads."""
+    """Return the time in s after which all nodes should have the values of these producers.
+
+    It is infinite if a producer cannot reach all nodes. ``loss``: share of frames lost on each connection, 0..1.
+    """
     heard = topology.heard_by(nodes)
     longest = longest_distance(
         nodes,

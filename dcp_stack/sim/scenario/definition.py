@@ -1,4 +1,4 @@
-"""What a scenario file says, as values; ``docs/scenarios.md`` describes the file, ``loading.py`` reads it.
+"""The content of a scenario file as values; ``docs/scenarios.md`` describes the file, ``loading.py`` reads it.
 
 Nodes are numbers from 0, times are seconds since the start, octets are text or hexadecimal digits.
 """
@@ -9,8 +9,9 @@ from typing import ClassVar, Literal, TypeVar
 
 import msgspec
 
+from dcp_codec.impairment import Impairment
 from dcp_stack.config import BPConfig, SRPConfig, VardisConfig
-from dcp_stack.links.memory import Quality
+from dcp_stack.links.quality import Quality
 from dcp_stack.links.topology import Full, Grid, Line, Neighbours, Positions
 from dcp_stack.links.topology import Topology as HeardBy
 
@@ -21,18 +22,18 @@ Config = TypeVar("Config", SRPConfig, VardisConfig)
 
 
 class ScenarioError(ValueError):
-    """A scenario cannot be used. The message names the file, the key and what is wrong with it."""
+    """A scenario is invalid. The message has the file, the key and the problem."""
 
 
 class Strict(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A table of the file: unknown keys are errors."""
+    """Base of all tables of the file; unknown keys are errors."""
 
 
 # -- the network ------------------------------------------------------------------------------------------------------
 
 
 class LinkQuality(Strict, kw_only=True, frozen=True):
-    """What a connection does to frames, in each direction. Probabilities 0..1, times in ms."""
+    """The quality of a connection in each direction. Probabilities are 0..1, times are in ms."""
 
     loss: float = 0.0
     duplicate: float = 0.0
@@ -40,9 +41,16 @@ class LinkQuality(Strict, kw_only=True, frozen=True):
     delay_ms: float = 0.0
     jitter_ms: float = 0.0
     reorder_delay_ms: float = 50.0
+    burst: float = 0.0
+    """Mean number of frames in a burst of losses, at least 1; 0: losses are independent."""
+    corrupt: float = 0.0
+    """Probability, for each octet, that one of its bits is inverted."""
+    corrupt_frames: float = 0.0
+    """Share of frames in which ``flips`` bits are inverted."""
+    flips: int = 1
 
     def quality(self) -> Quality:
-        """The same for the simulated medium. Raises ValueError for what is no probability or no time."""
+        """Return the quality for the simulated medium. Raises ValueError for an invalid probability or time."""
         return Quality(
             loss=self.loss,
             duplicate=self.duplicate,
@@ -50,14 +58,38 @@ class LinkQuality(Strict, kw_only=True, frozen=True):
             delay=round(self.delay_ms * NS_PER_MS),
             jitter=round(self.jitter_ms * NS_PER_MS),
             reorder_delay=round(self.reorder_delay_ms * NS_PER_MS),
+            burst=self.burst,
+            corrupt=self.corrupt,
+            corrupt_frames=self.corrupt_frames,
+            flips=self.flips,
         )
+
+    def impairment(self) -> Impairment:
+        """Return the quality for a relay. Raises ValueError for an invalid probability or time."""
+        return Impairment(
+            loss=self.loss,
+            burst=self.burst,
+            duplicate=self.duplicate,
+            reorder=self.reorder,
+            delay=round(self.delay_ms * NS_PER_MS),
+            jitter=round(self.jitter_ms * NS_PER_MS),
+            reorder_delay=round(self.reorder_delay_ms * NS_PER_MS),
+            corrupt=self.corrupt,
+            corrupt_frames=self.corrupt_frames,
+            flips=self.flips,
+        )
+
+    @property
+    def only_loses(self) -> bool:
+        """Whether independent losses are its only effect."""
+        return self == LinkQuality(loss=self.loss, reorder_delay_ms=self.reorder_delay_ms, flips=self.flips)
 
 
 PERFECT = LinkQuality()
 
 
 class LinkBetween(Strict, kw_only=True, frozen=True):
-    """Quality of its own for frames that go from one node to another."""
+    """The quality of one connection, in place of that of all connections."""
 
     sender: int = msgspec.field(name="from")
     receiver: int = msgspec.field(name="to")
@@ -66,29 +98,29 @@ class LinkBetween(Strict, kw_only=True, frozen=True):
 
     @property
     def directions(self) -> tuple[tuple[int, int], ...]:
-        """The (sender, receiver) pairs meant."""
+        """The (sender, receiver) pairs of the connection: two if ``both_ways``, otherwise one."""
         there = (self.sender, self.receiver)
         return (there, there[::-1]) if self.both_ways else (there,)
 
 
 class Topology(Strict, kw_only=True, frozen=True):
-    """Who is a neighbour of whom. Connections go both ways; ``links`` with a loss of 1 make them one-way."""
+    """The neighbours of each node. Connections work in both directions; use ``links`` with a loss of 1 for one-way."""
 
     kind: Literal["full", "line", "grid", "neighbours", "positions"] = "full"
     columns: int | None = None
-    """Of a grid; by default the smallest number that makes it at least as wide as high."""
+    """Columns of a grid; by default the smallest number that makes it at least as wide as high."""
     diagonal: bool = False
-    """Of a grid: neighbours touch at corners, too."""
+    """Whether diagonally adjacent nodes of a grid are neighbours, too."""
     neighbours: tuple[tuple[int, ...], ...] = ()
-    """For each node in order the nodes next to it; naming a connection at one of its ends is enough."""
+    """For each node in order its neighbours; a connection may be listed at only one of its ends."""
     positions: tuple[tuple[float, float, float], ...] = ()
-    """For each node in order its place in m. In simulations ``tracks`` move their nodes; if all nodes have one,
-    there need not be any positions."""
+    """For each node in order its position in m. In simulations ``tracks`` move their nodes; positions may be omitted
+    if all nodes have a track."""
     range_m: float = 0.0
-    """Nodes at most this far apart hear each other."""
+    """Maximum distance in m at which nodes receive each other."""
 
     def heard_by(self, count: int) -> HeardBy:
-        """The same for the simulated medium."""
+        """Return the topology for the simulated medium."""
         match self.kind:
             case "full":
                 return Full()
@@ -107,7 +139,7 @@ class Topology(Strict, kw_only=True, frozen=True):
                 return Neighbours(heard)
 
     def pairs(self, count: int) -> list[tuple[int, int]]:
-        """All connections as (lower, higher) node numbers, ascending."""
+        """Return all connections as (lower, higher) node numbers, ascending."""
         heard = self.heard_by(count)
         found = {
             (min(node, other), max(node, other))
@@ -119,20 +151,20 @@ class Topology(Strict, kw_only=True, frozen=True):
 
 
 def grid_columns(count: int) -> int:
-    """The columns of a grid that nobody gave a shape."""
+    """Return the default number of columns of a grid: the smallest that makes it at least as wide as high."""
     columns = 1
     while columns * columns < count:
         columns += 1
     return columns
 
 
-# -- what happens -----------------------------------------------------------------------------------------------------
+# -- events -----------------------------------------------------------------------------------------------------------
 
 
 class Event(Strict, tag_field="do", kw_only=True, frozen=True):
-    """Something that happens ``at_s``; ``every_s`` repeats it, ``times`` in all (until the end without)."""
+    """An event at ``at_s``; ``every_s`` repeats it until it has occurred ``times`` times, by default until the end."""
 
-    #: Whether it changes what the databases have to agree on, or how they can: convergence is measured from here.
+    #: Whether it changes variables or the connections between databases; convergence is measured from such events.
     disturbs: ClassVar[bool] = False
 
     at_s: float
@@ -141,18 +173,21 @@ class Event(Strict, tag_field="do", kw_only=True, frozen=True):
 
 
 class Content(Event, kw_only=True, frozen=True):
-    """An event with a value: ``text``, or ``value`` in hexadecimal digits. {n} in a text counts repetitions from 0."""
+    """An event with a value: either ``text``, or ``value`` in hexadecimal digits.
+
+    ``{n}`` in a text is replaced by the number of the repetition, from 0.
+    """
 
     text: str | None = None
     value: str | None = None
 
     def octets(self, n: int = 0) -> bytes:
-        """The value of the ``n``-th repetition."""
+        """Return the value of the ``n``-th repetition. Raises ValueError as :func:`octets`."""
         return octets(self.text, self.value, n)
 
 
 class Create(Content, tag="create", kw_only=True, frozen=True):
-    """``RTDB-Create`` at a node. Creating a variable of one's own again is a re-creation (2.0)."""
+    """``RTDB-Create`` at a node. For a variable that the node already produces it is a re-creation (2.0)."""
 
     disturbs = True
 
@@ -162,11 +197,11 @@ class Create(Content, tag="create", kw_only=True, frozen=True):
     repetitions: int = 1
     timeout_ms: int = 0
     own_fields: dict[str, int | float | str] = {}
-    """Fields that the profile adds to VarSpec, by name; octets in hexadecimal digits. Others are zero."""
+    """Fields that the profile adds to VarSpec, by name; octets in hexadecimal digits. Omitted fields are zero."""
 
     @property
     def description(self) -> str:
-        """The description, which must not be empty."""
+        """The description; by default one with the variable identifier, because it must not be empty."""
         return f"variable {self.variable}" if self.descr is None else self.descr
 
 
@@ -207,7 +242,7 @@ class Deactivate(Event, tag="deactivate", kw_only=True, frozen=True):
 
 
 class Down(Event, tag="down", kw_only=True, frozen=True):
-    """The node loses power: it says nothing more, and all that it knew is gone."""
+    """The node loses power: it stops sending without any further message, and its memory is lost."""
 
     disturbs = True
 
@@ -215,7 +250,7 @@ class Down(Event, tag="down", kw_only=True, frozen=True):
 
 
 class Up(Event, tag="up", kw_only=True, frozen=True):
-    """The node is switched on, with nothing in its memory."""
+    """The node is switched on, with empty memory."""
 
     disturbs = True
 
@@ -223,7 +258,7 @@ class Up(Event, tag="up", kw_only=True, frozen=True):
 
 
 class Restart(Event, tag="restart", kw_only=True, frozen=True):
-    """Down and up again at once."""
+    """The node is switched off and on again at once."""
 
     disturbs = True
 
@@ -231,7 +266,7 @@ class Restart(Event, tag="restart", kw_only=True, frozen=True):
 
 
 class Partition(Event, tag="partition", kw_only=True, frozen=True):
-    """From now on frames stay inside their group; nodes in none of the groups form one more together."""
+    """Frames no longer leave the group of their sender. Nodes that are in no group form another group."""
 
     disturbs = True
 
@@ -245,7 +280,7 @@ class Heal(Event, tag="heal", kw_only=True, frozen=True):
 
 
 class SetLink(Event, tag="link", kw_only=True, frozen=True):
-    """Connections change their quality: those of ``from``/``to``, or all that have none of their own."""
+    """The quality of connections changes: of the one ``from``/``to``, or of all without a quality of their own."""
 
     quality: LinkQuality
     sender: int | None = msgspec.field(default=None, name="from")
@@ -254,7 +289,7 @@ class SetLink(Event, tag="link", kw_only=True, frozen=True):
 
 
 class HandDown(Event, tag="safety-data", kw_only=True, frozen=True):
-    """``SRP-UpdateSafetyData`` with these fields of the profile."""
+    """``SRP-UpdateSafetyData`` at a node; ``data``: fields of the profile by name."""
 
     node: int
     data: dict[str, float | int | str]
@@ -264,44 +299,44 @@ Action = Create | Update | Delete | Activate | Deactivate | Down | Up | Restart 
 
 
 class Tracks(Strict, kw_only=True, frozen=True):
-    """Where nodes (all, unless listed) get their safety data from; ``source`` as for ``dcp-node run --position``."""
+    """The source of the safety data of ``nodes`` (default: all); ``source`` as for ``dcp-node run --position``."""
 
     source: str
     nodes: tuple[int, ...] | None = None
 
 
-# -- what is expected -------------------------------------------------------------------------------------------------
+# -- expectations -----------------------------------------------------------------------------------------------------
 
 
 class Expectation(Strict, tag_field="that", kw_only=True, frozen=True):
-    """Something that has to be so."""
+    """Base of all expectations."""
 
 
 class Converged(Expectation, tag="converged", kw_only=True, frozen=True):
-    """All databases agree at the latest ``within_s`` after each event that disturbs, or the last one only."""
+    """All databases agree at most ``within_s`` s after the last event that disturbs them, or after each such event."""
 
     within_s: float
     after: Literal["last", "each"] = "last"
 
 
 class VariableIs(Expectation, tag="variable", kw_only=True, frozen=True):
-    """What a node knows about a variable ``at_s`` (at the end without)."""
+    """The state of a variable at a node at ``at_s``, by default at the end."""
 
     node: int
     variable: int
     state: Literal["alive", "deleted", "unknown", "off"] = "alive"
-    """``off``: the node is switched off, or its VarDis does not answer."""
+    """``off``: the node is switched off, or its VarDis is inactive."""
     text: str | None = None
     value: str | None = None
     at_s: float | None = None
 
     def octets(self) -> bytes | None:
-        """The value asked for, None for any."""
+        """Return the expected value, None if any value is accepted. Raises ValueError as :func:`octets`."""
         return None if self.text is None and self.value is None else octets(self.text, self.value)
 
 
 class NeighboursAre(Expectation, tag="neighbours", kw_only=True, frozen=True):
-    """The nodes in the neighbour table of a node ``at_s`` (at the end without)."""
+    """The nodes in the neighbour table of a node at ``at_s``, by default at the end."""
 
     node: int
     are: tuple[int, ...]
@@ -309,7 +344,10 @@ class NeighboursAre(Expectation, tag="neighbours", kw_only=True, frozen=True):
 
 
 class BeaconRate(Expectation, tag="beacon-rate", kw_only=True, frozen=True):
-    """Nodes (all, unless listed) that are up all the time send so many beacons per s, within a share of it."""
+    """The beacon rate of ``nodes`` (default: all) that are switched on during the whole run.
+
+    ``per_s``: beacons per s. ``tolerance``: permitted deviation as a share of ``per_s``.
+    """
 
     per_s: float
     tolerance: float = 0.02
@@ -320,7 +358,7 @@ Expected = Converged | VariableIs | NeighboursAre | BeaconRate
 
 
 class Scenario(Strict, kw_only=True, frozen=True):
-    """A whole file."""
+    """The content of a scenario file."""
 
     nodes: int
     duration_s: float
@@ -328,17 +366,18 @@ class Scenario(Strict, kw_only=True, frozen=True):
     profile: str = "dcp-2.0"
     seed: int = 1
     warm_up_s: float = 0.0
-    """Simulations count values, consistency and traffic from here on; events and expectations are not affected."""
+    """Start of the measurement of values, consistency and traffic in simulations, in s. It does not affect events and
+    expectations."""
     topology: Topology = Topology()
     link: LinkQuality = PERFECT
-    """Of all connections that ``links`` does not name."""
+    """The quality of all connections that are not in ``links``."""
     links: tuple[LinkBetween, ...] = ()
     bp: BPConfig = BPConfig()
     srp: SRPConfig | bool = True
     vardis: VardisConfig | bool = True
-    """False: the protocol is not on the nodes."""
+    """False: the nodes do not have the protocol."""
     readings: dict[str, str] = {}
-    """Choices where the specification is disputed, by id."""
+    """Interpretations of disputed text of the specification, by id."""
     down_at_start: tuple[int, ...] = ()
     tracks: tuple[Tracks, ...] = ()
     events: tuple[Action, ...] = ()
@@ -356,16 +395,19 @@ class Scenario(Strict, kw_only=True, frozen=True):
 
     @property
     def srp_config(self) -> SRPConfig | None:
-        """How SRP is set up, None for not at all."""
+        """The configuration of SRP, None if the nodes do not have it."""
         return _config(self.srp, SRPConfig())
 
     @property
     def vardis_config(self) -> VardisConfig | None:
-        """How VarDis is set up, None for not at all."""
+        """The configuration of VarDis, None if the nodes do not have it."""
         return _config(self.vardis, VardisConfig())
 
     def timeline(self) -> list[tuple[int, int, Action]]:
-        """Everything that happens: time in ns, which repetition, event; by time, then as in the file."""
+        """Return all events with repetitions as (time in ns, number of the repetition from 0, event).
+
+        They are sorted by time, then in the order of the file.
+        """
         found: list[tuple[int, int, Action]] = []
         for event in self.events:
             time, n = round(event.at_s * NS_PER_S), 0
@@ -377,15 +419,19 @@ class Scenario(Strict, kw_only=True, frozen=True):
 
 
 def _config(given: Config | bool, default: Config) -> Config | None:
+    """Return the configuration of a protocol: True means the default, False none."""
     if isinstance(given, bool):
         return default if given else None
     return given
 
 
 def octets(text: str | None, value: str | None, n: int = 0) -> bytes:
-    """What ``text`` or ``value`` stands for; raises ValueError unless exactly one of them is there and hexadecimal."""
+    """Return the octets of ``text`` or of the hexadecimal ``value``.
+
+    Raises ValueError unless exactly one of them is given, and for a ``value`` that is not hexadecimal.
+    """
     if (text is None) == (value is None):
-        raise ValueError("there has to be either text or value (in hexadecimal digits)")
+        raise ValueError("either text or value (in hexadecimal digits) is required, and not both")
     if text is not None:
         return text.replace("{n}", str(n)).encode()
     return bytes.fromhex(value or "")

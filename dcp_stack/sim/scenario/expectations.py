@@ -1,4 +1,4 @@
-"""Compare what was expected with what is so; the same for simulations and testbeds."""
+"""Comparison of expectations with observations, common to simulations and testbeds."""
 
 from __future__ import annotations
 
@@ -31,25 +31,25 @@ from .report import Finding, NodeTraffic
 
 
 class VariableState(NamedTuple):
-    """What a node knows about a variable."""
+    """The state of a variable at a node."""
 
     state: str
-    """``alive``, ``deleted``, ``unknown``, or ``off`` if the node cannot tell."""
+    """``alive``, ``deleted``, ``unknown``, or ``off`` if the node or its VarDis is not active."""
     value: bytes = b""
 
 
 class Observed(Protocol):
-    """A network that can be asked about its nodes."""
+    """A network whose nodes can be queried."""
 
     def variable(self, node: int, var_id: int) -> VariableState:
-        """What a node knows about a variable now."""
+        """Return the current state of a variable at a node."""
 
     def neighbours(self, node: int) -> list[int] | None:
-        """Whom a node has in its neighbour table now, ascending; None if it cannot tell."""
+        """Return the node numbers in a node's neighbour table, ascending; None while it has no active SRP."""
 
 
 def describe(event: Event, n: int = 0) -> str:
-    """An event in a few words."""
+    """Return a short description of the ``n``-th repetition of an event."""
     match event:
         case Create(node=node, variable=variable):
             return f"node {node} creates variable {variable}"
@@ -74,13 +74,13 @@ def describe(event: Event, n: int = 0) -> str:
         case SetLink(sender=sender, receiver=receiver):
             return f"link {sender}-{receiver} changes"
         case HandDown(node=node):
-            return f"node {node} hands down safety data"
+            return f"node {node} gets safety data"
         case _:
-            return "the partition heals"
+            return "the partition ends"
 
 
 def checks(scenario: Scenario) -> list[tuple[int, VariableIs | NeighboursAre]]:
-    """The expectations about a moment, with that moment in ns, by time."""
+    """Return the expectations about one moment, each with its time in ns, sorted by time."""
     found = [
         (scenario.duration if each.at_s is None else round(each.at_s * NS_PER_S), each)
         for each in scenario.expect
@@ -90,13 +90,13 @@ def checks(scenario: Scenario) -> list[tuple[int, VariableIs | NeighboursAre]]:
 
 
 def judge_now(expected: VariableIs | NeighboursAre, observed: Observed) -> Finding:
-    """Whether an expectation about this moment is met."""
+    """Compare an expectation with the current state of the network."""
     when = "at the end" if expected.at_s is None else f"at {expected.at_s:g} s"
     if isinstance(expected, NeighboursAre):
         neighbours = observed.neighbours(expected.node)
         wanted = sorted(expected.are)
         what = f"the neighbours of node {expected.node} are {wanted} {when}"
-        return Finding(what, neighbours == wanted, "" if neighbours == wanted else f"they are {neighbours}")
+        return Finding(what, neighbours == wanted, "" if neighbours == wanted else f"found {neighbours}")
     known, value = observed.variable(expected.node, expected.variable), expected.octets()
     what = f"node {expected.node} has variable {expected.variable} {expected.state} {when}"
     if value is not None and expected.state == "alive":
@@ -111,7 +111,7 @@ def judge_now(expected: VariableIs | NeighboursAre, observed: Observed) -> Findi
 def judge_all(
     expect: Sequence[Expected], convergences: Sequence[Convergence], traffic: Sequence[NodeTraffic]
 ) -> list[Finding]:
-    """The expectations about the whole run."""
+    """Compare the expectations about the whole run with its convergences and traffic."""
     found = []
     for expected in expect:
         if isinstance(expected, Converged):
@@ -122,13 +122,14 @@ def judge_all(
 
 
 def _converged(expected: Converged, convergences: Sequence[Convergence]) -> Finding:
+    """Compare the times until the databases agreed with the expected one."""
     asked = convergences if expected.after == "each" else convergences[-1:]
     what = f"the databases agree {expected.within_s:g} s after {expected.after} event"
     what = what.replace("after last", "after the last")
     limit = round(expected.within_s * NS_PER_S)
     for each in asked:
         if each.took is None:
-            return Finding(what, False, f"they never did after '{each.what}' at {each.time / NS_PER_S:g} s")
+            return Finding(what, False, f"no agreement after '{each.what}' at {each.time / NS_PER_S:g} s")
         if each.took > limit:
             took = f"{each.took / NS_PER_S:.3f} s"
             return Finding(what, False, f"it took {took} after '{each.what}' at {each.time / NS_PER_S:g} s")
@@ -137,6 +138,7 @@ def _converged(expected: Converged, convergences: Sequence[Convergence]) -> Find
 
 
 def _rate(expected: BeaconRate, traffic: Sequence[NodeTraffic]) -> Finding:
+    """Compare the beacon rates with the expected one."""
     what = f"nodes send {expected.per_s:g} beacons/s within {expected.tolerance:.1%}"
     asked = [
         (each.beacons_per_s, each)
@@ -144,17 +146,17 @@ def _rate(expected: BeaconRate, traffic: Sequence[NodeTraffic]) -> Finding:
         if each.beacons_per_s is not None and (expected.nodes is None or each.node in expected.nodes)
     ]
     if not asked:
-        return Finding(what, False, "no node was up all the time")
+        return Finding(what, False, "no node was switched on during the whole run")
     worst, who = max(asked, key=lambda each: abs(each[0] - expected.per_s))
     met = abs(worst - expected.per_s) <= expected.tolerance * expected.per_s
-    found = f"node {who.node} is furthest away with {worst:.3f}"
+    found = f"node {who.node} has the largest deviation with {worst:.3f}"
     if who.left_out_per_s:
-        found += f", and left out {who.left_out_per_s:.3f} while the machine was too busy"
+        found += f"; it left out {who.left_out_per_s:.3f} because the machine was too busy"
     return Finding(what, met, found)
 
 
 def readable(value: bytes) -> str:
-    """Octets for people: as text if it is some."""
+    """Return octets as quoted text if they are printable UTF-8, otherwise as hexadecimal digits."""
     try:
         text = value.decode()
     except UnicodeDecodeError:

@@ -1,4 +1,4 @@
-"""Read scenario and topology files. Every complaint names the file, the key and what is wrong with it."""
+"""Loading of scenario and topology files. Each error message has the file, the key and the problem."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ from .definition import (
 
 MAX_NODES = 10_000
 MAX_DURATION_S = 30 * 86_400.0
-#: What a scenario can set off: a period of a microsecond must not fill the memory.
+#: Maximum number of events with repetitions, so that a very short period does not exhaust memory.
 MAX_EVENTS = 1_000_000
 _SHORTEST_S = 1e-9
 
@@ -49,9 +49,9 @@ T = TypeVar("T", bound=msgspec.Struct)
 
 
 def load_scenario(path: str | Path) -> Scenario:
-    """The scenario in this TOML file; raises :class:`ScenarioError`."""
+    """Return the scenario in a TOML file. Raises :class:`ScenarioError`."""
     raw = _read(Path(path))
-    # A profile or topology in a file is meant beside the scenario, wherever the command runs.
+    # Paths of profiles and topologies are relative to the scenario, not to the working directory.
     folder = Path(path).parent
     topology = raw.get("topology")
     if isinstance(topology, str):
@@ -63,7 +63,10 @@ def load_scenario(path: str | Path) -> Scenario:
 
 
 def parse_topology(text: str, folder: Path | None = None) -> Topology:
-    """``full``, ``bus`` (the same), ``line``, ``grid``, ``grid:COLUMNS`` or a TOML file with what [topology] has."""
+    """Return the topology for ``full``, ``bus`` (the same), ``line``, ``grid``, ``grid:COLUMNS`` or a TOML file.
+
+    The file has the keys of ``[topology]``; its path is relative to ``folder``. Raises :class:`ScenarioError`.
+    """
     kind, _, columns = text.partition(":")
     if kind in ("full", "bus", "line", "grid") and not (columns and kind != "grid"):
         if not columns:
@@ -74,12 +77,12 @@ def parse_topology(text: str, folder: Path | None = None) -> Topology:
     path = Path(text) if folder is None else folder / text
     if not path.is_file():
         known = "full, bus, line, grid, grid:COLUMNS"
-        raise ScenarioError(f"topology {text!r} is none of {known}, and there is no such file")
+        raise ScenarioError(f"topology {text!r} is none of {known}, and no such file exists")
     return _convert(_read(path), Topology, str(path))
 
 
 def scenario_codec(scenario: Scenario, where: str = "scenario") -> Codec:
-    """The codec of the profile of a scenario; raises :class:`ScenarioError`."""
+    """Return the codec of a scenario's profile. Raises :class:`ScenarioError` for an unknown or invalid profile."""
     try:
         return get_codec(scenario.profile)
     except ProfileError as error:
@@ -87,7 +90,7 @@ def scenario_codec(scenario: Scenario, where: str = "scenario") -> Codec:
 
 
 def check(scenario: Scenario, where: str = "scenario") -> Scenario:
-    """``scenario``, if it does not contradict itself; raises :class:`ScenarioError` for the first thing that does."""
+    """Return ``scenario`` if it is consistent; raises :class:`ScenarioError` for the first problem."""
     for key, problem in _problems(scenario):
         raise ScenarioError(f"{where}: {key}: {problem}")
     scenario_codec(scenario, where)
@@ -95,7 +98,7 @@ def check(scenario: Scenario, where: str = "scenario") -> Scenario:
 
 
 def check_nodes(scenario: Scenario, codec: Codec) -> None:
-    """Raise :class:`ScenarioError` for parameters that nodes refuse: they do so when they are made."""
+    """Create a node for a trial. Raises :class:`ScenarioError` if it refuses the parameters or readings."""
     try:
         config = NodeConfig(
             node_id=node_id(codec.profile, 0),
@@ -107,10 +110,11 @@ def check_nodes(scenario: Scenario, codec: Codec) -> None:
         )
         Node(config, rng=random.Random(0), now=0, wall=0)  # noqa: S311 - it never runs
     except (UnknownReadingError, ValueError) as error:
-        raise ScenarioError(f"the nodes cannot be set up like this: {error}") from None
+        raise ScenarioError(f"the nodes refuse this configuration: {error}") from None
 
 
 def _read(path: Path) -> dict[str, Any]:
+    """Return the content of a TOML file. Raises :class:`ScenarioError`."""
     try:
         return tomllib.loads(path.read_bytes().decode())
     except FileNotFoundError:
@@ -118,23 +122,24 @@ def _read(path: Path) -> dict[str, Any]:
     except OSError as error:
         raise ScenarioError(f"{path}: cannot be read ({error.strerror})") from None
     except (ValueError, RecursionError) as error:
-        raise ScenarioError(f"{path}: this is not a TOML file: {error}") from None
+        raise ScenarioError(f"{path}: not a valid TOML file: {error}") from None
 
 
 def _convert(raw: dict[str, Any], kind: type[T], where: str) -> T:
+    """Return a table as a value of ``kind``. Raises :class:`ScenarioError` with the key of the first problem."""
     try:
         return msgspec.convert(raw, kind)
     except msgspec.ValidationError as error:
         sentence, _, place = str(error).partition(" - at `$")
         key = place.rstrip("`").lstrip(".")
-        sentence = sentence.replace("Object contains unknown field", "there is no key") + _hint(sentence, key, raw)
-        sentence = sentence.replace("Object missing required field", "there has to be a key")
+        sentence = sentence.replace("Object contains unknown field", "unknown key") + _hint(sentence, key, raw)
+        sentence = sentence.replace("Object missing required field", "missing key")
         raise ScenarioError(f"{where}: {key}: {sentence}" if key else f"{where}: {sentence}") from None
     except ValueError as error:
         raise ScenarioError(f"{where}: {error}") from None
 
 
-#: Tables by their place in the file, for hints; those with variants are looked up by what names the variant.
+#: Tables by their place in the file, for hints. The tables of events and expectations depend on their tag.
 _TABLES: dict[str, type[msgspec.Struct]] = {
     "": Scenario,
     "topology": Topology,
@@ -148,7 +153,7 @@ _TABLES: dict[str, type[msgspec.Struct]] = {
 
 
 def _hint(sentence: str, key: str, raw: dict[str, Any]) -> str:
-    """The key that was probably meant."""
+    """Return a hint about the key that was probably meant by an unknown one, or about all keys of the table."""
     match = re.search(r"unknown field `(.*)`", sentence)
     if match is None:
         return ""
@@ -162,11 +167,11 @@ def _hint(sentence: str, key: str, raw: dict[str, Any]) -> str:
         return ""
     known = [field.encode_name for field in msgspec.structs.fields(table)]
     near = difflib.get_close_matches(match[1], known, n=1)
-    return f"; did you mean {near[0]}?" if near else f"; there are {', '.join(known)}"
+    return f"; did you mean {near[0]}?" if near else f"; the keys are {', '.join(known)}"
 
 
 def _variant(base: type[msgspec.Struct], tag: object) -> type[msgspec.Struct] | None:
-    """The table that a tag names."""
+    """Return the subclass of ``base`` with this tag, None if there is none."""
     for below in base.__subclasses__():
         found = below if below.__struct_config__.tag == tag else _variant(below, tag)
         if found is not None:
@@ -174,16 +179,18 @@ def _variant(base: type[msgspec.Struct], tag: object) -> type[msgspec.Struct] | 
     return None
 
 
+#: A key of the scenario, and what is wrong with its value.
 Problem = tuple[str, str]
 
 
 def _problems(scenario: Scenario) -> Iterator[Problem]:
+    """Yield the inconsistencies of a scenario, in the order of its keys."""
     if not 1 <= scenario.nodes <= MAX_NODES:
         yield "nodes", f"a network has 1 to {MAX_NODES} nodes, not {scenario.nodes}"
     if not 0 < scenario.duration_s <= MAX_DURATION_S:
         yield "duration_s", f"{scenario.duration_s:g} is not within 0..{MAX_DURATION_S:g} s"
     if not 0 <= scenario.warm_up_s < scenario.duration_s:
-        yield "warm_up_s", f"{scenario.warm_up_s:g} is not below the {scenario.duration_s:g} s of the scenario"
+        yield "warm_up_s", f"{scenario.warm_up_s:g} is not less than the {scenario.duration_s:g} s of the scenario"
     yield from _node_problems(scenario, "down_at_start", scenario.down_at_start)
     yield from _topology_problems(scenario)
     yield from _quality_problems("link", scenario.link)
@@ -194,42 +201,44 @@ def _problems(scenario: Scenario) -> Iterator[Problem]:
     for index, track in enumerate(scenario.tracks):
         yield from _node_problems(scenario, f"tracks[{index}].nodes", track.nodes or ())
         if track.source.partition(":")[0] in ("stdin", "mavlink"):
-            yield f"tracks[{index}].source", f"{track.source} does not come with the scenario"
+            yield f"tracks[{index}].source", f"{track.source} cannot be a source of a scenario; use a track or a file"
     planned = 0
     for index, event in enumerate(scenario.events):
         yield from _event_problems(scenario, f"events[{index}]", event)
         planned += 1 if not event.every_s else event.times or int(scenario.duration_s / event.every_s) + 1
         if planned > MAX_EVENTS:
-            yield f"events[{index}].every_s", f"that makes more than {MAX_EVENTS} events"
+            yield f"events[{index}].every_s", f"the scenario has more than {MAX_EVENTS} events with this period"
     yield from _expectation_problems(scenario)
 
 
 def _node_problems(scenario: Scenario, key: str, nodes: tuple[int, ...]) -> Iterator[Problem]:
+    """Yield the numbers that are not nodes of the scenario."""
     for node in nodes:
         if not 0 <= node < scenario.nodes:
-            yield key, f"there is no node {node}; there are 0..{scenario.nodes - 1}"
+            yield key, f"there is no node {node}; the nodes are 0..{scenario.nodes - 1}"
 
 
 def _topology_problems(scenario: Scenario) -> Iterator[Problem]:
+    """Yield the inconsistencies of the topology."""
     topology, count = scenario.topology, scenario.nodes
     for name, kind in (("neighbours", "neighbours"), ("positions", "positions")):
         rows = getattr(topology, name)
         if topology.kind != kind and rows:
-            yield f"topology.{name}", f"a topology of kind {topology.kind} has none"
+            yield f"topology.{name}", f"a topology of kind {topology.kind} does not have this key"
         if kind == "positions" and not rows and _all_tracked(scenario):
             continue
         if topology.kind == kind and len(rows) != count:
-            yield f"topology.{name}", f"there have to be as many entries as nodes: {count}, not {len(rows)}"
+            yield f"topology.{name}", f"it must have as many entries as nodes: {count}, not {len(rows)}"
     for node, row in enumerate(topology.neighbours):
         yield from _node_problems(scenario, f"topology.neighbours[{node}]", row)
     if topology.kind == "positions" and not topology.range_m > 0:
-        yield "topology.range_m", "has to be there and greater than 0"
+        yield "topology.range_m", "it is required, and must be greater than 0"
     if topology.columns is not None and topology.columns < 1:
         yield "topology.columns", f"a grid has at least one column, not {topology.columns}"
 
 
 def _all_tracked(scenario: Scenario) -> bool:
-    """Whether each node has a track that tells its place."""
+    """Return whether each node has a track, which determines its position."""
     tracked: set[int] = set()
     for track in scenario.tracks:
         tracked.update(range(scenario.nodes) if track.nodes is None else track.nodes)
@@ -237,6 +246,7 @@ def _all_tracked(scenario: Scenario) -> bool:
 
 
 def _quality_problems(key: str, quality: LinkQuality) -> Iterator[Problem]:
+    """Yield the first value of a quality that is out of range."""
     try:
         quality.quality()
     except (ValueError, OverflowError) as error:
@@ -244,20 +254,21 @@ def _quality_problems(key: str, quality: LinkQuality) -> Iterator[Problem]:
 
 
 def _event_problems(scenario: Scenario, key: str, event: Event) -> Iterator[Problem]:
+    """Yield the inconsistencies of one event."""
     if not 0 <= event.at_s <= scenario.duration_s:
         yield f"{key}.at_s", f"{event.at_s:g} is not within the {scenario.duration_s:g} s of the scenario"
-    # TOML knows inf and nan, and periods below that of any clock.
+    # TOML allows inf, nan, and periods below the resolution of any clock.
     if event.every_s is not None and not _SHORTEST_S <= event.every_s < math.inf:
-        yield f"{key}.every_s", f"is at least {_SHORTEST_S:g} s, and finite, not {event.every_s:g}"
+        yield f"{key}.every_s", f"must be finite and at least {_SHORTEST_S:g} s, not {event.every_s:g}"
     if event.times is not None and (event.times < 1 or event.every_s is None):
-        yield f"{key}.times", "is 1 or more, and goes with every_s"
+        yield f"{key}.times", "must be at least 1, and requires every_s"
     node = getattr(event, "node", None)
     if isinstance(node, int):
         yield from _node_problems(scenario, f"{key}.node", (node,))
     if isinstance(event, Content):
         yield from _content_problems(key, event)
     if isinstance(event, Create) and event.repetitions < 1:
-        yield f"{key}.repetitions", "is at least 1"
+        yield f"{key}.repetitions", "must be at least 1"
     if isinstance(event, Partition):
         seen: set[int] = set()
         for group in event.groups:
@@ -269,12 +280,13 @@ def _event_problems(scenario: Scenario, key: str, event: Event) -> Iterator[Prob
     if isinstance(event, SetLink):
         yield from _quality_problems(f"{key}.quality", event.quality)
         if (event.sender is None) != (event.receiver is None):
-            yield key, "from and to go together"
+            yield key, "from and to must be given together"
         ends = tuple(end for end in (event.sender, event.receiver) if end is not None)
         yield from _node_problems(scenario, key, ends)
 
 
 def _content_problems(key: str, content: Content | VariableIs) -> Iterator[Problem]:
+    """Yield the problem of a text or value."""
     try:
         content.octets()
     except ValueError as error:
@@ -282,6 +294,7 @@ def _content_problems(key: str, content: Content | VariableIs) -> Iterator[Probl
 
 
 def _expectation_problems(scenario: Scenario) -> Iterator[Problem]:
+    """Yield the inconsistencies of the expectations."""
     for index, expectation in enumerate(scenario.expect):
         key = f"expect[{index}]"
         at = getattr(expectation, "at_s", None)
@@ -294,9 +307,9 @@ def _expectation_problems(scenario: Scenario) -> Iterator[Problem]:
             yield from _node_problems(scenario, key, (expectation.node, *expectation.are))
         elif isinstance(expectation, Converged):
             if not 0 <= expectation.within_s < math.inf:
-                yield f"{key}.within_s", f"is a number of seconds from 0 on, not {expectation.within_s:g}"
+                yield f"{key}.within_s", f"must be finite and at least 0 s, not {expectation.within_s:g}"
         elif isinstance(expectation, BeaconRate):
             for name, number in (("per_s", expectation.per_s), ("tolerance", expectation.tolerance)):
                 if not 0 <= number < math.inf:
-                    yield f"{key}.{name}", f"is a number from 0 on, not {number:g}"
+                    yield f"{key}.{name}", f"must be finite and at least 0, not {number:g}"
             yield from _node_problems(scenario, f"{key}.nodes", expectation.nodes or ())

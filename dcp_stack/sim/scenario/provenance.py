@@ -1,4 +1,4 @@
-"""What a result was made from, so that it can be understood and repeated without the command line that made it."""
+"""The provenance of a result: all inputs of the run, so that it can be repeated without the original command line."""
 
 from __future__ import annotations
 
@@ -19,27 +19,29 @@ from .definition import Scenario
 
 
 class Provenance(msgspec.Struct, frozen=True):
-    """Scenario with all keys, the parameters that follow from it, and the program that played it."""
+    """The scenario with all keys, the resulting parameters of the nodes, and the versions of the software."""
 
     kit_version: str
     python_version: str
     scenario_sha256: str
-    """Of the scenario with all keys, the parameters and the wire profile; without the seed, so that runs that differ
-    by the seed alone have the same."""
+    """Hash of the scenario with all keys, the parameters and the wire profile.
+
+    It excludes seed and title, so runs that differ only in the seed have the same hash.
+    """
     profile_sha256: str
-    """Of the content of the wire profile."""
+    """Hash of the content of the wire profile."""
     scenario: dict[str, Any]
     parameters: dict[str, dict[str, Any]]
-    """What each node starts with, by protocol, under the specification's names."""
+    """The initial parameters of each node, by protocol and the specification's names."""
 
     @classmethod
     def of(cls, scenario: Scenario, codec: Codec) -> Provenance:
-        """The provenance of a run of this scenario."""
+        """Return the provenance of a run of this scenario."""
         plain: dict[str, Any] = msgspec.to_builtins(scenario)
         profile = msgspec.json.encode(codec.profile, order="sorted", enc_hook=str)
         parameters = effective_parameters(scenario, codec)
         hashed = {**plain, "parameters": parameters}
-        # The content of the profile counts, and not where its file is; the title is said and changes nothing.
+        # The hash covers the content of the profile, not the path of its file. The title has no effect on the run.
         for key in ("seed", "title", "profile"):
             del hashed[key]
         return cls(
@@ -53,7 +55,7 @@ class Provenance(msgspec.Struct, frozen=True):
 
 
 def effective_parameters(scenario: Scenario, codec: Codec) -> dict[str, dict[str, Any]]:
-    """The parameters of a node of this scenario, those included that the profile decides."""
+    """Return the parameters of a node of this scenario by protocol, including defaults from the profile."""
     config = NodeConfig(
         node_id=node_id(codec.profile, 0),
         codec=codec,

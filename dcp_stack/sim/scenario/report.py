@@ -1,4 +1,4 @@
-"""What came of a scenario, for people and for programs; the same for simulations and testbeds."""
+"""The report of a run as text and as JSON, common to simulations and testbeds."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .provenance import Provenance
 
 
 class Finding(msgspec.Struct, frozen=True):
-    """An expectation (or that nothing failed) and whether it was met."""
+    """An expectation and whether it was met. ``found``: the deviating observation, or details."""
 
     what: str
     met: bool
@@ -23,9 +23,11 @@ class Finding(msgspec.Struct, frozen=True):
 
 
 class NodeTraffic(msgspec.Struct, frozen=True):
-    """What one node sent and received. ``beacons_per_s`` is None for a node that was not up all the time: that was
-    down at the start, or switched off or on later. ``left_out_per_s`` are slots for beacons that passed unused besides,
-    because the machine was too busy."""
+    """The traffic of one node.
+
+    ``beacons_per_s`` is None for a node that was not switched on during the whole run. ``left_out_per_s``: beacons per
+    s that the node additionally left out because the machine was too busy.
+    """
 
     node: int
     beacons_sent: int
@@ -36,7 +38,7 @@ class NodeTraffic(msgspec.Struct, frozen=True):
 
 
 class Report(msgspec.Struct):
-    """Times of convergences are ns, all others what their name says."""
+    """The result of a run. Times of convergences are in ns; other names end with their unit."""
 
     title: str
     ground: str
@@ -51,32 +53,32 @@ class Report(msgspec.Struct):
     traffic: list[NodeTraffic] = []
     values: ValueTotals = ValueTotals()
     delays: list[DelayRow] = []
-    """Empty for testbeds, where nobody sees when a value arrives."""
+    """Empty for testbeds, where the arrival of values cannot be observed."""
     consistency: list[VariableConsistency] = []
     shares: dict[str, float] = {}
-    """Of the medium: what became of the frames, as shares of what a perfect medium would have delivered."""
+    """Frames delivered, lost, duplicated and missed, as shares of ``expected``."""
     expected: int = 0
-    """How many deliveries that is: the neighbours of the sender, for each beacon."""
+    """Number of deliveries by a perfect medium: the neighbours of the sender, for each beacon."""
     digest: str = ""
     elapsed_s: float = 0.0
     cpu_s: float = 0.0
     late_s: float = 0.0
-    """How late an event or a look at the nodes was at most, since the machine was busy: 0 in virtual time."""
+    """Longest delay of an event or of a query of the nodes, because the machine was busy; 0 in virtual time."""
     slowest_start_s: float = 0.0
-    """What it took at most until a node answered that was switched on after the start: 0 in virtual time."""
+    """Longest time until a node answered that was switched on after the start; 0 in virtual time."""
 
     @property
     def met(self) -> bool:
-        """Whether everything that was expected is so."""
+        """Whether all expectations are met."""
         return all(finding.met for finding in self.findings)
 
     @property
     def speed_up(self) -> float:
-        """Virtual seconds in a real one."""
+        """Simulated time divided by real time."""
         return self.duration_s / self.elapsed_s if self.elapsed_s else 0.0
 
     def plain(self) -> dict[str, Any]:
-        """For JSON."""
+        """Return the report as plain data for JSON, with times of convergences in s."""
         found: dict[str, Any] = msgspec.to_builtins(self)
         found["convergences"] = [
             {
@@ -89,14 +91,14 @@ class Report(msgspec.Struct):
         return {**found, "speed_up": round(self.speed_up, 3), "met": self.met}
 
 
-#: Rows of a table that are printed; the rest is summed up in one line.
+#: Maximum number of printed rows of a table; one line summarises the rest.
 SHOWN = 24
-#: Seconds of delay by the machine from which on it is told: scenarios expect things within seconds.
+#: Delays in s, of events and of starts, above which the report has a warning: scenarios expect results within seconds.
 LATE, SLOW_START = 0.5, 1.5
 
 
 def lines(report: Report) -> Iterator[str]:
-    """The report as text."""
+    """Yield the lines of the report as text."""
     title = f"{report.title}: " if report.title else ""
     yield f"{title}{report.nodes} nodes, {report.profile}, {report.duration_s:g} s, {report.ground}, seed {report.seed}"
     yield ""
@@ -117,7 +119,7 @@ def lines(report: Report) -> Iterator[str]:
         yield f"speed      {report.speed_up:.1f} times real time ({report.elapsed_s:.2f} s, {report.cpu_s:.2f} s CPU)"
     if report.late_s > LATE or report.slowest_start_s > SLOW_START:
         late = f"{report.late_s:.1f} s late at most, starting a node took {report.slowest_start_s:.1f} s"
-        yield f"machine    {late}: it is too busy for what is expected of times"
+        yield f"machine    {late}: it is too busy for expectations about times"
     yield ""
     for finding in report.findings:
         found = f": {finding.found}" if finding.found else ""
@@ -125,6 +127,7 @@ def lines(report: Report) -> Iterator[str]:
 
 
 def _convergences(convergences: Sequence[Convergence]) -> Iterator[str]:
+    """Yield the table of events and the times until the databases agreed."""
     if not convergences:
         return
     yield "        at  event                                     databases agree after"
@@ -139,6 +142,7 @@ def _convergences(convergences: Sequence[Convergence]) -> Iterator[str]:
 
 
 def _traffic(report: Report) -> Iterator[str]:
+    """Yield the table of the nodes' traffic, if it is not too long, and the totals."""
     traffic = report.traffic
     rates = [each.beacons_per_s for each in traffic if each.beacons_per_s is not None]
     if len(traffic) <= SHOWN:
@@ -157,31 +161,33 @@ def _traffic(report: Report) -> Iterator[str]:
 
 
 def _values(report: Report) -> Iterator[str]:
+    """Yield totals, delays, consistency and notes about the values."""
     totals = report.values
     if totals.due:
         late = (
             f", {totals.missed_newest} of them the newest of their variable at the end" if totals.missed_newest else ""
         )
         yield (
-            f"values     {totals.produced} produced; of {totals.due} that could arrive at the other nodes "
-            f"{totals.received} were received ({totals.received / totals.due:.1%}), {totals.missed} missed{late}"
+            f"values     {totals.produced} produced; {totals.received} of {totals.due} possible receptions by other "
+            f"nodes ({totals.received / totals.due:.1%}), {totals.missed} missed{late}"
         )
     yield from map(_delay, report.delays[:SHOWN])
     if len(report.delays) > SHOWN:
-        yield f"           and {len(report.delays) - SHOWN} more distances: --json has them all"
+        yield f"           and {len(report.delays) - SHOWN} more distances; --json lists all of them"
     if report.consistency:
         seconds = sum(each.seconds for each in report.consistency)
         newest = sum(each.newest_share * each.seconds for each in report.consistency) / seconds
         complete = sum(each.complete_share * each.seconds for each in report.consistency) / seconds
         count = len(report.consistency)
         yield (
-            f"newest     {newest:.1%} of the other nodes have the newest value on average over time, all of them "
+            f"newest     on average over time {newest:.1%} of the other nodes have the newest value, all of them "
             f"{complete:.1%} of the time ({count} variable{'s' * (count != 1)})"
         )
     yield from (f"note       {note}" for note in totals.notes)
 
 
 def _delay(row: DelayRow) -> str:
+    """Return the line for the delays of one kind of values at one distance."""
     where = "no path" if row.hops is None else f"{row.hops:2} hop{' ' if row.hops == 1 else 's'}"
     found = f"  {row.kind + 's':9}  {where:7}  {row.received} of {row.due} received ({row.share:.1%})"
     if row.mean_ms is None:

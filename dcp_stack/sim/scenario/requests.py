@@ -1,4 +1,4 @@
-"""Events of a scenario as requests of the control interface: simulations and testbeds do the very same."""
+"""Events of a scenario as requests to the control interface, common to simulations and testbeds."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _LAYERS = {"vardis": "VD", "bp": "BP"}
 
 
 def request(event: ServiceEvent, n: int) -> tuple[str, dict[str, Any]]:
-    """Method and parameters of the ``n``-th repetition of an event."""
+    """Return method and parameters for the ``n``-th repetition of an event."""
     match event:
         case Create():
             return "RTDB-Create", {
@@ -45,10 +45,10 @@ def request(event: ServiceEvent, n: int) -> tuple[str, dict[str, Any]]:
 
 
 def answer(node: Node, method: str, params: dict[str, Any], now: int, wall: int) -> dict[str, Any]:
-    """What a node answers at its control interface; raises ServiceError for an error."""
+    """Return the answer of a node to a request at its control interface. Raises ServiceError for an error answer."""
     known = METHODS.get(method)
     if known is None:
-        raise ServiceError(METHOD_NOT_FOUND, f"there is no method {method}")
+        raise ServiceError(METHOD_NOT_FOUND, f"unknown method {method}")
     try:
         found = perform(node, method, msgspec.convert(params, known.params), Times(now, wall))
     except RpcError as error:
@@ -60,6 +60,6 @@ def answer(node: Node, method: str, params: dict[str, Any], now: int, wall: int)
 
 
 def trouble(result: dict[str, Any]) -> str:
-    """The status of a confirm that is not OK; empty if it is."""
+    """Return the status of a confirm if it is not OK, otherwise an empty text."""
     status = str(result["status"])
     return "" if status.endswith("-STATUS-OK") else status

@@ -1,1 +1,1 @@
-"""Networks of node processes in network namespaces, in real time."""
+"""Testbeds: networks of node processes in network namespaces, in real time."""

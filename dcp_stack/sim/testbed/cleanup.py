@@ -1,7 +1,8 @@
-"""``python -m dcp_stack.sim.testbed.cleanup PREFIX [DIRECTORY]``: clean up after a testbed.
+"""``python -m dcp_stack.sim.testbed.cleanup PREFIX [DIRECTORY]``: remove what a testbed leaves on the machine.
 
-Waits for the end of its input, which comes when the testbed lets go of the other end of the pipe: also if it was
-killed. Then the namespaces with this prefix go, with all processes and interfaces in them, and the directory.
+The process waits for the end of its input: the testbed closes the other end of the pipe, and the kernel does if the
+testbed is killed. Then it removes the namespaces with this prefix, with all processes and interfaces in them, and the
+directory.
 """
 
 from __future__ import annotations
@@ -15,18 +16,18 @@ from .namespaces import PATIENCE, NamespaceError, delete, existing
 
 
 class Janitor:
-    """The janitor of this process."""
+    """The process that cleans up after the testbed of this process."""
 
     def __init__(self, prefix: str, directory: str | None = None) -> None:
-        """``directory`` is removed, too, in the end."""
+        """Start the process. It removes the namespaces with ``prefix``, and ``directory`` if given."""
         command = [sys.executable, "-m", "dcp_stack.sim.testbed.cleanup", prefix, *([directory] if directory else [])]
-        # In a session of its own: what ends the testbed from the terminal must not end who cleans up behind it.
+        # In its own session, so that signals from the terminal end the testbed but not this process.
         self._process = subprocess.Popen(  # noqa: S603 - our own module
             command, stdin=subprocess.PIPE, start_new_session=True
         )
 
     def finish(self) -> None:
-        """Let it do its work, and wait until it is done."""
+        """Start the clean-up, and wait until it is complete, at most ``PATIENCE`` s."""
         assert self._process.stdin is not None
         self._process.stdin.close()
         try:
@@ -37,7 +38,7 @@ class Janitor:
 
 
 def main(prefix: str, directory: str | None = None) -> int:
-    """Wait, then clean up."""
+    """Wait for the end of input, then clean up; returns the exit status."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
     sys.stdin.buffer.read()

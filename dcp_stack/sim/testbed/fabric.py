@@ -1,26 +1,52 @@
-"""The virtual Ethernet of a testbed: bridges and veth pairs, in namespaces.
+"""The virtual Ethernet of a testbed: bridges and veth pairs in network namespaces.
 
-A node has one interface, ``dcp0``, and what it broadcasts there once reaches its neighbours and nobody else:
+A node has one interface, ``dcp0``. A broadcast there reaches exactly the node's neighbours:
 
-* On a bus ``dcp0`` is one end of a veth pair, and the other ends are ports of one bridge. (Unless single links have a
-  quality of their own: then it is built like the others.)
-* In any other topology ``dcp0`` is a bridge of the node's own, with a veth pair to each neighbour's. All ports are
-  *isolated*: the kernel forwards nothing between them, so what came from one neighbour is handed to the node, and
-  what the node sends goes to all. One interface per neighbour would be simpler, but then a node would send a beacon
-  several times and hear its neighbours on different links, which is no broadcast medium. One bridge with isolated
-  ports for all cannot do it either: isolation separates all ports from all others.
+* On a bus ``dcp0`` is one end of a veth pair, and the other ends are ports of one bridge. If single links have their
+  own quality, a bus is built like the other topologies.
+* In any other topology ``dcp0`` is a bridge of the node, with a veth pair to the bridge of each neighbour. All ports
+  are *isolated*: the kernel does not forward frames between them, so the node receives the frames of its neighbours,
+  and its own frames leave through all ports. One interface per neighbour would not be a broadcast medium: a node would
+  send each beacon several times. One common bridge with isolated ports would separate all nodes from all others.
 
-So there is a queue for each direction between two nodes (on a bus for each receiver), where tc can lose and delay.
+As a result each direction between two nodes (on a bus each receiver) has its own queue, where tc can lose and delay
+frames.
 """
 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Protocol
 
 from dcp_stack.sim.scenario.definition import PERFECT, LinkQuality, Scenario, ScenarioError, SetLink
 
 from .namespaces import NamespaceError, batch, create, run
+
+
+class Air(Protocol):
+    """The links of a testbed."""
+
+    @property
+    def namespaces(self) -> Sequence[str]:
+        """The namespaces of the nodes, each with an interface :data:`INTERFACE`."""
+        ...
+
+    def set_quality(self, direction: tuple[int, int] | None, quality: LinkQuality) -> None:
+        """Change the quality from one node to another, or (None) of all links that have none of their own."""
+        ...
+
+    def partition(self, groups: Sequence[Sequence[int]]) -> None:
+        """Restrict frames to the groups; nodes in no group form another one. Without groups the partition ends."""
+        ...
+
+    def close(self) -> None:
+        """End the program that carries frames; the namespaces remain."""
+        ...
+
+
+MakeAir = Callable[[Scenario, str, Sequence[bytes]], Air]
+"""Builds the links of a scenario, with the prefix of its namespaces and the addresses of its interfaces."""
 
 INTERFACE = "dcp0"
 _BRIDGE = "type bridge stp_state 0 mcast_snooping 0"
@@ -28,12 +54,16 @@ _SINK = "sink"
 
 
 class Fabric:
-    """The Ethernet of one scenario."""
+    """The virtual Ethernet of one scenario."""
 
     def __init__(self, scenario: Scenario, prefix: str, addresses: Sequence[bytes]) -> None:
-        """``addresses`` are those of the nodes' interfaces. Raises NamespaceError, ScenarioError."""
+        """Create namespaces, interfaces and bridges. ``addresses``: MAC addresses of the nodes' interfaces.
+
+        Raises NamespaceError if a command fails, ScenarioError for a link quality that this machine cannot provide.
+        """
         self._count = scenario.nodes
-        # The ports of one bridge know their receivers only: links of their own need a cable for each pair.
+        # A port of one common bridge carries the frames of all senders: a quality of single links needs a veth pair
+        # for each pair of nodes.
         single = any(isinstance(event, SetLink) and event.sender is not None for event in scenario.events)
         self._bus = scenario.topology.kind == "full" and not scenario.links and not single
         self._pairs = scenario.topology.pairs(scenario.nodes)
@@ -55,11 +85,14 @@ class Fabric:
                 self.set_quality(direction, link.quality)
 
     def set_quality(self, direction: tuple[int, int] | None, quality: LinkQuality) -> None:
-        """Change what happens to frames from one node to another, or (None) wherever nothing of its own was said."""
+        """Set the quality of one direction (sender, receiver), or with None of all directions without their own.
+
+        Raises ScenarioError for one direction of a bus, or for a quality that this machine cannot provide.
+        """
         if direction is not None:
             if self._bus:
                 raise ScenarioError(
-                    "on a bus, links have no quality of their own; list them in [[links]] from the start"
+                    "on a bus, a single link cannot get its own quality; list the link in [[links]] from the start"
                 )
             self._own.add(direction)
             self._shape(direction, quality)
@@ -73,8 +106,11 @@ class Fabric:
                 if each not in self._own:
                     self._shape(each, quality)
 
+    def close(self) -> None:
+        """Do nothing: the interfaces are removed with their namespaces."""
+
     def partition(self, groups: Sequence[Sequence[int]]) -> None:
-        """Let frames stay inside their groups; nodes in none of them are another one. No groups: heal."""
+        """Restrict frames to the groups; nodes in no group form another one. Without groups the partition ends."""
         member = {node: number for number, group in enumerate(groups, start=1) for node in group}
         if self._bus:
             new = range(self._bridges, len(groups) + 1)
@@ -86,12 +122,13 @@ class Fabric:
         lines: dict[int, list[str]] = defaultdict(list)
         for a, b in self._pairs:
             state = "up" if member.get(a, 0) == member.get(b, 0) else "down"
-            # One end is enough: the other one loses its carrier.
+            # It suffices to set one end down: the other end loses its carrier.
             lines[a].append(f"link set to{b} {state}")
         for node, commands in lines.items():
             batch("ip", self.namespaces[node], commands)
 
     def _build_bus(self) -> None:
+        """Create one bridge with a veth pair to each node."""
         batch("ip", self._ether, _bridge_lines("bus0"))
         lines = []
         for node in range(self._count):
@@ -103,6 +140,7 @@ class Fabric:
             batch("ip", name, [f"link set {INTERFACE} addrgenmode none up"])
 
     def _build_cables(self) -> None:
+        """Create a bridge for each node, with a veth pair for each pair of neighbours."""
         for node, name in enumerate(self.namespaces):
             address = f"address {self._addresses[node]}"
             batch(
@@ -121,20 +159,22 @@ class Fabric:
             batch("bridge", self.namespaces[node], isolate)
 
     def _shape(self, direction: tuple[int, int], quality: LinkQuality) -> None:
+        """Set the quality of a direction, if the topology has this connection."""
         sender, receiver = direction
         if (min(direction), max(direction)) in self._pairs:
             self._shaper.shape(self.namespaces[sender], f"to{receiver}", quality)
 
 
 def _bridge_lines(name: str) -> list[str]:
+    """Return the commands of ``ip`` that create a bridge."""
     return [f"link add {name} {_BRIDGE}", f"link set {name} addrgenmode none up"]
 
 
 class Shaper:
-    """Gives what leaves an interface the quality of a connection.
+    """Applies the quality of a connection to the frames that leave an interface, by means of tc.
 
-    netem does all of it. Kernels without it (sch_netem is a module that small ones leave out) can still lose frames:
-    a classifier draws a random number for each and redirects some to an interface where nobody listens.
+    netem provides all of it. A kernel without the module sch_netem can still lose frames: a classifier draws a random
+    number for each frame, and redirects the lost ones to an interface without a receiver.
     """
 
     def __init__(self) -> None:
@@ -143,7 +183,7 @@ class Shaper:
         self._netem: bool | None = None
 
     def shape(self, namespace: str, interface: str, quality: LinkQuality) -> None:
-        """Set the quality; raises ScenarioError for one that this machine cannot do."""
+        """Set the quality of an interface. Raises ScenarioError if this machine cannot provide it."""
         if (namespace, interface) in self._shaped:
             kind = "root" if self._netem else "clsact"
             run(["tc", "-n", namespace, "qdisc", "delete", "dev", interface, kind])
@@ -157,6 +197,7 @@ class Shaper:
         self._shaped.add((namespace, interface))
 
     def _with_netem(self, namespace: str, interface: str, quality: LinkQuality) -> bool:
+        """Set the quality by netem; returns False if the kernel does not have it."""
         command = f"tc -n {namespace} qdisc add dev {interface} root netem {netem_options(quality)}"
         try:
             run(command.split())
@@ -167,10 +208,11 @@ class Shaper:
         return True
 
     def _with_classifier(self, namespace: str, interface: str, quality: LinkQuality) -> None:
+        """Set the loss by a classifier. Raises ScenarioError for any other quality, or without cls_bpf."""
         if quality != LinkQuality(loss=quality.loss, reorder_delay_ms=quality.reorder_delay_ms):
             raise ScenarioError(
-                "this kernel has no netem (module sch_netem), without which a testbed can lose frames, but not delay, "
-                "duplicate or reorder them; simulate can"
+                "this kernel lacks netem (module sch_netem); without it the kernel can lose frames, but cannot delay, "
+                "duplicate or reorder them. Load the module, or use --links relay"
             )
         if namespace not in self._sinks:
             lines = [f"link add {_SINK} type veth peer name drain"]
@@ -183,18 +225,20 @@ class Shaper:
             redirect = ["action", "mirred", "egress", "redirect", "dev", _SINK]
             run(["tc", "-n", namespace, "filter", "add", "dev", interface, "egress", *match, *redirect])
         except NamespaceError as error:
-            raise ScenarioError(f"this kernel can lose no frames, neither by netem nor by cls_bpf: {error}") from None
+            raise ScenarioError(f"this kernel can lose frames neither by netem nor by cls_bpf: {error}") from None
 
 
 def netem_options(quality: LinkQuality) -> str:
-    """The same quality as options of netem; raises ScenarioError for what it cannot express."""
-    # netem draws from delay - jitter .. delay + jitter, a scenario from delay .. delay + jitter.
+    """Return a quality as options of netem. Raises ScenarioError for a combination that netem cannot provide."""
+    if quality.quality().has_memory:
+        raise ScenarioError("the kernel cannot lose frames in bursts or corrupt them here; use --links relay")
+    # netem draws from delay - jitter to delay + jitter, a scenario from delay to delay + jitter.
     half = quality.jitter_ms / 2
     options = [f"delay {quality.delay_ms + half:.3f}ms {half:.3f}ms"] if quality.delay_ms or half else []
     if quality.reorder:
         if options:
-            raise ScenarioError("in a testbed, reorder does not go together with delay_ms or jitter_ms")
-        # The other way round: netem sends a share at once, and holds up the rest.
+            raise ScenarioError("in a testbed, reorder cannot be combined with delay_ms or jitter_ms")
+        # Reversed: netem sends the given share at once, and delays the rest.
         options = [f"delay {quality.reorder_delay_ms:.3f}ms", f"reorder {(1 - quality.reorder) * 100:.4f}%"]
     if quality.loss:
         options.append(f"loss {quality.loss * 100:.4f}%")
@@ -204,7 +248,7 @@ def netem_options(quality: LinkQuality) -> str:
 
 
 def chance(probability: float) -> str:
-    """A classic BPF program for tc that matches frames with this probability."""
+    """Return a classic BPF program for tc that matches frames with this probability."""
     if probability >= 1:
         return "1,6 0 0 4294967295,"
     threshold = round(probability * (1 << 32))

@@ -1,4 +1,4 @@
-"""The nodes of a testbed: processes of ``dcp-node run``, each in its namespace, talked to by their control sockets."""
+"""The nodes of a testbed: processes of ``dcp-node run``, each in its own namespace, controlled by their sockets."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from dcp_stack.sim.scenario.definition import NS_PER_S, Scenario
 from .fabric import INTERFACE
 from .namespaces import enter_command
 
-#: Seconds that a node may take to answer once it runs, and to end once it is told to.
+#: Maximum time in s for the answer to a request, and for the end of a node after SIGTERM.
 ANSWER_PATIENCE = 10.0
 END_PATIENCE = 10.0
 
 
 class Look(NamedTuple):
-    """What a node says of itself at one moment."""
+    """The state that a node reports at one moment."""
 
     now: int
-    """Its monotonic clock in ns, which is that of the machine."""
+    """Monotonic time of the node in ns; all nodes use the clock of the machine."""
     beacons_sent: int
     beacons_left_out: int
     octets_sent: int
@@ -38,20 +38,23 @@ class Look(NamedTuple):
 
 
 class NodeProcess:
-    """One place in the testbed, and the process there while it is switched on."""
+    """One node of the testbed, and its process while the node is switched on."""
 
     def __init__(
         self, index: int, namespace: str, settings: Settings, directory: Path, name: str, *, record: bool = True
     ) -> None:
-        """``settings`` lack what is of this place: interface, control socket and recording."""
+        """``settings``: those of the node except interface, control socket and recording, which are set here.
+
+        ``directory``: for settings, log, control socket and recording, whose names begin with ``name``.
+        """
         self.index = index
         self.namespace = namespace
         self.control = directory / f"{name}.sock"
         self.log = directory / f"{name}.log"
         self.failure = ""
-        """How the process ended without being told to; empty as it should be."""
+        """How the process ended unexpectedly; empty if it did not."""
         self.runs: list[tuple[Look, Look]] = []
-        """First and last look at each life."""
+        """First and last reported state of each process that has ended."""
         self._settings = settings
         self._directory = directory
         self._name = name
@@ -63,20 +66,20 @@ class NodeProcess:
         self._last: Look | None = None
         self._begun = 0.0
         self.starts: list[float] = []
-        """Seconds that it took until it answered, each time it was switched on."""
+        """Time in s from each start of the process to its first answer."""
 
     @property
     def on(self) -> bool:
-        """Whether it was switched on, and not off again."""
+        """Whether the node is switched on."""
         return self._process is not None
 
     @property
     def answers(self) -> bool:
-        """Whether it is ready for requests."""
+        """Whether the node is ready for requests."""
         return self._client is not None
 
     def start(self) -> None:
-        """Switch it on: start the process, and do not wait for it."""
+        """Switch the node on: start its process without waiting until it is ready. No effect if it is on."""
         if self._process is not None:
             return
         self._lives += 1
@@ -90,7 +93,7 @@ class NodeProcess:
         )
         path = self._directory / f"{self._name}.toml"
         path.write_text(settings_text(settings))
-        # A socket that is still there from a life before would be refused as one in use, or answer for the dead.
+        # The node would refuse to start with the socket of an earlier process.
         self.control.unlink(missing_ok=True)
         recording.unlink(missing_ok=True)
         command = [sys.executable, "-m", "dcp_stack.cli", "run", "--config", str(path)]
@@ -105,19 +108,19 @@ class NodeProcess:
             )
 
     def connect(self) -> bool:
-        """Look whether it is ready; True if it is. Never waits for it."""
+        """Try to connect to the control socket; returns whether the node is ready. Does not wait until it is."""
         if self._client is None and self._process is not None and self.control.exists() and not self.ended():
             try:
                 self._client = ControlClient(self.control, patience=ANSWER_PATIENCE)
                 self._first = self.look()
                 self.starts.append(time.monotonic() - self._begun)
             except ControlError:
-                # Bound, and not yet listening.
+                # The socket is bound, and does not listen yet.
                 self.disconnect()
         return self._client is not None
 
     def ended(self) -> bool:
-        """Whether the process ended by itself; says so in ``failure``."""
+        """Return whether there is no running process; note in ``failure`` if it ended unexpectedly."""
         if self._process is None or self._process.poll() is None:
             return self._process is None
         status = self._process.returncode
@@ -126,7 +129,7 @@ class NodeProcess:
         return True
 
     def last_words(self) -> str:
-        """The end of what it logged."""
+        """Return the last line of the log, at most 300 characters."""
         try:
             lines = self.log.read_text(errors="replace").strip().splitlines()
         except OSError:
@@ -134,13 +137,17 @@ class NodeProcess:
         return lines[-1][-300:] if lines else "it logged nothing"
 
     def call(self, method: str, /, **params: Any) -> dict[str, Any]:
-        """Request something of the node; raises LookupError while it is off, ControlError, ServiceError."""
+        """Send a request to the node, and return its answer.
+
+        Raises LookupError while the node is off or not ready, ControlError if the connection fails, and ServiceError
+        if the node answers with an error.
+        """
         if self._client is None:
             raise LookupError(f"node {self.index} is {'not ready' if self.on else 'switched off'}")
         return self._client.call(method, **params)
 
     def look(self) -> Look:
-        """What the node says of itself now; raises as :meth:`call`."""
+        """Query the current state of the node. Raises the errors of :meth:`call`."""
         status = self.call("UT-Status")
         node = status["node"]
         counters, vardis = node["bp"]["counters"], node.get("vardis", {})
@@ -164,19 +171,19 @@ class NodeProcess:
         return self._last
 
     def kill(self) -> None:
-        """Switch it off as an empty battery does."""
+        """Kill the process, as if the battery were empty."""
         if self._process is not None:
             self._process.kill()
             self._process.wait(END_PATIENCE)
         self._forget()
 
     def ask_to_end(self) -> None:
-        """Have it end in an orderly way; :meth:`wait` is for the outcome."""
+        """Request an orderly end of the process (SIGTERM); :meth:`wait` waits for it."""
         if self._process is not None and self._process.poll() is None:
             self._process.terminate()
 
     def wait(self, deadline: float) -> None:
-        """Wait until it ended, up to a moment of the monotonic clock; then it is killed."""
+        """Wait for the end of the process until ``deadline`` (monotonic s), then kill it."""
         if self._process is None:
             return
         try:
@@ -190,12 +197,13 @@ class NodeProcess:
         self._forget()
 
     def disconnect(self) -> None:
-        """Let go of the control socket."""
+        """Close the connection to the control socket."""
         if self._client is not None:
             self._client.close()
             self._client = None
 
     def _forget(self) -> None:
+        """Note the reported states of a process that has ended, and mark the node as switched off."""
         self.disconnect()
         self._process = None
         if self._first is not None and self._last is not None:
@@ -204,14 +212,14 @@ class NodeProcess:
 
 
 def settings_for(scenario: Scenario, index: int, node_id: str) -> Settings:
-    """The settings of a node of a scenario, as far as they do not depend on where it runs."""
+    """Return the settings of a node of a scenario, except those that depend on its directory and namespace."""
     sources = [track.source for track in scenario.tracks if track.nodes is None or index in track.nodes]
     srp, vardis = scenario.srp_config, scenario.vardis_config
     return Settings(
         node_id=node_id,
         profile=scenario.profile,
         readings=scenario.readings,
-        # The last one that names the node, as a more special case after a general one.
+        # The last track of the node takes precedence: it may be an exception to an earlier one for all nodes.
         position=sources[-1] if sources else None,
         seed=scenario.seed * 1000 + index,
         bp=scenario.bp,
@@ -223,9 +231,10 @@ def settings_for(scenario: Scenario, index: int, node_id: str) -> Settings:
 
 
 def _fields(config: msgspec.Struct) -> dict[str, Any]:
+    """Return the fields of a configuration by name."""
     return {name: getattr(config, name) for name in config.__struct_fields__}
 
 
 def seconds_between(first: Look, last: Look) -> float:
-    """The time between two looks."""
+    """Return the time between two reported states in s."""
     return (last.now - first.now) / NS_PER_S

@@ -1,7 +1,8 @@
-"""Play a scenario with node processes on a virtual Ethernet, in real time."""
+"""Execution of a scenario with node processes on a virtual Ethernet, in real time."""
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import time
 from collections.abc import Callable, Iterator
@@ -36,37 +37,41 @@ from dcp_stack.sim.scenario.requests import request, trouble
 from dcp_stack.sim.virtual.network import node_id
 
 from .cleanup import Janitor
-from .fabric import Fabric
+from .fabric import Air, Fabric, MakeAir
 from .namespaces import own_prefix, sweep
 from .processes import END_PATIENCE, NodeProcess, seconds_between, settings_for
 
 log = logging.getLogger(__name__)
 
-#: Seconds between two looks at all nodes: how exactly convergence is measured.
+#: Time in s between two queries of all nodes: the resolution of measured convergence.
 LOOK_INTERVAL = 0.05
-#: Seconds that one node may take to start; on a busy machine Python itself takes some.
+#: Maximum time in s for the start of a node; on a busy machine the start of Python takes several of them.
 START_PATIENCE = 30.0
 
 
 class StartError(Exception):
-    """A node does not start; the message says which one, and what it wrote last."""
+    """A node does not start; the message has its number and the last line of its log."""
 
 
 class Testbed:
-    """Namespaces, links and processes for one scenario; a context manager that leaves nothing behind."""
+    """Namespaces, links and processes for one scenario; as a context manager it removes all of them at the end."""
 
     __test__ = False
 
-    def __init__(self, scenario: Scenario, directory: Path, *, keep: bool, record: bool = True) -> None:
-        """``directory`` exists and takes settings, logs, sockets and recordings; it stays if ``keep`` says so.
-        ``record`` False leaves the recordings away.
+    def __init__(
+        self, scenario: Scenario, directory: Path, *, keep: bool, record: bool = True, make_air: MakeAir = Fabric
+    ) -> None:
+        """``directory``: an existing directory for settings, logs, sockets and recordings; removed unless ``keep``.
 
-        Raises ScenarioError, NamespaceError.
+        ``make_air`` builds the links; by default the kernel carries the frames.
+
+        ``record`` False omits the recordings. Raises ScenarioError for an invalid scenario, NamespaceError if the
+        system refuses namespaces or interfaces.
         """
         self.scenario = check(scenario)
         if scenario.topology.kind == "positions" and not scenario.topology.positions:
             raise ScenarioError(
-                "topology.positions: a testbed needs the place of each node: tracks move links in simulations only"
+                "topology.positions: a testbed needs the position of each node; tracks change links in simulations only"
             )
         codec = scenario_codec(scenario)
         check_nodes(scenario, codec)
@@ -82,11 +87,13 @@ class Testbed:
         sweep()
         prefix = own_prefix()
         self._janitor = Janitor(prefix, None if keep else str(directory))
+        self._closing = contextlib.ExitStack()
         try:
             identifiers = [node_id(self.profile, index) for index in range(scenario.nodes)]
-            # The address of an interface has six octets, whatever the identifier of the node looks like.
+            # The address of an interface has six octets, independently of the node identifier of the profile.
             addresses = [b"\x02" + index.to_bytes(5, "big") for index in range(scenario.nodes)]
-            self._fabric = Fabric(scenario, prefix, addresses)
+            self._fabric: Air = make_air(scenario, prefix, addresses)
+            self._closing.callback(self._fabric.close)
             text = self.profile.types.node_id.representation == "text"
             width = len(str(scenario.nodes - 1))
             for index, identifier in enumerate(identifiers):
@@ -94,6 +101,7 @@ class Testbed:
                 name, namespace = f"node-{index:0{width}}", self._fabric.namespaces[index]
                 self.nodes.append(NodeProcess(index, namespace, settings, directory, name, record=record))
         except BaseException:
+            self._closing.close()
             self._janitor.finish()
             raise
         self._numbers = {identifier.hex(":"): index for index, identifier in enumerate(identifiers)}
@@ -105,7 +113,7 @@ class Testbed:
         self.close()
 
     def close(self) -> None:
-        """End all nodes in an orderly way, and remove everything; may be called twice."""
+        """End all nodes in an orderly way, and remove namespaces and links. May be called twice."""
         try:
             for node in self.nodes:
                 node.ask_to_end()
@@ -113,14 +121,15 @@ class Testbed:
             for node in self.nodes:
                 node.wait(deadline)
         finally:
+            self._closing.close()
             self._janitor.finish()
 
     # -- running -------------------------------------------------------------------------------------------------------
 
     def start(self) -> None:
-        """Switch on the nodes that are on from the start, and wait until they answer; time 0 is then.
+        """Start the nodes that are not in ``down_at_start``, and wait until they answer; the scenario's time 0.
 
-        Raises :class:`StartError` if one does not.
+        Raises :class:`StartError` if a node ends or does not answer in time.
         """
         awaited = [node for node in self.nodes if node.index not in self.scenario.down_at_start]
         for node in awaited:
@@ -135,17 +144,17 @@ class Testbed:
                     raise StartError(node.failure)
             if time.monotonic() > deadline:
                 missing = ", ".join(str(node.index) for node in awaited if not node.answers)
-                raise StartError(f"after {START_PATIENCE + len(awaited):g} s nothing is heard from nodes {missing}")
+                raise StartError(f"no answer from nodes {missing} within {START_PATIENCE + len(awaited):g} s")
             time.sleep(0.02)
         self._begin = time.monotonic()
 
     @property
     def now(self) -> int:
-        """Time of the scenario in ns."""
+        """Current time of the scenario in ns."""
         return round((time.monotonic() - self._begin) * NS_PER_S)
 
     def run(self) -> Report:
-        """Start, play the scenario from beginning to end, and end the nodes; the same report as of a simulation.
+        """Start the nodes, execute the scenario, end the nodes, and return the report.
 
         Raises :class:`StartError`.
         """
@@ -160,13 +169,14 @@ class Testbed:
             self._slowest_start = max([self._slowest_start, *node.starts[before:]])
         for node in self.nodes:
             if node.answers:
-                # Also what it sent is counted up to here.
+                # Update the traffic counters up to the end.
                 self._look_at(node)
         self.clock.look(self.now, self.agreement)
         self.close()
         return self._report(time.perf_counter() - started)
 
     def _timeline(self) -> list[tuple[int, Callable[[], None]]]:
+        """Return the events and checks of the scenario as (time in ns, function), sorted by time."""
         found: list[tuple[int, Callable[[], None]]] = []
         for at, n, event in self.scenario.timeline():
             found.append((at, lambda event=event, n=n: self._happen(event, n)))  # type: ignore[misc]
@@ -175,6 +185,7 @@ class Testbed:
         return sorted(found, key=lambda each: each[0])
 
     def _wait_until(self, at: int) -> None:
+        """Query the nodes until a time of the scenario (ns), and note how late this ends."""
         while True:
             self._look_around()
             left = (at - self.now) / NS_PER_S
@@ -184,13 +195,13 @@ class Testbed:
             time.sleep(min(left, LOOK_INTERVAL))
 
     def _look_around(self) -> None:
-        """See how all nodes are, and whether they agree."""
+        """Query all nodes while convergence is measured, and check whether they agree."""
         pending = False
         for node in self.nodes:
             if not node.on or node.ended():
                 self._absent(node.index)
             elif not node.connect():
-                # Switched on, and not ready: until then nobody can say that all agree.
+                # Switched on, and not ready yet: until then agreement is not determined.
                 self._absent(node.index)
                 pending = True
             elif self.clock.pending:
@@ -199,6 +210,7 @@ class Testbed:
             self.clock.look(self.now, self.agreement)
 
     def _look_at(self, node: NodeProcess) -> None:
+        """Query one node for its variables; note a failure if it does not answer."""
         try:
             seen = node.look()
         except (ControlError, ServiceError, LookupError) as error:
@@ -209,12 +221,14 @@ class Testbed:
         self.agreement.enter(node.index, seen.active)
 
     def _absent(self, index: int) -> None:
+        """Exclude a node from the agreement."""
         self.agreement.forget(index)
         self.agreement.enter(index, False)
 
-    # -- what happens --------------------------------------------------------------------------------------------------
+    # -- events --------------------------------------------------------------------------------------------------------
 
     def _happen(self, event: Event, n: int) -> None:
+        """Perform the ``n``-th repetition of an event, and note if it fails."""
         what = describe(event, n)
         if event.disturbs:
             self.clock.event(self.now, what)
@@ -227,6 +241,7 @@ class Testbed:
         self._look_around()
 
     def _perform(self, event: Event, n: int) -> str:
+        """Perform an event; returns a status that is not OK, otherwise an empty text."""
         match event:
             case Create() | Update() | Delete() | HandDown() | Activate() | Deactivate():
                 method, params = request(event, n)
@@ -249,10 +264,10 @@ class Testbed:
                 self._fabric.set_quality(None, quality)
         return ""
 
-    # -- looking -------------------------------------------------------------------------------------------------------
+    # -- results -------------------------------------------------------------------------------------------------------
 
     def variable(self, node: int, var_id: int) -> VariableState:
-        """What a node knows about a variable now."""
+        """Return the current state of a variable at a node."""
         try:
             seen = self.nodes[node].look()
         except (ControlError, ServiceError, LookupError):
@@ -265,7 +280,7 @@ class Testbed:
         return VariableState("deleted" if var_id in seen.deleted else "unknown")
 
     def neighbours(self, node: int) -> list[int] | None:
-        """Whom a node has in its neighbour table now."""
+        """Return the node numbers in a node's neighbour table, ascending; None while it has no active SRP."""
         try:
             table = self.nodes[node].call("SRP-NeighbourTable")
         except (ControlError, ServiceError, LookupError):
@@ -276,6 +291,7 @@ class Testbed:
         return sorted(index for index in found if index is not None)
 
     def _report(self, elapsed: float) -> Report:
+        """Return the report of a run that took ``elapsed`` s."""
         scenario = self.scenario
         traffic = list(self._traffic())
         failures = [node.failure for node in self.nodes if node.failure]
@@ -290,8 +306,8 @@ class Testbed:
             findings=[
                 *judge_all(scenario.expect, self.clock.events, traffic),
                 *self.findings,
-                Finding("no node ends by itself", not failures, "; ".join(failures[:3])),
-                Finding("every event can happen", not self._problems, "; ".join(self._problems[:3])),
+                Finding("no node ends unexpectedly", not failures, "; ".join(failures[:3])),
+                Finding("every event succeeds", not self._problems, "; ".join(self._problems[:3])),
             ],
             convergences=self.clock.events,
             traffic=traffic,
@@ -301,6 +317,7 @@ class Testbed:
         )
 
     def _traffic(self) -> Iterator[NodeTraffic]:
+        """Yield the traffic of each node, over all its processes."""
         interrupted = {event.node for event in self.scenario.events if isinstance(event, Down | Up | Restart)}
         interrupted |= set(self.scenario.down_at_start)
         for node in self.nodes:

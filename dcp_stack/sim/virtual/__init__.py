@@ -1,1 +1,1 @@
-"""Networks in virtual time: nodes on a simulated medium."""
+"""Simulated networks: nodes on a simulated medium, in virtual time."""

@@ -1,13 +1,12 @@
-"""Nodes that take in known beacons cheaply, with the same outcome as :class:`~dcp_stack.node.Node`.
+"""Nodes with a fast path for known beacons, with the same outcome as :class:`~dcp_stack.node.Node`.
 
-Most of what a node hears changes nothing but statistics: the beacon of a known neighbour whose VarDis records say what
-the node has. In a large network that is nearly all of the work. Such a beacon is decoded once for all its receivers
-(:class:`Heard`), and each of them only keeps it in a list; loss estimates, neighbour table and counters are brought up
-to date from the list when somebody looks at them, or when it becomes long.
+Most received beacons change only statistics: they come from a known neighbour, and their VarDis records have the
+values that the node already has. In a large network they cause nearly all of the work. Such a beacon is decoded once
+for all its receivers (:class:`Parsed`), and each receiver only appends it to a list. The node updates loss estimates,
+neighbour table and counters from the list when they are read, or when the list becomes long.
 
-Whether a VarDis payload says nothing new is found out by processing it: if every record of it was ignored, the same
-octets will be ignored until the database changes. ``tests/stack/test_sim_hearing.py`` compares these nodes with plain
-ones.
+A VarDis payload is known after it was processed once and all its records were ignored: the same octets are ignored
+again until the database changes. ``tests/stack/test_sim_hearing.py`` compares these nodes with plain ones.
 """
 
 from __future__ import annotations
@@ -39,16 +38,19 @@ from dcp_stack.vardis.entity import Vardis
 from dcp_stack.vardis.receive import Receiver
 from dcp_stack.vardis.state_table import Action, Cell
 
-#: Beacons of one sender that a node keeps before it works them into its statistics.
+#: Maximum number of waiting beacons of one sender before a node adds them to its statistics.
 MOST_WAITING: Final = 64
-#: Payloads that a node remembers as known.
+#: Maximum number of known payloads of a node.
 MOST_KNOWN: Final = 1024
-#: Frames remembered as parsed: those under way at a time.
+#: Number of parsed frames kept: enough for those in flight at a time.
 _PARSED: Final = 4096
 
 
 class Parsed(msgspec.Struct, frozen=True, gc=False):
-    """A beacon with a header, at most one report of its sender and at most one VarDis payload, and nothing wrong."""
+    """A valid beacon with at most one report of its sender, at most one VarDis payload, and no other payloads.
+
+    ``octets``: length of the frame. ``blocks``: protocol identifiers of its payloads.
+    """
 
     sender_id: bytes
     seqno: int
@@ -60,7 +62,7 @@ class Parsed(msgspec.Struct, frozen=True, gc=False):
 
 
 class ReceivedBeacon(msgspec.Struct, frozen=True, gc=False):
-    """One arrival of such a beacon; ``now`` is monotonic, ``wall`` since 1970, in ns."""
+    """The arrival of a :class:`Parsed` beacon; ``now`` is monotonic, ``wall`` since 1970, in ns."""
 
     beacon: Parsed
     now: int
@@ -68,15 +70,19 @@ class ReceivedBeacon(msgspec.Struct, frozen=True, gc=False):
 
 
 class Parser:
-    """Takes beacons apart once for all receivers. None for any beacon that is not plain: nodes then do it all."""
+    """Parses each beacon once for all receivers.
+
+    ``parse`` returns None for a beacon that does not fit :class:`Parsed`; each receiver then processes it completely.
+    """
 
     def __init__(self, config: NodeConfig) -> None:
-        """``config`` is that of any node of the network."""
+        """``config``: the configuration of any node of the network."""
         self._codec: Codec = config.codec
         self._wire = BPWire(config)
         self.parse = functools.lru_cache(_PARSED)(self._parse)
 
     def _parse(self, octets: bytes) -> Parsed | None:
+        """Parse a frame, without the cache."""
         found = self._wire.parse(octets)
         header = found.header
         if header is None or found.fault is not None or not found.count_agrees:
@@ -106,12 +112,12 @@ class Parser:
 
 
 class HearingBP(BeaconingProtocol):
-    """BP whose statistics include beacons that still wait in the lists of its node."""
+    """BP whose statistics include the waiting beacons of its node."""
 
     node: HearingNode | None = None
 
     def settle(self, sender_id: bytes, heard: list[ReceivedBeacon]) -> None:
-        """Work in beacons of one sender, in the order of their arrival."""
+        """Add beacons of one sender to the statistics, in the order of their arrival."""
         count, record = self._counters.count, self._losses.record
         count("frames-received", len(heard))
         count("beacons-received", len(heard))
@@ -122,27 +128,28 @@ class HearingBP(BeaconingProtocol):
                 count(f"payloads-received/{protocol_id}")
 
     def counters(self) -> dict[str, int]:
-        """As :meth:`BeaconingProtocol.counters`."""
+        """Return the same as :meth:`BeaconingProtocol.counters`, waiting beacons included."""
         self._settle()
         return super().counters()
 
     def losses(self) -> tuple[NeighbourLoss, ...]:
-        """As :meth:`BeaconingProtocol.losses`."""
+        """Return the same as :meth:`BeaconingProtocol.losses`, waiting beacons included."""
         self._settle()
         return tuple(sorted(super().losses(), key=lambda entry: entry.heard))
 
     def _settle(self) -> None:
+        """Add all waiting beacons to the statistics."""
         if self.node is not None:
             self.node.settle_all()
 
 
 class HearingTable(NeighbourTable):
-    """A neighbour table that knows of reports that still wait in the lists of its node."""
+    """A neighbour table that includes the reports in the waiting beacons of its node."""
 
     node: HearingNode | None = None
 
     def settle(self, sender_id: bytes, heard: list[ReceivedBeacon]) -> None:
-        """Work in the reports of one neighbour, in the order of their arrival."""
+        """Record the reports of one neighbour, in the order of their arrival."""
         for each in heard:
             if each.beacon.report is not None:
                 super().record(each.beacon.report, sender_id, now=each.now, wall=each.wall)
@@ -153,13 +160,13 @@ class HearingTable(NeighbourTable):
         return super().__iter__()
 
     def lookup(self, node_id: bytes) -> NeighbourTableEntry | None:
-        """As :meth:`NeighbourTable.lookup`."""
+        """Return the same as :meth:`NeighbourTable.lookup`, waiting reports included."""
         if self.node is not None:
             self.node.settle_one(node_id)
         return super().lookup(node_id)
 
     def record(self, report: ExtendedSafetyData, sender_id: bytes, *, now: int, wall: int) -> Any:
-        """As :meth:`NeighbourTable.record`."""
+        """Record a report as :meth:`NeighbourTable.record` does, after the waiting ones."""
         if self.node is not None:
             if len(self) >= self.capacity:
                 self.node.settle_all()
@@ -168,13 +175,13 @@ class HearingTable(NeighbourTable):
         return super().record(report, sender_id, now=now, wall=wall)
 
     def expire(self, now: int, timeout: int) -> list[bytes]:
-        """As :meth:`NeighbourTable.expire`."""
+        """Remove entries as :meth:`NeighbourTable.expire` does, with regard to waiting reports."""
         gone = []
         for node_id, entry in list(self._entries.items()):
             if now - entry.received_at <= timeout:
                 continue
             if self.node is not None:
-                # Reports of a neighbour that goes on need not be worked in to know that it does.
+                # The time of the last waiting report suffices; the reports need not be recorded for it.
                 last = self.node.last_report(node_id)
                 if last is not None and now - last.now <= timeout:
                     continue
@@ -184,20 +191,21 @@ class HearingTable(NeighbourTable):
         return gone
 
     def _remove(self, node_id: bytes) -> None:
+        """Remove an entry as :meth:`NeighbourTable._remove` does."""
         super()._remove(node_id)
         if self.node is not None:
-            # The next beacon of this node is that of a stranger.
+            # Its next beacon is that of an unknown node and has to be processed completely.
             self.node.waiting.pop(node_id, None)
 
     def clear(self) -> None:
-        """As :meth:`NeighbourTable.clear`."""
+        """Clear the table as :meth:`NeighbourTable.clear` does."""
         if self.node is not None:
             self.node.forget_all()
         super().clear()
 
 
 class HearingSRP(StateReporting):
-    """SRP with such a table."""
+    """SRP with a :class:`HearingTable`."""
 
     def __init__(self, config: NodeConfig, *args: Any, **more: Any) -> None:
         super().__init__(config, *args, **more)
@@ -208,19 +216,20 @@ class HearingSRP(StateReporting):
 
 
 class HearingReceiver(Receiver):
-    """Notes records that set something off."""
+    """A receiver that notes whether a payload had any effect."""
 
     quiet = True
-    """Whether all records of the payload in work were ignored so far."""
+    """Whether all records of the current payload were ignored so far."""
 
     def _answer(self, cell: Cell, entry: DBEntry | None, var_id: int, offset: int) -> None:
+        """Execute a cell as :meth:`Receiver._answer` does, and note whether the record has an effect."""
         if cell.action is not Action.IGNORE:
             self.quiet = False
         super()._answer(cell, entry, var_id, offset)
 
 
 class HearingVardis(Vardis):
-    """VarDis that remembers the payloads in which nothing is new to it."""
+    """VarDis that notes the payloads whose records were all ignored."""
 
     def __init__(self, config: NodeConfig, bp: BPPort, *, emit: Callable[[Effect], None], now: int, wall: int) -> None:
         def note(effect: Effect) -> None:
@@ -230,18 +239,18 @@ class HearingVardis(Vardis):
 
         super().__init__(config, bp, emit=note, now=now, wall=wall)
         self.known: set[bytes | None] = {None}
-        """Payloads that change nothing while VarDis is active; None stands for a beacon without one."""
+        """Payloads without an effect while VarDis is active; None represents a beacon without a VarDis payload."""
         self._size = 0
         self._receiver = self._hearing = HearingReceiver(self._core)
 
     def forget(self) -> None:
-        """Something is different: look at all payloads again."""
+        """Clear the known payloads after a change of the state: all payloads have to be processed again."""
         self._hearing.quiet = False
         self.known.clear()
         self.known.add(None)
 
     def handle_payload(self, payload: bytes, *, now: int, wall: int) -> None:
-        """As :meth:`Vardis.handle_payload`."""
+        """Process a payload as :meth:`Vardis.handle_payload` does, and note it if it had no effect."""
         self._hearing.quiet = self.active
         super().handle_payload(payload, now=now, wall=wall)
         if self._hearing.quiet:
@@ -250,43 +259,44 @@ class HearingVardis(Vardis):
             self.known.add(payload)
 
     def asked_by(self, neighbour: bytes) -> bool:
-        """Whether a neighbour has asked for something and not shown that it has it: then its payloads are looked at."""
+        """Return whether a request of a neighbour is open; its payloads then have to be processed."""
         return self._core.delivery.asked_by(neighbour)
 
     def look(self) -> None:
-        """Forget what is known if entries have left the database, which up to 1.3 they do with the last VarDelete."""
+        """Clear the known payloads if entries left the database: up to 1.3 the last VarDelete removes its entry."""
         size = len(self._database)
         if size != self._size:
             self._size = size
             self.forget()
 
     def start(self, now: int, wall: int) -> BPStatus:
-        """As :meth:`Vardis.start`."""
+        """Start as :meth:`Vardis.start` does, and clear the known payloads."""
         self.forget()
         return super().start(now, wall)
 
     def shutdown(self) -> None:
-        """As :meth:`Vardis.shutdown`."""
+        """Shut down as :meth:`Vardis.shutdown` does, and clear the known payloads."""
         super().shutdown()
         self.forget()
 
     def set_parameter(self, name: str, value: object) -> Violation | None:
-        """As :meth:`Vardis.set_parameter`."""
+        """Change a parameter as :meth:`Vardis.set_parameter` does, and clear the known payloads."""
         self.forget()
         return super().set_parameter(name, value)
 
 
 class HearingNode(Node):
-    """A node that can be told of known beacons by :meth:`hear`."""
+    """A node whose method :meth:`hear` is the fast path for known beacons."""
 
     def __init__(self, config: NodeConfig, *, rng: random.Random, now: int, wall: int) -> None:
         self.waiting: dict[bytes, list[ReceivedBeacon]] = {}
-        """Beacons by sender that are in no statistics yet; a key for each sender that is known well enough."""
+        """Beacons by sender that the statistics do not include yet. Only senders on the fast path have a key."""
         self.ready = False
-        """Whether :meth:`hear` can be used at all: see :meth:`look`."""
+        """Whether the fast path may be used for new senders; see :meth:`look`."""
         super().__init__(config, rng=rng, now=now, wall=wall)
 
     def _build(self, now: int, wall: int) -> None:
+        """Create the protocol entities of the fast path."""
         config, emit = self.config, self._pending.append
         self.ready = False
         self.waiting.clear()
@@ -302,16 +312,16 @@ class HearingNode(Node):
         self.known: set[bytes | None] = {None} if self._vardis is None else self._vardis.known
 
     def handle_timeout(self, now: int, wall: int) -> None:
-        """As :meth:`Node.handle_timeout`."""
+        """Process timeouts as :meth:`Node.handle_timeout` does, and note removed database entries."""
         super().handle_timeout(now, wall)
         if self._vardis is not None:
             self._vardis.look()
 
     def look(self) -> None:
-        """Find out whether known beacons can be taken in the cheap way; call it after services and after the start.
+        """Determine whether the fast path may be used. Call it after services and after the start.
 
-        They cannot where a protocol is not active or has lost its registration with BP, or where a reading was chosen:
-        then each beacon is handled as by any node.
+        It may not while a protocol is inactive or has lost its registration with BP, nor if the configuration has
+        readings: the node then processes each beacon completely.
         """
         srp, vardis = self._srp, self._vardis
         ready = (
@@ -328,7 +338,10 @@ class HearingNode(Node):
         self.network_id = self.bp.parameters().get("BPPAR_NETWORK_ID")
 
     def hear(self, heard: ReceivedBeacon) -> bool:
-        """Take in a beacon if it changes nothing but statistics; False: it has to be handled."""
+        """Append a beacon to the waiting ones if it changes only statistics.
+
+        Returns False if the beacon has to be processed completely.
+        """
         beacon = heard.beacon
         if beacon.vardis not in self.known or beacon.network_id != self.network_id:
             return False
@@ -341,7 +354,10 @@ class HearingNode(Node):
         return True
 
     def _hear_newcomer(self, heard: ReceivedBeacon) -> bool:
-        """As :meth:`hear` for a sender that is new, if it asks for nothing, changes no timer and displaces nobody."""
+        """Take a new sender into the fast path; returns False if its beacon has to be processed completely.
+
+        It has to be if a request of the sender is open, or if its report could change a timer or displace a neighbour.
+        """
         beacon = heard.beacon
         if not self.ready or (self._vardis is not None and self._vardis.asked_by(beacon.sender_id)):
             return False
@@ -354,14 +370,14 @@ class HearingNode(Node):
         return True
 
     def handled(self, beacon: Parsed) -> None:
-        """A beacon was handled in the ordinary way: the next ones of its sender may be heard, unless it asks."""
+        """Take the sender of a completely processed beacon into the fast path, unless a request of it is open."""
         if self._vardis is not None and self._vardis.asked_by(beacon.sender_id):
             self.forget(beacon.sender_id)
         elif self.ready and (self._srp is None or beacon.sender_id in self._srp.hearing_table):
             self.waiting.setdefault(beacon.sender_id, [])
 
     def settle_one(self, sender_id: bytes) -> None:
-        """Bring the statistics about one sender up to date."""
+        """Add the waiting beacons of one sender to the statistics."""
         waiting = self.waiting.get(sender_id)
         if waiting:
             self.waiting[sender_id] = []
@@ -370,22 +386,22 @@ class HearingNode(Node):
                 self._srp.hearing_table.settle(sender_id, waiting)
 
     def settle_all(self) -> None:
-        """Bring all statistics up to date."""
+        """Add all waiting beacons to the statistics."""
         for sender_id, waiting in self.waiting.items():
             if waiting:
                 self.settle_one(sender_id)
 
     def last_report(self, sender_id: bytes) -> ReceivedBeacon | None:
-        """The last report of a sender that is not in the neighbour table yet."""
+        """Return the last waiting beacon of a sender with a report, None without one."""
         waiting = self.waiting.get(sender_id, ())
         return next((heard for heard in reversed(waiting) if heard.beacon.report is not None), None)
 
     def forget(self, sender_id: bytes) -> None:
-        """Settle what waits of a sender, and handle its next beacon in the ordinary way."""
+        """Settle the waiting beacons of a sender, and remove it from the fast path."""
         self.settle_one(sender_id)
         self.waiting.pop(sender_id, None)
 
     def forget_all(self) -> None:
-        """As :meth:`forget` for all senders."""
+        """Settle all waiting beacons, and remove all senders from the fast path."""
         self.settle_all()
         self.waiting.clear()

@@ -1,4 +1,4 @@
-"""Nodes on a simulated medium, in virtual time: one loop, one order of events, the same for the same seed."""
+"""Nodes on a simulated medium, in virtual time. One loop processes all events, in the same order for the same seed."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from dcp_codec.codec import Codec
 from dcp_stack.config import BPConfig, NodeConfig, SRPConfig, VardisConfig
 from dcp_stack.effects import Effect, NeighbourExpired, SendBeacon, VariableChanged
 from dcp_stack.links.base import Watcher
-from dcp_stack.links.memory import PERFECT, WALL_START, Arrival, Delivery, Medium, MemoryLink, Quality, TraceDigest
+from dcp_stack.links.memory import WALL_START, Arrival, Delivery, Medium, MemoryLink, TraceDigest
+from dcp_stack.links.quality import PERFECT, Quality
 from dcp_stack.links.topology import Positions, Topology
 from dcp_stack.node import Node
 from dcp_stack.positions import PositionSource, SafetyFields
@@ -27,16 +28,16 @@ from .sharing import SharedCodec
 
 log = logging.getLogger(__name__)
 
-#: How often a node can want to be called at one moment before that is a defect.
+#: Maximum number of timeouts of a node at one moment; more indicate a defect of the node.
 MOST_CALLS = 1000
 
 T = TypeVar("T")
 Listener = Callable[[int, int, Any], None]
-"""Called with virtual time, node and effect."""
+"""A function that is called with the virtual time in ns, the number of the node, and the effect."""
 
 
 def node_id(profile: Profile, index: int) -> bytes:
-    """The identifier of a simulated node: locally administered MAC addresses with its number at the end."""
+    """Return the identifier of a simulated node: a locally administered MAC address that ends with its number."""
     layout = profile.types.node_id
     mac = b"\x02" + index.to_bytes(5, "big")
     if layout.length is not None:
@@ -45,22 +46,22 @@ def node_id(profile: Profile, index: int) -> bytes:
 
 
 class Station:
-    """One place in the network: its link, and its node while it is switched on."""
+    """One node of the network with its link. It exists also while the node is switched off."""
 
     def __init__(self, index: int, link: MemoryLink, config: NodeConfig, rng: random.Random) -> None:
-        """Made by :class:`Network`."""
+        """Initialise a station that is switched off. Only :class:`Network` creates stations."""
         self.index = index
         self.link = link
         self.config = config
         self.rng = rng
         self.node: Node | None = None
         self.hearing: HearingNode | None = None
-        """The node, if it can take in known beacons cheaply."""
+        """The node, if it has the fast path for known beacons."""
         self.failure = ""
-        """What the node raised, which ended it; empty as it should be."""
+        """Time and text of the exception that stopped the node; empty without one."""
         self.sources: list[PositionSource] = []
         self.tracks: list[Track] = []
-        """Of the sources those that are asked when a beacon is due, and not before."""
+        """The sources that are polled only when a beacon is due."""
         self.watchers: list[Watcher] = []
         self.beacons_sent = 0
         self.octets_sent = 0
@@ -72,10 +73,10 @@ class Station:
 
 
 class Network:
-    """Nodes and medium. All times are virtual ns from 0.
+    """A simulated network: nodes and medium. All times are virtual ns from 0.
 
-    Use: :meth:`start` nodes, :meth:`call` their services, and :meth:`run_until`; in any order, as time goes on.
-    Everything random comes from ``seed``: each node has a generator of its own, and so has each sender in the medium.
+    Use: :meth:`start` nodes, :meth:`call` their services, and let time pass with :meth:`run_until`, in any order.
+    ``seed`` determines everything random: each node, and each sender of the medium, has its own generator.
     """
 
     def __init__(
@@ -92,10 +93,10 @@ class Network:
         readings: Mapping[str, str] | None = None,
         share_decoding: bool = True,
     ) -> None:
-        """``srp`` and ``vardis`` None leave the protocol away. Raises ValueError for parameters out of bounds.
+        """Create ``count`` nodes that are switched off. ``srp`` or ``vardis`` None leaves the protocol out.
 
-        ``share_decoding`` False decodes a broadcast once for each receiver and lets plain nodes handle each: slower,
-        with the same outcome.
+        ``share_decoding`` False decodes a broadcast once per receiver and uses plain nodes, which is slower and has
+        the same outcome. Raises ValueError for parameters out of bounds.
         """
         self._places = topology if isinstance(topology, Positions) else None
         self._fields = SafetyFields(codec.profile)
@@ -104,13 +105,13 @@ class Network:
         self.medium = Medium(seed, topology=topology, quality=quality, observer=self.digest)
         self._listeners: dict[type[Effect], list[Listener]] = {}
         self.watchers: list[Watcher] = []
-        """See each transmission once."""
+        """Watchers of the medium; each gets every transmission once."""
         self.stations: list[Station] = []
         self.now = 0
         self._parse: Callable[[bytes], Parsed | None] | None = None
         self.delivering: Delivery | None = None
-        """The frame whose effects listeners hear of right now; None for effects of a node's own services and timers."""
-        # Entries are (time, number, station) and (time, number, action). The number is unique and keeps the order.
+        """The frame that causes the effects of the current calls of listeners; None for services and timers."""
+        # Entries are (time, number, station) and (time, number, action). The unique number keeps the order of entries.
         self._heap: list[tuple[int, int, Station | Callable[[], None]]] = []
         self._number = 0
         for index in range(count):
@@ -123,7 +124,7 @@ class Network:
                 vardis=vardis,
                 readings=readings or {},
             )
-            rng = random.Random(f"{seed}/node/{index}")  # noqa: S311 - to be repeatable is the point
+            rng = random.Random(f"{seed}/node/{index}")  # noqa: S311 - runs have to be repeatable
             link.closed = True
             self.stations.append(Station(index, link, config, rng))
         if share_decoding and self.stations:
@@ -140,14 +141,14 @@ class Network:
     # -- nodes ---------------------------------------------------------------------------------------------------------
 
     def node(self, index: int) -> Node:
-        """The node at a place; raises LookupError while it is switched off."""
+        """Return a node by its number. Raises LookupError while it is switched off."""
         node = self.stations[index].node
         if node is None:
             raise LookupError(f"node {index} is switched off")
         return node
 
     def start(self, index: int) -> None:
-        """Switch a node on, now; it knows nothing. Nothing happens if it is on already."""
+        """Switch a node on now, with empty memory. No effect if it is already on."""
         station = self.stations[index]
         if station.node is not None:
             return
@@ -162,23 +163,23 @@ class Network:
             station.hearing.look()
 
     def stop(self, index: int) -> None:
-        """Switch a node off, now and without a word, as when its battery is empty."""
+        """Switch a node off now, without any further message, as when its battery is empty."""
         station = self.stations[index]
         station.node = station.hearing = None
         station.link.closed = True
         station.up_since = None
-        # Whatever it was waiting for.
+        # Cancels its pending timeout.
         station.due = -1
 
     def attach(self, index: int, source: PositionSource) -> None:
-        """Let a node have its safety data from ``source`` from now on.
+        """Let a node get its safety data from ``source`` from now on.
 
-        In a topology of :class:`Positions` the node moves with it, also while it is switched off.
+        In a topology of :class:`Positions` the node moves accordingly, even while it is switched off.
         """
         station = self.stations[index]
         station.sources.append(source)
         if isinstance(source, Track) and self._places is None and not station.config.bp.triggered:
-            # A track is a function of time: samples that no beacon would carry need not be computed. The first poll
+            # A track is a function of time, so it is computed only when a beacon carries the sample. The first poll
             # starts it.
             station.tracks.append(source)
             source.poll(self.now, self.wall)
@@ -186,7 +187,10 @@ class Network:
             self.at(self.now, lambda: self._poll(station, source))
 
     def call(self, index: int, service: Callable[[Node, int, int], T]) -> T:
-        """What ``service(node, now, wall)`` returns, and then whatever it set off at that node."""
+        """Call ``service(node, now, wall)``, execute the effects at that node, and return the result of the service.
+
+        Raises LookupError while the node is switched off.
+        """
         node = self.node(index)
         station = self.stations[index]
         answer = service(node, self.now, self.wall)
@@ -196,16 +200,16 @@ class Network:
         return answer
 
     def request(self, index: int, method: str, /, **params: Any) -> dict[str, Any]:
-        """What a node answers at its control interface, as ``ControlClient.call`` has it from a real one.
+        """Send a request to the control interface of a node; returns the answer as ``ControlClient.call`` does.
 
-        Raises LookupError while it is switched off, ServiceError for an error of the node.
+        Raises LookupError while the node is switched off, and ServiceError if the node answers with an error.
         """
         return self.call(index, lambda node, now, wall: answer(node, method, params, now, wall))
 
     def listen(self, kind: type[Effect], listener: Listener) -> None:
-        """Have all effects of one kind, of all nodes, in the order in which they happen.
+        """Call ``listener`` for all effects of one kind, of all nodes, in the order in which they occur.
 
-        Call it before nodes start: known beacons are taken in without effects, unless somebody listens to them.
+        Call it before nodes start: without a listener the fast path processes known beacons without effects.
         """
         self._listeners.setdefault(kind, []).append(listener)
         if kind not in (VariableChanged, NeighbourExpired, SendBeacon):
@@ -219,13 +223,13 @@ class Network:
     # -- time ----------------------------------------------------------------------------------------------------------
 
     def at(self, time: int, action: Callable[[], None]) -> None:
-        """Do something at a time to come, after what arrives then and in the order of these calls."""
+        """Call ``action`` at a future time, after the arrivals of that time and in the order of these calls."""
         self._push(max(time, self.now), action)
 
     def run_until(self, end: int, *, stop: Callable[[], bool] | None = None) -> bool:
-        """Let time pass up to ``end`` and with it all that happens until then.
+        """Let virtual time pass up to ``end``, and process all events until then.
 
-        ``stop`` is asked after each event; when it says so this ends earlier and returns True.
+        Calls ``stop`` after each event. Returns True as soon as it returns True, otherwise False at ``end``.
         """
         heap, medium = self._heap, self.medium
         while True:
@@ -249,28 +253,30 @@ class Network:
                 return True
 
     def close(self) -> None:
-        """Give position sources back."""
+        """Close the position sources."""
         for station in self.stations:
             for source in station.sources:
                 source.close()
 
-    # -- inside --------------------------------------------------------------------------------------------------------
+    # -- internals -----------------------------------------------------------------------------------------------------
 
     def _push(self, time: int, subject: Station | Callable[[], None]) -> None:
+        """Schedule the timeout of a station, or an action."""
         heapq.heappush(self._heap, (time, self._number, subject))
         self._number += 1
 
     def _wake(self, station: Station) -> None:
-        """The time that a node waited for has come."""
+        """Process the timeout of a node; stop the node if its timeouts do not end at one moment."""
         station.calls = station.calls + 1 if station.called == self.now else 0
         station.called = self.now
         if station.calls > MOST_CALLS:
-            # Virtual time would stand still for ever.
-            self._fail(station, RuntimeError(f"handle_timeout was called {MOST_CALLS} times and is due still"))
+            # Otherwise virtual time would never advance again.
+            self._fail(station, RuntimeError(f"handle_timeout was called {MOST_CALLS} times and is still due"))
         else:
             self._guarded(station, lambda node: self._timeout(station, node))
 
     def _timeout(self, station: Station, node: Node) -> None:
+        """Submit the samples of tracks if a beacon is due, and call ``handle_timeout`` of the node."""
         now, wall = self.now, self.wall
         if station.tracks:
             beacon = node.bp.poll_timeout()
@@ -280,13 +286,14 @@ class Network:
         node.handle_timeout(now, wall)
 
     def _arrive(self, arrival: Arrival) -> None:
+        """Process a frame at all its receivers, on the fast path where possible."""
         stations, reception = self.stations, arrival.reception
         beacon = self._parse(reception.octets) if self._parse is not None else None
         if beacon is None:
             for delivery in arrival.deliveries():
                 station = stations[delivery.receiver]
                 if station.hearing is not None:
-                    # It may ask for something: then the next beacon of its sender has to be looked at.
+                    # The frame may contain a request; the node then has to process the sender's next beacon completely.
                     station.hearing.forget_all()
                 self._deliver(station, delivery)
             return
@@ -296,13 +303,13 @@ class Network:
             station = stations[receiver]
             node = station.hearing
             if node is not None:
-                # As node.hear() begins: in a large network nearly every delivery ends here, and the call costs as much
-                # as the rest.
+                # Inlined from node.hear(): nearly all deliveries of a large network end here, and the call would
+                # double their cost.
                 waiting = node.waiting.get(sender)
                 if waiting and payload in node.known and network == node.network_id and len(waiting) < MOST_WAITING:
                     waiting.append(heard)
                 elif not node.hear(heard):
-                    # What waits of this sender came before.
+                    # The waiting beacons of this sender arrived earlier.
                     node.settle_one(sender)
                     node = None
             if node is not None:
@@ -315,6 +322,7 @@ class Network:
                 station.hearing.handled(beacon)
 
     def _deliver(self, station: Station, delivery: Delivery) -> None:
+        """Process a frame completely at one receiver."""
         station.beacons_received += 1
         reception = delivery.reception
         for watcher in station.watchers:
@@ -325,13 +333,14 @@ class Network:
         self.delivering = delivery
         try:
             node.handle_frame(reception.octets, now=self.now, wall=reception.wall)
-        except Exception as error:  # nothing received may raise: that is a finding, and the others go on
+        except Exception as error:  # received octets must never raise: report it, and continue with the other nodes
             self._fail(station, error)
         else:
             self._follow_up(station, node)
         self.delivering = None
 
     def _guarded(self, station: Station, step: Callable[[Node], None]) -> None:
+        """Call ``step`` and execute the effects of the node; stop the node if it raises an exception."""
         node = station.node
         if node is None:
             return
@@ -343,18 +352,19 @@ class Network:
             self._follow_up(station, node)
 
     def _fail(self, station: Station, error: Exception) -> None:
+        """Stop a node that raised an exception, and note the exception."""
         log.error("node %d at %.6f s: %s", station.index, self.now / 1e9, error, exc_info=error)
         self.stop(station.index)
         station.failure = f"at {self.now / 1e9:.6f} s: {type(error).__name__}: {error}"
 
     def _follow_up(self, station: Station, node: Node) -> None:
-        """Do what a node wants done, and note when it wants to be called."""
+        """Execute the effects of a node, call listeners, and schedule its next timeout."""
         listeners = self._listeners
         for effect in node.take_effects():
             kind = type(effect)
             if isinstance(effect, SendBeacon):
                 self._send(station, effect.octets)
-            # Most effects are drops that nobody asked for: they must cost nothing.
+            # Most effects are drops without a listener, so they must be cheap.
             for listener in listeners.get(kind, ()):
                 listener(self.now, station.index, effect)
         due = node.poll_timeout()
@@ -363,6 +373,7 @@ class Network:
             self._push(due, station)
 
     def _send(self, station: Station, octets: bytes) -> None:
+        """Broadcast a frame of a node."""
         station.beacons_sent += 1
         station.octets_sent += len(octets)
         for watchers in (self.watchers, station.watchers):
@@ -371,7 +382,7 @@ class Network:
         self.medium.broadcast(station.index, octets, self.now)
 
     def _poll(self, station: Station, source: PositionSource) -> None:
-        """Hand down what a source has now, and come back when it has more."""
+        """Submit the current samples of a source to its node, and schedule the next poll."""
         samples = self._sample(station, source)
         if samples:
             self._guarded(station, lambda node: self._hand_down(node, samples))
@@ -380,7 +391,10 @@ class Network:
             self.at(due, lambda: self._poll(station, source))
 
     def _sample(self, station: Station, source: PositionSource) -> list[Sample]:
-        """What a source has now; in a topology of positions the node moves there, also while it is switched off."""
+        """Return the current samples of a source.
+
+        In a topology of positions the node moves there, even while it is switched off.
+        """
         samples = source.poll(self.now, self.wall)
         for sentence in source.take_complaints():
             log.warning("node %d: %s", station.index, sentence)
@@ -391,7 +405,7 @@ class Network:
         return samples
 
     def _hand_down(self, node: Node, samples: list[Sample]) -> None:
-        """Give SRP its safety data; what that sets off is carried out with the next step of the node."""
+        """Submit samples to SRP; the effects are executed with the next step of the node."""
         if node.srp is not None:
             for sample in samples:
                 node.srp.update_safety_data(sample, now=self.now, wall=self.wall)

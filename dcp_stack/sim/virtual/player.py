@@ -1,4 +1,4 @@
-"""Play a scenario on a simulated network."""
+"""Execution of a scenario on a simulated network."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ from .network import Network
 
 
 class Simulation:
-    """One run of a scenario. Afterwards ``network`` and ``agreement`` can be looked at."""
+    """One run of a scenario. After the run ``network`` and ``agreement`` have the final state."""
 
     def __init__(
         self,
@@ -59,9 +59,9 @@ class Simulation:
         record_medium: Path | None = None,
         share_decoding: bool = True,
     ) -> None:
-        """``record`` is a directory for one MCAP file per node, ``record_medium`` a file for each transmission once.
+        """``record``: directory for one MCAP file per node. ``record_medium``: file with each transmission once.
 
-        Raises :class:`ScenarioError` for what the nodes refuse, LinkError if something cannot be recorded.
+        Raises :class:`ScenarioError` for parameters that the nodes refuse, LinkError if a file cannot be recorded.
         """
         self.scenario = check(scenario)
         self.codec: Codec = scenario_codec(scenario)
@@ -89,7 +89,7 @@ class Simulation:
             self.network.medium,
             {station.config.node_id: station.index for station in self.network.stations},
             warm_up=scenario.warm_up,
-            # Twice what the payloads before it take: jitter, and a beacon that another client fills.
+            # Twice the time of the payloads before it, for jitter and for beacons that other clients fill.
             held_back=2 * (queued + 2) * period,
         )
         self._before = Traffic.of(self.network)
@@ -100,7 +100,7 @@ class Simulation:
     # -- running -------------------------------------------------------------------------------------------------------
 
     def run(self) -> Report:
-        """Play it from beginning to end. Call it once."""
+        """Execute the scenario from beginning to end. Call it once."""
         real, cpu = time.perf_counter(), time.process_time()
         try:
             self.network.run_until(self.scenario.duration)
@@ -111,13 +111,14 @@ class Simulation:
         return self._report(time.perf_counter() - real, time.process_time() - cpu)
 
     def _plan(self) -> None:
+        """Schedule the start of nodes, the events and the expectations of the scenario."""
         network, scenario = self.network, self.scenario
         for link in scenario.links:
             for sender, receiver in link.directions:
                 self._set_link(sender, receiver, link.quality)
         network.listen(VariableChanged, self._changed)
-        # Nodes are not switched on by one hand: each begins at some moment of the first beacon period.
-        spread = random.Random(f"{scenario.seed}/start")  # noqa: S311 - to be repeatable is the point
+        # Real nodes do not start simultaneously: each starts at a random moment of the first beacon period.
+        spread = random.Random(f"{scenario.seed}/start")  # noqa: S311 - runs have to be repeatable
         for node in range(scenario.nodes):
             begin = spread.randrange(scenario.bp.beacon_period_ms * 1_000_000)
             if node not in scenario.down_at_start:
@@ -131,6 +132,7 @@ class Simulation:
             network.at(at, lambda expected=expected: self.findings.append(judge_now(expected, self)))  # type: ignore[misc]
 
     def _attach_tracks(self) -> None:
+        """Open the position sources of the scenario. Raises ScenarioError for one that cannot be opened."""
         for index, track in enumerate(self.scenario.tracks):
             for node in range(self.scenario.nodes) if track.nodes is None else track.nodes:
                 rng = random.Random(f"{self.scenario.seed}/track/{index}/{node}")  # noqa: S311 - as above
@@ -142,13 +144,15 @@ class Simulation:
 
     @property
     def recorded(self) -> bool:
-        """Whether all that was to be recorded was; the log says what was not."""
+        """Whether all recordings are complete; the log has the errors."""
         return not any(recorder.problem for recorder in self._recorders)
 
     def _record(self, directory: Path | None, medium: Path | None) -> None:
+        """Attach recorders to the nodes and to the medium."""
         made_by = Provenance.of(self.scenario, self.codec)
 
         def recorder(path: Path, vantage: str) -> Recorder:
+            """Open a recording with this vantage point in its metadata."""
             about = {
                 "vantage": vantage,
                 "ground": "simulate",
@@ -169,9 +173,10 @@ class Simulation:
         if medium is not None:
             self.network.watchers.append(recorder(medium, MEDIUM))
 
-    # -- what happens --------------------------------------------------------------------------------------------------
+    # -- events --------------------------------------------------------------------------------------------------------
 
     def _happen(self, event: Event, n: int) -> None:
+        """Perform the ``n``-th repetition of an event, and note if it fails."""
         what = describe(event, n)
         if event.disturbs:
             self.clock.event(self.network.now, what)
@@ -185,7 +190,10 @@ class Simulation:
         self._look()
 
     def _perform(self, event: Event, n: int) -> str:
-        """Do it; the status if it is not OK, empty if it is."""
+        """Perform an event; returns a status that is not OK, otherwise an empty text.
+
+        Raises LookupError if the node is switched off, ServiceError if it answers with an error.
+        """
         network, medium = self.network, self.network.medium
         match event:
             case Create() | Update() | Delete() | HandDown() | Activate() | Deactivate():
@@ -217,22 +225,25 @@ class Simulation:
         return ""
 
     def _set_link(self, sender: int, receiver: int, quality: LinkQuality) -> None:
-        """Give one direction a quality of its own, which it then keeps."""
+        """Set the quality of one direction. Events for all links do not change it any more."""
         self._own_quality.add((sender, receiver))
         self.network.medium.set_quality(sender, receiver, quality.quality())
 
     def _switch_on(self, node: int) -> None:
+        """Start a node, and include it in the measurements."""
         self.measurements.on(node)
         self.network.start(node)
         self._refresh(node)
 
     def _switch_off(self, node: int) -> None:
+        """Stop a node, and exclude it from the measurements."""
         self.measurements.off(self.network.now, node)
         self.network.stop(node)
         self._refresh(node)
 
     def _refresh(self, index: int) -> None:
-        """Compare a node with the others anew: it appeared, or is not there any more."""
+        """Update whether a node is present for agreement and consistency, after it was started, stopped or
+        (de)activated."""
         node = self.network.stations[index].node
         vardis = None if node is None else node.vardis
         if node is None:
@@ -243,9 +254,11 @@ class Simulation:
         self._look()
 
     def _look(self) -> None:
+        """Check whether the databases agree now."""
         self.clock.look(self.network.now, self.agreement)
 
     def _changed(self, now: int, index: int, effect: VariableChanged) -> None:
+        """Pass a change of a variable at a node to agreement and measurements."""
         node = self.network.stations[index].node
         if node is None or node.vardis is None:
             return
@@ -260,15 +273,15 @@ class Simulation:
         self._look()
 
     def _warmed_up(self) -> None:
-        """Count from now on."""
+        """Restart traffic counters and consistency at the end of the warm-up."""
         self._before = Traffic.of(self.network)
         self.measurements.consistency.settle(self.network.now)
         self.measurements.consistency.restart(self.network.now)
 
-    # -- looking -------------------------------------------------------------------------------------------------------
+    # -- results -------------------------------------------------------------------------------------------------------
 
     def variable(self, node: int, var_id: int) -> VariableState:
-        """What a node knows about a variable now."""
+        """Return the current state of a variable at a node."""
         there = self.network.stations[node].node
         if there is None or there.vardis is None or not there.vardis.active:
             return VariableState("off")
@@ -278,7 +291,7 @@ class Simulation:
         return VariableState("deleted") if entry.is_deleted else VariableState("alive", entry.value)
 
     def neighbours(self, node: int) -> list[int] | None:
-        """Whom a node has in its neighbour table now."""
+        """Return the node numbers in a node's neighbour table, ascending; None while it has no active SRP."""
         there = self.network.stations[node].node
         if there is None or there.srp is None or not there.srp.registered:
             return None
@@ -286,18 +299,21 @@ class Simulation:
         return sorted(numbers[found] for found in there.srp.neighbours.list_all_node_ids() if found in numbers)
 
     def _report(self, elapsed: float, cpu: float) -> Report:
+        """Return the report of a run that took ``elapsed`` s of real time and ``cpu`` s of CPU time."""
         scenario, medium = self.scenario, Traffic.of(self.network).since(self._before).medium
         traffic = list(self._traffic())
         failures = [f"node {each.index} {each.failure}" for each in self.network.stations if each.failure]
         findings = [
             *judge_all(scenario.expect, self.clock.events, traffic),
             *self.findings,
-            Finding("no node raises anything", not failures, "; ".join(failures[:3])),
-            Finding("every event can happen", not self._problems, "; ".join(self._problems[:3])),
+            Finding("no node raises an exception", not failures, "; ".join(failures[:3])),
+            Finding("every event succeeds", not self._problems, "; ".join(self._problems[:3])),
         ]
         total = max(medium.expected, 1)
         shares = {"delivered": medium.delivered, "lost": medium.lost, "duplicated": medium.duplicated}
         shares["missed"] = medium.missed
+        if medium.corrupted:
+            shares["corrupted"] = medium.corrupted
         return Report(
             title=scenario.title,
             ground="simulate",
@@ -320,6 +336,7 @@ class Simulation:
         )
 
     def _traffic(self) -> Iterator[NodeTraffic]:
+        """Yield the traffic of each node since the warm-up."""
         interrupted = {event.node for event in self.scenario.events if isinstance(event, Down | Up | Restart)} | set(
             self.scenario.down_at_start
         )
@@ -341,12 +358,12 @@ class Traffic(NamedTuple):
 
     @classmethod
     def of(cls, network: Network) -> Traffic:
-        """The counters as they are now."""
+        """Return the current counters."""
         nodes = [(each.beacons_sent, each.octets_sent, each.beacons_received) for each in network.stations]
         return cls(nodes, copy.copy(network.medium.counters))
 
     def since(self, before: Traffic) -> Traffic:
-        """What was counted after ``before``."""
+        """Return the difference to an earlier state of the counters."""
         nodes = [
             (now[0] - then[0], now[1] - then[1], now[2] - then[2])
             for now, then in zip(self.nodes, before.nodes, strict=True)
@@ -358,5 +375,5 @@ class Traffic(NamedTuple):
 
 
 def simulate(scenario: Scenario, **options: Any) -> Report:
-    """Play a scenario in virtual time; options as for :class:`Simulation`."""
+    """Execute a scenario in virtual time; ``options`` are those of :class:`Simulation`."""
     return Simulation(scenario, **options).run()

@@ -1,4 +1,4 @@
-"""One decoding of a broadcast for all who receive it."""
+"""A codec that decodes each broadcast once for all its receivers."""
 
 from __future__ import annotations
 
@@ -7,20 +7,20 @@ import functools
 from dcp_codec.codec import Codec
 from dcp_codec.values import Beacon, Container, ExtendedSafetyData
 
-#: Decoded packets kept. A beacon is decoded by all its receivers within the delay of the medium, so that few are
-#: needed at a time; each is some KB.
+#: Number of decoded packets kept, each of some KB. All receivers decode a beacon within the delay of the medium, so
+#: few are needed at a time.
 KEPT = 2048
 
 
 class SharedCodec(Codec):
-    """A codec that remembers what it decoded last.
+    """A codec that caches the most recently decoded values.
 
-    Decoded values are immutable and a function of the octets alone, so nobody can tell whether they are shared.
-    Octets that are malformed are decoded each time: errors are rare here and refer to their own context.
+    Decoded values are immutable and depend on the octets only, so sharing has no effect on the outcome. Malformed
+    octets are decoded each time: errors are rare here and refer to their context.
     """
 
     def __init__(self, codec: Codec) -> None:
-        """``codec`` does the work."""
+        """``codec`` decodes the values that are not in the cache."""
         super().__init__(codec.profile)
         self._envelope = functools.lru_cache(KEPT)(codec.decode_envelope)
         self._containers = functools.lru_cache(KEPT)(codec.decode_containers)
@@ -28,13 +28,13 @@ class SharedCodec(Codec):
         self.types = codec.types
 
     def decode_envelope(self, octets: bytes, start: int = 0) -> tuple[Beacon, int]:
-        """As :meth:`Codec.decode_envelope`."""
+        """Decode an envelope as :meth:`Codec.decode_envelope` does."""
         return self._envelope(octets, start)
 
     def decode_containers(self, payload: bytes) -> tuple[Container, ...]:
-        """As :meth:`Codec.decode_containers`."""
+        """Decode a payload as :meth:`Codec.decode_containers` does."""
         return self._containers(payload)
 
     def decode_report(self, payload: bytes) -> ExtendedSafetyData:
-        """As :meth:`Codec.decode_report`."""
+        """Decode a report as :meth:`Codec.decode_report` does."""
         return self._report(payload)

@@ -6,6 +6,7 @@ the types say.
 
 from __future__ import annotations
 
+import inspect
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -136,7 +137,7 @@ def _is_section(path: str, field: ms.Field) -> bool:
 
 
 def _about(struct: ms.StructType) -> str:
-    text = (struct.cls.__doc__ or "").partition("See the module docstring")[0].strip()
+    text = inspect.cleandoc(struct.cls.__doc__ or "").partition("See the module docstring")[0].strip()
     return text.replace("``", "`")
 
 

@@ -40,7 +40,7 @@ def test_a_cut_off_recording_passes_nothing():
     assert Verdict.TOO_LITTLE in run.requirements.values()
     case = case_of(run, "CK_BP_SEQNO")
     assert case.verdict is Verdict.TOO_LITTLE
-    assert "too little to say: 9 to 11 occasions in 12 beacons" in case.reason
+    assert "too few for a verdict: 9 to 11 occasions in 12 beacons" in case.reason
 
 
 def test_a_whole_recording_passes_with_the_number_of_occasions():

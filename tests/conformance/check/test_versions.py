@@ -64,7 +64,7 @@ def test_a_weak_guess_judges_nobody_and_says_what_to_do(tmp_path: Path):
     ((run, _),) = judge_versions(path, None, Pics())
     assert run.requirements == {}
     assert {case.verdict for case in run.cases}.isdisjoint({Verdict.PASS, Verdict.FAIL})
-    assert run.notes[0].startswith("nobody is judged: the profile ")
+    assert run.notes[0].startswith("no verdicts: the profile ")
     assert "--profile" in run.notes[0]
     ((told, _),) = judge_versions(path, "cpp-2.0", Pics())
     assert case_of(told, "CK_BP_FORMAT").verdict is Verdict.FAIL

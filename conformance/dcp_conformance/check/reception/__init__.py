@@ -1,4 +1,4 @@
-"""Who hears whom in a recording, and what nodes do about what they hear."""
+"""Infer which node hears which other node in a recording, and which reactions to received records are missing."""
 
 from .following import Kind
 from .links import Link

@@ -1,4 +1,4 @@
-"""What is remembered of nodes and variables: what each node has said, and what it still has to do about others."""
+"""Data types for nodes, variables, and the reactions that are due: the state of :class:`.observer.Observer`."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from dcp_conformance.check.statements import Statement
 
 
 class Kind(Enum):
-    """What a node has to do about what it hears."""
+    """The reactions that the specification demands from a node that hears a record."""
 
-    TAKE_CREATE = "knows a variable whose create it hears"
-    TAKE_UPDATE = "has a newer value that it hears"
-    TAKE_DELETE = "deletes a variable whose delete it hears"
-    ASK_UPDATE = "asks for a value that is newer by a summary"
-    ASK_CREATE = "asks for a variable that it does not know"
-    ANSWER_UPDATE = "sends a newer value to who asks for it"
-    ANSWER_CREATE = "sends a create to who asks for it"
-    TEACH = "sends its value to who has an older one"
+    TAKE_CREATE = "stores a variable after hearing its create"
+    TAKE_UPDATE = "stores a newer value after hearing its update"
+    TAKE_DELETE = "deletes a variable after hearing its delete"
+    ASK_UPDATE = "requests the update after hearing a summary with a newer number"
+    ASK_CREATE = "requests the create after hearing another record of an unknown variable"
+    ANSWER_UPDATE = "sends an update after hearing a request with an older number"
+    ANSWER_CREATE = "sends a create after hearing a request for it"
+    TEACH = "sends an update after hearing a summary or update with an older number"
 
     # Members are compared by identity; the hash of the standard library is computed in Python.
     __hash__ = object.__hash__
@@ -27,24 +27,32 @@ class Kind(Enum):
 
 @dataclass(slots=True, eq=False)
 class Interval:
-    """What was said between two beacons of a node that it must react to."""
+    """The records between two successive beacons of a node that call for one kind of reaction to one variable."""
 
     begin: int
+    """Number of beacons that the node had sent before them."""
     time: int
+    """Time of the first of them, ns of :attr:`Observer.time`."""
     cause: Statement
-    speakers: int
-    """Who said it, as bits."""
+    """The first of them."""
+    speakers: dict[int, int]
+    """Their senders (bits), each with the number of its beacons."""
     late_half: bool
-    """Whether all of it stood in the second half of its payload."""
+    """Whether each of them was in the second half of its payload."""
     length: int
-    """The length of the shortest payload with it."""
+    """Length of the shortest VarDis payload with one of them, in octets."""
     frame: int
-    """The beacon that said it last."""
+    """Number of the last frame with one of them."""
     beacons: int = 1
+    """Number of beacons with one of them."""
+
+
+Exposure = tuple[tuple[int, int], ...]
+"""Speakers (bits, ascending), each with the number of its beacons that gave a node the same reason to react."""
 
 
 Occasions = dict[Kind, list[Interval]]
-"""What a node has to do about a variable, and since when; no list is empty."""
+"""The reactions to one variable that a node owes, by kind, with the intervals that caused them; no list is empty."""
 
 
 @dataclass(slots=True, eq=False)
@@ -52,89 +60,118 @@ class Station:
     """A node whose reactions are followed."""
 
     node: bytes
+    """Node identifier."""
     bit: int
+    """The bit of the node in masks of nodes."""
     listens: bool
-    """Whether it is a node at all, and not a forger of beacons."""
+    """Whether reactions can be expected: False for the sender of forged beacons."""
     since: int
-    """When it was heard first in this life, ns since 1970."""
+    """Time of its first beacon in this life, ns since 1970."""
     life: int = 0
+    """Number of its restarts (:meth:`Senders.life`)."""
     beacons: int = 0
-    """With VarDis payloads."""
+    """Number of its beacons with VarDis records."""
     gap: int = 0
-    """The beacon before which some are missing."""
+    """Value of ``beacons`` at the first beacon after the last gap."""
     time: int = 0
+    """Time of its last beacon, ns since 1970."""
     longest: int = 0
-    """The longest beacon, in octets."""
+    """Length of its longest beacon, in octets."""
     waiting: dict[int, None] = field(default_factory=dict)
-    """Variables that it does not have, with open occasions."""
+    """Variables with open occasions that it does not hold."""
     repetitions: int = 0
+    """The largest repCnt that it has sent."""
     value: int = 0
+    """The longest value that it has sent, in octets."""
     description: int = 0
-    """The largest that it has shown to take."""
+    """The longest description that it has sent, in octets."""
     holds: dict[int, int] = field(default_factory=dict)
-    """By variable: the number that it stated last."""
+    """Variable -> the sequence number that it stated last."""
     said: dict[int, int] = field(default_factory=dict)
-    """By variable: the beacon in which it did."""
+    """Variable -> value of ``beacons`` when it stated the number last."""
     had: dict[int, int] = field(default_factory=dict)
-    """By variable that it has deleted: the latest creation time that it can have had."""
+    """Variable that it has deleted -> the latest creation time that it can have known."""
     open: dict[int, Occasions] = field(default_factory=dict)
-    """By variable: its open occasions."""
+    """Variable -> its open occasions."""
     cursor: int = 0
-    """How many occasions of anybody it has looked at."""
+    """Number of events (of all nodes) that it has processed."""
 
 
 class Event(NamedTuple):
-    """A record to which nodes have to react if they hear it."""
+    """A record that demands a reaction from the nodes that hear it."""
 
     whom: int
-    """Who has to, as bits."""
+    """The nodes that must react, as a mask of bits."""
     kind: Kind
     var_id: int
     cause: Statement
+    """The record."""
     speaker: int
+    """The bit of its sender."""
     late_half: bool
-    """Whether it stands in the second half of its payload."""
+    """Whether the record is in the second half of its payload."""
     length: int
-    """The length of the payload."""
+    """Length of the VarDis payload in octets."""
     time: int
+    """ns of :attr:`Observer.time`."""
 
 
 class Trial(NamedTuple):
-    """An occasion whose outcome is known."""
+    """An occasion with a known outcome."""
 
     time: int
+    """ns of :attr:`Observer.time`."""
     station: Station
+    """The node that had to react."""
     kind: Kind
     var_id: int
-    speakers: int
+    exposure: Exposure
     hit: bool
+    """Whether the node reacted."""
     cause: Statement
+    """One of these records."""
     late_half: bool
+    """Whether each of them was in the second half of its payload."""
     length: int
+    """Length of the shortest payload with one of them, in octets."""
     once: bool = False
-    """Of a reaction: whether there was a single beacon that it can be due to."""
+    """Whether only one beacon can be the cause of the reaction."""
+    delay: int = 0
+    """Of a reaction: number of beacons of the node since the first cause, including the one with the reaction; 0: not
+    known."""
+    at_once: Exposure = ()
+    """The causes of the reaction if the node composes a payload immediately before it sends it."""
+    ahead: Exposure = ()
+    """The causes of the reaction if the node composes a payload one beacon ahead."""
+
+    @property
+    def speakers(self) -> int:
+        """The senders of the records that called for the reaction, as a mask of bits."""
+        return sum(bit for bit, _ in self.exposure)
 
 
 @dataclass(slots=True, eq=False)
 class Variable:
-    """What nodes have said of an identifier. Sets of nodes are masks of their bits."""
+    """The state of a variable identifier at all nodes. Sets of nodes are masks of their bits."""
 
     var_id: int
     holders: dict[int, int] = field(default_factory=dict)
-    """By number: who stated it last."""
+    """Sequence number -> the nodes that stated it last."""
     known: int = 0
-    """Who holds any number."""
+    """The nodes that hold any number."""
     deleted: int = 0
-    """Who has deleted it, and has not stated a number since."""
+    """The nodes that have deleted the variable and have not stated a number since."""
     producers: set[bytes] = field(default_factory=set)
+    """The producers named in creates."""
     produced: int = 0
-    """The same, of the nodes that are followed."""
+    """The producers among the nodes that are followed."""
     introducers: int = 0
-    """Who was the first to send a number."""
+    """The nodes that were the first to send some number."""
     created: int = 0
-    """The latest creation time that was said."""
+    """The latest creation time in a create."""
     born: bool = False
-    """Whether the recording shows its first creation, by its producer."""
+    """Whether the recording shows the first creation by the producer."""
     value: int = 8
+    """Length of the last value, in octets."""
     create: int = 60
-    """Octets of its last update and create."""
+    """Size of the last create, in octets."""

@@ -1,9 +1,11 @@
-"""Who hears whom: inferred from all trials together, as a noisy OR.
+"""Links between nodes, inferred from all trials together by a noisy-OR model.
 
-A node reacts if it has heard at least one of those who gave it a reason to. With p(Y, X) as the probability that Y gets
-a beacon of X, a reaction has the probability 1 - (1 - p(Y, X1)) (1 - p(Y, X2)) ... for the speakers X1, X2, ... of the
-trial. Expectation maximisation finds the p that explain the outcomes best (Dempster, Laird and Rubin 1977; Heckerman
-1990 for causal independence).
+A node reacts if it has heard at least one of the beacons that gave it a reason. If p(Y, X) is the probability that Y
+receives a beacon of X, the probability of a reaction is 1 - (1 - p(Y, X1))^n1 (1 - p(Y, X2))^n2 ... for the senders
+X1, X2, ... of the trial and the numbers n1, n2, ... of their beacons. (A summary is repeated in each beacon, and a
+node that sends few beacons has heard one of many before its next beacon; a create is sent once.) Expectation
+maximisation finds the values of p that explain the outcomes best (Dempster, Laird and Rubin 1977; Heckerman 1990 for
+causal independence).
 """
 
 from __future__ import annotations
@@ -13,39 +15,43 @@ import math
 from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
+from .following import Exposure
+
+#: Iterations of expectation maximisation, and the smallest probability that is computed with.
 _ROUNDS, _FLOOR = 25, 1e-9
-#: Standard deviations by which a probability is taken lower than it looks: 5 % of all are lower still.
+#: Standard deviations between an estimate and its lower bound: a one-sided confidence level of 95 %.
 CAUTION = 1.64
-#: After so many trials with a share below this a link is no more.
+#: A link has ended if after its last reactions there were this many trials in windows with a share below ``_GONE``.
 _TRIALS, _GONE = 10, 0.1
 
-Outcomes = Mapping[int, tuple[int, int]]
-"""Speakers, as bits -> trials that were missed, and that were not."""
+Outcomes = Mapping[Exposure, tuple[int, int]]
+"""Senders with the numbers of their beacons -> number of trials without a reaction, and with one."""
 
 
 class Link(NamedTuple):
-    """That one node hears another, for a while."""
+    """The inferred reception of one node by another in one window of time."""
 
     listener: bytes
     speaker: bytes
     begin: int
+    """Start of the window, ns since 1970 by the recorder's clock."""
     end: int
-    """ns since 1970, as the recorder's clock had it."""
+    """End of the window, ns since 1970 by the recorder's clock."""
     share: float
-    """The part of the speaker's beacons that the listener reacts to, 0..1."""
+    """Estimated share of the speaker's beacons that the listener receives, 0..1."""
     trials: int
-    """How often the speaker was among those who gave the listener a reason."""
+    """Number of trials with the speaker among the senders."""
     reactions: float
-    """How many reactions are due to this speaker, as far as that can be told."""
+    """Estimated number of reactions that this speaker caused."""
     at_least: float
-    """A lower bound of the share, which holds in 95 of 100 cases."""
+    """Lower bound of the share, with a confidence of 95 %."""
     alone: int
-    """Reactions to this speaker alone."""
+    """Number of reactions in trials with this speaker as the only sender."""
 
 
 @functools.lru_cache(maxsize=1 << 16)
 def bits(mask: int) -> tuple[int, ...]:
-    """The bits that are set, as masks. The same few masks are asked for again and again."""
+    """Return the bits of a mask, each as a mask with one bit. Cached: the same few masks occur often."""
     found = []
     while mask:
         low = mask & -mask
@@ -55,44 +61,70 @@ def bits(mask: int) -> tuple[int, ...]:
 
 
 def infer(outcomes: Outcomes) -> dict[int, tuple[float, int, float]]:
-    """For each speaker (a bit): the probability to be heard, its trials, and the reactions that are due to it."""
+    """Return for each speaker (a bit): the probability of being heard, its trials, and the reactions that it caused."""
     trials: dict[int, int] = {}
-    for mask, (missed, hit) in outcomes.items():
-        for bit in bits(mask):
+    beacons: dict[int, int] = {}
+    for exposure, (missed, hit) in outcomes.items():
+        for bit, count in exposure:
             trials[bit] = trials.get(bit, 0) + missed + hit
+            beacons[bit] = beacons.get(bit, 0) + (missed + hit) * count
     shares = dict.fromkeys(trials, 0.5)
-    due: dict[int, float] = {}
-    hits = [(mask, hit) for mask, (_, hit) in outcomes.items() if hit]
+    received: dict[int, float] = {}
+    hits = [(exposure, hit) for exposure, (_, hit) in outcomes.items() if hit]
     for _ in range(_ROUNDS):
-        due = dict.fromkeys(trials, 0.0)
-        for mask, hit in hits:
-            reaction = max(reacts(mask, shares), _FLOOR)
-            for bit in bits(mask):
-                due[bit] += hit * shares[bit] / reaction
-        shares = {bit: min(due[bit] / count, 1.0) for bit, count in trials.items()}
+        received = dict.fromkeys(trials, 0.0)
+        for exposure, hit in hits:
+            reaction = max(reacts(exposure, shares), _FLOOR)
+            for bit, count in exposure:
+                received[bit] += hit * count * shares[bit] / reaction
+        shares = {bit: min(received[bit] / count, 1.0) for bit, count in beacons.items()}
+    due = dict.fromkeys(trials, 0.0)
+    for exposure, hit in hits:
+        # The parts of all speakers in one reaction add up to 1.
+        parts = [count * shares[bit] for bit, count in exposure]
+        whole = max(sum(parts), _FLOOR)
+        for (bit, _), part in zip(exposure, parts, strict=True):
+            due[bit] += hit * part / whole
     return {bit: (shares[bit], count, due[bit]) for bit, count in trials.items()}
 
 
-def reacts(mask: int, shares: Mapping[int, float]) -> float:
-    """The probability of a reaction to these speakers."""
+def reacts(exposure: Exposure, shares: Mapping[int, float]) -> float:
+    """Return the probability of a reaction to these beacons; ``shares`` has those of single beacons."""
     silent = 1.0
-    for bit in bits(mask):
-        silent *= 1.0 - shares.get(bit, 0.0)
+    for bit, count in exposure:
+        silent *= (1.0 - shares.get(bit, 0.0)) ** count
     return 1.0 - silent
 
 
-def lower_bound(bit: int, outcomes: Outcomes, shares: Mapping[int, float], caution: float = CAUTION) -> float:
-    """What the share of a speaker is at least; 0 where others explain all reactions as well.
+def without(exposure: Exposure, bit: int) -> Exposure:
+    """Return the beacons of the other speakers."""
+    return tuple(each for each in exposure if each[0] != bit)
 
-    The lowest share whose likelihood, with all others as they were inferred, is not much smaller than the largest.
-    ``caution``: in standard deviations of a normal distribution, 1.64 for 95 of 100 cases.
+
+def hits_alone(bit: int, outcomes: Outcomes) -> int:
+    """Return the number of reactions to this speaker alone."""
+    return sum(hit for exposure, (_, hit) in outcomes.items() if len(exposure) == 1 and exposure[0][0] == bit)
+
+
+def lower_bound(bit: int, outcomes: Outcomes, shares: Mapping[int, float], caution: float = CAUTION) -> float:
+    """Return a lower bound of the share of a speaker; 0 if other speakers explain all reactions equally well.
+
+    It is the end of a likelihood-ratio interval: the lowest share whose log-likelihood, with the inferred shares of
+    the others, is at most ``caution``^2 / 2 below the maximum. ``caution``: in standard deviations of a normal
+    distribution, 1.64 for a confidence of 95 %.
     """
-    terms = [(1.0 - reacts(mask ^ bit, shares), missed, hit) for mask, (missed, hit) in outcomes.items() if mask & bit]
+    terms = [
+        (1.0 - reacts(without(exposure, bit), shares), count, missed, hit)
+        for exposure, (missed, hit) in outcomes.items()
+        for speaker, count in exposure
+        if speaker == bit
+    ]
 
     def log_likelihood(share: float) -> float:
+        """Return the log-likelihood of the outcomes if this is the share of the speaker."""
         total = 0.0
-        for silent, missed, hit in terms:
-            rest = (1.0 - share) * silent
+        for silent, count, missed, hit in terms:
+            rest = (1.0 - share) ** count * silent
             if missed:
                 total += missed * math.log(max(rest, _FLOOR))
             if hit:
@@ -114,9 +146,10 @@ def lower_bound(bit: int, outcomes: Outcomes, shares: Mapping[int, float], cauti
 
 
 def chance(trials: int, expected: float, hits: int) -> float:
-    """A bound of the probability of ``hits`` or fewer in trials that differ, where ``expected`` is the sum of theirs.
+    """Return an upper bound of the probability of at most ``hits`` reactions in independent trials.
 
-    The bound of Hoeffding and Chernoff: exp(-n D(hits/n || expected/n)).
+    ``expected``: sum of the probabilities of all trials, which may differ. It is the Chernoff-Hoeffding bound
+    exp(-n D(hits/n || expected/n)) with n = ``trials`` and D as the Kullback-Leibler divergence.
     """
     if trials == 0 or expected <= hits:
         return 1.0
@@ -128,21 +161,25 @@ def chance(trials: int, expected: float, hits: int) -> float:
 
 
 class Whole(NamedTuple):
-    """That one node hears another, in all of a recording."""
+    """The inferred reception of one node by another in the whole recording."""
 
     share: float
+    """Mean share of all windows, weighted by their trials, 0..1."""
     at_least: float
+    """Largest lower bound of all windows."""
     alone: int
+    """Number of reactions in trials with this speaker as the only sender."""
     trials: int
     reactions: float
+    """Estimated number of reactions that this speaker caused."""
     end: int
-    """When it was last shown, ns since 1970."""
+    """End of the last window with proof of reception, ns since 1970."""
     lasts: bool
-    """Whether the last that is known of it is no different from before."""
+    """False if enough trials after ``end`` show that the link has ended."""
 
 
 def summary(links: Iterable[Link]) -> dict[tuple[bytes, bytes], Whole]:
-    """What all windows together say of each listener and speaker."""
+    """Combine the windows of each pair (listener, speaker)."""
     of: dict[tuple[bytes, bytes], list[Link]] = {}
     for link in links:
         of.setdefault((link.listener, link.speaker), []).append(link)
@@ -150,6 +187,7 @@ def summary(links: Iterable[Link]) -> dict[tuple[bytes, bytes], Whole]:
 
 
 def _whole(links: list[Link]) -> Whole:
+    """Combine the windows of one pair, in order of time."""
     trials = sum(link.trials for link in links)
     share = sum(link.share * link.trials for link in links) / trials
     shown = [link for link in links if link.at_least > 0]

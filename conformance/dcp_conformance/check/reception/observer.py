@@ -1,13 +1,14 @@
-"""Occasions: what a node says that others must react to if they hear it, and whether they do.
+"""Follow the variables at all nodes, and find occasions: records that demand a reaction from the nodes that hear them.
 
-Nobody knows whether a node heard a beacon that the recorder heard. So an occasion is not yet a fault or a proof: it is
-a trial whose outcome depends on who of the speakers was heard, and :mod:`.links` infers that from all trials together.
+The recording does not show whether a node received a beacon that the recorder received. A single missing reaction is
+therefore no fault. It is a trial whose outcome depends on the speakers that the node hears, and :mod:`.links` infers
+these from all trials together.
 
-An occasion ends with the reaction, or with a later statement that the reaction did not happen: a node that has taken an
-update does not summarise the older number four beacons later. Silence alone decides only where payloads had room.
+An occasion ends with the reaction, or with a later record that excludes it: a node that has taken an update does not
+summarise the older number four beacons later. The absence of a record counts only if the payload had room for it.
 
-Nodes are bits of masks. A record gives an occasion to the nodes that have another number, and of most variables all
-nodes have the same one most of the time: time goes into changes, and not into what is said again.
+Sets of nodes are masks of bits. A record is an occasion only for nodes with another number. Most of the time all nodes
+have the same number of a variable, so that the cost depends on the changes, and not on the repeated summaries.
 """
 
 from __future__ import annotations
@@ -20,37 +21,41 @@ from dcp_conformance.check.statements import ASK_CREATE, ASK_UPDATE, CREATE, DEL
 from dcp_conformance.check.stations import Origin
 from dcp_conformance.model.circular import Circle
 
-from .following import Event, Interval, Kind, Occasions, Station, Trial, Variable
+from .following import Event, Exposure, Interval, Kind, Occasions, Station, Trial, Variable
 from .records import RecordSizes
 
-#: The reaction to what was heard between two beacons comes with the third after it at the latest: one payload may have
-#: been composed before, and one may wait for a payload of another protocol.
+#: A reaction is missing if it is not in the first four beacons after the record. The third is the latest one due: one
+#: payload may have been composed before, and one may wait for a payload of another protocol.
 LATE = 4
-#: For so many beacons a reaction can be due to what was said right before the last one.
+#: Number of beacons in which a reaction may still be caused by a record before the previous beacon.
 _CARRIED = 3
-#: Occasions of one node, kind and variable that can be open at the same time.
+#: Maximum number of beacons of a speaker that a trial counts: with that many, nearly every link has delivered one.
+_EXPOSED = 8
+#: Maximum number of open occasions for one node, kind and variable.
 _OPEN = 8
-#: A statement of a node about a variable is believed for so many of its beacons.
+#: Number of beacons for which a number that a node has stated is assumed to be valid.
 _FRESH = 20
-#: Occasions that are kept until each node has had its next beacon.
+#: Number of events that are kept until each node has sent its next beacon.
 _EVENTS = 8_192
-#: Variables of which a node can have open occasions at the same time: more come from forged beacons alone, or late.
+#: Maximum number of variables with open occasions of a node: only forged beacons, or long gaps, cause more.
 MOST_OPEN = 64
-#: Nodes whose reactions are followed; a bit of a mask for each.
+#: Maximum number of nodes whose reactions are followed; each one has a bit of a mask.
 MOST_NODES = 64
-#: Payloads up to this length leave room: the bearer carries 256 octets at least.
+#: Payloads up to this length in octets have room: the bearer carries at least 256 octets.
 _ROOM = 180
 
 
-#: Those whose outcome a statement of the number shows.
+#: Reactions whose absence a statement of the variable's number shows.
 _STATED = (Kind.TAKE_UPDATE, Kind.ASK_UPDATE, Kind.ANSWER_UPDATE, Kind.TEACH, Kind.ANSWER_CREATE, Kind.TAKE_DELETE)
+#: Reactions of a node that does not hold the variable.
 _ABSENT = (Kind.TAKE_CREATE, Kind.ASK_CREATE)
 
 
 class Observer:
-    """Follows what all nodes say; gives :class:`Trial` to ``outcome``."""
+    """Follows the records of all nodes, and calls ``outcome`` with each :class:`Trial`."""
 
     def __init__(self, context: Context, outcome: Callable[[Trial], None]) -> None:
+        """``outcome``: called once for each occasion whose result is known."""
         self._context = context
         self._outcome = outcome
         self._sizes = RecordSizes(context.codec)
@@ -59,30 +64,33 @@ class Observer:
         self.by_bit: dict[int, Station] = {}
         self.variables: dict[int, Variable] = {}
         self._listeners = 0
-        """Who listens, as bits; how many these are."""
+        """The nodes from which reactions can be expected, as a mask of bits."""
         self._everybody = 0
+        """The number of these nodes."""
         self._early = 0
-        """Who may have known variables before it was first heard."""
+        """The nodes that may have known variables before their first beacon in the recording."""
         self._log: list[Event] = []
-        """Occasions since the last beacon of some node, in order: each node looks at them with its next one."""
+        """The latest events, in order. A node processes them before its next beacon."""
         self._dropped = 0
-        """Occasions that are gone from there."""
+        """Number of events that have been removed from the start of ``_log``."""
         self._unsettled: set[int] = set()
         """Variables of which not all nodes have stated the same number."""
         self._times = context.features.creation_time
-        self._carried: dict[tuple[int, int, Kind], tuple[int, int]] = {}
-        """(bit, variable, kind) -> the beacon of the last reaction, and who spoke right before it."""
+        self._carried: dict[tuple[int, int, Kind], tuple[int, dict[int, int]]] = {}
+        """(bit, variable, kind) -> the node's beacon with the last reaction, and the speakers right before it, each
+        with the number of its beacons."""
         self._asks_on = context.profile.spec_version >= "1.1"
-        """Whether requests for unknown variables make a node ask as well (VD-RC-01, VD-RU-01)."""
+        """Whether a node that hears a request for an unknown variable must request it, too (VD-RC-01, VD-RU-01)."""
         self._first: int | None = None
         self.time = 0
-        """A clock that goes on by itself where that of the recorder is set, in ns."""
+        """Monotonic clock in ns, starting at 0: a step of the recorder's clock backwards counts as 0, and one forwards
+        as at most 1 s."""
         self._wall = 0
 
     # -- input ---------------------------------------------------------------------------------------------------------
 
     def feed(self, seen: Seen) -> None:
-        """A beacon, in the order of the recording."""
+        """Process the next beacon of the recording."""
         time = seen.time
         if self._first is None:
             self._first = self._wall = time
@@ -103,6 +111,7 @@ class Observer:
         self._occasions(station, seen)
 
     def _station(self, seen: Seen) -> Station | None:
+        """Return the sender of a beacon, brought up to date after a restart or a gap; None if it is not followed."""
         station = self.stations.get(seen.sender)
         sender = self._context.senders.get(seen.sender)
         if sender is None:
@@ -139,7 +148,7 @@ class Observer:
         return station
 
     def _forget(self, station: Station) -> None:
-        """It was restarted, or may have been."""
+        """Forget the state of a node that was, or may have been, restarted."""
         self._drop_all(station)
         for var_id in list(station.holds):
             self._hold(station, self.variables[var_id], None)
@@ -149,11 +158,13 @@ class Observer:
         station.had.clear()
 
     def _drop_all(self, station: Station) -> None:
+        """Drop the open occasions of a node, and skip the events that it has not processed yet."""
         station.open.clear()
         station.waiting.clear()
         station.cursor = self._dropped + len(self._log)
 
     def _hold(self, station: Station, variable: Variable, number: int | None) -> None:
+        """Record the number of a variable that a node holds; None if it does not hold the variable."""
         bit, holders = station.bit, variable.holders
         before = station.holds.get(variable.var_id)
         if before == number:
@@ -174,13 +185,14 @@ class Observer:
         self._settled(variable)
 
     def _settled(self, variable: Variable) -> None:
-        """Remember whether all nodes have stated the same number of a variable."""
+        """Update ``_unsettled`` for a variable."""
         if len(variable.holders) == 1 and variable.known.bit_count() >= self._everybody:
             self._unsettled.discard(variable.var_id)
         else:
             self._unsettled.add(variable.var_id)
 
     def _variable(self, var_id: int) -> Variable | None:
+        """Return the state of a variable, created on first use; None if there are too many variables."""
         variable = self.variables.get(var_id)
         if variable is None and len(self.variables) < MOST_VARIABLES:
             variable = self.variables[var_id] = Variable(var_id)
@@ -190,7 +202,10 @@ class Observer:
     # -- reactions -----------------------------------------------------------------------------------------------------
 
     def _settle(self, station: Station, seen: Seen) -> set[tuple[int, int]]:
-        """What a beacon shows that a node has done; what it says that is no summary, by variable and kind."""
+        """Process the records of a node's own beacon as reactions and as new statements.
+
+        Return the records other than repeated summaries, as (variable, kind).
+        """
         stated: set[tuple[int, int]] = set()
         for each, _ in seen.news:
             kind, var_id = each.kind, each.var_id
@@ -220,7 +235,7 @@ class Observer:
         return stated
 
     def _states(self, station: Station, variable: Variable, each: Statement, opened: Occasions | None) -> None:
-        """A node states a number."""
+        """Process a create, update or summary: a node states the number of a variable."""
         kind, number, var_id = each.kind, each.number, each.var_id
         if kind is CREATE:
             self._created(station, variable, each)
@@ -236,7 +251,7 @@ class Observer:
             elif number != had:
                 if self.circle.newer(number, had):
                     self._hit(station, var_id, opened, Kind.TAKE_UPDATE)
-                # Otherwise it is another creation, of which nothing of this was due.
+                # An older number belongs to another creation: the open occasions do not apply to it.
                 opened.clear()
             if kind is UPDATE:
                 self._hit(station, var_id, opened, Kind.ANSWER_UPDATE)
@@ -259,6 +274,7 @@ class Observer:
             variable.deleted &= ~station.bit
 
     def _created(self, station: Station, variable: Variable, each: Statement) -> None:
+        """Update the attributes of a variable, and the limits of the sender, from a create."""
         spec, upd = each.record.spec, each.record.upd
         if not variable.producers and not variable.known and spec.prod_id == station.node and upd.seqno == 0:
             variable.born = True
@@ -273,34 +289,38 @@ class Observer:
         station.description = max(station.description, len(spec.descr))
 
     def _hit(self, station: Station, var_id: int, opened: Occasions, kind: Kind) -> None:
+        """Close the occasions for one kind of reaction with success, and report the trial."""
         intervals = opened.pop(kind, None)
         if not intervals:
             return
-        # The payload may have been composed a beacon ago: then what came last is the cause of the next reaction.
+        # The payload may have been composed one beacon earlier. Then the latest records cause the next reaction.
         key = (station.bit, var_id, kind)
-        before, speakers = self._carried.pop(key, (-_CARRIED, 0))
-        if station.beacons - before >= _CARRIED:
-            speakers = 0
-        once = len(intervals) == 1 and not speakers and intervals[0].beacons == 1
-        carried = 0
+        before, earlier = self._carried.pop(key, (-_CARRIED, {}))
+        ahead = dict(earlier) if station.beacons - before < _CARRIED else {}
+        delay = 0 if ahead else station.beacons - intervals[0].begin
+        once = len(intervals) == 1 and not ahead and intervals[0].beacons == 1
+        carried: dict[int, int] = {}
+        at_once: dict[int, int] = {}
         for each in intervals:
-            speakers |= each.speakers
-            if each.begin >= station.beacons - 1:
-                carried |= each.speakers
+            _add(at_once, each.speakers)
+            _add(carried if each.begin >= station.beacons - 1 else ahead, each.speakers)
+        speakers = dict(ahead)
+        _add(speakers, carried)
         if carried and len(self._carried) < MOST_VARIABLES:
             self._carried[key] = (station.beacons, carried)
         last = intervals[-1]
         self._outcome(
             Trial(
-                last.time, station, kind, var_id, speakers, True, last.cause,
+                last.time, station, kind, var_id, _exposure(speakers), True, last.cause,
                 all(each.late_half for each in intervals), min(each.length for each in intervals), once,
+                delay, _exposure(at_once), _exposure(ahead),
             )
         )  # fmt: skip
 
-    # -- what did not happen -------------------------------------------------------------------------------------------
+    # -- missing reactions ---------------------------------------------------------------------------------------------
 
     def _decide(self, station: Station, seen: Seen, stated: set[tuple[int, int]], length: int) -> None:
-        """Occasions that this beacon shows to have been missed."""
+        """Report the overdue occasions that this beacon of the node excludes."""
         opened_of, now = station.open, station.beacons
         for part, _, ids in seen.parts:
             if part is not SUMMARY and part is not UPDATE and part is not CREATE:
@@ -331,7 +351,7 @@ class Observer:
     def _had_room(
         self, station: Station, kind: Kind, variable: Variable, stated: set[tuple[int, int]], length: int
     ) -> bool:
-        """Whether the reaction would have found room in this payload, and is not in it."""
+        """Whether the reaction is missing in this payload although the payload had room for it."""
         var_id = variable.var_id
         if kind is Kind.ASK_UPDATE:
             return (var_id, ASK_UPDATE) not in stated and self._room(station, length, 4)
@@ -343,14 +363,17 @@ class Observer:
 
     @staticmethod
     def _room(station: Station, length: int, need: int) -> bool:
+        """Whether a beacon of ``length`` octets had room for ``need`` more, compared with the node's longest one."""
         return length + need <= max(_ROOM, station.longest * 0.9)
 
     def _miss(self, station: Station, var_id: int, opened: Occasions, kind: Kind, now: int) -> None:
+        """Close the overdue occasions for one kind of reaction as missed, and report the trials."""
         intervals = opened[kind]
         while intervals and intervals[0].begin + LATE <= now:
             each = intervals.pop(0)
+            exposure = _exposure(each.speakers)
             self._outcome(
-                Trial(each.time, station, kind, var_id, each.speakers, False, each.cause, each.late_half, each.length)
+                Trial(each.time, station, kind, var_id, exposure, False, each.cause, each.late_half, each.length)
             )
         if not intervals:
             del opened[kind]
@@ -358,12 +381,12 @@ class Observer:
     # -- occasions -----------------------------------------------------------------------------------------------------
 
     def _occasions(self, speaker: Station, seen: Seen) -> None:
-        """What others have to do about a beacon."""
+        """Log an event for each record of a beacon that demands a reaction from other nodes."""
         others = self._listeners & ~speaker.bit
         unsettled, variables = self._unsettled, self.variables
         begins: list[range | list[int]] | None = None
         total = 0
-        # Of a variable that the node says something new about, another record of this beacon may say something else.
+        # A beacon may have several records of one variable: process all of them if one is new.
         fresh = {each.var_id for each, _ in seen.news}
         for place, (kind, records, ids) in enumerate(seen.parts):
             if unsettled.isdisjoint(ids) and fresh.isdisjoint(ids):
@@ -389,7 +412,7 @@ class Observer:
             self._log.clear()
 
     def _due(self, variable: Variable, kind: int, record: Any, others: int) -> Iterator[tuple[Kind, int]]:
-        """What nodes have to do about a record, if they hear it: for each kind of reaction who has to, as bits."""
+        """Yield the reactions that a record demands from the nodes that hear it, each with a mask of these nodes."""
         known = variable.known & others
         if kind is SUMMARY or kind is UPDATE or kind is CREATE:
             number = record.upd.seqno if kind is CREATE else record.seqno
@@ -425,11 +448,12 @@ class Observer:
             yield from self._due_of_unknown(variable, kind, record, unknown)
 
     def _due_of_unknown(self, variable: Variable, kind: int, record: Any, whom: int) -> Iterator[tuple[Kind, int]]:
+        """Yield the reactions due from the nodes in ``whom``, which do not hold the variable."""
         if (kind is ASK_CREATE or kind is ASK_UPDATE) and not self._asks_on:
             return
         had = whom & variable.deleted
         if had and kind is CREATE and self._times:
-            # It had it once, and has deleted it: it need not ask again, and takes nothing but a later creation.
+            # A node that has deleted the variable need not request it, and accepts only a later creation.
             later, created = 0, record.spec.creation_time
             while had:
                 bit = had & -had
@@ -440,13 +464,13 @@ class Observer:
                 yield Kind.TAKE_CREATE, later
         whom &= ~variable.deleted
         if not variable.born:
-            # It may have had it, and have deleted it, before the recording began.
+            # These nodes may have deleted the variable before the recording began.
             whom &= ~self._early
         if whom:
             yield Kind.TAKE_CREATE if kind is CREATE else Kind.ASK_CREATE, whom
 
     def _catch_up(self, station: Station) -> None:
-        """Open the occasions that a node has had since its last beacon."""
+        """Open the occasions of a node from the events since its last beacon."""
         log, bit, beacons, opened_of = self._log, station.bit, station.beacons, station.open
         said, oldest = station.said, max(station.gap, beacons - _FRESH)
         waiting = station.waiting
@@ -460,24 +484,33 @@ class Observer:
             if kind in _ABSENT:
                 waiting[var_id] = None
             elif said[var_id] < oldest:
-                # It has not stated the number lately, or beacons of it are missing since.
+                # The node's last statement of the number is too old, or beacons of it are missing since then.
                 continue
             if opened is None:
                 opened = opened_of[var_id] = {}
             intervals = opened.get(kind)
             if intervals is None:
-                opened[kind] = [Interval(beacons, time, cause, speaker, late_half, length, cause.frame)]
+                opened[kind] = [Interval(beacons, time, cause, {speaker: 1}, late_half, length, cause.frame)]
                 continue
             last = intervals[-1]
             if last.begin != beacons:
-                intervals.append(Interval(beacons, time, cause, speaker, late_half, length, cause.frame))
+                intervals.append(Interval(beacons, time, cause, {speaker: 1}, late_half, length, cause.frame))
                 if len(intervals) > _OPEN:
                     intervals.pop(0)
                 continue
-            last.speakers |= speaker
             last.late_half = last.late_half and late_half
             last.length = min(last.length, length)
             if cause.frame != last.frame:
+                last.speakers[speaker] = last.speakers.get(speaker, 0) + 1
                 last.beacons += 1
                 last.frame = cause.frame
         station.cursor = self._dropped + len(log)
+
+
+def _add(speakers: dict[int, int], more: dict[int, int]) -> None:
+    for bit, beacons in more.items():
+        speakers[bit] = speakers.get(bit, 0) + beacons
+
+
+def _exposure(speakers: dict[int, int]) -> Exposure:
+    return tuple(sorted((bit, min(beacons, _EXPOSED)) for bit, beacons in speakers.items()))

@@ -1,4 +1,4 @@
-"""Which reactions fail to come although the node shows by others that it hears."""
+"""Find missing reactions of nodes that, by other reactions, show that they receive the beacons."""
 
 from __future__ import annotations
 
@@ -10,94 +10,119 @@ from typing import NamedTuple
 from dcp_conformance.check.base import Context, Seen
 from dcp_conformance.check.statements import Statement
 
-from .following import Kind, Station, Trial
-from .links import Link, bits, chance, infer, lower_bound, reacts
+from .following import Exposure, Kind, Station, Trial
+from .links import Link, bits, chance, hits_alone, infer, lower_bound, reacts, without
 from .observer import Observer
 
-#: Trials are looked at together that lie within so many ns, or so many of one node.
+#: A window of trials that are evaluated together: its length in ns, and its maximum number of trials of one node.
 _WINDOW, _MOST = 20_000_000_000, 3_000
-#: A reaction shows that a node hears a speaker if all others explain it with a lower probability than the rest of this.
+#: A reaction proves that a node hears a speaker if the others explain it with a probability below 1 - ``_SURE``.
 _SURE = 0.6
-#: Standard deviations by which shares are taken lower than they look, and shares below which nothing is concluded.
+#: Standard deviations between a share and its lower bound, and the minimum of this bound for any conclusion.
 _CAUTIOUS, _HEARS = 3.0, 0.25
-#: Reactions to a speaker alone without which nothing is concluded from its beacons.
+#: Minimum number of reactions to a speaker alone for conclusions from its beacons.
 _ALONE = 2
-#: For so many ns before and after such a reaction nothing is concluded but what lies between two of them.
+#: A missing reaction counts if the link was proved before and after it, each at most this far away (ns).
 _BELIEF = 10_000_000_000
-#: The same for a link that is not heard so well: it may come and go.
+#: The same time (ns) for a link with a share below ``_STEADY``: it may fail and recover in between.
 _DOUBTFUL, _STEADY = 2_500_000_000, 0.9
-#: Fewer expected reactions decide nothing; of those expected at most this part may come; chance is excluded below this.
+#: A steady link must have the share ``_AS_GOOD`` even ``_LIKELY`` standard deviations below its estimate.
+_LIKELY, _AS_GOOD = 1.0, 0.8
+#: A shortage needs at least ``_EXPECTED`` expected reactions, of which at most the share ``_SHARE`` occurred. It is
+#: certain if its probability by chance is below ``_CHANCE``.
 _EXPECTED, _SHARE, _CHANCE = 3.0, 0.25, 1e-3
-#: The same where links fail: then what is missed together may have one cause.
+#: The limit instead of ``_CHANCE`` if links fail: several missing reactions may then have one cause.
 _UNSTEADY = 1e-6
-#: A link that was up before and after is up in between with this probability, whatever was missed meanwhile.
+#: The probability that a link which was up before and after a time was up at that time.
 _UP = 0.9
+#: Reactions with the same delay that show when a node composes payloads, if they are ``_MOSTLY`` times as many as those
+#: with the other delay.
+_DELAYS, _MOSTLY = 4, 3
+#: Number of records that are kept as examples of a shortage.
 _EXAMPLES = 3
+#: Reactions that prove that the record was received.
 _TAKEN = (Kind.TAKE_CREATE, Kind.TAKE_UPDATE, Kind.TAKE_DELETE)
-#: A group of trials of which at most this part was met is looked at more closely.
+#: Groups of trials with at most this share of reactions are examined for a shortage.
 _SUSPICIOUS = 0.4
-#: A pass is withheld where so many reactions were expected and only this part came.
+#: The verdict pass is withheld if at least ``_MANY`` reactions were expected and at most the share ``_FEW`` occurred.
 _MANY, _FEW = 5.0, 0.1
-#: Links that are kept: of each pair one for each window.
+#: Maximum number of links (one for each pair and window) and of groups that are kept.
 _LINKS = 100_000
 _GROUPS = 65_536
 
 Group = tuple[bytes, Kind, int | None]
-"""Node, kind, and variable; None for all of them."""
+"""Node, kind of reaction, and variable identifier; None for all variables."""
 
 
 @dataclass(slots=True)
 class _Gap:
-    """The trials of a group between two reactions that show that the node hears. A link may be down in between."""
+    """The trials of a group between two reactions that prove reception; the link may have been down in between."""
 
     best: float = 0.0
+    """The largest probability of a reaction to one of the trials."""
     silent: float = 1.0
+    """The probability of no reaction to any of them, if the trials are independent."""
     steady: bool = True
+    """Whether all links that the trials rest on have hardly ever failed."""
     hit: bool = False
+    """Whether the node reacted to one of the trials."""
     speakers: int = 0
+    """The senders of records without a reaction, as a mask of bits."""
     late_half: bool = True
+    """Whether all records without a reaction were in the second half of their payload."""
     shortest: int = 1 << 31
+    """Length of the shortest payload without a reaction, in octets."""
     cause: Statement | None = None
+    """The first record without a reaction."""
 
     def add(self, expected: float, *, steady: bool) -> None:
-        """A trial with this probability of a reaction; ``steady``: the link has hardly ever failed."""
+        """Add a trial with this probability of a reaction; ``steady``: its link has hardly ever failed."""
         self.best = max(self.best, expected)
         self.silent *= 1.0 - expected
         self.steady = self.steady and steady
 
     @property
     def expected(self) -> float:
-        """The probability of any reaction: many trials help as far as a link is up."""
+        """The probability of at least one reaction; for a steady link limited by the probability that it is up."""
         return max(self.best, min(1.0 - self.silent, _UP)) if self.steady else self.best
 
 
 @dataclass(slots=True)
 class Tally:
-    """What was expected of a group and what came, since it last did what it must."""
+    """Expected and observed reactions of a group since the last window in which the node reacted as required."""
 
     trials: int = 0
-    """Times between two reactions that show that the node hears; all trials in between count as one."""
+    """Number of gaps: all trials between two reactions that prove reception count as one."""
     hits: int = 0
+    """Number of gaps with a reaction."""
     expected: float = 0.0
+    """Expected number of gaps with a reaction."""
+    silence: float = 1.0
+    """The probability that none of these gaps has a reaction."""
     steady: bool = True
     """Whether all links that this rests on have hardly ever failed."""
     all_trials: int = 0
-    """Trials, whatever is known of them."""
+    """Number of single trials, including those without proof of reception."""
     all_hits: int = 0
+    """Number of reactions to single trials."""
     all_expected: float = 0.0
+    """Expected number of reactions to single trials."""
     examples: list[Statement] = field(default_factory=list)
+    """The first records without a reaction."""
     speakers: int = 0
+    """The senders of records without a reaction, as a mask of bits."""
     late_half: bool = True
-    """Whether all that was missed stood in the second half of its payload."""
+    """Whether all records without a reaction were in the second half of their payload."""
     shortest: int = 1 << 31
-    """The shortest payload with something that was missed."""
+    """Length of the shortest payload without a reaction, in octets."""
 
     def add(self, gaps: Iterable[_Gap]) -> None:
-        """Count gaps; only those without any reaction show what was missed."""
+        """Count gaps; only those without any reaction contribute examples."""
         for gap in gaps:
             self.trials += 1
             self.hits += gap.hit
             self.expected += gap.expected
+            self.silence *= 1.0 - gap.expected
             self.steady = self.steady and gap.steady
             if gap.cause is not None and not gap.hit:
                 self.speakers |= gap.speakers
@@ -108,58 +133,64 @@ class Tally:
 
     @property
     def short(self) -> bool:
-        """Whether much less came than must have, with every reason to expect it."""
+        """Whether far fewer reactions than expected occurred while reception was proved."""
         return self.expected >= _EXPECTED and self.hits <= _SHARE * self.expected
 
     @property
     def doubtful(self) -> bool:
-        """Whether much less came than must have, if links are as good all the time as they are on the average."""
+        """Whether far fewer reactions than expected occurred, assuming that the links were as good as on average."""
         return self.all_expected >= _MANY and self.all_hits <= _FEW * self.all_expected
 
     @property
     def chance(self) -> float:
-        """A bound of the probability that this happens to a node that does what it must."""
+        """An upper bound of the probability of this tally for a conforming node."""
+        if self.hits == 0:
+            # The exact probability: the bound is wide if trials differ.
+            return self.silence
         return chance(self.trials, self.expected, self.hits)
 
 
 class Shortage(NamedTuple):
-    """Reactions that did not come."""
+    """Missing reactions of one kind at one node."""
 
     station: Station
     kind: Kind
     var_id: int | None
+    """The variable; None for all of them."""
     tally: Tally
     speakers: tuple[bytes, ...]
+    """The nodes whose records got no reaction."""
     certain: bool
-    """Whether it cannot be chance; otherwise it is only a reason not to say that all is well."""
+    """Whether chance is excluded; otherwise the shortage only withholds the verdict pass."""
 
 
 @dataclass(slots=True)
 class _Shown:
-    """What a node has shown in all of the recording."""
+    """The reactions of a node in the whole recording."""
 
     hits: dict[Kind, int] = field(default_factory=dict)
+    """Number of reactions by kind."""
     longest: int = 0
-    """The longest payload that it has reacted to."""
+    """Length of the longest payload with a reaction, in octets."""
     late_half: int = 0
-    """Reactions to what stood in the second half of a payload."""
+    """Number of reactions to records in the second half of a payload."""
 
 
 class _Known(NamedTuple):
-    """Whom a node hears in a window."""
+    """The speakers that a node hears in a window."""
 
-    shares: dict[int, float]
-    """Speaker -> the part of its beacons that is heard, as it looks."""
+    steady: set[int]
+    """Speakers whose beacons are hardly ever lost."""
     bounds: dict[int, float]
-    """The same with caution, of those speakers of whom it is certain."""
+    """Speaker -> lower bound of the share of its beacons that is heard; only speakers whose reception is certain."""
     sure: dict[int, list[int]]
-    """Speaker -> when it was shown, in order."""
+    """Speaker -> the times at which reception was proved, in order."""
     heard: dict[int, int]
-    """Frame -> its speaker, of beacons that the node has heard for sure."""
+    """Number of a frame that the node has certainly received -> its speaker."""
 
 
 class Reception:
-    """Feed it every beacon once; ask for links and shortages after :meth:`finish`."""
+    """Infers links and shortages. Pass each beacon to :meth:`feed` once, and call :meth:`finish` before the results."""
 
     def __init__(self, context: Context) -> None:
         self.observer = Observer(context, self._outcome)
@@ -168,7 +199,7 @@ class Reception:
         """Bit of a node -> its trials in this window."""
         self._begin = 0
         self.begin = 0
-        """When the recording began, ns since 1970."""
+        """Time of the first beacon, ns since 1970."""
         self._wall = 0
         self._walls = (0, 0)
         self._tallies: dict[Group, Tally] = {}
@@ -177,7 +208,7 @@ class Reception:
         self._finished = False
 
     def feed(self, seen: Seen) -> None:
-        """A beacon."""
+        """Process the next beacon of the recording."""
         observer = self.observer
         observer.feed(seen)
         if not self._walls[0]:
@@ -190,19 +221,21 @@ class Reception:
         self._wall = seen.time
 
     def finish(self) -> None:
-        """The recording has ended; further calls do nothing."""
+        """Evaluate the last window; further calls do nothing."""
         if not self._finished:
             self._walls = (self._walls[0], self._wall)
             self._close()
             self._finished = True
 
     def _outcome(self, trial: Trial) -> None:
+        """Store a trial of the current window."""
         trials = self._trials.setdefault(trial.station.bit, [])
         trials.append(trial)
         if len(trials) >= _MOST:
             self._judge(self._trials.pop(trial.station.bit))
 
     def _close(self) -> None:
+        """Evaluate the trials of the current window."""
         for trials in self._trials.values():
             self._judge(trials)
         self._trials.clear()
@@ -210,7 +243,9 @@ class Reception:
     # -- one node in one window ----------------------------------------------------------------------------------------
 
     def _judge(self, trials: list[Trial]) -> None:
+        """Evaluate the trials of one node in one window: update the tallies of suspicious groups, and the links."""
         station = trials[0].station
+        trials = _by_delay(trials)
         shown = self.shown.setdefault(station.node, _Shown())
         for trial in trials:
             if trial.hit:
@@ -227,9 +262,9 @@ class Reception:
             if len(group) - hits >= 2 and hits <= _SUSPICIOUS * len(group):
                 suspects.append((key, group))
             elif hits >= 2:
-                # It does what it must: what was missed before was another matter.
+                # The node reacts as required now: earlier missing reactions had another cause.
                 self._keep(key, self._tallies.pop(key, None))
-        # Whatever a node never does shows nothing of whom it hears, as long as there is anything that it does.
+        # A reaction that the node never shows is no evidence of reception: infer links from other groups, if any.
         left_out = {id(trial) for _, group in suspects for trial in group}
         rest = [trial for trial in trials if id(trial) not in left_out]
         if suspects:
@@ -239,32 +274,37 @@ class Reception:
         self._infer(station, rest or trials)
 
     def _infer(self, station: Station, trials: list[Trial]) -> None:
-        """Who is heard by a node, in this window."""
+        """Infer the links to a node in this window."""
         outcomes = _outcomes(trials)
         inferred = infer(outcomes)
         shares = {bit: share for bit, (share, _, _) in inferred.items()}
         for bit, (share, count, due) in inferred.items():
             if len(self.links) < _LINKS:
                 speaker, bound = self.observer.by_bit[bit].node, lower_bound(bit, outcomes, shares)
-                alone = outcomes.get(bit, (0, 0))[1]
+                alone = hits_alone(bit, outcomes)
                 self.links.append(Link(station.node, speaker, *self._walls, share, count, due, bound, alone))
 
     def _known(self, others: list[Trial]) -> _Known:
-        """Whom a node hears in a window, as all its trials that are well show it."""
+        """Infer the speakers that a node hears in a window from the trials of its groups without suspicion."""
         outcomes = _outcomes(others)
         shares = {bit: share for bit, (share, _, _) in infer(outcomes).items()}
-        bounds = {bit: lower_bound(bit, outcomes, shares, _CAUTIOUS) for bit in shares}
-        # What looks as if it were due to a speaker may be due to somebody whose part is not known well.
-        bounds = {
-            bit: bound for bit, bound in bounds.items() if bound >= _HEARS and outcomes.get(bit, (0, 0))[1] >= _ALONE
+        steady = {
+            bit
+            for bit, share in shares.items()
+            if share >= _STEADY and lower_bound(bit, outcomes, shares, _LIKELY) >= _AS_GOOD
         }
-        # Beacons that the node has heard for sure: it has taken something else that was in them, and in no other.
+        bounds = {bit: lower_bound(bit, outcomes, shares, _CAUTIOUS) for bit in shares}
+        # A reaction that seems to be caused by one speaker may be caused by another one with an uncertain share.
+        bounds = {
+            bit: bound for bit, bound in bounds.items() if bound >= _HEARS and hits_alone(bit, outcomes) >= _ALONE
+        }
+        # Beacons that the node has certainly received: it took another record that only this beacon carried.
         heard = {trial.cause.frame: trial.speakers for trial in others if trial.once and trial.kind in _TAKEN}
-        return _Known(shares, bounds, self._sure(others, shares), heard)
+        return _Known(steady, bounds, self._sure(others, shares), heard)
 
     def _suspect(self, key: Group, group: list[Trial], known: _Known) -> None:
-        """Add what was expected of a group, as what is known of the node shows it."""
-        shares, bounds, sure, heard = known
+        """Add the expected and observed reactions of a group in this window to its tally."""
+        steady, bounds, sure, heard = known
         tally = self._tallies.get(key)
         if tally is None:
             if len(self._tallies) >= _GROUPS:
@@ -272,14 +312,14 @@ class Reception:
             tally = self._tallies[key] = Tally()
         gaps: dict[tuple[int, int, bool], _Gap] = {}
         for trial in group:
-            bounds_of = {bit: bounds[bit] for bit in bits(trial.speakers) if bit in bounds}
+            bounds_of = {bit: bounds[bit] for bit, _ in trial.exposure if bit in bounds}
             tally.all_trials += 1
             tally.all_hits += trial.hit
-            tally.all_expected += reacts(trial.speakers, bounds_of)
+            tally.all_expected += reacts(trial.exposure, bounds_of)
             believed = {
                 bit: bound
                 for bit, bound in bounds_of.items()
-                if _between(sure.get(bit), trial.time, _BELIEF if shares[bit] >= _STEADY else _DOUBTFUL)
+                if _between(sure.get(bit), trial.time, _BELIEF if bit in steady else _DOUBTFUL)
             }
             if (speaker := heard.get(trial.cause.frame)) is not None:
                 believed = {speaker: _UP}
@@ -289,7 +329,7 @@ class Reception:
                 best = max(believed, key=lambda bit: believed[bit])
                 place = bisect_left(sure[best], trial.time)
                 gap = gaps.setdefault((best, place, sure[best][place] == trial.time), _Gap())
-                gap.add(reacts(trial.speakers, believed), steady=shares[best] >= _STEADY)
+                gap.add(reacts(trial.exposure, believed), steady=best in steady)
             else:
                 continue
             gap.hit = gap.hit or trial.hit
@@ -303,22 +343,23 @@ class Reception:
         self._keep(key, tally)
 
     def _sure(self, trials: Iterable[Trial], shares: dict[int, float]) -> dict[int, list[int]]:
-        """When the node has shown that it hears a speaker, and nobody else in its place."""
+        """Return for each speaker the times of reactions that no other speaker explains, in order."""
         sure: dict[int, list[int]] = {}
-        alone: dict[int, tuple[int, ...]] = {}
-        """Speakers of a trial -> those whom nobody else can stand for."""
+        alone: dict[Exposure, tuple[int, ...]] = {}
+        """Speakers of a trial -> those that the other speakers of the trial cannot replace."""
         for trial in trials:
             if trial.hit:
-                mask = trial.speakers
-                if mask not in alone:
-                    alone[mask] = tuple(bit for bit in bits(mask) if reacts(mask ^ bit, shares) < 1 - _SURE)
-                for bit in alone[mask]:
+                said = trial.exposure
+                if said not in alone:
+                    alone[said] = tuple(bit for bit, _ in said if reacts(without(said, bit), shares) < 1 - _SURE)
+                for bit in alone[said]:
                     sure.setdefault(bit, []).append(trial.time)
         for times in sure.values():
             times.sort()
         return sure
 
     def _keep(self, key: Group, tally: Tally | None) -> None:
+        """Keep a tally if it is the least probable one of its group so far."""
         if tally is None or not tally.all_trials:
             return
         worst = self._worst.get(key)
@@ -326,13 +367,17 @@ class Reception:
             self._worst[key] = tally
 
     def _trials_of(self, key: Group) -> int:
+        """Return the number of trials in the kept tally of a group; -1 if it has none."""
         tally = self._worst.get(key)
         return -1 if tally is None else tally.all_trials
 
-    # -- what came of it -----------------------------------------------------------------------------------------------
+    # -- results -------------------------------------------------------------------------------------------------------
 
     def shortages(self) -> list[Shortage]:
-        """What did not come, the most certain first; a variable is named where others of the node are well."""
+        """Return the missing reactions, the least probable first.
+
+        A variable is named only if the node reacts to others. Otherwise one shortage stands for all variables.
+        """
         found: list[Shortage] = []
         for (node, kind, var_id), tally in self._worst.items():
             if tally.short or tally.doubtful:
@@ -340,7 +385,7 @@ class Reception:
                 names = tuple(self.observer.by_bit[bit].node for bit in bits(tally.speakers))
                 certain = tally.short and tally.chance < (_CHANCE if tally.steady else _UNSTEADY)
                 found.append(Shortage(station, kind, var_id, tally, names, certain))
-        # All variables together say more than each, unless it is one of them alone.
+        # Report a shortage of all variables instead of one for each, unless a single variable has all the trials.
         every = {(each.station.node, each.kind) for each in found if each.var_id is None and each.certain}
         alone = {
             (each.station.node, each.kind)
@@ -350,7 +395,7 @@ class Reception:
         }
         found = [each for each in found if each.var_id is not None or (each.station.node, each.kind) not in alone]
         kept = [each for each in found if each.var_id is None or (each.station.node, each.kind) not in every - alone]
-        # What is uncertain is told once, of all variables, and not beside what is certain.
+        # Report uncertain shortages once for all variables, and only if there is no certain one.
         told = {(each.station.node, each.kind) for each in kept if each.var_id is None or each.certain}
         kept = [
             each for each in kept if each.certain or (each.var_id is None) or (each.station.node, each.kind) not in told
@@ -361,7 +406,7 @@ class Reception:
 
 
 def _between(times: list[int] | None, time: int, belief: int) -> bool:
-    """Whether it was shown before and after, both at most ``belief`` ns away."""
+    """Whether ``times`` (sorted, ns) has an element before and one after ``time``, both at most ``belief`` ns away."""
     if not times:
         return False
     after = bisect_left(times, time)
@@ -369,16 +414,43 @@ def _between(times: list[int] | None, time: int, belief: int) -> bool:
     return after < len(times) and times[after] - time <= belief and before > 0 and time - times[before - 1] <= belief
 
 
-def _outcomes(trials: Iterable[Trial]) -> dict[int, tuple[int, int]]:
-    outcomes: dict[int, tuple[int, int]] = {}
+def _by_delay(trials: list[Trial]) -> list[Trial]:
+    """Return the trials with the causes of each reaction, according to when the node composes its payloads.
+
+    If a node composes a payload immediately before it sends it, longer delays are rarer, however bad the links are. If
+    most reactions are in its second beacon, it composes payloads one beacon ahead, and what it heard right before that
+    beacon is not the cause.
+    """
+    first = sum(trial.delay == 1 for trial in trials if trial.hit)
+    second = sum(trial.delay == 2 for trial in trials if trial.hit)
+    if max(first, second) < _DELAYS:
+        return trials
+    if first >= _MOSTLY * second:
+        return [_due_to(trial, trial.at_once) for trial in trials]
+    if second >= _MOSTLY * first:
+        return [_due_to(trial, trial.ahead) for trial in trials]
+    return trials
+
+
+def _due_to(trial: Trial, causes: Exposure) -> Trial:
+    """Return the trial with the numbers of beacons of ``causes``; other speakers remain possible causes."""
+    if not trial.hit or not causes:
+        return trial
+    counts = dict(causes)
+    return trial._replace(exposure=tuple((bit, counts.get(bit, count)) for bit, count in trial.exposure))
+
+
+def _outcomes(trials: Iterable[Trial]) -> dict[Exposure, tuple[int, int]]:
+    """Count trials without and with a reaction by their speakers and the numbers of their beacons."""
+    outcomes: dict[Exposure, tuple[int, int]] = {}
     for trial in trials:
-        missed, hit = outcomes.get(trial.speakers, (0, 0))
-        outcomes[trial.speakers] = (missed, hit + 1) if trial.hit else (missed + 1, hit)
+        missed, hit = outcomes.get(trial.exposure, (0, 0))
+        outcomes[trial.exposure] = (missed, hit + 1) if trial.hit else (missed + 1, hit)
     return outcomes
 
 
 def reception_of(context: Context) -> Reception:
-    """What all rules of one recording share."""
+    """Return the object that all rules of one recording share; create it on the first call."""
     found = context.shared.get(Reception)
     if not isinstance(found, Reception):
         found = context.shared[Reception] = Reception(context)

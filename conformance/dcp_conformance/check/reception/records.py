@@ -1,4 +1,7 @@
-"""How long records are, and where in a payload they start: what a receiver that loses part of a payload gets."""
+"""Sizes of records and their offsets in a VarDis payload.
+
+They show whether a receiver processes only the first part of a payload.
+"""
 
 from __future__ import annotations
 
@@ -15,10 +18,14 @@ from dcp_conformance.check.statements import CREATE, UPDATE, Part
 
 
 class RecordSizes:
-    """Sizes in octets by the plan of a profile; node identifiers and own fields of varying length are not counted."""
+    """Sizes of VarDis records in octets, by the plan of a profile.
+
+    Node identifiers and own fields of variable length count with their minimum length.
+    """
 
     def __init__(self, codec: Codec) -> None:
         def least(name: str) -> int:
+            """Return the minimum size of a record class in octets."""
             layout = layout_of(codec.containers_plan, name)
             assert layout is not None, f"every profile has {name}"
             return least_size(layout)
@@ -27,14 +34,14 @@ class RecordSizes:
         self._header = least("Container")
 
     def of(self, kind: ICType, record: Any) -> int:
-        """The size of a record."""
+        """Return the size of a record in octets."""
         least = self._least[kind]
         if kind is CREATE:
             return least + len(record.spec.descr) + len(record.upd.value)
         return least + len(record.value) if kind is UPDATE else least
 
     def starts(self, parts: Sequence[Part]) -> tuple[list[range | list[int]], int]:
-        """Where each record starts, in octets from the start of the VarDis payload; and the size of the payload."""
+        """Return the offsets of the records of each part in the VarDis payload, and the payload's size, in octets."""
         position, before = 0, None
         starts: list[range | list[int]] = []
         for kind, records, _ in parts:

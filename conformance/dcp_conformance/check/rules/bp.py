@@ -1,4 +1,4 @@
-"""dcp-bp.md: what every beacon shows, and every sequence of beacons of one sender."""
+"""dcp-bp.md: format, size, addresses and timing of beacons."""
 
 from __future__ import annotations
 
@@ -20,25 +20,25 @@ from .counters import SequenceNumbers
 
 MS = 1_000_000
 BROADCAST = b"\xff" * 6
-#: A parameter may be changed; so many changes are no choice of anybody.
+#: Number of changes of networkId from which on they are a fault, and not the user's configuration.
 _CHANGES = 3
-#: Intervals of a sender that statistics are made of.
+#: Maximum number of intervals between beacons that are kept for each sender.
 _INTERVALS = 20_000
 
 
 class BeaconFormat(Invariant):
-    """Octets that are no beacon of the profile."""
+    """Check that each frame is a valid beacon of the profile."""
 
     id = "CK_BP_FORMAT"
     section = "dcp-bp.md: Packet Format"
-    purpose = "Every frame is a beacon of the profile, to its last octet"
+    purpose = "Every frame is a valid beacon of the profile up to its last octet"
     requirements = (
         "DATA-02", "DATA-03", "BP-HDR-01", "BP-HDR-02", "BP-HDR-06", "BP-HDR-07", "BP-HDR-10", "BP-HDR-11", "BP-FMT-01",
     )  # fmt: skip
-    expect = "a beacon as the profile lays it out"
+    expect = "a beacon in the format of the profile"
 
     def feed(self, seen: Seen) -> None:
-        """Report what the octets break, by requirement."""
+        """Report violations of the format, by requirement."""
         self.exercised()
         if seen.sound:
             return
@@ -54,13 +54,13 @@ class BeaconFormat(Invariant):
 
 
 class RecordRules(Invariant):
-    """What is well formed and still against a rule."""
+    """Check the content of single records in beacons that can be decoded."""
 
     id = "CK_VD_RECORDS"
     section = "dcp-vardis.md: Instruction Records"
-    purpose = "No record breaks a rule that can be seen in it alone"
+    purpose = "No single record violates the rules for its content"
     requirements = ("VD-PAY-03", "VD-TYP-02", "VD-TYP-07", "DATA-08")
-    expect = "records as the specification wants them sent"
+    expect = "records with content that the specification permits"
 
     def feed(self, seen: Seen) -> None:
         """Report the dissector's warnings."""
@@ -70,12 +70,12 @@ class RecordRules(Invariant):
             return
         for problem in seen.dissection.warnings:
             if problem.reason == "foreign-node-id":
-                # CK_SRP_OWN looks at that.
+                # CK_SRP_OWN judges this.
                 continue
             if problem.reason == "empty-description":
-                # Where an application may have it so, and everybody refuses it, nobody is to blame (X21).
+                # No fault of the sender: an application may create such a variable, but receivers reject it (X21).
                 text = f"{name(seen.sender)}: {problem}"
-                self.note("an empty description, which no node takes (X21)", text, [Mark(seen.number)], "VD-CRE-15")
+                self.note("an empty description, which no node accepts (X21)", text, [Mark(seen.number)], "VD-CRE-15")
                 continue
             mark = Mark(seen.number, problem.offset, 1, problem.path)
             self.violated(
@@ -87,7 +87,10 @@ class RecordRules(Invariant):
 
 
 def _doubtful(seen: Seen) -> bool:
-    """Warnings about a sound beacon (:mod:`dcp_codec.views.lint`), apart from state reports of other nodes."""
+    """Whether a valid beacon can have warnings (:mod:`dcp_codec.views.lint`), except for reports of other nodes.
+
+    The dissection, which finds the warnings, is expensive and not needed for most beacons.
+    """
     beacon = seen.heard.beacon
     assert beacon is not None
     for payload in beacon.payloads:
@@ -105,12 +108,13 @@ def _doubtful(seen: Seen) -> bool:
 
 
 def _flawless(create: VarCreate) -> bool:
+    """Whether a create has nothing to warn about."""
     spec, update = create.spec, create.upd
     return bool(spec.rep_cnt and spec.descr and spec.descr.isascii() and update.value and spec.var_id == update.var_id)
 
 
 class Broadcast(Invariant):
-    """Beacons go to everybody."""
+    """Check that beacons are sent to the broadcast address."""
 
     id = "CK_UWB_BROADCAST"
     section = "dcp-architecture.md: UWB"
@@ -119,11 +123,11 @@ class Broadcast(Invariant):
     expect = "the broadcast address as destination"
 
     def applies(self) -> str:
-        """Only where frames have addresses that mean something."""
-        return "" if self.context.profile.link.transport == "ethernet" else "over UDP, the socket decides who hears it"
+        """Exclude links without Ethernet addresses."""
+        return "" if self.context.profile.link.transport == "ethernet" else "over UDP, the socket selects the receivers"
 
     def feed(self, seen: Seen) -> None:
-        """Look at the destination."""
+        """Check the destination address."""
         if seen.destination is None:
             return
         self.exercised()
@@ -133,11 +137,14 @@ class Broadcast(Invariant):
 
 
 class PacketSize(Invariant):
-    """The limit on beacons. Whether the header of BP counts is open (X04), as long as the link carries it."""
+    """Check the length of beacons.
+
+    Whether the BP header counts is open (X04): a beacon that exceeds the limit only by its header is reported as info.
+    """
 
     id = "CK_BP_SIZE"
     section = "dcp-bp.md: Packet Format"
-    purpose = "No beacon is longer than the limit that the PIXIT gives, or than the link of the profile carries"
+    purpose = "No beacon is longer than the limit in the PIXIT, or than the maximum of the profile's link"
     requirements = ("BP-FMT-02",)
     expect = "a bearer payload within the maximum packet size"
 
@@ -146,7 +153,7 @@ class PacketSize(Invariant):
         self._limit = context.pics.pixit.max_packet_size or context.profile.limits.uwb_max_packet
 
     def feed(self, seen: Seen) -> None:
-        """Compare, without padding."""
+        """Compare the length without padding."""
         self.exercised()
         size = len(seen.heard.octets)
         if size <= self._limit:
@@ -154,7 +161,7 @@ class PacketSize(Invariant):
         size -= len(seen.dissection.padding)
         if size <= self._limit:
             return
-        text = f"{name(seen.sender)} sends {size} octets, and the limit is {self._limit}"
+        text = f"{name(seen.sender)} sends {size} octets; the limit is {self._limit}"
         header = seen.dissection.root.find("bp")
         blocks = size - (0 if header is None else header.length)
         if blocks <= self._limit and size <= self.context.profile.limits.uwb_max_packet:
@@ -164,11 +171,11 @@ class PacketSize(Invariant):
 
 
 class NetworkIdentifier(Invariant):
-    """One network identifier."""
+    """Check that a sender keeps its network identifier."""
 
     id = "CK_BP_NETWORK"
     section = "dcp-bp.md: Data Types"
-    purpose = "A sender stays in one network"
+    purpose = "A sender does not change its network identifier"
     requirements = ("BP-HDR-04",)
     expect = "the same networkId in all beacons of a sender"
 
@@ -178,15 +185,15 @@ class NetworkIdentifier(Invariant):
         self._changes: dict[bytes, int] = {}
 
     def applies(self) -> str:
-        """Since 2.0."""
+        """Exclude profiles without networkId (versions before 2.0)."""
         return "" if self.context.profile.has_header_field("networkId") else "beacons of this profile have no networkId"
 
     def interrupted(self) -> None:
-        """It may have been put into another network."""
+        """Forget the identifiers: a restarted node may have another configuration."""
         self._known.clear()
 
     def feed(self, seen: Seen) -> None:
-        """Compare with the sender's last one."""
+        """Compare with the previous networkId of the sender."""
         beacon = seen.heard.beacon
         if beacon is None or beacon.bp is None or beacon.bp.network_id is None:
             return
@@ -200,17 +207,21 @@ class NetworkIdentifier(Invariant):
                 if changes >= _CHANGES:
                     self.violated(f"{text}; it has changed {changes} times", [before[1], seen], once=seen.sender)
                 else:
-                    self.note("a sender goes to another network", text, [before[1], seen])
+                    self.note("a sender that changes to another network", text, [before[1], seen])
         if before is not None or len(self._known) < MOST_SENDERS:
             self._known[seen.sender] = (number, seen.trace)
 
 
+#: Of the normal distribution, for 99.999 %: a recording has many stations, and campaigns judge thousands of recordings.
+_QUANTILE = 4.417
+
+
 class BeaconPeriod(Invariant):
-    """When beacons come."""
+    """Check the mean interval between beacons."""
 
     id = "CK_BP_PERIOD"
     section = "dcp-bp.md: Transmit Path"
-    purpose = "In the long run there is one beacon in each period"
+    purpose = "On average there is one beacon in each period"
     requirements = ("BP-TX-01",)
     expect = "a mean interval that agrees with the beacon period"
     enough = 1
@@ -221,11 +232,11 @@ class BeaconPeriod(Invariant):
         self._intervals: dict[bytes, list[float]] = {}
 
     def interrupted(self) -> None:
-        """The next interval is none."""
+        """Exclude the interval to the next beacon."""
         self._last.clear()
 
     def feed(self, seen: Seen) -> None:
-        """Collect the intervals between beacons that follow each other."""
+        """Collect the intervals between beacons with successive numbers."""
         last = self._last.get(seen.sender)
         if last is None and len(self._last) >= MOST_SENDERS:
             return
@@ -238,20 +249,21 @@ class BeaconPeriod(Invariant):
                 intervals.append((seen.time - last.time) / MS)
 
     def finish(self) -> None:
-        """Compare the mean, as far as the sample allows."""
+        """Compare the mean interval of each sender with the period, if there are at least 30 intervals."""
         pixit = self.context.pics.pixit
         for sender, all_intervals in self._intervals.items():
             median = statistics.median(all_intervals)
-            # Without anything to say there is no beacon, so a long pause is no late beacon. Time that goes back is a
-            # clock of the recorder that was set.
+            # A node without payloads sends no beacon: a long pause is not a late beacon. A negative interval is a step
+            # of the recorder's clock.
             intervals = [each for each in all_intervals if 0 <= each < 2.5 * median]
             if len(intervals) < 30:
                 continue
             mean, spread = statistics.fmean(intervals), statistics.pstdev(intervals)
-            error = 2.576 * spread / math.sqrt(len(intervals))
-            text = f"{name(sender)}: {mean:.2f} ms +/- {error:.2f} (99 %), n = {len(intervals)}, jitter {spread:.1f} ms"
+            error = _QUANTILE * spread / math.sqrt(len(intervals))
+            size = f"n = {len(intervals)}, jitter {spread:.1f} ms"
+            text = f"{name(sender)}: {mean:.2f} ms +/- {error:.2f} (99.999 %), {size}"
             if not self.context.period_known:
-                self.note("mean interval between beacons", f"{text}; the period is not stated", [])
+                self.note("mean interval between beacons", f"{text}; the period is not specified", [])
                 continue
             self.exercised()
             period, tolerance = pixit.beacon_period_ms, pixit.period_tolerance * pixit.beacon_period_ms
@@ -262,21 +274,21 @@ class BeaconPeriod(Invariant):
 
 
 class SenderIdentifier(Invariant):
-    """The node identifier in the header against the station that the frame comes from."""
+    """Compare senderId with the source address of the frame."""
 
     id = "CK_BP_SENDER"
     section = "dcp-bp.md: Data Types"
-    purpose = "A station sends under its own node identifier"
+    purpose = "A station sends its own node identifier"
     requirements = ("BP-HDR-03", "BP-PAR-09", "DATA-04")
-    expect = "the same senderId in all beacons of a station, and in those of no other station"
+    expect = "the same senderId in all beacons of a station, and no other station with this senderId"
 
     def feed(self, seen: Seen) -> None:
-        """Compare by source address; :mod:`.stations` has found out what it says."""
+        """Report differences that :mod:`dcp_conformance.check.stations` has found."""
         sender, source = seen.heard.sender, seen.heard.source
         if sender is None or seen.heard.beacon is None or not any(source):
             return
         if seen.origin is Origin.USUAL:
-            # The first beacon of a station has nothing to be compared with.
+            # The first beacon of a station cannot be compared with anything.
             known = self.context.senders.get(seen.sender)
             if known is not None and known.beacons > 1:
                 self.exercised()
@@ -291,7 +303,7 @@ class SenderIdentifier(Invariant):
             text = f"{address} sends beacons as {name(sender)}, which is another station with other numbers"
             self.violated(text, frames, "BP-HDR-03", once=(source, sender), cite=3)
         else:
-            # A gateway may carry the beacons of others.
+            # A gateway may forward the beacons of other nodes.
             text = f"frames from {address} also carry the identifier {name(sender)}"
             self.violated(text, frames, once=(source, sender), verdict=Verdict.INFO)
 

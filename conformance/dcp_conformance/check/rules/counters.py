@@ -1,4 +1,4 @@
-"""dcp-bp.md: the counter of beacons."""
+"""dcp-bp.md: the sequence numbers of beacons."""
 
 from __future__ import annotations
 
@@ -9,57 +9,61 @@ from dcp_spec.constants import BP_SEQNO_MODULUS
 from dcp_conformance.check.base import MOST_SENDERS, Context, Invariant, Seen, Trace, name
 
 MS = 1_000_000
-#: A sender that has been restarted has sent so many beacons at most, or two in each period since it was last heard.
+#: The number of the first beacon heard after a restart is at most this, plus two for each period of silence.
 _RESTART = 3
-#: So many restarts, each after less than so many beacons on the average, are none.
+#: Apparent restarts are a fault of the counter if there are at least ``_RESTARTS`` of them, on average less than
+#: ``_LIVED`` beacons apart.
 _RESTARTS, _LIVED = 5, 10
-#: Numbers that were missing, by sender, that may still come: the recorder has them out of order.
+#: Number of missing sequence numbers, for each sender, that may still follow: recorders store some frames out of order.
 _MISSING = 16
-#: Counters narrower than they must be begin again after one of these numbers, at once.
+#: Maximum values of counters that are narrower than 32 bits.
 NARROW = frozenset((1 << bits) - 1 for bits in (4, 7, 8, 10, 12, 15, 16, 24, 31))
+#: From this number on, a single wrap to 0 proves a narrow counter: a restart at just that number is too improbable.
 _NO_ACCIDENT = 4095
-#: So many beacons with one number, not two alike or all alike, show a counter that stands still.
+#: Number of beacons with one sequence number that are a stuck counter; fewer equal beacons are copies of one beacon.
 _STUCK = 4
-#: So many beacons, each right after the one before, of which no two have numbers that follow each other.
+#: Number of successive beacons, without any step of one between their numbers, that are a fault of the counter.
 _JUMPS = 20
 
 
 def narrow_counter(seen: dict[tuple[str, int], int], who: str, before: int, *, restarts_known: bool) -> bool:
-    """Whether 0 after ``before`` shows a counter that is too narrow, and not a restart at just that number.
+    """Whether the number 0 after ``before`` proves a counter with too few bits, and not a restart at that number.
 
-    ``seen`` counts, by node and number. What nobody can come to by chance shows it at once, and so does everything
-    where restarts are known.
+    ``seen`` counts the occurrences by node and number; this call adds one. The first occurrence is a proof if
+    ``before`` is large or if all restarts are known; otherwise the second one is.
     """
     count = seen[who, before] = seen.get((who, before), 0) + 1
     return restarts_known or count > 1 or before >= _NO_ACCIDENT
 
 
 class SequenceNumbers(Invariant):
-    """The beacon counter."""
+    """Check the sequence numbers of beacons."""
 
     id = "CK_BP_SEQNO"
     section = "dcp-bp.md: Transmit Path"
-    purpose = "Beacons of a sender are numbered one after the other"
+    purpose = "The sequence number of a sender increases by one with each beacon"
     requirements = ("BP-HDR-08", "BP-HDR-09")
-    expect = "each beacon's seqno is that of the one before plus one, modulo 2^32"
+    expect = "the seqno of each beacon is the previous one plus one, modulo 2^32"
 
     def __init__(self, context: Context) -> None:
         super().__init__(context)
         self._last: dict[bytes, Trace] = {}
         self._missing: dict[bytes, deque[int]] = {}
         self._restarts: dict[bytes, tuple[int, int]] = {}
-        """How often a sender started again, and how many beacons of it there are."""
+        """Node -> number of its restarts, and number of its beacons."""
         self._period = context.pics.pixit.beacon_period_ms * MS
         self._begin: int | None = None
         self._same: dict[bytes, int] = {}
-        """How many beacons have had the number of the last one."""
+        """Node -> number of successive beacons with the same sequence number."""
         self._wraps: dict[tuple[str, int], int] = {}
+        """(node, number) -> how often 0 followed this number."""
         self._steps: dict[bytes, tuple[int, int]] = {}
-        """How many beacons came within two periods after the one before, and how many of them had the next number."""
+        """Node -> number of beacons within two periods after the previous one, and how many had the next number."""
         self.lost: dict[bytes, int] = {}
+        """Node -> number of missing beacons."""
 
     def feed(self, seen: Seen) -> None:
-        """Compare with the sender's last number."""
+        """Compare with the previous number of the sender."""
         if self._begin is None:
             self._begin = seen.time
         number, first = seen.heard.seqno, self.context.profile.behaviour.first_beacon_seqno
@@ -92,7 +96,7 @@ class SequenceNumbers(Invariant):
             self._judge(seen, last, step)
 
     def _judge(self, seen: Seen, last: Trace, step: int) -> None:
-        """Judge a number that is not the next one."""
+        """Judge a number that is not the successor of the previous one."""
         number, before = seen.heard.seqno or 0, last.seqno or 0
         text = f"{name(seen.sender)}: {number} after {before}"
         restarts, beacons = self._restarts[seen.sender]
@@ -108,30 +112,31 @@ class SequenceNumbers(Invariant):
             )
         elif self._restarted(number, seen.time - last.time, step):
             restarts += 1
-            # What is missing of the life before will not come any more.
+            # Beacons from before the restart will not follow any more.
             self._missing.pop(seen.sender, None)
             self._restarts[seen.sender] = (restarts, beacons)
             if restarts >= _RESTARTS and beacons < _LIVED * restarts:
                 self.violated(
-                    f"{text}; it has started again {restarts} times",
+                    f"{text}; it has restarted {restarts} times",
                     [last, seen],
                     "BP-HDR-08",
                     once=(seen.sender, "again"),
                 )
             else:
-                self.note("a sender starts again", text, [last, seen])
+                self.note("a restarted sender", text, [last, seen])
         else:
             self.violated(text, [last, seen], "BP-HDR-08", once=(seen.sender, step if step < 2 else "back"))
 
     def _narrow(self, seen: Seen, before: int, pause: int) -> bool:
-        """Whether the counter of a sender is narrower than it must be."""
+        """Whether the number 0 after ``before``, ``pause`` ns later, shows a counter of fewer than 32 bits."""
         if seen.heard.seqno != 0 or before not in NARROW or not 0 <= pause < 2 * self._period:
             return False
         return narrow_counter(self._wraps, name(seen.sender), before, restarts_known=self.context.restarts_known)
 
     def _count(self, seen: Seen, last: Trace, step: int) -> None:
-        """Count what shows only in many beacons. A frame that was recorded twice lies beside itself."""
+        """Count equal numbers and steps, which show a fault only over many beacons."""
         pause = seen.time - last.time
+        # A much shorter pause is a copy of the same frame in the recording.
         if step == 0 and pause >= self._period / 2:
             self._same[seen.sender] = self._same.get(seen.sender, 1) + 1
         else:
@@ -141,23 +146,23 @@ class SequenceNumbers(Invariant):
             self._steps[seen.sender] = (soon + 1, next_ones + (step == 1))
 
     def interrupted(self) -> None:
-        """Numbers may start again; what is missing will not come."""
+        """Forget the previous numbers: they may start again after a restart."""
         self._last.clear()
         self._missing.clear()
         self._same.clear()
 
     def _restarted(self, number: int, pause: int, step: int) -> bool:
-        """Whether a sender may have been restarted and have come so far since it was last heard."""
+        """Whether a restart during ``pause`` (ns) explains the number ``number``."""
         if step == 0 and pause < 3 * self._period:
             return False
         return number <= _RESTART + 2 * pause / self._period
 
     def finish(self) -> None:
-        """Say what was lost: that is the recorder's loss as likely as the sender's fault."""
+        """Report counters that never step by one, and the missing beacons; the recorder may have lost these."""
         for sender, (soon, next_ones) in self._steps.items():
             if soon >= _JUMPS and not next_ones:
-                text = f"{name(sender)}: none of {soon} beacons has the number after that of the beacon right before it"
+                text = f"{name(sender)}: none of {soon} beacons has the successor of the previous beacon's number"
                 self.violated(text, [], "BP-HDR-08", once=(sender, "jumps"))
         for sender, count in self.lost.items():
             if count:
-                self.note("beacons that are not in the recording", f"{name(sender)}: {count}", [])
+                self.note("beacons missing in the recording", f"{name(sender)}: {count}", [])

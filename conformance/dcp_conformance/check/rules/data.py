@@ -1,4 +1,4 @@
-"""dcp-datatypes.md: byte order, packing, and what leaks out of memory."""
+"""dcp-datatypes.md: byte order and packing of records."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ DAY = 86_400
 
 
 class ByteOrder(Invariant):
-    """Network byte order, judged by what can be judged: times that are near the clock of the recording."""
+    """Check the byte order of time stamps: only in one order they are near the time of the recording."""
 
     id = "CK_DATA_ORDER"
     section = "dcp-datatypes.md: Basic Transmissible Data Types"
-    purpose = "Numbers are sent most significant octet first"
+    purpose = "Numbers are sent in network byte order (big-endian)"
     requirements = ("DATA-01",)
-    expect = "time stamps that lie near the time of the recording when read most significant octet first"
+    expect = "big-endian time stamps near the time of the recording"
 
     def __init__(self, context: Context) -> None:
         super().__init__(context)
@@ -31,27 +31,27 @@ class ByteOrder(Invariant):
         self._epoch = self._stamp.epoch_ns or 0
 
     def applies(self) -> str:
-        """Only where time stamps say a time of day."""
+        """Exclude profiles whose time stamps have no known epoch."""
         if self._stamp.epoch not in ("unix", "gps"):
-            return "time stamps of this profile count from no known time"
+            return "time stamps of this profile have no known epoch"
         return ""
 
     def feed(self, seen: Seen) -> None:
-        """Read every time stamp in both orders."""
+        """Compare each time stamp in both byte orders with the time of the recording."""
         for field, ticks in _stamps(seen):
             order = self._order(ticks, seen.time)
             if not order:
-                # Both far away, as after a wrong clock, or both near: nothing can be said.
+                # Both are far away (a wrong clock) or both are near: the order cannot be determined.
                 continue
             self.exercised()
             if order == "big":
                 continue
             key = (seen.sender, field)
-            text = f"{name(seen.sender)}: {field} is such a time only when read least significant octet first"
+            text = f"{name(seen.sender)}: {field} is near the time of the recording only if read as little-endian"
             self.violated(text, [] if self.times(key) else [self._mark_of(seen, field)], once=key)
 
     def _order(self, ticks: int, wall: int) -> Literal["big", "little", ""]:
-        """The order of octets in which a time stamp lies near a time; empty for none, or both."""
+        """Return the byte order in which a time stamp is near ``wall`` (ns since 1970); empty for none or both."""
         octets = (ticks % self._modulus).to_bytes(self._stamp.width, self._stamp.byte_order)
         big = self._near(int.from_bytes(octets, "big"), wall)
         little = self._near(int.from_bytes(octets, "little"), wall)
@@ -59,21 +59,23 @@ class ByteOrder(Invariant):
 
     @staticmethod
     def _mark_of(seen: Seen, name_: str) -> Mark:
+        """Return the place of the first field with this name; the whole frame if there is none."""
         field = next((each for each in seen.dissection.root.walk() if each.name == name_), None)
         return Mark(seen.number) if field is None else Mark(seen.number, field.offset, field.length, field.path)
 
     def _near(self, ticks: int, wall: int) -> bool:
+        """Whether a time stamp is less than 30 days from ``wall`` (ns since 1970)."""
         return abs(ticks * self._ns + self._epoch - wall) < 30 * DAY * 1e9
 
 
 class Packing(Invariant):
-    """Records without traces of the memory they were in."""
+    """Check that records have no padding between their fields."""
 
     id = "CK_DATA_PACKED"
     section = "dcp-datatypes.md: Conventions"
-    purpose = "Records are packed: nothing lies between their fields"
+    purpose = "Records are packed: there is no padding between their fields"
     requirements = ("DATA-02",)
-    expect = "records of nothing but the fields of the specification"
+    expect = "records with only the fields of the specification"
 
     def __init__(self, context: Context) -> None:
         super().__init__(context)
@@ -82,9 +84,9 @@ class Packing(Invariant):
         self._opaque = {each.name: each for each in members}
 
     def feed(self, seen: Seen) -> None:
-        """Look at the regions that the profile calls opaque."""
+        """Report the regions that the profile declares as opaque."""
         if seen.heard.report is None:
-            # Octets of a bad payload lie anywhere.
+            # The fields of an invalid payload have no reliable position.
             return
         if not self._opaque:
             self.exercised()
@@ -103,12 +105,12 @@ class Packing(Invariant):
             found.append(f"{what} ({pointer:#x}, an address in memory)" if pointer is not None else what)
             marks.append(Mark(seen.number, field.offset, field.length, field.path))
         if found:
-            text = f"{name(seen.sender)}: {octets} octets of the state report belong to no field: {', '.join(found)}"
+            text = f"{name(seen.sender)}: {octets} octets of the state report are in no field: {', '.join(found)}"
             self.violated(text, marks, once=seen.sender)
 
 
 def _pointer(octets: bytes) -> int | None:
-    """The address of a user's process on a 64-bit machine, if this could be one."""
+    """Return the octets as a user-space address of a 64-bit machine, in either byte order; None if implausible."""
     if len(octets) != 8:
         return None
     orders: tuple[Literal["little", "big"], ...] = ("little", "big")
@@ -120,7 +122,7 @@ def _pointer(octets: bytes) -> int | None:
 
 
 def _stamps(seen: Seen) -> Iterator[tuple[str, int]]:
-    """The time stamps of the sound parts of a frame, with the names of their fields; 0 is none."""
+    """Yield field name and value of the nonzero time stamps in the parts of a frame that can be decoded."""
     report = seen.heard.report
     if report is not None and report.t_stamp:
         yield "tStamp", report.t_stamp

@@ -1,6 +1,6 @@
-"""dcp-vardis.md: what nodes do about what they hear from each other, and who hears whom.
+"""dcp-vardis.md: reactions of nodes to received records, and the links between nodes.
 
-:mod:`.reception` infers both from all reactions together; the rules here put the result into words.
+:mod:`dcp_conformance.check.reception` infers both from all reactions together; these rules report the results.
 """
 
 from __future__ import annotations
@@ -17,20 +17,20 @@ from dcp_conformance.model.verdict import Verdict
 
 __all__ = ["RULES", "Counter"]
 
-#: A link is shown by so many reactions to a speaker alone, and a share that is at least this.
+#: A link is proved by at least ``_ALONE`` reactions to the speaker alone, and a lower bound of the share of ``_SHARE``.
 _ALONE, _SHARE = 2, 0.1
-#: That there is none is shown by so many trials with a share that is next to nothing.
+#: The absence of a link is proved by at least ``_TRIALS`` trials with a share of at most ``_SOME``.
 _SOME, _TRIALS = 0.02, 20
 
 
 class HearsWhom(Invariant):
-    """Who hears whom. Feeds what the other rules ask."""
+    """Report the links between nodes. This rule passes the beacons to the object that the other rules use, too."""
 
     id = "CK_NET_HEARS"
     section = "dcp-architecture.md: UWB"
-    purpose = "Beacons reach the nodes around: who hears whom, as reactions show"
+    purpose = "Beacons reach neighbouring nodes: the reactions show which node hears which"
     requirements = ("UWB-01",)
-    expect = "reactions of others to what a beacon says"
+    expect = "reactions of other nodes to the records of a beacon"
     enough = 1
 
     def __init__(self, context: Context) -> None:
@@ -38,11 +38,11 @@ class HearsWhom(Invariant):
         self._reception = reception_of(context)
 
     def feed(self, seen: Seen) -> None:
-        """Take the beacon, for all rules of this module."""
+        """Process the beacon for all rules of this module."""
         self._reception.feed(seen)
 
     def finish(self) -> None:
-        """Say what was inferred for each node, and of whom nothing can be said."""
+        """Report for each node the nodes that it hears, and those for which there is too little evidence."""
         self._reception.finish()
         nodes = [each for each in self._reception.observer.stations.values() if each.listens]
         found = summary(self._reception.links)
@@ -59,25 +59,26 @@ class HearsWhom(Invariant):
                     self.exercised()
                     until = "" if link.lasts else f", not after {(link.end - self._reception.begin) / 1e9:.0f} s"
                     shown.append(f"{name(speaker.node)} ({link.share:.0%}, {link.reactions:.0f} reactions{until})")
-            text = f"{name(listener.node)} hears {', '.join(shown) or 'nobody that can be told'}"
+            text = f"{name(listener.node)} hears {', '.join(shown) or 'no node for certain'}"
             if unknown:
-                text += f"; too little to say of {', '.join(unknown)}"
-            self.violated(text, [], expected="who hears whom, as reactions show", verdict=Verdict.INFO)
+                text += f"; too little evidence for {', '.join(unknown)}"
+            self.violated(text, [], expected="links between nodes, as reactions show", verdict=Verdict.INFO)
 
 
 class _Reaction(Invariant):
-    """Base: one kind of reaction."""
+    """Base of rules for one kind of reaction."""
 
     enough = 5
     kinds: ClassVar[tuple[Kind, ...]]
+    """The kinds of reaction that the rule judges."""
     by_cause: ClassVar[dict[ICType, str]] = {}
-    """The requirement that a record calls upon, where it is not one for all."""
+    """Kind of record -> the requirement of the reaction to it, if these differ."""
 
     def feed(self, seen: Seen) -> None:
-        """:class:`HearsWhom` has it."""
+        """Do nothing: :class:`HearsWhom` processes the beacon."""
 
     def finish(self) -> None:
-        """Judge what did not come; count what came."""
+        """Count the reactions, and report the missing ones."""
         reception = reception_of(self.context)
         reception.finish()
         for shown in reception.shown.values():
@@ -88,6 +89,7 @@ class _Reaction(Invariant):
                 self._tell(each)
 
     def _tell(self, each: Shortage) -> None:
+        """Report missing reactions; verdict info if they may exceed the node's limits, inconclusive if uncertain."""
         tally = each.tally
         what = "any variable" if each.var_id is None else f"variable {each.var_id}"
         text = (
@@ -99,7 +101,7 @@ class _Reaction(Invariant):
             rules = tuple(dict.fromkeys(self.by_cause.get(said.kind, rules[0]) for said in tally.examples)) or rules
         limit = self._limit(each)
         if not each.certain:
-            text += ", which links that come and go could explain"
+            text += ", which unstable links could explain"
             self.violated(text, tally.examples, *rules, verdict=Verdict.INCONCLUSIVE)
         elif limit:
             text += f"; {limit}, which a node may ignore"
@@ -111,89 +113,94 @@ class _Reaction(Invariant):
             self.violated(text, tally.examples, *rules)
 
     def _speakers(self, each: Shortage) -> str:
+        """Return the clause that names the speakers to whose other records the node reacts; empty if there are none."""
         if not each.speakers:
             return ""
         who = ", ".join(name(node) for node in each.speakers)
         return f", while it reacts to other records of {who}"
 
     def _limit(self, each: Shortage) -> str:
-        """What it was not to take: above all that it has shown to take, it may be above its limits."""
+        """Return how the missed records exceed everything that the node has sent; empty if they do not.
+
+        A node may ignore records that exceed its limits.
+        """
         del each
         return ""
 
     def _reason(self, each: Shortage) -> str:
-        """What all that was missed has in common, and nothing that it reacts to."""
+        """Return a property that all missed records share and no processed record has; empty if there is none."""
         shown = reception_of(self.context).shown[each.station.node]
         if each.tally.late_half and not shown.late_half:
-            return "it reads no more than the first half of a payload"
+            return "it reads only the first half of a payload"
         if each.tally.shortest > shown.longest > 0:
             return (
-                f"it takes no payload as long as these (from {each.tally.shortest} octets on; "
-                f"the longest that it reacts to has {shown.longest})"
+                f"it does not process payloads of {each.tally.shortest} or more octets "
+                f"(the longest one that it reacts to has {shown.longest})"
             )
         return ""
 
 
 class _Taking(_Reaction):
-    """Base: taking something that may be above a node's limits."""
+    """Base of rules for records that may exceed a node's limits."""
 
     def _limit(self, each: Shortage) -> str:
+        """Compare the missed records with the largest ones that the node has sent."""
         station, causes = each.station, each.tally.examples
         for cause in causes:
             above = ""
             if cause.kind is ICType.CREATE_VARIABLES:
                 spec = cause.record.spec
                 if spec.rep_cnt > max(station.repetitions, 1):
-                    above = f"repCnt {spec.rep_cnt} is above all that it has taken ({station.repetitions})"
+                    above = f"repCnt {spec.rep_cnt} is above the largest that it has stored ({station.repetitions})"
                 elif len(spec.descr) > max(station.description, 1):
-                    above = f"a description of {len(spec.descr)} octets is longer than all that it has taken"
+                    above = f"a description of {len(spec.descr)} octets is longer than all that it has stored"
                 elif not spec.descr:
                     above = "the description is empty"
                 value = cause.record.upd.value
             else:
                 value = cause.record.value
             if not above and len(value) > max(station.value, 1):
-                above = f"a value of {len(value)} octets is longer than all that it has taken ({station.value})"
+                above = f"a value of {len(value)} octets is longer than all that it has stored ({station.value})"
             if not above:
                 return ""
         return above if causes else ""
 
 
 class TakesCreations(_Taking):
-    """Creations are taken."""
+    """A node stores a variable after receiving its create."""
 
     id = "CK_VD_TAKES_CREATE"
     section = "dcp-vardis.md: Processing CREATE-VARIABLES"
-    purpose = "A node that hears the create of a variable that it does not know has it from then on"
+    purpose = "A node that hears the create of an unknown variable stores the variable"
     requirements = ("VD-PC-07", "VD-PC-09", "VD-RX-04")
     expect = "the variable in creates, summaries or updates of a node that hears its create"
     kinds = (Kind.TAKE_CREATE,)
 
 
 class TakesUpdates(_Taking):
-    """Updates are taken."""
+    """A node stores the value of a newer update."""
 
     id = "CK_VD_TAKES_UPDATE"
     section = "dcp-vardis.md: Processing UPDATES"
-    purpose = "A node that hears a newer value of a variable has it from then on"
+    purpose = "A node that hears a newer value of a variable stores it"
     requirements = ("VD-PU-07", "VD-RX-04")
     expect = "the newer number in the summaries and updates of a node that hears the update"
     kinds = (Kind.TAKE_UPDATE,)
 
 
 class TakesDeletions(_Reaction):
-    """Deletions are taken."""
+    """A node deletes a variable after receiving its delete."""
 
     id = "CK_VD_TAKES_DELETE"
     section = "dcp-vardis.md: Processing DELETE-VARIABLES"
-    purpose = "A node that hears the delete of a variable of somebody else deletes it and passes that on"
+    purpose = "A node that hears the delete of another node's variable deletes the variable and forwards the delete"
     requirements = ("VD-PD-04",)
-    expect = "a delete, and no summary, of a node that hears a delete"
+    expect = "a delete, and no summary, from a node that hears a delete"
     kinds = (Kind.TAKE_DELETE,)
 
 
 class AnswersUpdateRequests(_Reaction):
-    """Requests for updates are answered."""
+    """A node answers requests for updates."""
 
     id = "CK_VD_ANSWER_UPDATE"
     section = "dcp-vardis.md: Processing REQUEST-VARUPDATES"
@@ -204,7 +211,7 @@ class AnswersUpdateRequests(_Reaction):
 
 
 class AnswersCreateRequests(_Reaction):
-    """Requests for creations are answered."""
+    """A node answers requests for creates."""
 
     id = "CK_VD_ANSWER_CREATE"
     section = "dcp-vardis.md: Processing REQUEST-VARCREATES"
@@ -215,22 +222,22 @@ class AnswersCreateRequests(_Reaction):
 
 
 class AsksForUpdates(_Reaction):
-    """Newer numbers in summaries lead to requests."""
+    """A node requests the value after a summary with a newer number."""
 
     id = "CK_VD_ASK_UPDATE"
     section = "dcp-vardis.md: Processing SUMMARIES"
     purpose = "A node that hears a summary with a newer number asks for the value"
     requirements = ("VD-PS-04",)
-    expect = "a request with the own number after a summary with a newer one"
+    expect = "a request with the node's own number after a summary with a newer one"
     kinds = (Kind.ASK_UPDATE,)
 
 
 class AsksForCreations(_Reaction):
-    """Unknown variables lead to requests."""
+    """A node requests the create of an unknown variable."""
 
     id = "CK_VD_ASK_CREATE"
     section = "dcp-vardis.md: Processing SUMMARIES"
-    purpose = "A node that hears of a variable that it does not know asks for its create"
+    purpose = "A node that hears a record of an unknown variable asks for its create"
     requirements = ("VD-PS-01", "VD-PU-01", "VD-RC-01", "VD-RU-01")
     expect = "a request after the first summary, update or request of an unknown variable"
     kinds = (Kind.ASK_CREATE,)
@@ -243,11 +250,11 @@ class AsksForCreations(_Reaction):
 
 
 class Teaches(_Reaction):
-    """Older numbers of others lead to updates."""
+    """A node sends its value after hearing an older number."""
 
     id = "CK_VD_TEACH"
     section = "dcp-vardis.md: Processing SUMMARIES"
-    purpose = "A node that hears an older number of a variable of somebody else sends its newer value"
+    purpose = "A node that hears an older number of another node's variable sends its newer value"
     requirements = ("VD-PS-03", "VD-PU-06")
     expect = "an update after a summary or update with an older number"
     kinds = (Kind.TEACH,)

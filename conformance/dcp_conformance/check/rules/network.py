@@ -1,9 +1,8 @@
-"""dcp-vardis.md: what a recording shows of a network as a whole.
+"""dcp-vardis.md: rules for a network as a whole.
 
-Values without a source, nodes that disagree or ask for ever, protocols that fall silent.
-
-Most of it is observed and not judged: the recorder hears more than any node does, and the design itself lets nodes
-disagree (hazards H1 to H8).
+They find numbers without a value, nodes that disagree, endless requests, and protocols that fall silent. Most of these
+are reported as info: the recorder hears more than any node, and the design permits that nodes disagree (hazards H1 to
+H8).
 """
 
 from __future__ import annotations
@@ -22,55 +21,63 @@ from dcp_conformance.model.verdict import Verdict
 from .vardis import seqno_of
 
 SECOND = 1_000_000_000
-#: So many beacons with room for it a node gets to send the value that its summaries speak of.
+#: Number of beacons with room in which a node must send the value whose number its summaries state.
 _PATIENCE = 8
-#: Payloads up to this length have room: the bearer carries 256 octets at least.
+#: Payloads up to this length in octets have room: the bearer carries at least 256 octets.
 _ROOM = 180
-#: A number that a producer has had for so long has had its time to arrive.
+#: Time in ns after which a producer's number must have reached all nodes.
 _STABLE = 3 * SECOND
-#: Beacons in which a protocol was there, and in which it is not, before that is worth a line.
+#: A protocol of a node has fallen silent if at least ``_SPOKE`` beacons, and the share ``_MOSTLY`` of all beacons up to
+#: its last payload, had a payload of it, and the last ``_SILENT`` beacons had none.
 _SPOKE, _SILENT, _MOSTLY = 20, 30, 0.9
-#: So many requests for one variable are no longer a matter of loss.
+#: Requests for one variable are endless from this number on; they count as unanswered with fewer than ``_ANSWERED``
+#: answers.
 _OFTEN, _ANSWERED = 10, 3
 
 
 @dataclass(slots=True)
 class _Backing:
-    """What a node says of a variable, and whether it has sent the value."""
+    """The number of a variable that a node states, and whether the node has sent its value."""
 
     said: Statement
-    """Where the node first stated the number."""
+    """The node's first record with this number."""
     number: int
     backed: bool
+    """Whether the node has sent an update or create with this number, or beacons that may have had it are missing."""
     time: int
+    """Time of the node's last record with this number, ns since 1970."""
     before: Statement | None = None
+    """The node's last record with the previous number."""
     last: Statement | None = None
-    """Where the node stated it last."""
+    """The node's last summary with this number."""
     beacons: int = 0
+    """Number of beacons with room for the value but without it."""
 
 
 class Backed(Invariant):
-    """Numbers in summaries have values."""
+    """Check that a node sends the values whose numbers its summaries state."""
 
     id = "CK_VD_BACKED"
     section = "dcp-vardis.md: Global versus Local Dissemination"
-    purpose = (
-        "A node that comes to a new number or a new variable also sends the update or create, and not only summaries"
-    )
+    purpose = "A node that summarises a new number or a new variable also sends its update or create"
     requirements = ("VD-SCP-02", "VD-CMP-04")
-    expect = "an update or create with the number that the summaries of the same node begin to tell"
+    expect = "an update or create with each new number in the summaries of a node"
 
     def __init__(self, context: Context) -> None:
         super().__init__(context)
         self._known: dict[bytes, dict[int, _Backing]] = {}
         self._longest: dict[bytes, int] = {}
+        """Node -> length of its longest beacon in octets."""
         self._whole: dict[bytes, tuple[int, int]] = {}
-        """Since when a node is heard without a gap; in how many beacons in a row it has summarised all that it has."""
+        """Node -> time since which it is heard without a gap (ns since 1970), and number of successive beacons in which
+        it has summarised all its variables."""
         self._created: set[int] = set()
+        """Variables with a create or update in the recording."""
         self._unbacked: dict[bytes, set[int]] = {}
-        """By node: variables of whose number it has sent no value, as long as it may still do so."""
+        """Node -> variables whose value it has not sent, but may still send in time."""
         self._pairs = 0
-        """Of a node and a variable that are followed: of all nodes together, since anybody can builder more."""
+        """Number of entries in ``_known``. It is limited for all nodes together: forged beacons can have any number of
+        variables."""
 
     def feed(self, seen: Seen) -> None:
         """Follow the numbers of the sender."""
@@ -91,10 +98,10 @@ class Backed(Invariant):
         self._longest[seen.sender] = max(length, self._longest.get(seen.sender, 0))
         unbroken, whole = self._whole.get(seen.sender, (0, 0))
         if unbroken != sender.unbroken:
-            # It may have come to a variable in a beacon that is missing.
+            # The node may have sent the create of a variable in a missing beacon.
             whole = 0
-        # What the node says with other records, or says anew, is looked at; a summary that says the same again changes
-        # nothing but the time, which the context keeps.
+        # Only new records and variables without a value are processed. A repeated summary changes only the time, which
+        # the context keeps.
         changed = set(unbacked)
         for each, before in seen.news:
             kind, state = each.kind, known.get(each.var_id)
@@ -120,6 +127,7 @@ class Backed(Invariant):
         self._whole[seen.sender] = (sender.unbroken, whole + 1 if summaries >= len(known) else 0)
 
     def _back(self, known: dict[int, _Backing], each: Statement, time: int) -> None:
+        """Process a create or update: the node has sent the value of this number."""
         state = known.get(each.var_id)
         if state is not None and state.number == seqno_of(each):
             state.backed, state.time = True, time
@@ -130,17 +138,22 @@ class Backed(Invariant):
     def _summary(
         self, known: dict[int, _Backing], each: Statement, seen: Seen, unbroken: int, *, complete: bool, room: bool
     ) -> None:
+        """Process a summary; report its number if its value was not sent in time.
+
+        ``unbroken``: time since which no beacon of the node is missing. ``complete``: all variables of the node are
+        known. ``room``: the beacon had room for the value.
+        """
         state, number = known.get(each.var_id), each.record.seqno
         if state is None:
             if self._pairs < MOST_VARIABLES:
                 self._pairs += 1
-                # Of a node that was heard to the last beacon, all of whose variables are known, this one is new.
+                # If all variables of the node were known so far, this one is new.
                 known[each.var_id] = _Backing(each, number, backed=not complete, time=seen.time)
                 if complete:
                     self._unbacked[seen.sender].add(each.var_id)
             return
         if unbroken > state.time:
-            # The beacon with the value may be missing.
+            # The value may have been in a missing beacon.
             known[each.var_id] = _Backing(each, number, backed=True, time=seen.time)
             self._unbacked[seen.sender].discard(each.var_id)
             return
@@ -159,50 +172,58 @@ class Backed(Invariant):
             self._tell(state, each, seen)
 
     def _tell(self, state: _Backing, each: Statement, seen: Seen) -> None:
+        """Report a number without a value."""
         who = f"{name(seen.sender)}, variable {each.var_id}"
         if state.before is None:
-            nobody = "" if each.var_id in self._created else ", and nobody has ever created it"
-            text = f"{who}: summaries of a variable of which it has sent no create{nobody}"
+            nobody = "" if each.var_id in self._created else ", and no node has created it"
+            text = f"{who}: summaries of a variable without a create of this node{nobody}"
             self.violated(text, [state.said, each], once=(seen.sender, each.var_id, "new"))
             return
-        text = f"{who}: summaries tell {state.number} after {seqno_of(state.before)}, and no update brings that value"
+        text = f"{who}: summaries with {state.number} after {seqno_of(state.before)}, but no update with that number"
         self.violated(text, [state.before, state.said, each], once=(seen.sender, each.var_id))
 
     def finish(self) -> None:
-        """Count what was backed."""
+        """Count the numbers whose values were sent."""
         self._of_all += sum(each.backed for known in self._known.values() for each in known.values())
 
 
 @dataclass(slots=True)
 class _Held:
-    """The number that a node states, and since when."""
+    """The number of a variable that a node states."""
 
     number: int
     since: int
+    """Time of the first record with it, ns since 1970."""
     said: Statement
+    """The first record with it."""
     last: int = 0
+    """Time of a later record with it, ns since 1970; repeated summaries are kept in the context."""
 
 
 class Agreement(Invariant):
-    """What the producer says arrives everywhere, or not."""
+    """Compare the numbers at all nodes with that of the producer; differences are reported as info."""
 
     id = "CK_NET_AGREES"
     section = "dcp-vardis.md: Global versus Local Dissemination"
-    purpose = "All nodes come to the number that the producer of a variable has"
+    purpose = "All nodes reach the sequence number that the producer of a variable has"
     requirements = ("VD-PU-07", "VD-PU-06")
-    expect = "the number of the producer at all nodes, three seconds after it was set"
+    expect = "the number of the producer at all nodes within three seconds"
 
     def __init__(self, context: Context) -> None:
         super().__init__(context)
         self._circle = Circle(context.profile.types.var_seqno.width)
         self._held: dict[int, dict[bytes, _Held]] = {}
+        """Variable -> node -> number that the node states."""
         self._producers: dict[int, bytes] = {}
+        """Variable -> node that sent a create with itself as the producer last."""
         self._recreated: set[int] = set()
+        """Variables whose producer returned to an older number."""
         self._size = 0
+        """Number of entries in ``_held``."""
         context.on_gap.append(self._remember)
 
     def feed(self, seen: Seen) -> None:
-        """Remember numbers; when a producer goes on, compare with what it said before."""
+        """Store the numbers; when a producer changes a number, compare the other nodes with the previous one."""
         for each, _ in seen.news:
             kind = each.kind
             if kind is CREATE and each.record.spec.prod_id == seen.sender:
@@ -229,19 +250,22 @@ class Agreement(Invariant):
             holders[seen.sender] = _Held(number, seen.time, each, seen.time)
 
     def _remember(self, node: bytes, again: Mapping[int, Stamp]) -> None:
-        """What a node said last, before the context forgets it."""
+        """Store the times of a node's last summaries before the context forgets them."""
         for var_id, (_, time) in again.items():
             held = self._held.get(var_id, {}).get(node)
             if held is not None:
                 held.last = time
 
     def _last(self, node: bytes, var_id: int, held: _Held) -> int:
-        """When a node stated its number last, in ns since 1970."""
+        """Return the time of a node's last record with its number, in ns since 1970."""
         again = self.context.said_again(node, var_id)
         return held.last if again is None else again[1]
 
     def _compare(self, var_id: int, producer: bytes, own: _Held, now: int) -> None:
-        """Who has another number than the producer had for long."""
+        """Report nodes that kept another number for at least three seconds while the producer's did not change.
+
+        ``own``: number of the producer. ``now``: end of its validity, ns since 1970.
+        """
         if now - own.since < _STABLE:
             return
         for node, held in self._held[var_id].items():
@@ -254,18 +278,18 @@ class Agreement(Invariant):
             if seconds < _STABLE / 1e9:
                 continue
             text = (
-                f"{name(node)} stays with {held.number} of variable {var_id} for {seconds:.1f} s, "
+                f"{name(node)} keeps {held.number} of variable {var_id} for {seconds:.1f} s, "
                 f"while its producer {name(producer)} has {own.number}"
             )
             if self._circle.newer(held.number, own.number):
                 what = "a stale value that looks newer than that of the producer (H8)"
             else:
-                what = "a value of the producer that does not arrive"
+                what = "a value of the producer that does not reach a node"
             key = (node, var_id, what)
             self.violated(text, [own.said, held.said], expected=what, verdict=Verdict.INFO, once=key)
 
     def finish(self) -> None:
-        """Compare what was said last."""
+        """Compare the last numbers in the recording."""
         for var_id, producer in self._producers.items():
             own = self._held.get(var_id, {}).get(producer)
             if own is not None:
@@ -273,13 +297,13 @@ class Agreement(Invariant):
 
 
 class FallsSilent(Invariant):
-    """A protocol of a node that stops while the node goes on."""
+    """Find protocols that stop sending payloads while their node continues to send beacons; reported as info."""
 
     id = "CK_NET_SILENT"
     section = "dcp-vardis.md: Runtime"
-    purpose = "VarDis and SRP of a node do not fall silent while it sends beacons"
+    purpose = "VarDis and SRP of a node send payloads as long as it sends beacons"
     requirements = ("VD-RUN-02", "SRP-SRV-04")
-    expect = "payloads of a protocol in the beacons of a node, as before"
+    expect = "payloads of a protocol in the beacons of a node up to the end"
 
     def __init__(self, context: Context) -> None:
         super().__init__(context)
@@ -295,7 +319,7 @@ class FallsSilent(Invariant):
             if entry is None:
                 if len(self._voices) >= MOST_SENDERS:
                     continue
-                # Spoke, silent in a row, beacons until it fell silent; and the last frame with it.
+                # Beacons with a payload, successive beacons without one, beacons up to the last payload; last frame.
                 entry = self._voices[key] = ([0, 0, 0], [0])
             counts, last = entry
             if there:
@@ -307,7 +331,7 @@ class FallsSilent(Invariant):
                 counts[1] += 1
 
     def finish(self) -> None:
-        """Say who has fallen silent, and stayed so to the end: an application may have stopped it."""
+        """Report protocols that are silent up to the end: an application may have deactivated them."""
         for (node, protocol), ((spoke, silent, beacons), (last,)) in self._voices.items():
             rule = "VD-RUN-02" if protocol == "VarDis" else "SRP-SRV-04"
             if spoke < _SPOKE:
@@ -320,21 +344,28 @@ class FallsSilent(Invariant):
 
 @dataclass(slots=True)
 class _Asked:
+    """The open requests of one node for one variable."""
+
     count: int
+    """Number of requests."""
     first: Statement
+    """The first request."""
     answers: int = 0
+    """Number of answers that other nodes have sent."""
     answer: Statement | None = None
+    """The last answer."""
     by: set[bytes] = field(default_factory=set)
+    """The nodes that have answered."""
 
 
 class EndlessRequests(Invariant):
-    """Requests that do not end."""
+    """Find requests that a node repeats up to the end of the recording; reported as info with the likely reason."""
 
     id = "CK_VD_ENDLESS"
     section = "dcp-vardis.md: Global versus Local Dissemination"
-    purpose = "Requests end: they are answered, and the answer is taken"
+    purpose = "Requests end: another node answers, and the requesting node stores the answer"
     requirements = ("VD-PC-07", "VD-PU-07", "VD-RC-03", "VD-RU-04")
-    expect = "fewer than ten requests for one variable without an answer that is taken"
+    expect = "fewer than ten requests for one variable before an answer is stored"
 
     def __init__(self, context: Context) -> None:
         super().__init__(context)
@@ -342,7 +373,7 @@ class EndlessRequests(Invariant):
         self._askers: dict[tuple[int, ICType], dict[bytes, None]] = {}
 
     def feed(self, seen: Seen) -> None:
-        """Count requests, and answers of others, until the node has what it asked for."""
+        """Count the requests, and the answers of other nodes, until the requesting node holds the variable."""
         for each, _ in seen.news:
             kind = each.kind
             if kind is ASK_CREATE or kind is ASK_UPDATE:
@@ -362,6 +393,7 @@ class EndlessRequests(Invariant):
                     self._ends(seen.sender, each.var_id, asks)
 
     def _said(self, each: Statement, seen: Seen, asks: ICType) -> None:
+        """Process a record that answers requests of kind ``asks``, and ends those of its sender."""
         askers = self._askers.get((each.var_id, asks))
         if not askers:
             return
@@ -373,18 +405,19 @@ class EndlessRequests(Invariant):
             asked.by.add(seen.sender)
 
     def _ends(self, node: bytes, var_id: int, asks: ICType) -> None:
+        """Remove the requests of a node, if there are any, and count them as ended."""
         asked = self._asked.pop((node, var_id, asks), None)
         if asked is not None:
             del self._askers[var_id, asks][node]
             self.exercised()
 
     def finish(self) -> None:
-        """Tell those that have not ended, with the likely reason."""
+        """Report the requests that have not ended, with the likely reason."""
         for (node, var_id, asks), asked in self._asked.items():
             if asked.count < _OFTEN:
                 continue
             what = "create" if asks is ICType.REQUEST_VARCREATES else "update"
-            text = f"{name(node)} asks {asked.count} times for the {what} of variable {var_id}, to the end"
+            text = f"{name(node)} requests the {what} of variable {var_id} {asked.count} times, up to the end"
             if asked.answers < _ANSWERED or asked.answer is None:
                 text += f"; it was sent {asked.answers} times since the first request"
                 frames = [asked.first]
@@ -395,7 +428,7 @@ class EndlessRequests(Invariant):
             self.violated(text, frames, expected="requests that do not end", verdict=Verdict.INFO)
 
     def _reason(self, node: bytes, answer: Statement) -> str:
-        """Why a node may not take what it asks for: it is above all that the node has shown to take."""
+        """Return the likely reason why a node does not store the answer, mostly that it exceeds the node's limits."""
         station = reception_of(self.context).observer.stations.get(node)
         if station is None:
             return ""
@@ -409,16 +442,16 @@ class EndlessRequests(Invariant):
             if spec.rep_cnt > max(1, station.repetitions):
                 return (
                     f"; the likely reason: repCnt {spec.rep_cnt} is above the node's maximum "
-                    f"(it has taken no more than {station.repetitions})"
+                    f"(it has stored no more than {station.repetitions})"
                 )
             if len(spec.descr) > max(1, station.description):
                 return f"; the likely reason: a description of {len(spec.descr)} octets is above the node's maximum"
         if len(value) > max(1, station.value):
             return (
                 f"; the likely reason: a value of {len(value)} octets is above the node's maximum "
-                f"(it has taken no more than {station.value})"
+                f"(it has stored no more than {station.value})"
             )
-        return "; perhaps the payload is longer than the node takes, or it loses a part of it"
+        return "; the payload may be longer than the node accepts, or the node may lose a part of it"
 
 
 RULES: tuple[type[Invariant], ...] = (Backed, Agreement, EndlessRequests, FallsSilent)

@@ -1,4 +1,4 @@
-"""dcp-vardis.md: how often instructions are sent, and requests that nobody needs to make."""
+"""dcp-vardis.md: the number of repetitions of instructions, and unneeded requests."""
 
 from __future__ import annotations
 
@@ -29,20 +29,22 @@ from dcp_conformance.model.results import Mark
 from .dialogue import Counter
 
 MS = 1_000_000
-#: For how many beacon periods before it is seen on the air a payload may have been composed.
+#: Maximum time from the composition of a payload to its beacon, in beacon periods.
 _COMPOSED = 1.6
-#: A gap in the recording shows within so many ns, or never.
+#: Time in ns after which a gap in the recording must have shown.
 _GAP_SHOWS = 2_000 * MS
-#: Beacons that are kept as possible reasons: some ten seconds of thirty nodes.
+#: Number of beacons that are kept as possible reasons for repetitions: about ten seconds of thirty nodes.
 _FRAMES = 4_000
+#: Requirements of updates after requests with the same number, and of all other repetitions.
 _TOLD, _UNTOLD = ("VD-RU-03",), ("VD-SCP-02", "VD-SCP-03")
 _Key = tuple[bytes, int, ICType]
+"""Node, variable, and kind of record."""
 
 
 class _Frame:
-    """A beacon, for as long as what it says may be a reason for others to send again.
+    """A recent beacon whose records may be a reason for other nodes to send an instruction again.
 
-    Few are ever asked: they are kept as octets, which the recording's evidence shares, and decoded again.
+    Few of these beacons are evaluated. They are therefore kept as octets and decoded again when needed.
     """
 
     __slots__ = ("_number", "_octets", "_of", "node", "time")
@@ -53,7 +55,7 @@ class _Frame:
         self._of: dict[int, list[Statement]] | None = None
 
     def of(self, var_id: int, codec: Codec) -> Sequence[Statement]:
-        """All about one variable."""
+        """Return the records of one variable."""
         if self._of is None:
             self._of = {}
             heard = ReceivedBeacon(codec, self._number, self.time, self.time, self._octets, self.node)
@@ -64,37 +66,44 @@ class _Frame:
 
 @dataclass(slots=True)
 class _Run:
-    """The beacons of a node that carry one instruction."""
+    """The beacons of a node that repeat one instruction."""
 
     what: tuple[Any, ...]
-    """Lifetime of the node, creation, number."""
+    """Identity of the instruction: the node's number of restarts, the creation, and the sequence number."""
     number: int
-    """The sequence number of updates, else 0."""
+    """The sequence number of updates; 0 for other records."""
     rep_cnt: int
+    """repCnt of the variable."""
     begin: int
+    """Time of the first beacon, ns since 1970."""
     last: Statement
+    """The record in the last beacon."""
     weighed: int
-    """The number of frames, in all, up to which reasons have been weighed; before that, the one that began the run."""
+    """Number of frames (since the start of the recording) that were checked for reasons; at first, up to the one that
+    began the run."""
     asked: int
-    """Requests for updates that had told the number before, by whomever."""
+    """Number of requests for updates with this sequence number, by any node, before the run."""
     beacons: int = 1
+    """Number of beacons with the instruction."""
     allowed: int = 0
+    """Number of beacons that repCnt and the known reasons allow."""
     told: int = 0
-    """Requests that told the same number."""
+    """Number of requests with the same sequence number."""
     fresh: bool = True
-    """Whether no reasons have been weighed."""
+    """Whether no frame has been checked for reasons."""
 
 
 class Repetitions(Invariant):
-    """Saids are repeated as often as the VarSpec says.
+    """Check that a node repeats an instruction at most as often as repCnt allows.
 
-    Somebody whom the recorder does not hear may have given a reason to send again. So a node is judged by most of what
-    it repeats, and by nothing during which a beacon was missed.
+    A node that the recorder does not hear may have given a reason to send an instruction again. Therefore a single
+    excess is no failure (see :class:`~dcp_conformance.check.counter.Counter`), and runs with missing beacons do not
+    count.
     """
 
     id = "CK_VD_REPEAT"
     section = "dcp-vardis.md: Global versus Local Dissemination"
-    purpose = "A node sends an instruction in at most repCnt beacons, unless somebody gives it a reason to begin again"
+    purpose = "A node sends an instruction in at most repCnt beacons for each reason to send it"
     requirements = ("VD-SCP-02", "VD-SCP-03", "VD-RU-03")
     expect = "at most repCnt beacons with the same instruction for each reason to send it"
 
@@ -102,30 +111,33 @@ class Repetitions(Invariant):
         super().__init__(context)
         self._circle = Circle(context.profile.types.var_seqno.width)
         self._creation: dict[tuple[bytes, int], tuple[Any, ...]] = {}
-        """(node, variable) -> the creation that it spoke of last, and its repCnt."""
+        """(node, variable) -> producer, creation time and repCnt in the node's last create."""
         self._runs: dict[_Key, _Run] = {}
         self._frames: deque[_Frame] = deque()
-        """What was said lately. It is looked at for runs that are longer than without a reason: nearly none is."""
+        """Recent beacons. They are evaluated only for the few runs that exceed repCnt."""
         self._dropped = 0
-        """Frames that are gone from there."""
+        """Number of frames that were removed from the start of ``_frames``."""
         self._asked: dict[tuple[int, int], int] = {}
-        """(variable, number) -> requests for updates that told it."""
+        """(variable, number) -> number of requests for updates with this number."""
         self._deleting = 0
-        """Runs of deletes."""
+        """Number of open runs of deletes."""
         self._closed: deque[tuple[int, _Key, _Run]] = deque()
+        """Ended runs, with the time of their end in ns since 1970, until a gap in the recording is excluded."""
         self._counters: dict[tuple[bytes, ICType, bool], Counter] = {}
+        """(node, kind, whether requests had the same number) -> numbers of runs and of excessive ones."""
         self._examples: dict[tuple[bytes, ICType, bool], str] = {}
+        """The same key -> text about the first excessive run."""
         self._composed = round(_COMPOSED * context.pics.pixit.beacon_period_ms * MS)
 
     def feed(self, seen: Seen) -> None:
-        """Count beacons; requests and older numbers of others allow more."""
+        """Count the beacons with each instruction; requests and older numbers from other nodes allow more of them."""
         node, now = seen.sender, seen.time
         if self._closed:
             self._count(now)
         if seen.parts:
             self._frames.append(_Frame(seen))
             if len(self._frames) > _FRAMES:
-                # A reason shows in what is sent soon after it, or not at all.
+                # A reason has an effect soon, or not at all.
                 self._frames.popleft()
                 self._dropped += 1
         for each, _ in seen.news:
@@ -136,7 +148,7 @@ class Repetitions(Invariant):
             if kind is DELETE:
                 self._close(now, (node, var_id, CREATE), (node, var_id, UPDATE))
             elif self._deleting and (kind is CREATE or kind is UPDATE or kind is SUMMARY):
-                # A node that says anything else of a variable has it: it may be deleted another time.
+                # A node that sends another record of the variable holds it, and may delete it again.
                 self._close(now, (node, var_id, DELETE))
             if kind is CREATE or kind is UPDATE or kind is DELETE:
                 self._sent(each, now)
@@ -144,7 +156,7 @@ class Repetitions(Invariant):
                 self._asked[var_id, each.number] = self._asked.get((var_id, each.number), 0) + 1
 
     def _rep_cnt(self, node: bytes, var_id: int) -> int | None:
-        """As the node said itself, or as it was said of the only life of the variable; else nobody knows."""
+        """Return repCnt in the node's own create, or in that of the variable's only lifetime; None if unknown."""
         own = self._creation.get((node, var_id))
         if own is not None:
             return int(own[2])
@@ -154,6 +166,7 @@ class Repetitions(Invariant):
         return int(first[1].record.spec.rep_cnt)
 
     def _sent(self, each: Statement, now: int) -> None:
+        """Add a create, update or delete to its run, or start a new run; ``now`` in ns since 1970."""
         key = (each.sender, each.var_id, each.kind)
         number = each.number if each.kind is UPDATE else 0
         what = (self.context.senders.life(each.sender), *self._creation.get(key[:2], ())[:2], number)
@@ -174,10 +187,13 @@ class Repetitions(Invariant):
         self._deleting += each.kind is DELETE
 
     def _weigh(self, key: _Key, run: _Run, *, complete: bool = False) -> None:
-        """Allow more for each reason that was not weighed yet, until there are enough; all of them if ``complete``."""
+        """Allow more beacons for each reason in frames not checked yet, until the run is allowed.
+
+        ``complete``: check all frames.
+        """
         begin = max(run.weighed - self._dropped, 0)
         if run.fresh:
-            # A payload may have been composed a while before: what was said meanwhile counts for the next one.
+            # The first payload may have been composed earlier: records heard since then are reasons for the next one.
             run.fresh = False
             while begin and self._frames[begin - 1].time >= run.begin - self._composed:
                 begin -= 1
@@ -192,21 +208,21 @@ class Repetitions(Invariant):
         run.weighed = self._dropped + begin
 
     def _allow(self, key: _Key, run: _Run, kind: ICType, told: int) -> None:
-        """Allow more, if this record of somebody else is a reason for it."""
+        """Allow more beacons if this record of another node is a reason; ``told`` is its sequence number."""
         if key[2] is CREATE:
             run.allowed += run.rep_cnt if kind is ASK_CREATE else 0
         elif key[2] is DELETE:
-            # Created again, and deleted again before that was passed on.
+            # The variable was created again, and deleted again before the node forwarded the create.
             run.allowed += run.rep_cnt if kind is CREATE else 0
         elif kind is ASK_UPDATE or kind is SUMMARY or kind is UPDATE:
             if told == run.number:
                 run.told += kind is ASK_UPDATE
             elif not self._circle.newer(told, run.number):
-                # Older, or half the circle away, which can be taken either way (X28).
+                # Older, or half the circle away, which may count as older or newer (X28).
                 run.allowed += run.rep_cnt
 
     def _close(self, time: int, *keys: _Key) -> None:
-        """A run has ended; it is counted when it is certain that no beacon was missed."""
+        """End runs; :meth:`_count` evaluates them when missing beacons are excluded. ``time`` in ns since 1970."""
         for key in keys:
             run = self._runs.pop(key, None)
             if run is not None:
@@ -217,6 +233,7 @@ class Repetitions(Invariant):
                 self._closed.append((time, key, run))
 
     def _count(self, now: int) -> None:
+        """Count the ended runs that are old enough to exclude missing beacons; ``now`` in ns since 1970."""
         while self._closed and self._closed[0][0] + _GAP_SHOWS < now:
             _, (node, var_id, kind), run = self._closed.popleft()
             if not self.context.senders.complete(run.begin - self._composed, run.last.time):
@@ -232,45 +249,48 @@ class Repetitions(Invariant):
                 self._examples[key] = f"{what} in {run.beacons} beacons, {run.allowed} allowed"
 
     def finish(self) -> None:
-        """Judge the counts."""
+        """End the open runs, and report nodes that mostly exceed the number of repetitions."""
         self._close(0, *list(self._runs))
         self._count(1 << 63)
         for key, counter in self._counters.items():
             if not counter.convincing:
                 continue
             node, _, told = key
-            text = f"{name(node)}: {counter.missed} of {counter.occasions} times too often, first {self._examples[key]}"
+            text = (
+                f"{name(node)}: too many beacons in {counter.missed} of {counter.occasions} cases, "
+                f"first {self._examples[key]}"
+            )
             if told:
-                text += "; requests had told the same number, which must not be answered"
+                text += "; requests with the same number must not be answered"
             self.violated(text, counter.examples, *(_TOLD if told else _UNTOLD))
 
 
 class Requests(Invariant):
-    """Nobody asks for what it has."""
+    """Check that a node does not request variables that it holds."""
 
     id = "CK_VD_REQUEST"
     section = "dcp-vardis.md: Global versus Local Dissemination"
-    purpose = (
-        "A node asks for the creation of variables that it does not have, and does not pass on the requests of others"
-    )
+    purpose = "A node requests only variables that it does not hold, and does not forward the requests of other nodes"
     requirements = ("VD-SCP-01",)
-    expect = "no request for a variable that the node has in the same payload, or has summarised right before"
+    expect = "no request for a variable that the node has in the same payload, or has summarised before"
 
     def __init__(self, context: Context) -> None:
         super().__init__(context)
         self._asked: dict[tuple[bytes, int], list[int]] = {}
+        """(node, variable) -> number of requests, and frame number of the first one."""
         self._producers: dict[int, bytes] = {}
+        """Variable -> producer in the last create."""
         self._sent: dict[int, int] = {}
-        """How often the create of a variable was sent after the first request for it."""
+        """Variable -> number of creates after the first request for it."""
 
     def feed(self, seen: Seen) -> None:
-        """Compare requests with what the node last said."""
+        """Compare requests with the node's previous record of the variable."""
         for each, before in seen.news:
             if each.kind is ASK_CREATE:
                 self.exercised()
                 self._count(each, seen)
                 if before is not None:
-                    text = f"{name(seen.sender)} asks for variable {each.var_id}, which it has"
+                    text = f"{name(seen.sender)} asks for variable {each.var_id}, which it holds"
                     self.violated(text, [before, each], once=(seen.sender, each.var_id))
             elif each.kind is CREATE:
                 self._producers[each.var_id] = each.record.spec.prod_id
@@ -278,13 +298,14 @@ class Requests(Invariant):
                     self._sent[each.var_id] += 1
 
     def _count(self, each: Statement, seen: Seen) -> None:
+        """Count a request."""
         key = (seen.sender, each.var_id)
         if key in self._asked or len(self._asked) < MOST_VARIABLES:
             self._asked.setdefault(key, [0, each.frame])[0] += 1
             self._sent.setdefault(each.var_id, 0)
 
     def finish(self) -> None:
-        """Hazards of the design: requests that never end, and producers that ask for their own variables."""
+        """Report hazards of the design: requests that never end, and producers that request their own variables."""
         by_variable: dict[int, list[tuple[bytes, int, int]]] = {}
         for (node, var_id), (count, first) in self._asked.items():
             by_variable.setdefault(var_id, []).append((node, count, first))
@@ -293,11 +314,15 @@ class Requests(Invariant):
                 self.note("a producer that has forgotten its own variable (H2)", text, [Mark(first)])
         for var_id, askers in by_variable.items():
             often = [each for each in askers if each[1] >= 10]
-            # Where it is sent again and again, somebody has it: CK_VD_ENDLESS tells why it may not be taken.
+            # If the create is sent repeatedly, some node holds the variable: CK_VD_ENDLESS reports the likely reason.
             if len(often) >= 2 and self._sent[var_id] < len(often):
                 who = ", ".join(f"{name(node)} {count} times" for node, count, _ in often)
                 marks = [Mark(first) for _, _, first in often]
-                self.note("nodes that ask each other for what neither has (H1)", f"variable {var_id}: {who}", marks)
+                self.note(
+                    "nodes that request a variable from each other that neither holds (H1)",
+                    f"variable {var_id}: {who}",
+                    marks,
+                )
 
 
 RULES: tuple[type[Invariant], ...] = (Repetitions, Requests)

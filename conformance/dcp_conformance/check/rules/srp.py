@@ -1,4 +1,4 @@
-"""dcp-srp.md: state reports of each sender."""
+"""dcp-srp.md: the state reports of each sender."""
 
 from __future__ import annotations
 
@@ -13,33 +13,35 @@ from dcp_conformance.model.verdict import Verdict
 
 from .counters import NARROW, narrow_counter
 
-#: A node whose state reports have started again has made so many at most, or one in so many ns.
+#: The number of the first report heard after a restart is at most ``_RESTART``, plus one for each ``_SPACING`` ns.
 _RESTART, _SPACING = 3, 10_000_000
-#: A node that was not restarted in between has sent so many beacons at most, or after so many ns at most.
+#: A restart between two beacons is excluded if their numbers differ by at most ``_BEACONS``, or (for beacons without
+#: numbers) if they are less than ``_SOON`` ns apart.
 _BEACONS, _SOON = 20, 250_000_000
-#: A clock may be set back; so often it is not a clock.
+#: Number of steps back from which on time stamps are a fault, and not a clock that was set.
 _STEPS = 3
-#: A step of the numbers between two beacons in a row that is larger than this, and than ten times what is usual, is
-#: seldom an application that hands its data down so often.
+#: A step between the numbers of two successive reports is suspicious if it exceeds this plus ten times the largest step
+#: so far: an application seldom submits its safety data that often.
 _LEAP = 1_000
-#: So many different reports in a row with one number show a counter that stands still.
+#: Number of successive different reports with one sequence number that are a stuck counter.
 _STUCK = 5
-#: So many reports with one time, the last sent so many ns after the first, show a clock that stands still.
+#: Number of reports with one time stamp, and time in ns from the first to the last, that are a stopped clock.
 _FROZEN, _FROZEN_FOR = 10, 3_000_000_000
+#: One day in ns.
 _DAY = 86_400_000_000_000
 
 
 class OwnReports(Invariant):
-    """State reports are about who sends them."""
+    """Check that a node sends only its own state reports."""
 
     id = "CK_SRP_OWN"
     section = "dcp-srp.md: Data Types"
-    purpose = "State reports are about the node that sends them, and never forwarded"
+    purpose = "A node sends only its own state reports, and does not forward those of other nodes"
     requirements: ClassVar[tuple[str, ...]] = ("SRP-TYP-04", "SRP-RX-06")
     expect = "the sender's own nodeId in its state reports"
 
     def feed(self, seen: Seen) -> None:
-        """Compare with the sender."""
+        """Compare nodeId of the report with the sender of the beacon."""
         report = seen.heard.report
         if report is None or seen.heard.sender is None:
             return
@@ -50,11 +52,11 @@ class OwnReports(Invariant):
 
 
 class ReportLength(Invariant):
-    """One record of a fixed size."""
+    """Check that SRP payloads have one fixed length."""
 
     id = "CK_SRP_LENGTH"
     section = "dcp-srp.md: Packet Format"
-    purpose = "Every SRP payload is one record, always of the same length"
+    purpose = "Every SRP payload is one record of fixed length"
     requirements = ("SRP-FMT-01", "SRP-TYP-02", "SRP-TYP-03")
     expect = "SRP payloads of one length"
 
@@ -65,18 +67,18 @@ class ReportLength(Invariant):
         self._size = getattr(plan, "size", None)
 
     def interrupted(self) -> None:
-        """Another program may have been started."""
+        """Forget the lengths: another program may have been started."""
         self._lengths.clear()
 
     def feed(self, seen: Seen) -> None:
-        """Compare lengths; a wrong one is an error of the dissector already."""
+        """Compare the length with that of earlier reports, and report the errors of the dissector."""
         if seen.sound and seen.heard.report is None:
             return
         for problem in () if seen.sound else seen.dissection.errors:
             if problem.requirement == "SRP-RX-01":
                 self.violated(f"{name(seen.sender)}: {problem}", [seen], once=(seen.sender, problem.reason))
         if seen.sound and self._size is not None:
-            # The strict decoder takes no report of another length.
+            # The strict decoder accepts only this length.
             self._compare(seen, self._size)
             return
         payloads = seen.dissection.root.child("payloads")
@@ -87,6 +89,7 @@ class ReportLength(Invariant):
             self._compare(seen, report.length)
 
     def _compare(self, seen: Seen, length: int) -> None:
+        """Compare a length in octets with the first one of the sender."""
         before = self._lengths.get(seen.sender)
         if before is None:
             if len(self._lengths) < MOST_SENDERS:
@@ -99,18 +102,20 @@ class ReportLength(Invariant):
 
 
 class _Last(NamedTuple):
+    """A state report and the trace of its frame."""
+
     report: ExtendedSafetyData
     seen: Trace
 
 
 class ReportNumbers(Invariant):
-    """The report counter and what it counts."""
+    """Check sequence numbers and time stamps of successive state reports."""
 
     id = "CK_SRP_SEQNO"
     section = "dcp-srp.md: The Sequence Number"
-    purpose = "Each new state report has the next sequence number and is not older than the one before"
+    purpose = "Each new state report has the next sequence number and is not older than the previous one"
     requirements = ("SRP-SEQ-01", "SRP-TYP-05", "SRP-TYP-06")
-    expect = "seqno plus one for each new report, tStamp not going back"
+    expect = "a seqno that increases by one with each new report, and a tStamp that does not decrease"
 
     def __init__(self, context: Context) -> None:
         super().__init__(context)
@@ -118,27 +123,29 @@ class ReportNumbers(Invariant):
         self._lost: dict[bytes, int] = {}
         self._back: dict[bytes, int] = {}
         self._same: dict[bytes, int] = {}
-        """How many different reports in a row have had the number of the last one."""
+        """Node -> number of successive different reports with the same sequence number."""
         self._narrow: dict[tuple[str, int], int] = {}
+        """(node, number) -> how often 0 followed this number."""
         self._frozen: dict[bytes, tuple[int, int, Trace]] = {}
-        """A time stamp, how many reports in a row have had it, and the first of them."""
+        """Node -> time stamp, number of successive reports with it, and the first of them."""
         self._odd: dict[bytes, tuple[_Last, _Last]] = {}
-        """A report that starts again or leaps, until the next one shows whether that is true; and the one before it."""
+        """Node -> the last regular report, and one after it whose number restarts or jumps. The next report decides
+        whether the number was wrong."""
         self._usual: dict[bytes, int] = {}
-        """The largest step of the numbers between two reports in a row that was no leap."""
+        """Node -> the largest step between the numbers of successive reports that was not a jump."""
 
     def interrupted(self) -> None:
-        """Numbers may start again."""
+        """Forget the previous reports: numbers may start again after a restart."""
         self._last.clear()
         self._same.clear()
         self._frozen.clear()
         self._odd.clear()
 
     def feed(self, seen: Seen) -> None:
-        """Compare with the node's last report."""
+        """Compare with the node's previous report."""
         report = seen.heard.report
         if report is None or (seen.heard.sender is not None and report.node_id != seen.sender):
-            # A report under another name shows nothing of the node that has it: CK_SRP_OWN blames the sender.
+            # A report of another node is no evidence about that node; CK_SRP_OWN reports its sender.
             return
         last = self._last.get(report.node_id)
         if last is None and len(self._last) >= MOST_SENDERS:
@@ -176,7 +183,7 @@ class ReportNumbers(Invariant):
             if _continues(last.seen, seen):
                 self._odd[report.node_id] = (last, self._last[report.node_id])
             else:
-                self.note("a node starts its reports again", who, both)
+                self.note("a node that restarts its reports", who, both)
             return
         self.exercised()
         if step >= SRP_SEQNO_MODULUS // 2:
@@ -189,15 +196,15 @@ class ReportNumbers(Invariant):
             self._usual[report.node_id] = max(step, self._usual.get(report.node_id, 1))
             self._lost[report.node_id] = self._lost.get(report.node_id, 0) + step - 1
         if report.t_stamp < last.report.t_stamp and step < SRP_SEQNO_MODULUS // 2:
-            text = f"{who}: tStamp goes back by {last.report.t_stamp - report.t_stamp} with seqno {report.seqno}"
+            text = f"{who}: tStamp decreases by {last.report.t_stamp - report.t_stamp} with seqno {report.seqno}"
             steps = self._back[report.node_id] = self._back.get(report.node_id, 0) + 1
             if steps >= _STEPS:
-                self.violated(f"{text}; it has gone back {steps} times", both, "SRP-TYP-05", once=(who, "time"))
+                self.violated(f"{text}; it has decreased {steps} times", both, "SRP-TYP-05", once=(who, "time"))
             else:
                 self.note("a clock that was set back", text, both, "SRP-TYP-05")
 
     def _was_odd(self, report: ExtendedSafetyData, seen: Seen, who: str) -> bool:
-        """Judge a report that did not fit, by the one after it; whether that one goes on where the others were."""
+        """Judge a report with an unexpected number by the next report; return whether that continues the old ones."""
         if (odd := self._odd.pop(report.node_id, None)) is None:
             return False
         before, between = odd
@@ -208,14 +215,14 @@ class ReportNumbers(Invariant):
             self.violated(f"{who}: {numbers}", frames, "SRP-SEQ-01", once=(who, "odd"))
             return True
         if between.report.seqno <= _RESTART:
-            self.note("a node starts its reports again", who, frames[:2])
+            self.note("a node that restarts its reports", who, frames[:2])
         else:
             text = f"{who}: {between.report.seqno} after {before.report.seqno}"
-            self.note("the numbers of state reports leap", text, frames[:2], "SRP-SEQ-01")
+            self.note("a jump of the numbers of state reports", text, frames[:2], "SRP-SEQ-01")
         return False
 
     def _clock(self, report: ExtendedSafetyData, seen: Seen, who: str, step: int) -> None:
-        """Whether the time stamps of new reports stand still."""
+        """Report time stamps that do not change from one new report to the next."""
         stamp, count, first = self._frozen.get(report.node_id, (None, 0, seen.trace))
         if stamp != report.t_stamp:
             self._frozen[report.node_id] = (report.t_stamp, 1, seen.trace)
@@ -226,27 +233,27 @@ class ReportNumbers(Invariant):
             self.violated(text, [first, seen], "SRP-TYP-05", once=(who, "frozen"))
 
     def finish(self) -> None:
-        """Reports that were never seen: replaced before they were sent, or lost."""
+        """Report restarts, and missing reports: these were replaced before they were sent, or lost."""
         for node_id, (before, last) in self._odd.items():
             if last.report.seqno <= _RESTART:
-                self.note("a node starts its reports again", name(node_id), [before.seen, last.seen])
+                self.note("a node that restarts its reports", name(node_id), [before.seen, last.seen])
         for node_id, count in self._lost.items():
-            self.note("state reports that are not in the recording", f"{name(node_id)}: {count}", [])
+            self.note("state reports missing in the recording", f"{name(node_id)}: {count}", [])
 
 
 def _continues(last: Trace, seen: Seen) -> bool:
-    """Whether a node was not restarted between two of its beacons: their numbers go on."""
+    """Whether the beacon numbers exclude a restart of a node between two of its beacons."""
     if last.seqno is None or seen.heard.seqno is None:
         return seen.time - last.time < _SOON
     return 0 < (seen.heard.seqno - last.seqno) % BP_SEQNO_MODULUS <= _BEACONS
 
 
 class ReportTime(Invariant):
-    """When a report was made."""
+    """Compare the time stamps of state reports with the clock of the recording."""
 
     id = "CK_SRP_TIME"
     section = "dcp-srp.md: SRP-UpdateSafetyData"
-    purpose = "A state report was made before it was sent, and not long before"
+    purpose = "A state report is generated shortly before it is sent"
     requirements = ("SRP-TYP-05", "DATA-05")
     expect = "a tStamp within the clock tolerance of the recording's time"
 
@@ -256,11 +263,11 @@ class ReportTime(Invariant):
         self._tolerance = round(context.pics.pixit.clock_tolerance_ms * 1_000_000)
 
     def applies(self) -> str:
-        """Only where stamps are comparable with the recording."""
+        """Exclude profiles whose time stamps cannot be compared with the recording's clock."""
         return "" if self._stamp.epoch == "unix" and self._stamp.unit != "ps" else "its time stamps have no known epoch"
 
     def feed(self, seen: Seen) -> None:
-        """Compare with the recording's clock. A clock that is off is the clock's fault: reported, not judged."""
+        """Compare with the recording's clock; a difference is reported as info, since a clock may be wrong."""
         report = seen.heard.report
         if report is None or (seen.heard.sender is not None and report.node_id != seen.sender):
             return
@@ -268,7 +275,7 @@ class ReportTime(Invariant):
         ahead = made - seen.time
         self.exercised()
         if ahead > self._tolerance:
-            text = f"{name(report.node_id)}: made {ahead / 1e9:.1f} s after it was recorded"
+            text = f"{name(report.node_id)}: generated {ahead / 1e9:.1f} s after it was recorded"
             self.violated(text, [seen], once=(report.node_id, "ahead"), verdict=Verdict.INFO)
         elif -ahead > self._tolerance + 60_000_000_000:
             text = f"{name(report.node_id)}: {-ahead / 1e9:.0f} s old when recorded"
@@ -276,13 +283,13 @@ class ReportTime(Invariant):
 
 
 class ReportValues(Invariant):
-    """What the safety data says."""
+    """Check the plausibility of safety data and time stamps."""
 
     id = "CK_SRP_VALUES"
     section = "dcp-srp.md: Data Types"
-    purpose = "Safety data consists of numbers, and time stamps follow each other"
+    purpose = "Safety data has finite values, and successive time stamps are close together"
     requirements = ("SRP-TYP-02", "SRP-TYP-05")
-    expect = "finite numbers, and a tStamp near that of the report before"
+    expect = "finite numbers, and a tStamp near that of the previous report"
 
     def __init__(self, context: Context) -> None:
         super().__init__(context)
@@ -290,11 +297,11 @@ class ReportValues(Invariant):
         self._last: dict[bytes, tuple[int, Trace]] = {}
 
     def applies(self) -> str:
-        """Only where there are reports."""
+        """Exclude profiles without state reports."""
         return "" if self.context.profile.srp.record else "the profile has no octets for a state report"
 
     def feed(self, seen: Seen) -> None:
-        """Look at each number, and compare the steps of both clocks: neither is judged, an application may be wrong."""
+        """Check each number, and the step of tStamp; both are reported as info, since the application may be wrong."""
         report = seen.heard.report
         if report is None or report.node_id != seen.sender:
             return
@@ -313,11 +320,12 @@ class ReportValues(Invariant):
         made = self._stamp.nanoseconds(report.t_stamp) - self._stamp.nanoseconds(before[0])
         self.exercised("SRP-TYP-05")
         if abs(made) > _DAY and abs(seen.time - before[1].time) < _SOON * 20:
-            text = f"{name(seen.sender)}: tStamp leaps by {made / 1e9:+.1f} s between two reports"
+            text = f"{name(seen.sender)}: tStamp jumps by {made / 1e9:+.1f} s between two reports"
             self._observe(text, [before[1], seen], (seen.sender, "leap"))
 
     def _observe(self, text: str, frames: list[Evidence], key: object) -> None:
-        expected = "a value that no application means"
+        """Report an implausible value as info, at most three times for each key."""
+        expected = "an implausible value"
         self.violated(text, frames, expected=expected, verdict=Verdict.INFO, once=key, cite=3)
 
 

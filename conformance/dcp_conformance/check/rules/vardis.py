@@ -1,4 +1,4 @@
-"""dcp-vardis.md: what each payload shows for itself."""
+"""dcp-vardis.md: rules that a single VarDis payload can break."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from dcp_conformance.check.statements import CREATE, DELETE, SUMMARY, UPDATE, Pa
 from dcp_conformance.frames.received import Instruction
 from dcp_conformance.model.verdict import Verdict
 
-#: Sequences of containers that are remembered as sound.
+#: Maximum number of container sequences that are remembered as valid.
 _SEQUENCES = 1024
-#: What says which number of a variable its sender has.
+#: Records that state the number of a variable that their sender holds.
 SENT = (ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.SUMMARIES)
 
 
 def seqno_of(instruction: Instruction | Statement) -> int:
-    """The number that a VC, VU, VS or RU carries."""
+    """Return the sequence number in a create, update, summary or request for an update."""
     if isinstance(instruction, Statement):
         return instruction.number
     record = instruction.record
@@ -30,22 +30,22 @@ def seqno_of(instruction: Instruction | Statement) -> int:
 
 
 class ContainerOrder(Invariant):
-    """The order of containers."""
+    """Check the order of containers in a payload."""
 
     id = "CK_VD_ORDER"
     section = "dcp-vardis.md: Payload Construction"
-    purpose = "Containers stand in the order in which payloads are composed"
+    purpose = "The containers of a payload have the order in which payloads are composed"
     requirements = ("VD-PAY-01",)
-    expect = "containers in the specification's order of composing"
+    expect = "containers in the order that the specification gives for composing payloads"
 
     def __init__(self, context: Context) -> None:
         super().__init__(context)
         self._rank = {kind: rank for rank, kind in enumerate(context.features.container_order)}
         self._sound: set[tuple[type, ...]] = set()
-        """Sequences of records that break nothing."""
+        """Sequences of record types without a violation."""
 
     def feed(self, seen: Seen) -> None:
-        """Compare neighbours."""
+        """Compare each container with the next one."""
         containers = seen.heard.containers
         if len(containers) < 2:
             return
@@ -59,13 +59,14 @@ class ContainerOrder(Invariant):
             self._sound.add(kinds_seen)
 
     def _judge(self, seen: Seen) -> None:
+        """Report containers in another order, and several containers of one type."""
         first = [each for each in seen.heard.instructions() if each.position == 0]
         if len(first) < 2:
             return
         for before, after in itertools.pairwise(first):
             self.exercised()
             if self._rank[after.kind] < self._rank[before.kind]:
-                text = f"{name(seen.sender)}: {after.kind.label} behind {before.kind.label}"
+                text = f"{name(seen.sender)}: {after.kind.label} after {before.kind.label}"
                 self.violated(text, [before, after], once=(seen.sender, before.kind, after.kind))
         kinds = [each.kind for each in first]
         if len(set(kinds)) < len(kinds):
@@ -74,22 +75,22 @@ class ContainerOrder(Invariant):
             several = self.context.features.several_containers_per_type
             verdict = Verdict.INFO if several else Verdict.FAIL
             expected = (
-                "several containers of one type in a payload" if several else "one container of each type at most"
+                "several containers of one type in a payload" if several else "at most one container of each type"
             )
             self.violated(text, [seen], "VD-IC-04", expected=expected, verdict=verdict, once=(seen.sender, doubled))
 
 
 class PayloadConsistency(Invariant):
-    """A payload is composed from one state of the database."""
+    """Check that the records of one payload agree with one state of the database."""
 
     id = "CK_VD_PAYLOAD"
     section = "dcp-vardis.md: Payload Construction"
-    purpose = "All that one payload says of a variable is of the same state of it"
+    purpose = "All records of a variable in one payload show the same state of the variable"
     requirements = ("VD-CMP-04", "VD-UPD-10", "VD-CMP-05")
     expect = "one sequence number for each variable in a payload, and no summary of a deleted one"
 
     def feed(self, seen: Seen) -> None:
-        """Compare the records about each variable."""
+        """Compare the records of each variable."""
         if _plain(seen.parts):
             return
         said = seen.said if any(kind is DELETE for kind, _, _ in seen.parts) else _repeated(seen)
@@ -111,12 +112,12 @@ class PayloadConsistency(Invariant):
             if kind is SUMMARY and deleted:
                 self.exercised("VD-CMP-05")
                 if each.var_id in deleted:
-                    text = f"{name(seen.sender)} deletes and summarises variable {each.var_id}"
+                    text = f"{name(seen.sender)} deletes and summarises variable {each.var_id} in one payload"
                     self.violated(text, [deleted[each.var_id], each], "VD-CMP-05", once=(seen.sender, each.var_id))
 
 
 def _repeated(seen: Seen) -> list[Statement]:
-    """The creates, updates and summaries of a beacon about variables that have several of them."""
+    """Return the creates, updates and summaries of those variables that have several of them in a beacon."""
     counts = Counter(
         itertools.chain.from_iterable(
             ids for kind, _, ids in seen.parts if kind is SUMMARY or kind is UPDATE or kind is CREATE
@@ -133,7 +134,7 @@ def _repeated(seen: Seen) -> list[Statement]:
 
 
 def _plain(parts: Sequence[Part]) -> bool:
-    """Whether no variable is in two of these records, and none is deleted: then there is nothing to compare."""
+    """Whether there is nothing to compare: no deletes, and at most one other record of each variable."""
     total, found = 0, set[int]()
     for kind, _, ids in parts:
         if kind is DELETE:

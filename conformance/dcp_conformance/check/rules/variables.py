@@ -1,7 +1,7 @@
-"""dcp-vardis.md: what nodes say of a variable, one payload after the other and one node beside the other.
+"""dcp-vardis.md: records of one variable in successive payloads of a node, and at different nodes.
 
-Nothing here is said at once. What a node says that looks wrong may be explained by what comes next (a creation that did
-not fit into the payload before), or by a beacon that the recorder has missed, which shows only with the one after it.
+A contradiction is not reported at once. A later record may explain it (a create that did not fit into the earlier
+payload), or a beacon that the recorder has missed, which only the next beacon shows.
 """
 
 from __future__ import annotations
@@ -15,47 +15,49 @@ from dcp_conformance.check.statements import CREATE, DELETE, SUMMARY, UPDATE, St
 from dcp_conformance.check.wording import differences, spec_text
 from dcp_conformance.model.circular import Circle
 
-#: Values of a variable that are remembered: fewer than the circle of its numbers has.
+#: Maximum number of values that are kept for each variable; less than its number of sequence numbers.
 _VALUES = 64
-#: So many beacons a node gets to explain itself; creations go first, and many may be waiting.
+#: Beacons to wait before a suspicion is reported: many creates may be waiting, and these are sent first.
 _PATIENCE = 10
-#: A gap in the recording shows within so many ns, or never.
+#: Time in ns after which a gap in the recording must have shown.
 _GAP_SHOWS = 2_000_000_000
+#: Maximum number of open suspicions.
 _SUSPECTS = 4096
-#: Later than anything in a recording, in ns since 1970.
+#: A time after the end of any recording, in ns since 1970.
 _END = 1 << 63
 
 
 class _Suspect(NamedTuple):
-    """What looks wrong, until it is explained."""
+    """A contradiction within one node that a later record may explain."""
 
     before: Statement
     after: Statement
     beacons: int
-    """How many beacons of the node had been heard by then."""
+    """Number of the node's beacons when ``after`` was heard."""
     text: str
+    """Text of the finding."""
 
 
 class _OfOneNode(Invariant):
-    """Base: a node contradicts itself, unless it says in a moment that the variable was created again."""
+    """Base of rules that compare records of one node; a later create or delete explains a contradiction."""
 
     def __init__(self, context: Context) -> None:
         super().__init__(context)
         self._suspects: OrderedDict[tuple[bytes, int], _Suspect] = OrderedDict()
 
     def suspect(self, before: Statement, after: Statement, seen: Seen, text: str) -> None:
-        """Only if nothing of the node is missing in between."""
+        """Add a suspicion, unless beacons of the node are missing between the two records."""
         sender = self.context.senders.get(seen.sender)
         if sender is None or sender.unbroken > before.time or len(self._suspects) >= _SUSPECTS:
             return
         self._suspects.setdefault((seen.sender, after.var_id), _Suspect(before, after, sender.beacons, text))
 
     def explain(self, node: bytes, var_id: int) -> None:
-        """A creation, or a deletion: it was another life."""
+        """Drop a suspicion after a create or delete: the records belong to different lifetimes."""
         self._suspects.pop((node, var_id), None)
 
     def due(self, now: int) -> None:
-        """Judge those that had their time, in their order."""
+        """Report the suspicions that were not explained in time, in order; ``now`` in ns since 1970."""
         while self._suspects:
             key, suspect = next(iter(self._suspects.items()))
             sender = self.context.senders.get(key[0])
@@ -65,33 +67,33 @@ class _OfOneNode(Invariant):
                 del self._suspects[key]
                 self.violated(suspect.text, [suspect.before, suspect.after], once=key)
             elif suspect.after.time + _PATIENCE * _GAP_SHOWS < now:
-                # It has fallen silent.
+                # The node has fallen silent and can no longer explain it.
                 del self._suspects[key]
             else:
                 break
 
     def finish(self) -> None:
-        """No more time will come: who has not explained itself has fallen silent."""
+        """Report or drop the open suspicions at the end of the recording."""
         self.due(_END)
 
 
 class SequenceForwards(_OfOneNode):
-    """Nobody goes back to an older value."""
+    """Check that a node does not return to an older value."""
 
     id = "CK_VD_SEQNO"
     section = "dcp-vardis.md: Receive Path"
-    purpose = "What a node sends of a variable never becomes older within a creation"
+    purpose = "The sequence number of a variable at a node never decreases within one creation"
     requirements = ("VD-TYP-03", "VD-PU-06")
-    expect = "sequence numbers that stay or grow (circularly)"
+    expect = "sequence numbers that stay equal or increase (circularly)"
 
     def __init__(self, context: Context) -> None:
         super().__init__(context)
         self._circle = Circle(context.profile.types.var_seqno.width)
         self._creation: dict[tuple[bytes, int], tuple[Any, ...]] = {}
-        """(node, variable) -> the creation that the node has spoken of."""
+        """(node, variable) -> producer and creation time in the node's last create."""
 
     def feed(self, seen: Seen) -> None:
-        """Compare with what the node sent last."""
+        """Compare with the previous number of the node."""
         self.due(seen.time)
         if seen.again:
             self.exercised(times=seen.again)
@@ -114,7 +116,7 @@ class SequenceForwards(_OfOneNode):
                     self.suspect(before, each, seen, text)
 
     def _another(self, key: tuple[bytes, int], record: VarCreate) -> bool:
-        """Whether the node speaks of another creation than before."""
+        """Whether a create is about another creation than the node's previous one; store it."""
         this = (record.spec.prod_id, record.spec.creation_time)
         before = self._creation.get(key)
         if before is not None or len(self._creation) < MOST_VARIABLES:
@@ -123,11 +125,11 @@ class SequenceForwards(_OfOneNode):
 
 
 class Deleted(_OfOneNode):
-    """What is deleted is not mentioned."""
+    """Check that a node sends no records of a variable after its delete."""
 
     id = "CK_VD_DELETED"
     section = "dcp-vardis.md: RTDB-Delete"
-    purpose = "A node that has deleted a variable says nothing more of it, until it is created again"
+    purpose = "A node that has deleted a variable sends no updates or summaries of it until it is created again"
     requirements = ("VD-DEL-05", "VD-PD-04", "VD-CMP-05")
     expect = "no update or summary after a delete"
     enough = 3
@@ -137,7 +139,7 @@ class Deleted(_OfOneNode):
         self._deleted: dict[tuple[bytes, int], Statement] = {}
 
     def feed(self, seen: Seen) -> None:
-        """Remember deletes; a create that the node itself sends behind one ends its force."""
+        """Remember deletes until the node sends a create of the variable."""
         self.due(seen.time)
         for each, _ in seen.news:
             key = (seen.sender, each.var_id)
@@ -155,45 +157,48 @@ class Deleted(_OfOneNode):
 
 
 class _Contradiction(NamedTuple):
-    """Two nodes that say different things of one variable, until it is certain that nothing of either was missed."""
+    """A contradiction between two nodes that missing beacons may explain."""
 
     begin: int
+    """Time since which no beacon may be missing, ns since 1970."""
     before: Statement
     after: Statement
     text: str
+    """Text of the finding."""
     key: object
+    """Key of the finding (argument ``once`` of :meth:`Invariant.violated`)."""
 
 
 class _OfAllNodes(Invariant):
-    """Base: nodes contradict each other about a variable that has had a single life."""
+    """Base of rules that compare nodes: contradictions about a variable with a single lifetime."""
 
     def __init__(self, context: Context) -> None:
         super().__init__(context)
         self._open: deque[_Contradiction] = deque()
 
     def contradict(self, begin: int, before: Statement, after: Statement, text: str, key: object) -> None:
-        """``begin``: nothing may be missing since then."""
+        """Add a contradiction; it is dropped if a beacon is missing since ``begin`` (ns since 1970)."""
         if len(self._open) < _SUSPECTS:
             self._open.append(_Contradiction(begin, before, after, text, key))
 
     def due(self, now: int) -> None:
-        """Judge those of which it is certain now that nothing was missed."""
+        """Report the contradictions that are old enough to exclude a gap; ``now`` in ns since 1970."""
         while self._open and self._open[0].after.time + _GAP_SHOWS < now:
             each = self._open.popleft()
             if self.context.senders.complete(each.begin, each.after.time):
                 self.violated(each.text, [each.before, each.after], once=each.key)
 
     def finish(self) -> None:
-        """No gap will show any more."""
+        """Report the open contradictions at the end of the recording."""
         self.due(_END)
 
 
 class OneValue(_OfAllNodes):
-    """One number, one value."""
+    """Check that a sequence number of a variable has the same value at all nodes."""
 
     id = "CK_VD_VALUE"
     section = "dcp-vardis.md: Global versus Local Dissemination"
-    purpose = "The same sequence number of a variable stands for the same value at all nodes"
+    purpose = "A sequence number of a variable belongs to the same value at all nodes"
     requirements = ("VD-PU-05", "VD-PU-07")
     expect = "the same value wherever variable, creation and sequence number are the same"
 
@@ -204,7 +209,7 @@ class OneValue(_OfAllNodes):
         self._newest: dict[int, int] = {}
 
     def feed(self, seen: Seen) -> None:
-        """Compare with whoever sent that number first."""
+        """Compare with the first value that was sent with the same number."""
         self.due(seen.time)
         lives = self.context.lives
         for each, _ in seen.news:
@@ -221,7 +226,7 @@ class OneValue(_OfAllNodes):
                 self._compare(each, born, seen)
 
     def _advance(self, var_id: int, number: int) -> None:
-        """Forget what lies a quarter of the circle back: its numbers will come again."""
+        """Forget values more than a quarter of the number circle old: their numbers will be used again."""
         newest = self._newest.get(var_id)
         if newest is None or self._circle.newer(number, newest):
             if newest is None and len(self._newest) >= MOST_VARIABLES:
@@ -232,9 +237,11 @@ class OneValue(_OfAllNodes):
                 del known[old]
 
     def _far(self, number: int, newest: int) -> bool:
+        """Whether a number is at least a quarter of the circle older than the newest one."""
         return (newest - number) % self._circle.modulus >= self._circle.modulus // 4
 
     def _compare(self, each: Statement, born: int, seen: Seen) -> None:
+        """Compare the value of a create or update with the known one of its number; ``born`` in ns since 1970."""
         record = each.record.upd if isinstance(each.record, VarCreate) else each.record
         newest = self._newest.get(each.var_id)
         if newest is None or self._far(record.seqno, newest):
@@ -256,7 +263,7 @@ class OneValue(_OfAllNodes):
 
 
 class OneSpec(_OfAllNodes):
-    """Attributes are forwarded as they are."""
+    """Check that nodes forward the attributes of a variable unchanged."""
 
     id = "CK_VD_SPEC"
     section = "dcp-vardis.md: Basic Transmissible Data Types"
@@ -269,12 +276,12 @@ class OneSpec(_OfAllNodes):
         super().__init__(context)
         self._specs: OrderedDict[tuple[Any, ...], Statement] = OrderedDict()
         self._forgotten = False
-        """Whether there were more creations than are remembered."""
+        """Whether old creations were dropped from ``_specs``."""
         self._producers: dict[tuple[int, int], Statement] = {}
-        """(variable, creation time) -> the creation with the producer that was named first."""
+        """(variable, creation time) -> the first create."""
 
     def feed(self, seen: Seen) -> None:
-        """Compare with whoever sent the creation first."""
+        """Compare with the first create of the same creation."""
         self.due(seen.time)
         for each in [said for said, _ in seen.news if said.kind is CREATE]:
             spec = each.record.spec
@@ -299,13 +306,13 @@ class OneSpec(_OfAllNodes):
             if spec.creation_time is not None:
                 self.violated(text, [before, each], once=key)
             else:
-                # Before 2.0 nothing tells creations apart; this is one only if there was a single life.
+                # Before 2.0, creations cannot be distinguished: a single lifetime is required.
                 born = self.context.lives.born(each.var_id)
                 if born is not None:
                     self.contradict(born, before, each, text, key)
 
     def _producer(self, each: Statement) -> None:
-        """Whether a creation was said before with another producer and everything else alike."""
+        """Report a create that differs from an earlier one only in the producer."""
         spec = each.record.spec
         key = (each.var_id, spec.creation_time or 0)
         before = self._producers.get(key)
@@ -318,22 +325,22 @@ class OneSpec(_OfAllNodes):
             spec.rep_cnt, spec.timeout, spec.descr,
         ):  # fmt: skip
             return
-        # Before 2.0: only if number and value are the same, too, and nobody else could be the producer.
+        # Before 2.0: only if number and value are equal, too, and the named producer was never heard.
         alike = before.record.upd == each.record.upd and self.context.senders.get(spec.prod_id) is None
         if spec.creation_time is None and not alike:
             return
         later_is_wrong = before.sender == first.prod_id or each.sender != spec.prod_id
         wrong, right = (each, before) if later_is_wrong else (before, each)
         text = (
-            f"variable {each.var_id}: {name(wrong.sender)} passes on the creation of {name(right.record.spec.prod_id)} "
+            f"variable {each.var_id}: {name(wrong.sender)} forwards the creation of {name(right.record.spec.prod_id)} "
             f"with prodId {name(wrong.record.spec.prod_id)}"
         )
         self.contradict(before.time, before, each, text, ("prodId", *key))
 
     def _unheard(self, each: Statement, seen: Seen) -> None:
-        """A creation that its producer never sent, later than the one that it made before our eyes.
+        """Report a forwarded creation that its producer never sent, if it is later than one in the recording.
 
-        An earlier one may be older than the recording, and come with a node that has been out of reach.
+        An earlier creation may be older than the recording, and arrive with a node that was out of range.
         """
         spec, first = each.record.spec, self.context.lives.first(each.var_id)
         if first is None or spec.creation_time is None:
@@ -342,34 +349,34 @@ class OneSpec(_OfAllNodes):
         known = original.record.spec
         if spec.prod_id == known.prod_id and spec.creation_time > known.creation_time:
             text = (
-                f"variable {each.var_id}: {name(seen.sender)} passes on a creation ({spec_text(spec)}) that "
+                f"variable {each.var_id}: {name(seen.sender)} forwards a creation ({spec_text(spec)}) that "
                 f"{name(spec.prod_id)} never sent"
             )
             self.contradict(begin, original, each, text, (each.var_id, seen.sender))
 
 
 class Recreation(Invariant):
-    """Creations of one producer follow each other."""
+    """Compare successive creations of a variable by one producer."""
 
     id = "CK_VD_CREATION"
     section = "dcp-vardis.md: RTDB-Create"
-    purpose = "Whether a variable that is created again gets a later creationTime and starts with sequence number 0"
+    purpose = "A variable that is created again gets a later creationTime and starts with sequence number 0"
     requirements = ("VD-CRE-09", "VD-CRE-10")
-    expect = "a later creationTime, unless its clock was set back; 0 as the first sequence number"
+    expect = "a later creationTime, unless the node's clock was set back; 0 as the first sequence number"
     enough = 2
 
     def __init__(self, context: Context) -> None:
         super().__init__(context)
         self._last: dict[int, Statement] = {}
         self._life: dict[int, int] = {}
-        """The life of the producer in which it created the variable last."""
+        """Variable -> number of the producer's restarts at its last create."""
 
     def applies(self) -> str:
-        """Since 2.0."""
+        """Exclude versions before 2.0, which have no creationTime."""
         return "" if self.context.features.creation_time else "there is no creationTime before 2.0"
 
     def feed(self, seen: Seen) -> None:
-        """Compare what producers themselves create."""
+        """Compare the creates that producers send themselves."""
         for each in [said for said, _ in seen.news if said.kind is CREATE]:
             if each.record.spec.prod_id != seen.sender:
                 continue
@@ -379,22 +386,23 @@ class Recreation(Invariant):
                 self._life[each.var_id] = self.context.senders.life(seen.sender)
 
     def _judge(self, each: Statement, seen: Seen) -> None:
+        """Compare a create with the previous one of the same variable."""
         before = self._last.get(each.var_id)
         if before is None or before.record.spec.creation_time == each.record.spec.creation_time:
             return
         if before.record.spec.prod_id != each.record.spec.prod_id:
-            self.note("another node takes a variable over (H4)", f"variable {each.var_id}", [before, each])
+            self.note("a variable identifier used by another producer (H4)", f"variable {each.var_id}", [before, each])
             return
         self.exercised()
         if each.record.spec.creation_time < before.record.spec.creation_time:
-            # Its clock may have been set back: the current time is all that RTDB-Create asks for (X38).
+            # The clock may have been set back: RTDB-Create only demands the current time (X38).
             text = f"variable {each.var_id} is created again with an earlier creationTime"
             restarted = self.context.senders.life(seen.sender) != self._life.get(each.var_id)
-            what = "the one before a restart" if restarted else "the one before it"
+            what = "the one before a restart" if restarted else "the previous one"
             self.note(f"a creation that is older than {what} (H5)", text, [before, each], "VD-CRE-09")
         if each.record.upd.seqno > 1:
             text = f"variable {each.var_id} starts again with sequence number {each.record.upd.seqno}"
-            self.note("the first number of a creation that was heard", text, [each], "VD-CRE-10")
+            self.note("the first number heard of a creation", text, [each], "VD-CRE-10")
 
 
 RULES: tuple[type[Invariant], ...] = (

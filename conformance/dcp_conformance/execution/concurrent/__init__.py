@@ -1,12 +1,11 @@
-"""Execute cases side by side against one implementation.
+"""Execute cases side by side (concurrently) against one implementation.
 
-A case waits most of its time, and time passes in one place only: where its bench receives a frame. So each case runs in
-a greenlet of its own, and a scheduler hands every frame that arrives to all of them
-(:mod:`dcp_conformance.execution.concurrent.scheduler`). What a case
-sees of the session is in :mod:`dcp_conformance.execution.concurrent.shared`.
-:mod:`dcp_conformance.execution.concurrent.sharing` says which cases need the implementation for themselves, and
-:mod:`dcp_conformance.execution.concurrent.executor` executes the others. Only a plain pass counts; whatever else
-a case finds side by side is repeated alone, by the ordinary runner, before it is a verdict.
+A case spends most of its time waiting, and it waits in one place only: where its bench receives a frame. So each case
+runs in a separate greenlet, and a scheduler delivers every received frame to all of them
+(:mod:`dcp_conformance.execution.concurrent.scheduler`). :mod:`dcp_conformance.execution.concurrent.shared` has the view
+of the session that a case gets. :mod:`dcp_conformance.execution.concurrent.sharing` lists the cases that must be
+executed alone, and :mod:`dcp_conformance.execution.concurrent.executor` executes the others. Only an undisturbed pass
+counts; a case with any other verdict is repeated alone by the ordinary runner.
 """
 
 from .executor import WIDTH, execute

@@ -1,4 +1,4 @@
-"""Execute cases side by side: which of them at the same time, and what becomes of their results."""
+"""Execute cases side by side: choose the concurrent cases, and process their results."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ from .shared import SharedLink, SharedSession, SharedUpper
 from .sharing import at_short_period, family, group, why_alone
 from .short_period import ShortPeriod
 
-#: Cases at a time, unless the user says otherwise.
+#: Default of the maximum number of concurrent cases.
 WIDTH: Final = 16
-#: Cases at a time, for those that did not pass beside more.
+#: Maximum number of concurrent cases in the repetition of cases that did not pass beside more.
 _FEW: Final = 4
-#: ns after which the executor looks at the implementation's process, whatever the cases wait for.
+#: Interval in ns at which the executor checks the implementation's process.
 _LOOK: Final = 200_000_000
-#: Waves in which a case may find all identifiers used up by others, before it is left to be executed alone.
+#: Maximum number of waves in which a case finds all identifiers used up by others, before it is executed alone.
 _ATTEMPTS: Final = 4
-#: Cases in a row that are no pass, after which the implementation is asked whether it still answers.
+#: Number of successive cases without a pass after which the implementation is probed.
 _DOUBTFUL: Final = 6
 
 
@@ -44,13 +44,13 @@ def execute(
     width: int,
     on_result: Callable[[Case, CaseResult], None],
 ) -> dict[str, str]:
-    """Execute those of the cases side by side that can be. ``on_result`` gets the result of each that passes.
+    """Execute the cases side by side that allow it. ``on_result`` is called with each case that passes and its result.
 
-    Where the upper tester can shorten the beacon period, it is short for all cases whose verdict does not depend on it,
-    also for those that need the implementation for themselves.
+    If the upper tester can shorten the beacon period, it is short for all cases whose verdict does not depend on it,
+    also for those that are executed alone.
 
-    ``sanity``: the case in whose name the implementation is asked whether it answers; it has been executed. ``width``:
-    the most cases at a time. Returns the cases that must be repeated alone, each with the reason.
+    ``sanity`` is the case of the probes of the implementation; it must have been executed. ``width`` is the maximum
+    number of concurrent cases. Return the cases that must be repeated alone, each with the reason.
     """
     executor = SideBySide(runner, sanity, width)
     applicable = [case for case in cases if case.id != sanity.id and not runner.why_not(case)]
@@ -77,7 +77,7 @@ def execute(
 
 
 def _together(executor: SideBySide, cases: Sequence[Case], on_result: Callable[[Case, CaseResult], None]) -> None:
-    """Execute the cases side by side that can be, each family for itself."""
+    """Execute the cases side by side that allow it, one family after another."""
     families: dict[str, list[Case]] = {}
     for case in cases:
         if family(case) or not why_alone(case):
@@ -88,7 +88,7 @@ def _together(executor: SideBySide, cases: Sequence[Case], on_result: Callable[[
 
 
 class _Pass(NamedTuple):
-    """A pass that is not handed on yet."""
+    """A pass that has not been reported yet."""
 
     trial: Trial
     result: CaseResult
@@ -97,58 +97,56 @@ class _Pass(NamedTuple):
 
 
 class SideBySide:
-    """Executes cases side by side, against the implementation of a runner.
+    """Executes cases side by side against the implementation of a runner.
 
-    Only plain passes become results. All other cases are left to be executed alone (:attr:`left`).
+    Only undisturbed passes become results. All other cases must be executed alone (:attr:`left`).
     """
 
     def __init__(self, runner: Runner, sanity: Case, width: int = WIDTH) -> None:
-        """``sanity``: the case in whose name the implementation is asked whether it answers. ``width``: the most cases
-        at a time.
-        """
+        """``sanity``: the case of the probes of the implementation. ``width``: maximum number of concurrent cases."""
         self._runner = runner
         self._sanity = sanity
         self._session = runner.session
         self.width = width
         self._waiting: deque[Case] = deque()
-        """Cases that need VarDis, and so identifiers of variables."""
+        """Waiting cases that need VarDis, and so identifiers of variables."""
         self._light: deque[Case] = deque()
-        """Cases that need hardly any identifiers: they are begun while a wave ends."""
+        """Waiting cases that need hardly any identifiers: they are started while a wave ends."""
         self._live: dict[str, Bench] = {}
-        """The benches of the cases that are being executed."""
+        """The benches of the cases in execution, by case."""
         self.left: list[Case] = []
-        """The cases that are no plain pass, in the order in which they ended."""
+        """The cases without an undisturbed pass, in the order in which they ended."""
         self._crowded: list[Case] = []
-        """Of these, the ones that may pass beside fewer others."""
+        """The cases in :attr:`left` that may pass beside fewer others."""
         self.reasons: dict[str, str] = {}
-        """By case: why it is repeated alone."""
+        """By case: the reason for its repetition alone."""
         self._used_up_in: Counter[str] = Counter()
-        """By case: how often it has found all identifiers used up."""
+        """By case: the number of waves in which it found all identifiers used up."""
         self._draining = False
-        """Whether no further case begins in this wave."""
+        """Whether no further case is started in this wave."""
         self._doubtful = False
-        """Whether the implementation may have stopped taking part in this wave."""
+        """Whether the implementation may have been lost in this wave."""
         self._suspects: list[str] = []
-        """The cases that were executed when that became doubtful."""
+        """The cases in execution when that became doubtful."""
         self._resets = 0
         """How often the implementation could not be brought into its initial state."""
         self._used_up = False
         """Whether a case of this wave has found all identifiers used up."""
         self._doubts = 0
-        """Cases in a row that were no pass."""
+        """Number of successive cases without a pass."""
         self._passed: list[_Pass] = []
-        """The passes of the last seconds, of which the implementation may be dying still."""
+        """The passes of the last seconds: their cases may still cause a death."""
         self._last = 0
-        """When (ns) the last frame of the implementation came."""
+        """Time in ns of the last frame of the implementation."""
         self._observer = Bench(self._session, sanity)
         self._frames = 0
 
     def run(self, cases: Sequence[Case], on_result: Callable[[Case, CaseResult], None]) -> None:
-        """Execute the cases. ``on_result`` gets the result of each that passes, as soon as it has ended.
+        """Execute the cases. ``on_result`` is called with each case that passes and its result.
 
-        Raises ``KeyboardInterrupt`` and the like, after all cases have undone what they have changed.
+        Exceptions such as ``KeyboardInterrupt`` are raised after all cases have undone their changes.
         """
-        # A long case that begins late would be the only one for a while.
+        # Start with the longest: a long case that starts late would run without others.
         times = load()
         for case in sorted(cases, key=lambda case: -times.of(case.id)):
             (self._waiting if "vardis" in case.needs.entities else self._light).append(case)
@@ -162,7 +160,7 @@ class SideBySide:
             self._passed.clear()
 
     def run_again(self, on_result: Callable[[Case, CaseResult], None]) -> None:
-        """Execute those of the last cases once more that found too little room beside so many others, beside few."""
+        """Repeat the cases of the last runs that may have failed because of the load, with fewer concurrent cases."""
         again = [case for case in self._crowded if case.id in self.reasons]
         self._crowded.clear()
         if not again or self._runner.dead:
@@ -176,17 +174,17 @@ class SideBySide:
             self._crowded.clear()
 
     def _wave(self, on_result: Callable[[Case, CaseResult], None]) -> None:
-        """Execute cases from one initial state of the implementation, until identifiers are used up or it is gone."""
+        """Execute cases from one initial state of the implementation, until identifiers are used up or it is lost."""
         session = self._session
         if why := self._runner.initial_state(self._sanity, used=self._used_up):
             self._resets += 1
-            # It may have died after the last case: then it is started again.
+            # The implementation may have died after the last case: check_life() restarts it then.
             gone = self._runner.check_life(self._sanity, [case.id for case in self.left[-self.width :]])
             if gone or self._resets > _ATTEMPTS:
                 self._give_up(gone or why)
             return
         scheduler = Scheduler(session.lower, session.upper, self._account)
-        session.identifiers.in_use = self._in_use
+        session.identifier_pool.in_use = self._in_use
         session.passive.begin_side_by_side(session.lower.now())
         self._draining = self._used_up = self._doubtful = False
         self._doubts = 0
@@ -211,7 +209,7 @@ class SideBySide:
                         self._suspects = self._suspects or list(self._live)
         finally:
             scheduler.close()
-            session.identifiers.in_use = frozenset
+            session.identifier_pool.in_use = frozenset
             session.passive.interrupted(session.lower.now())
             self._live.clear()
         for case, trial in ended:
@@ -226,11 +224,11 @@ class SideBySide:
             self._withhold()
 
     def _silent(self) -> bool:
-        """Whether the implementation has not been heard since one of the last passes."""
-        return any(each.trial.bench.silent and each.ended >= self._last for each in self._passed)
+        """Return whether the implementation has sent no frame since one of the last passes."""
+        return any(each.trial.bench.steps.silent and each.ended >= self._last for each in self._passed)
 
     def _confirm(self, on_result: Callable[[Case, CaseResult], None]) -> None:
-        """Hand on the passes that the implementation has survived: it was heard after them, and had time to die."""
+        """Report the passes that the implementation has survived: it sent frames after the time of a slow death."""
         settled = self._session.lower.now() - round(SLOW_DEATH * 1e9)
         for each in self._passed:
             if each.ended <= settled and each.ended < self._last:
@@ -238,24 +236,24 @@ class SideBySide:
         self._passed = [each for each in self._passed if each.ended > settled or each.ended >= self._last]
 
     def _withhold(self) -> None:
-        """The implementation was lost: leave the cases that passed shortly before to be executed alone."""
+        """Leave the cases that passed shortly before a loss of the implementation to be executed alone."""
         for each in self._passed:
             self.left.append(each.trial.case)
             self.reasons[each.trial.case.id] = "the implementation was lost shortly after it"
         self._passed.clear()
 
     def _next(self) -> Case | None:
-        """The next case of this wave; None if no further one is to begin now."""
+        """Remove and return the next case of this wave; None if no further case may start now."""
         if self._doubtful:
             return None
         if not self._draining and (case := self._take_from(self._waiting)) is not None:
             return case
-        # While others end, those that need no identifiers; not for longer than that, if cases wait for the next wave.
+        # While the wave ends, start cases that need no identifiers, but do not delay the next wave by them.
         heavy = any("vardis" in bench.case.needs.entities for bench in self._live.values())
         return self._take_from(self._light) if heavy or not self._waiting else None
 
     def _take_from(self, queue: deque[Case]) -> Case | None:
-        """The first case of a queue beside which no other of its group is executed."""
+        """Remove and return the first case of a queue whose group has no case in execution; None without any."""
         busy = {group(bench.case) for bench in self._live.values()} - {""}
         for place, case in enumerate(queue):
             if group(case) not in busy:
@@ -275,7 +273,7 @@ class SideBySide:
         session = SharedSession(base, SharedLink(scheduler, task), upper)
         bench = Bench(session, case)
         why_not(bench, case)
-        trial = Trial(case, bench, base.lower.now(), bench.checks)
+        trial = Trial(case, bench, base.lower.now(), bench.verdicts.checks)
         self._live[case.id] = bench
         base.passive.enter(case.id)
         try:
@@ -289,7 +287,7 @@ class SideBySide:
         return trial
 
     def _end(self, case: Case, trial: Trial) -> None:
-        """Take the outcome of a case into account."""
+        """Process the outcome of a case: keep a pass, put the case back, or leave it to be executed alone."""
         session = self._session
         if trial.used_up and self._used_up_in[case.id] < _ATTEMPTS:
             # The next wave begins with all identifiers.
@@ -297,7 +295,7 @@ class SideBySide:
             self._waiting.appendleft(case)
             self._draining = self._used_up = True
             return
-        if trial.verdict is Verdict.PASS and not trial.hung_up and not trial.bench.spoilt:
+        if trial.verdict is Verdict.PASS and not trial.hung_up and not trial.bench.restoration.spoilt:
             self._doubts = 0
             self.reasons.pop(case.id, None)
             result = result_of(trial, trial.checks, session.lower.now(), self._runner.rerun, side_by_side=True)
@@ -309,24 +307,24 @@ class SideBySide:
             self._crowded.append(case)
         self._doubts += 1
         if trial.hung_up or self._doubts >= _DOUBTFUL:
-            # It may be dead. Whether it is can only be found out when no other case is executed.
+            # The implementation may be dead. It can be probed only when no other case is executed.
             self._draining = self._doubtful = True
             self._suspects = self._suspects or [case.id, *self._live]
 
     def _account(self, arrival: Arrival) -> None:
-        """Take a frame into account for the session, once for all cases."""
+        """Add a frame to the session's traffic, once for all cases."""
         session, observer = self._session, self._observer
         heard = ReceivedBeacon(session.codec, 0, arrival.time, arrival.wall, arrival.octets, arrival.source)
-        if observer.is_sut(heard):
+        if observer.receiver.is_sut(heard):
             self._frames += 1
             self._last = arrival.time
             heard.number = self._frames
-            session.take(heard, arrival, SIDE_BY_SIDE, None, observer.departure())
+            session.heard(heard, arrival, SIDE_BY_SIDE, None, observer.identifiers.departure())
 
     def _in_use(self) -> Iterator[int]:
         for bench in self._live.values():
-            yield from bench.created
-            yield from bench.called_unknown
+            yield from bench.identifiers.created
+            yield from bench.identifiers.called_unknown
 
     def _give_up(self, why: str) -> None:
         """Leave all remaining cases to be executed alone."""

@@ -17,16 +17,16 @@ from dcp_conformance.upper_tester import Answer, Notification, UpperTester
 
 
 class Task:
-    """A case that is being executed, with what has arrived for it."""
+    """A case in execution, with the frames and notifications that it has not processed yet."""
 
     def __init__(self, body: Callable[[Task], None]) -> None:
         self.inbox: deque[Arrival] = deque()
         """Frames that the case has not received yet."""
         self.notifications: list[Notification] = []
         self.dropped = 0
-        """Frames that the kernel has dropped since the case was last told."""
+        """Number of frames that the kernel has dropped since the case last called ``health``."""
         self.until: int | None = None
-        """What it waits for: a frame or notification before this time (ns). None: not for time."""
+        """The case waits for a frame or notification until this time (ns). None: it waits for an answer, or runs."""
         self.done = False
         self._body = body
         self.greenlet = greenlet(self._run)
@@ -39,30 +39,32 @@ class Task:
 
 
 class _Call:
-    """A call of the upper tester that waits for its turn, or for its answer."""
+    """A call of the upper tester that waits for earlier calls, or for its answer."""
 
-    __slots__ = ("future", "method", "params", "task")
+    __slots__ = ("ended", "future", "method", "params", "task")
 
     def __init__(self, task: Task, method: str, params: dict[str, Any]) -> None:
         self.task, self.method, self.params = task, method, params
         self.future: Future[Answer] | None = None
+        self.ended = False
+        """Whether the call has ended and was removed from the queue of the scheduler."""
 
 
 class Scheduler:
-    """Hands frames and notifications to all tasks, and lets each run until it waits.
+    """Delivers frames and notifications to all tasks, and runs each task until it waits.
 
-    In real time, calls of the upper tester are made by a thread, one at a time, so that the other tasks go on
-    meanwhile. In virtual time no time passes in a call.
+    In real time a thread makes the calls of the upper tester, one at a time, so that the other tasks can continue. In
+    virtual time no time passes in a call.
     """
 
     def __init__(self, lower: LowerTester, upper: UpperTester | None, on_arrival: Callable[[Arrival], None]) -> None:
-        """``on_arrival`` gets each frame once, before the tasks do."""
+        """``on_arrival`` is called once with each frame, before the tasks get it."""
         self._on_arrival = on_arrival
         self.lower = lower
         self.upper = upper
         self.tasks: list[Task] = []
         self.current: Task | None = None
-        """The task that runs; None while the scheduler does."""
+        """The running task; None while the scheduler runs."""
         self._main = greenlet.getcurrent()
         self._calls: deque[_Call] = deque()
         self._threads = ThreadPoolExecutor(1) if upper is not None and isinstance(lower, OnThisMachine) else None
@@ -70,20 +72,20 @@ class Scheduler:
         self._awake.setblocking(False)
         self._closing = False
         self.lost_link: LowerTesterError | None = None
-        """Why the link cannot be used any more."""
+        """The error of the link, if it cannot be used any more."""
         self.lost_upper: UpperTesterError | None = None
-        """Why the upper tester cannot be used any more."""
+        """The error of the upper tester, if it cannot be used any more."""
 
     # -- for the executor ----------------------------------------------------------------------------------------------
 
     def start(self, body: Callable[[Task], None]) -> None:
-        """Begin to execute ``body`` as a task; returns when it waits for the first time, or has ended."""
+        """Execute ``body`` as a new task; return when it waits for the first time, or has ended."""
         task = Task(body)
         self.tasks.append(task)
         self._resume(task)
 
     def step(self, until: int) -> None:
-        """Wait until something happens, at most to ``until`` (ns), and let the tasks that it concerns run."""
+        """Wait for a frame, an answer or a timeout until ``until`` (ns) at most, and run the tasks that wait for it."""
         self._finish_call()
         self._begin_call()
         lost = self.lost_link is not None or self.lost_upper is not None
@@ -99,11 +101,11 @@ class Scheduler:
                     self._resume(task)
 
     def close(self) -> None:
-        """End all tasks, which undo what they have changed, and release what the scheduler holds."""
+        """End all tasks, which undo their changes, and release thread and sockets."""
         self._closing = True
         for task in list(self.tasks):
             if not task.done:
-                # BaseException: the case must not take it for a finding.
+                # throw() raises GreenletExit, a BaseException, which the case does not catch as a finding.
                 with contextlib.suppress(Exception):
                     self.current = task
                     task.greenlet.throw()
@@ -118,9 +120,9 @@ class Scheduler:
     # -- for the facades of tasks --------------------------------------------------------------------------------------
 
     def receive(self, task: Task, until: int) -> Arrival | None:
-        """The next frame for the task before ``until``; None then, or when there are notifications.
+        """Return the next frame for the task before ``until`` (ns); None at that time, or if notifications arrive.
 
-        Raises ``LowerTesterError`` if the link cannot be used.
+        Raise ``LowerTesterError`` if the link cannot be used.
         """
         if self.lost_link is not None:
             raise self.lost_link
@@ -133,7 +135,7 @@ class Scheduler:
             if self.lost_link is not None:
                 raise self.lost_link
         elif not task.inbox:
-            # Everything that arrived before ``until`` is to be received before None is returned.
+            # Receive all frames that arrived before ``until`` before returning None.
             while self.drain(until, wait=False) and not task.inbox:
                 pass
         if task.inbox and task.inbox[0].time < until:
@@ -141,7 +143,7 @@ class Scheduler:
         return None
 
     def call(self, task: Task, method: str, params: dict[str, Any]) -> Answer:
-        """Call the upper tester for a task. Raises what the upper tester raises."""
+        """Call the upper tester for a task and return the answer. Raise the exceptions of the upper tester."""
         assert self.upper is not None
         if self.lost_upper is not None and not self._closing:
             raise self.lost_upper
@@ -155,12 +157,17 @@ class Scheduler:
         mine = _Call(task, method, params)
         self._calls.append(mine)
         self._begin_call()
-        while mine.future is None or not mine.future.done():
+        # Not until the future is done: the thread may be faster than this one, and the call is in the queue still.
+        while not mine.ended:
             self._main.switch()
+        assert mine.future is not None
         return mine.future.result()
 
     def drain(self, until: int, *, wait: bool) -> bool:
-        """Take the next frame in, for all tasks. Returns whether there was one before ``until``."""
+        """Receive the next frame for all tasks; return False if none arrived before ``until`` (ns).
+
+        ``wait``: whether answers and notifications of the upper tester end the wait, too.
+        """
         also: Sequence[int] = ()
         if wait and self._threads is not None:
             idle = not self._calls and self.upper is not None
@@ -168,7 +175,7 @@ class Scheduler:
         try:
             arrival = self.lower.receive(until, also)
         except LowerTesterError as error:
-            # For the cases to meet: this is no fault of the scheduler.
+            # The cases raise the error, because it is not a fault of the scheduler.
             self.lost_link = error
             return False
         dropped = self.lower.health().dropped
@@ -184,7 +191,7 @@ class Scheduler:
         return True
 
     def take_notifications(self) -> None:
-        """Hand what the implementation has told without being asked to all tasks."""
+        """Deliver the notifications (indications) of the implementation to all tasks."""
         if self.upper is None or self._calls or self.lost_upper is not None:
             return
         try:
@@ -196,7 +203,7 @@ class Scheduler:
             if not task.done:
                 task.notifications += found
 
-    # -- beneath it ----------------------------------------------------------------------------------------------------
+    # -- internal ------------------------------------------------------------------------------------------------------
 
     def _resume(self, task: Task) -> None:
         before, self.current = self.current, task
@@ -208,7 +215,7 @@ class Scheduler:
             self.tasks.remove(task)
 
     def _begin_call(self) -> None:
-        """Make the next call, unless one is being made."""
+        """Start the next call, unless a call is in progress."""
         if not self._calls or self._calls[0].future is not None or self._threads is None:
             return
         assert self.upper is not None
@@ -217,11 +224,12 @@ class Scheduler:
         call.future.add_done_callback(lambda _: self._wake.send(b"\0"))
 
     def _finish_call(self) -> None:
-        """If the call that was made has ended, let its task go on: it may call again before others do."""
+        """If the call in progress has ended, resume its task, which may make its next call before others."""
         with contextlib.suppress(BlockingIOError):
             self._awake.recv(4096)
         while self._calls and (future := self._calls[0].future) is not None and future.done():
             call = self._calls.popleft()
+            call.ended = True
             waiting, self._calls = self._calls, deque()
             self.take_notifications()
             self._resume(call.task)
@@ -229,7 +237,7 @@ class Scheduler:
             self._begin_call()
 
     def _settle(self) -> None:
-        """Wait for the call that is being made."""
+        """Wait for the call in progress, and drop waiting calls."""
         while self._calls:
             call = self._calls.popleft()
             if call.future is not None:

@@ -1,4 +1,4 @@
-"""What a case sees of the session while others are executed beside it: its own view of link and upper tester."""
+"""The view of the session that a case gets while others are executed beside it, with its own link and upper tester."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ from .sharing import ALONE, forbidden
 
 if TYPE_CHECKING:
     from dcp_conformance.frames.received import ReceivedBeacon
-    from dcp_conformance.test_system.waiting import Waiting
 
 
 class SharedLink:
@@ -28,46 +27,46 @@ class SharedLink:
         self.name = self._lower.name
 
     def now(self) -> int:
-        """Monotonic ns."""
+        """Return the monotonic time in ns."""
         return self._lower.now()
 
     def wall(self) -> int:
-        """ns since 1970."""
+        """Return the wall-clock time in ns since 1970."""
         return self._lower.wall()
 
     def framed(self, octets: bytes, source: bytes) -> bytes:
-        """The whole frame of a bearer payload."""
+        """Return the whole frame of a bearer payload."""
         return self._lower.framed(octets, source)
 
     def send(self, octets: bytes, source: bytes) -> bytes:
-        """Put a bearer payload on the air. Raises ``LowerTesterError``."""
+        """Send a bearer payload; return its frame. Raise ``LowerTesterError``."""
         return self._lower.send(octets, source)
 
     def send_frame(self, frame: bytes) -> None:
-        """Put a whole frame on the air. Raises ``LowerTesterError``."""
+        """Send a whole frame. Raise ``LowerTesterError``."""
         self._lower.send_frame(frame)
 
     def receive(self, until: int, also: Sequence[int] = ()) -> Arrival | None:  # noqa: ARG002 - the scheduler knows them
-        """The next frame before ``until`` (ns); None then, or when there are notifications."""
+        """Return the next frame before ``until`` (ns); None at that time, or if notifications arrive."""
         return self._scheduler.receive(self._task, until)
 
     def take_in(self) -> None:
-        """Read what has arrived, so that the kernel has room for more. Raises ``LowerTesterError``."""
+        """Read received frames, so that the kernel has room for more. Raise ``LowerTesterError``."""
         self._lower.take_in()
 
     def health(self) -> LinkHealth:
-        """What was lost since the last call."""
+        """Return the losses since the last call."""
         dropped, self._task.dropped = self._task.dropped, 0
         return LinkHealth(dropped)
 
     def close(self) -> None:
-        """The link belongs to the session."""
+        """Do nothing: the session closes the link."""
 
 
 class SharedUpper:
     """The upper tester of a task; see :class:`~dcp_conformance.upper_tester.UpperTester`.
 
-    It does not offer the services that no case may call while others are executed.
+    It does not have the methods that a case must not call while others are executed.
     """
 
     def __init__(self, scheduler: Scheduler, task: Task, upper: UpperTester) -> None:
@@ -77,38 +76,38 @@ class SharedUpper:
         self.methods = frozenset(upper.methods - ALONE)
 
     def call(self, method: str, params: dict[str, Any]) -> Answer:
-        """Call a method and wait for its answer. Raises ``UpperTesterError``.
+        """Call a method and return its answer. Raise ``UpperTesterError``.
 
-        Raises ``CouldNotAskError`` for what no case may do while others are executed.
+        Raise ``CouldNotAskError`` for a call that a case must not make while others are executed.
         """
         if why := forbidden(method, params):
             raise CouldNotAskError(f"other cases are executed at the same time: {why}")
         return self._scheduler.call(self._task, method, params)
 
     def poll(self) -> list[Notification]:
-        """The notifications since the last call. Raises ``UpperTesterError`` if the upper tester is gone."""
+        """Return the notifications since the last call. Raise ``UpperTesterError`` if the upper tester is lost."""
         if self._scheduler.lost_upper is not None:
             raise self._scheduler.lost_upper
         found, self._task.notifications = self._task.notifications, []
         return found
 
     def filenos(self) -> tuple[int, ...]:
-        """None: the scheduler watches the descriptors."""
+        """Return no descriptors, because the scheduler watches them."""
         return ()
 
     def another(self) -> UpperTester | None:
-        """A second connection."""
+        """Return a second connection; None if the upper tester allows only one."""
         return self._upper.another()
 
     def close(self) -> None:
-        """The connection belongs to the session."""
+        """Do nothing: the session closes the connection."""
 
 
 class SharedSession(Session):
-    """The session as a task sees it. What it does not have itself, it shares with all others."""
+    """The session of a task. Attributes except link, upper tester and call times are shared with all tasks."""
 
     def __init__(self, base: Session, link: SharedLink, upper: SharedUpper | None) -> None:
-        """Attributes that are set later are set in ``base``."""
+        """Share the attributes of ``base``; later assignments to attributes change ``base``."""
         vars(self).update(
             lower=link, upper=upper, _base=base, call_times=deque(base.call_times, base.call_times.maxlen)
         )
@@ -119,5 +118,5 @@ class SharedSession(Session):
     def __setattr__(self, name: str, value: Any) -> None:
         setattr(vars(self)["_base"], name, value)
 
-    def heard(self, heard: ReceivedBeacon, arrival: Arrival, bench: Waiting) -> None:
-        """Nothing: all tasks receive each frame, and the executor takes it into account once."""
+    def heard(self, heard: ReceivedBeacon, arrival: Arrival, case: str, traffic: object, departure: int) -> None:
+        """Do nothing: all tasks receive each frame, and the executor adds it to the traffic once."""

@@ -1,4 +1,4 @@
-"""Which cases need the implementation for themselves."""
+"""Rules on cases that cannot be executed side by side."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ ALONE: Final = frozenset(
 """Services that change the implementation as a whole."""
 
 _CONFIGURED: Final = re.compile(r"TC_BP_(TX_TI|PAR|INI)_.*")
-"""Cases that are about the configured beacon period."""
+"""Cases about the configured beacon period."""
 
-_FILLS: Final = "it fills payloads, and counts on the room in them"
-_LISTENS: Final = "it judges what is in beacons as a whole, or in none"
+_FILLS: Final = "it fills payloads, and depends on the room in them"
+_LISTENS: Final = "it judges the whole content of beacons"
 _REPLACES: Final = "it deregisters SRP or VarDis"
 _MEASURES: Final = (
-    (r"TC_DCP_SANITY_.*", "it shows that the implementation is there"),
+    (r"TC_DCP_SANITY_.*", "it shows that the implementation answers"),
     (r"TC_VD_ROOM_.*", _FILLS),
     (r"TC_NET_CROWD_.*", _FILLS),
     (r"TC_VD_PAY_BV_0[67].*", _FILLS),
@@ -53,16 +53,17 @@ _MEASURES: Final = (
     (r"TC_BP_QM_BV_06", _LISTENS),
     (r"TC_BP_RXP_BV_02", _LISTENS),
     (r"TC_VD_RUN_TI_01", _LISTENS),
+    (r"TC_VD_ROB_BI_03-.*", "it sends records with random identifiers"),
 )
 _FAMILIES: Final = ((re.compile(r"TC_VD_ID_BV_01-.*"), "boundary values of identifiers"),)
-"""Cases that are executed beside each other, but not beside those outside of the family."""
+"""Families: cases that are executed beside each other, but not beside other cases."""
 _PATTERNS: Final = tuple((re.compile(pattern), reason) for pattern, reason in _MEASURES)
 
 
 def why_alone(case: Case) -> str:
-    """Why the case cannot be executed beside others, in words; empty if it can.
+    """Return why the case cannot be executed beside others; empty if it can.
 
-    Destructive cases can be executed beside each other where the implementation can be started again.
+    Destructive cases can be executed beside each other if the implementation can be restarted.
     """
     if case.needs.restart or case.needs.link:
         return "it restarts the implementation, or takes its link down"
@@ -74,30 +75,30 @@ def why_alone(case: Case) -> str:
 
 
 def family(case: Case) -> str:
-    """The family beside which alone the case is executed; empty for those without."""
+    """Return the family of the case, which is executed beside its family only; empty without a family."""
     return next((name for pattern, name in _FAMILIES if pattern.fullmatch(case.id)), "")
 
 
 def at_short_period(case: Case) -> bool:
-    """Whether the verdict of the case does not depend on the beacon period, so that a shorter one only saves time."""
+    """Return whether the case can be executed with a shorter beacon period without an effect on its verdict."""
     needs = case.needs
     if needs.restart or needs.link or case.long or case.destructive or "BP-SetParameter" in needs.ut:
         return False
     if _CONFIGURED.fullmatch(case.id):
         return False
-    # A reset restores the configured period. With VD-SetParameter it is only needed to restore the parameter.
+    # A reset restores the configured period. Cases with VD-SetParameter need it only to restore the parameter.
     return "UT-Reset" not in needs.ut or "VD-SetParameter" in needs.ut
 
 
 def forbidden(method: str, params: Mapping[str, Any]) -> str:
-    """Why no case may call a service with these parameters while others are executed; empty if it may."""
+    """Return why a case must not call a service with these parameters while others are executed; empty if it may."""
     if method in ALONE:
         return f"{method} changes the implementation as a whole"
     if method == "BP-DeregisterProtocol" and params.get("protId") in (ProtocolId.SRP, ProtocolId.VARDIS):
-        return "SRP and VarDis stay registered"
+        return "other cases need the registrations of SRP and VarDis"
     return ""
 
 
 def group(case: Case) -> str:
-    """Of the cases with the same group only one is executed at a time; empty for those without."""
+    """Return the group of the case, of which only one case is executed at a time; empty without a group."""
     return "safety data" if "SRP-UpdateSafetyData" in case.needs.ut else ""

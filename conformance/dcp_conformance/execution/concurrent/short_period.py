@@ -1,8 +1,8 @@
-"""Shorten the beacon period of the implementation while cases are executed whose verdict does not depend on it.
+"""Shorten the beacon period of the implementation for cases whose verdict does not depend on it.
 
-Nearly all time of a run passes in waits of some beacon periods. An upper tester with BP-SetParameter can shorten the
-period, and nothing but the length of these waits changes: what a node must answer, forward and repeat does not depend
-on it. Only a plain pass counts at the short period; every other case is repeated at the configured one.
+Most of the time of a run is spent in waits of some beacon periods. An upper tester with BP-SetParameter can shorten the
+period, and with it these waits. The reactions that a node must show do not depend on the period. With the short period
+only an undisturbed pass counts; every other case is repeated with the configured period.
 """
 
 from __future__ import annotations
@@ -21,21 +21,21 @@ if TYPE_CHECKING:
     from dcp_conformance.test_system.session import Reaction, Session
 
 PERIOD: Final = "BPPAR_BEACON_PERIOD"
-#: The configured period divided by one of these is the short one: by the first with which the implementation keeps up.
+#: Divisors of the configured period; the first one at which the implementation still reacts in time is used.
 FACTORS: Final = (4, 2)
-#: ms: no shorter period is set, so that the timing of a busy machine does not decide.
+#: Minimum of the short period in ms: with shorter ones, delays of a busy machine would affect verdicts.
 _LEAST: Final = 20
-#: Beacon periods that a reaction may take at most at the short period; where it takes longer, little time is saved.
+#: Maximum reaction time at the short period, in beacon periods; with longer ones, little time would be saved.
 _SLOWEST: Final = 2 * FLOOR
 #: An interval below this share of the configured period shows that the implementation uses the short one.
 _SHORTER: Final = 0.75
 
 
 class ShortPeriod:
-    """The short beacon period of one session: set, set again after each reset, and given up."""
+    """Sets the short beacon period of one session, sets it again after each reset, and restores the configured one."""
 
     def __init__(self, session: Session, case: Case) -> None:
-        """``case``: in whose name the implementation is asked how fast it reacts."""
+        """``case``: the case of the measurement of the reaction time."""
         self._session = session
         self._case = case
         self._configured: Any = None
@@ -44,16 +44,16 @@ class ShortPeriod:
         """The short period in ms."""
 
     def begin(self, reset: Callable[[], object]) -> bool:
-        """Shorten the period, if the implementation can be seen to use it and reacts as fast as usual.
+        """Shorten the period if the implementation demonstrably uses it and still reacts in time.
 
-        ``reset``: brings the implementation into its initial state. Returns whether the short period is in force.
+        ``reset`` brings the implementation into its initial state. Return whether the short period is in force.
         """
         session = self._session
-        upper, told = session.upper, session.parameters.get(PERIOD)
+        upper, reported = session.upper, session.parameters.get(PERIOD)
         configured = session.pics.pixit.beacon_period_ms
-        if upper is None or not {"BP-SetParameter", "UT-Reset"} <= upper.methods or told != configured:
+        if upper is None or not {"BP-SetParameter", "UT-Reset"} <= upper.methods or reported != configured:
             return False
-        self._configured, self._reaction = told, session.reaction
+        self._configured, self._reaction = reported, session.reaction
         return any(self._try(int(configured / factor), reset) for factor in FACTORS)
 
     def _try(self, milliseconds: int, reset: Callable[[], object]) -> bool:
@@ -76,13 +76,13 @@ class ShortPeriod:
                 session.reaction = found
                 return True
         except ConformanceError:
-            # The cases will meet what is wrong, if it lasts.
+            # If the problem persists, the cases will report it.
             pass
         self.end()
         return False
 
     def renew(self) -> bool:
-        """Set the period again, after a reset. Returns whether the implementation has accepted it."""
+        """Set the short period, also after a reset; return whether the implementation has accepted it."""
         upper = self._session.upper
         assert upper is not None
         return upper.call("BP-SetParameter", {"name": PERIOD, "value": self.milliseconds}).ok
@@ -100,7 +100,7 @@ class ShortPeriod:
             return
 
     def forget(self) -> None:
-        """The implementation uses the configured period again: it was restarted."""
+        """Record that the implementation uses the configured period again, after a restart."""
         session = self._session
         if session.short_period is self:
             session.short_period = None

@@ -13,8 +13,8 @@ from dcp_spec.constants import ICType
 from dcp_codec.errors import DecodeError
 from dcp_conformance.fuzz.steps import Call, Effect
 from dcp_conformance.oracle import Version
+from dcp_conformance.test_steps.services import described, rows
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.services import described, rows
 from dcp_conformance.test_system.traffic import Event
 from dcp_conformance.upper_tester import Answer
 
@@ -77,7 +77,7 @@ class Comparison:
         The parameter limits the payloads that a node sends. The specification does not define the maximum length of
         payloads that a node must accept.
         """
-        most = self._bench.parameter("VARDISPAR_MAX_PAYLOAD_SIZE")
+        most = self._bench.sut.parameter("VARDISPAR_MAX_PAYLOAD_SIZE")
         if not most or len(octets) <= most:
             return False
         payloads = self._bench.codec.dissect(octets).root.child("payloads")
@@ -113,7 +113,7 @@ class Comparison:
         if "RTDB-DescribeVariable" in self._methods:
             found = described(bench.call("RTDB-DescribeVariable", varId=var_id)).get("creationTime")
             creation = found if isinstance(found, int) else None
-        spec = bench.spec(
+        spec = bench.records.spec(
             var_id,
             self._observer.own_id,
             rep_cnt=params["repCnt"],
@@ -130,7 +130,7 @@ class Comparison:
         bench = self._bench
         self.follow()
         heard, self._judged = bench.heard[self._judged :], len(bench.heard)
-        most = bench.parameter("BPPAR_MAXIMUM_PACKET_SIZE")
+        most = bench.sut.parameter("BPPAR_MAXIMUM_PACKET_SIZE")
         for each in heard:
             effect = self._observer.says(each.octets, most, each.time, each.number, at)
             if effect is not None:
@@ -142,12 +142,12 @@ class Comparison:
     def round(self, at: int) -> Effect | None:
         """Wait for the time of all reactions, then compare everything that is observable from outside."""
         bench = self._bench
-        bench.wait(bench.reaction + 2)
+        bench.wait(bench.sut.reaction + 2)
         effect = self.said(at) or self._observer.missing(bench.now(), at, busy=self._busy())
         return effect or self._variables(at) or self._summaries(at) or self._neighbours(at)
 
     def _busy(self) -> bool:
-        most = self._bench.parameter("VARDISPAR_MAX_PAYLOAD_SIZE")
+        most = self._bench.sut.parameter("VARDISPAR_MAX_PAYLOAD_SIZE")
         return any(len(heard.octets) > most // 2 for heard in self._bench.heard)
 
     def _variables(self, at: int) -> Effect | None:
@@ -181,7 +181,7 @@ class Comparison:
     def _summaries(self, at: int) -> Effect | None:
         """Compare the last summary of each variable with the model; a deleted variable must not have one."""
         bench = self._bench
-        if bench.parameter("VARDISPAR_MAX_SUMMARIES") <= 0:
+        if bench.sut.parameter("VARDISPAR_MAX_SUMMARIES") <= 0:
             return None
         last: dict[int, tuple[int, int]] = {}
         for heard in bench.heard[-2:]:
@@ -204,7 +204,7 @@ class Comparison:
             str(row.get("nodeId")).replace(":", "").lower()
             for row in rows(bench.call("SRP-NeighbourTable"), "neighbours")
         }
-        fresh = bench.now() - round(bench.parameter("SRPPAR_NEIGHBOUR_TABLE_TIMEOUT") * 1_000_000 * _FRESH)
+        fresh = bench.now() - round(bench.sut.parameter("SRPPAR_NEIGHBOUR_TABLE_TIMEOUT") * 1_000_000 * _FRESH)
         most = bench.profile.limits.max_neighbours
         for node_id, time in self._reports.items():
             # An identifier that is text may be in the answer as text, or as octets.

@@ -105,7 +105,7 @@ class LiveTarget:
             self._restart()
         else:
             self._reset()
-        bench.wait_ns(0)
+        bench.waiting.wait_ns(0)
         bench.heard.clear()
         if not self._checked:
             self._require_health(bench)
@@ -219,7 +219,7 @@ class LiveTarget:
             why = ailing(bench, self.control, self._probes)
             if why is None or why.kind == "dead" or bench.now() >= deadline:
                 return why
-            bench.take_newcomer()
+            bench.receiver.take_newcomer()
 
     def _comparison(self, bench: Bench) -> Comparison | None:
         if not self._differential:
@@ -231,17 +231,17 @@ class LiveTarget:
 def observer_of(bench: Bench) -> Observer:
     """Return a model with the known parameters of the implementation. Stops the case if its identifier is unknown."""
     limits = Limits(
-        bench.parameter("VARDISPAR_MAX_VALUE_LENGTH"),
-        bench.parameter("VARDISPAR_MAX_DESCRIPTION_LENGTH"),
-        bench.parameter("VARDISPAR_MAX_REPETITIONS"),
+        bench.sut.parameter("VARDISPAR_MAX_VALUE_LENGTH"),
+        bench.sut.parameter("VARDISPAR_MAX_DESCRIPTION_LENGTH"),
+        bench.sut.parameter("VARDISPAR_MAX_REPETITIONS"),
     )
     return Observer(
         bench.codec,
-        bench.sut_id,
+        bench.identifiers.sut_id,
         bench.period,
-        network=bench.parameter("BPPAR_NETWORK_ID"),
+        network=bench.sut.parameter("BPPAR_NETWORK_ID"),
         limits=limits,
-        window=bench.reaction + 1,
+        window=bench.sut.reaction + 1,
     )
 
 
@@ -260,7 +260,7 @@ def carry_out(
     """
     at = 0
     # A marker must not use a variable of the steps.
-    bench.created.update(_variables_of(bench, steps))
+    bench.identifiers.created.update(_variables_of(bench, steps))
     pace = _Pace(bench, interval)
     try:
         for at, step in enumerate(steps):
@@ -276,7 +276,7 @@ def carry_out(
     if bad is not None and bad.problem is not None and comparison is None:
         return bad_beacon(bench.codec, bad.octets, bad.problem, at)
     try:
-        return comparison.round(at) if comparison is not None and not bench.own_losses() else None
+        return comparison.round(at) if comparison is not None and not bench.losses.own() else None
     except UpperTesterError as error:
         return Effect("mute", str(error), at, "upper")
 
@@ -307,7 +307,7 @@ class _Pace:
         self._unheard += 1
         left = self._due - self._bench.now()
         if left > 0 or self._unheard >= _UNHEARD:
-            self._bench.wait_ns(max(0, left))
+            self._bench.waiting.wait_ns(max(0, left))
             self._unheard = 0
 
     def after_a_break(self) -> None:
@@ -320,7 +320,7 @@ def _step(bench: Bench, step: Step, pace: _Pace, at: int, comparison: Comparison
         case Frame():
             # Truncate to the maximum frame size of the link; the rest of a long list of elements has no other effect.
             octets = step.octets[: bench.profile.limits.uwb_max_packet]
-            bench.transmit(octets, step.source)
+            bench.transmission.send(octets, step.source)
             if comparison is not None:
                 comparison.follow()
             pace.keep()

@@ -81,21 +81,21 @@ def last_number(bench: Bench) -> int | None:
 
 def _is_busy(bench: Bench, since: int) -> bool:
     """Return whether beacons are more than half full, so that an answer may be queued after many other records."""
-    most = bench.parameter("VARDISPAR_MAX_PAYLOAD_SIZE")
+    most = bench.sut.parameter("VARDISPAR_MAX_PAYLOAD_SIZE")
     return any(len(heard.octets) > most // 2 for heard in bench.heard[since:])
 
 
 def _answers(bench: Bench, periods: float | None = None) -> bool:
-    if bench.pics.vardis is False:
+    if bench.sut.pics.vardis is False:
         # Without VarDis no marker is answered.
         return _signs_of_life(bench)
     try:
-        return bench.probe(periods)
+        return bench.probes.probe(periods)
     except StopCase:
         # No unused identifier is left. Try used ones, one of which may be unknown to it; then accept any sign of life.
-        bench.created.clear()
+        bench.identifiers.created.clear()
     try:
-        return bench.probe(periods) or _signs_of_life(bench)
+        return bench.probes.probe(periods) or _signs_of_life(bench)
     except StopCase:
         return _signs_of_life(bench)
 

@@ -16,6 +16,8 @@ def markdown(matrix: MatrixResult) -> str:
     for cell in matrix.cells:
         counts.setdefault((cell.a, cell.b), Counter())[cell.verdict] += 1
     lines = ["# Interoperability of DCP implementations", "", f"{_total(matrix)}.", ""]
+    if matrix.incomplete:
+        lines += [f"**{_text(matrix.incomplete)}.**", ""]
     lines += [f"| A \\ B | {' | '.join(map(_text, columns))} |", f"|---|{'---|' * len(columns)}"]
     for a in rows:
         lines.append(f"| **{_text(a)}** | {' | '.join(_summary(counts.get((a, b))) for b in columns)} |")

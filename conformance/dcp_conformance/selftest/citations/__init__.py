@@ -1,7 +1,7 @@
-"""Citations of requirements in our own code (``##= ID``), and a check that they stand in the right place.
+"""A check of the citations of requirements (``##= ID``) in our own code: is the cited code the code that fulfils them?
 
-``places`` finds them. ``changes`` lists what can be changed in the code that a citation stands on, ``trial`` and
-``unit_tests`` run the cases and tests that name the requirement against each change, ``campaign`` does that for many
-citations. If no case and no test with the requirement notices any change, the citation stands in the wrong place, or
-the ``ledger`` says why it cannot be noticed.
+``places`` finds the citations. ``changes`` lists the possible changes of the cited code. ``trial`` and ``unit_tests``
+run the cases and tests that name the requirement against a change, and ``campaign`` does so for many citations. If no
+case and no test with the requirement detects any change, the citation is in the wrong place, unless the ``ledger`` has
+a reason why no change can be detected.
 """

@@ -1,4 +1,4 @@
-"""Many citations: each is held to what it stands on."""
+"""Check many citations: change the cited code, and run the cases and tests that name the requirement."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from .trial import Noticed, try_change
 from .unit_tests import failing_test
 
 SCHEMA: Final = "dcp-conformance-citations/1"
-#: Changes of one place that are tried with the cases, and with the tests.
+#: Maximum numbers of changes for each place: tried with the cases, and tried with the unit tests.
 _TRIED: Final = 16
 _TESTED: Final = 4
 
@@ -32,17 +32,18 @@ Proof = Literal["case", "test", "breaks", "none", "no change"]
 
 
 class Verdict(msgspec.Struct, frozen=True):
-    """A citation, and what shows that it stands in the right place."""
+    """A citation, and the evidence that the cited code fulfils the requirement."""
 
     citation: Citation
     proof: Proof
-    """``case``, ``test``: one that names the requirement notices a change; ``breaks``: changes only break the node as a
-    whole; ``none``: no change is noticed; ``no change``: there is nothing that could be changed."""
+    """``case``, ``test``: a case or unit test that names the requirement detects a change; ``breaks``: changes only
+    break the node as a whole; ``none``: no change is detected; ``no change``: the code has no possible change."""
     change: str = ""
+    """The detected change."""
     by: str = ""
-    """The case or the test."""
+    """The case or the unit test that detects the change."""
     reason: str = ""
-    """What the ledger says."""
+    """The reason in the ledger why no change can be detected; empty without an entry."""
 
     @property
     def proved(self) -> bool:
@@ -51,12 +52,12 @@ class Verdict(msgspec.Struct, frozen=True):
 
     @property
     def good(self) -> bool:
-        """Whether it is proved, or the ledger says why not."""
+        """Whether the citation is proved, or the ledger has a reason why it cannot be."""
         return self.proved or bool(self.reason)
 
 
 class CitationsResult(msgspec.Struct, frozen=True, kw_only=True):
-    """What ``citations.json`` holds."""
+    """The content of ``citations.json``."""
 
     schema: str = SCHEMA
     tool: str = f"dcp-conformance {__version__}"
@@ -66,30 +67,30 @@ class CitationsResult(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def unproved(self) -> tuple[Verdict, ...]:
-        """Citations that nothing proves and nothing excuses."""
+        """Citations that are not proved and have no entry in the ledger."""
         return tuple(each for each in self.verdicts if not each.good)
 
     @property
     def outdated(self) -> tuple[Verdict, ...]:
-        """Citations that are proved although the ledger says that they cannot be."""
+        """Citations that are proved although the ledger has an entry for them."""
         return tuple(each for each in self.verdicts if each.proved and each.reason)
 
 
 def chosen(patterns: Sequence[str]) -> list[Citation]:
-    """The citations of requirements, or in files, that identifiers or globs mean; all without any.
+    """Return the citations whose requirement or file matches a pattern; all citations without a pattern.
 
-    Raises :class:`UsageError` for a pattern that means none.
+    Raise :class:`UsageError` for a pattern that matches no citation.
     """
     found: dict[Citation, None] = {}
     for pattern in patterns:
-        # A file is named by its path, or by the end of it: ``dcp_stack/bp/queue.py``, ``bp/queue.py``, ``queue.py``.
+        # A file matches by its path or the end of its path: ``dcp_stack/bp/queue.py``, ``bp/queue.py``, ``queue.py``.
         meant = [
             each
             for each in citations()
             if fnmatchcase(each.requirement, pattern) or fnmatchcase(f"/{each.path}", f"*/{pattern}")
         ]
         if not meant:
-            raise UsageError(f"{pattern!r} is neither a requirement that is cited nor a file that cites one")
+            raise UsageError(f"{pattern!r} is neither a cited requirement nor a file that cites a requirement")
         found.update(dict.fromkeys(meant))
     return [each for each in citations() if not patterns or each in found]
 
@@ -101,7 +102,11 @@ def run(
     root: Path | None = None,
     on_result: Callable[[Verdict], None] | None = None,
 ) -> CitationsResult:
-    """Check citations. ``root``: the checkout with the unit tests; without it only cases are asked."""
+    """Check citations in ``jobs`` processes (default: one for each processor); return the verdicts in their order.
+
+    ``root`` is the checkout with the unit tests; without it only cases are executed. ``on_result`` is called with each
+    verdict when it is known.
+    """
     began = time.monotonic()
     places: dict[tuple[str, int, int], list[Citation]] = {}
     order = {each: number for number, each in enumerate(picked)}
@@ -122,7 +127,7 @@ def run(
 
 
 def _check(context: ForkServerContext, group: list[Citation], root: Path | None) -> list[Verdict]:
-    """Citations over the same code."""
+    """Return the verdicts of citations of the same code."""
     changes = changes_under(group[0])[:_TRIED]
     found: dict[str, Verdict] = {}
     crippled: dict[str, Verdict] = {}
@@ -139,7 +144,7 @@ def _check(context: ForkServerContext, group: list[Citation], root: Path | None)
             elif not noticed.crippled:
                 found.setdefault(name, Verdict(each, "case", change.text, noticed.by[name]))
             elif not crippled.get(name, Verdict(each, "none")).proved:
-                # Better than nothing: another change may show it without crippling the node.
+                # Weak evidence, because the whole node is impaired: keep looking for a change that impairs it less.
                 crippled[name] = Verdict(each, "case", change.text, noticed.by[name])
     found = {**{name: each for name, each in crippled.items() if each.proved}, **found}
     for each in group:
@@ -159,7 +164,7 @@ def _check(context: ForkServerContext, group: list[Citation], root: Path | None)
 
 
 def _one_of_each(citation: Citation) -> list[CodeChange]:
-    """The first change of each kind: tests take longer than cases."""
+    """Return the first change of each kind, up to ``_TESTED``: unit tests take longer than cases."""
     return list({each.operator: each for each in reversed(changes_under(citation))}.values())[::-1][:_TESTED]
 
 

@@ -1,10 +1,8 @@
-"""What can be changed in the code that a citation stands on.
+"""The possible changes of cited code.
 
-Inside functions these are the sites of :mod:`dcp_conformance.selftest.generated.sites`, and values that are replaced
-by others
-of the same type (:mod:`dcp_conformance.selftest.citations.perturb`): those rarely break the node as a whole.
-Entries of tables at module level, which the
-sites leave out, are exchanged for what other entries of the table have at the same place.
+Inside functions these are the sites of :mod:`dcp_conformance.selftest.generated.sites`, and replacements of values by
+others of the same type (:mod:`dcp_conformance.selftest.citations.perturb`), which rarely break the node as a whole.
+Sites do not cover tables at module level: a part of an entry is replaced by the same part of another entry.
 """
 
 from __future__ import annotations
@@ -21,7 +19,7 @@ from dcp_conformance.selftest.generated.sites import MODULES, Site, mutated, sit
 
 from .places import Citation
 
-#: Kinds of changes, those first that take away what a line does and leave the rest at work.
+#: Kinds of changes. The first ones remove the effect of a line without other effects on the node.
 _ORDER: Final = (
     "exchanged", "exchanged elements", "dropped call", "other value", "no value", "dropped assignment",
     "branch never taken", "branch always taken", "dropped deletion", "dropped return", "dropped jump", "comparison",
@@ -36,17 +34,17 @@ class CodeChange(NamedTuple):
     """``dcp_stack.bp.queue``."""
     line: int
     text: str
-    """What it is, for readers."""
+    """Description of the change for reports."""
     operator: str
     """One of :data:`_ORDER`."""
     site: Site | None
-    """None for what is not one of the generated changes."""
+    """The generated change; None for a change of this module."""
     entry: tuple[int, int] = (0, 0)
-    """Of an exchanged entry: its line, and which of its exchanges. Of another value: its node in ``ast.walk``, and
-    which of the values of the node."""
+    """For ``exchanged``: line of the entry, and index of the exchange. For other values and exchanged elements: index
+    of the node in ``ast.walk``, and index of the value or element in the node."""
 
     def tree(self) -> ast.Module:
-        """The module with the change."""
+        """Return the syntax tree of the module with the change. Raise LookupError if the source has changed."""
         if self.site is not None:
             return mutated(self.site)
         tree = ast.parse(_source(self.module))
@@ -68,7 +66,7 @@ class CodeChange(NamedTuple):
 
 
 def changes_under(citation: Citation) -> list[CodeChange]:
-    """The changes of the code that a citation stands on, the most telling first; none for code outside of the cores."""
+    """Return the changes of the cited code, the most specific kinds first; empty for code outside of ``dcp_stack``."""
     if not citation.path.startswith("dcp_stack/"):
         return []
     found = [
@@ -84,7 +82,7 @@ def changes_under(citation: Citation) -> list[CodeChange]:
     ]
     found += _values_under(citation)
     found += _entries_under(citation)
-    # What the cited lines themselves say comes before what stands below them.
+    # Within a kind, the lines nearest to the citation come first.
     return sorted(found, key=lambda each: (_rank(each), each.line))
 
 
@@ -107,7 +105,7 @@ def _source(module: str) -> str:
 
 
 def _values_under(citation: Citation) -> Iterator[CodeChange]:
-    """What the cited code assigns, returns, hands over or goes through."""
+    """Yield replacements of the values that the cited code assigns, returns, passes as arguments or iterates over."""
     module = f"dcp_stack.{citation.module}"
     if not citation.function:
         return
@@ -125,7 +123,7 @@ def _values_under(citation: Citation) -> Iterator[CodeChange]:
 
 
 def _values(node: ast.AST) -> list[ast.expr]:
-    """The values of a node that can be replaced."""
+    """Return the values of a syntax node that can be replaced."""
     if isinstance(node, ast.Assign | ast.AugAssign):
         return [node.value]
     if isinstance(node, ast.AnnAssign | ast.Return):
@@ -173,7 +171,7 @@ def _entries_under(citation: Citation) -> Iterator[CodeChange]:
 
 
 def _tables(tree: ast.Module) -> Iterator[ast.Dict]:
-    """The dictionaries at module level with more than one entry."""
+    """Yield the dictionaries with more than one entry at module level."""
     for statement in tree.body:
         if isinstance(statement, ast.Assign | ast.AnnAssign) and statement.value is not None:
             for node in ast.walk(statement.value):
@@ -181,12 +179,15 @@ def _tables(tree: ast.Module) -> Iterator[ast.Dict]:
                     yield node
 
 
-#: Entries of a table that are tried in place of a part, or of a whole entry.
+#: Maximum number of replacements for a part of an entry, or for a whole entry without parts.
 _OTHERS: Final = 4
 
 
 def _exchanges(table: ast.Dict, index: int) -> Iterator[ast.expr]:
-    """The entry with two parts exchanged, or one part as another entry has it; without parts another entry."""
+    """Yield the entry with two adjacent parts exchanged, then with one part of another entry.
+
+    An entry without parts is replaced by other entries.
+    """
     mine = table.values[index]
     others = [each for number, each in enumerate(table.values) if number != index]
     parts = _parts(mine)
@@ -207,7 +208,7 @@ def _exchanges(table: ast.Dict, index: int) -> Iterator[ast.expr]:
             _parts(changed)[place] = copy.deepcopy(part)
             yield changed
     if not parts:
-        # Entries of the same form say something else most plainly; what stands last differs most from its neighbours.
+        # Prefer entries that call the same function, and of these the last ones: neighbours are often alike.
         form = ast.dump(mine.func) if isinstance(mine, ast.Call) else ""
         alike = [each for each in others if isinstance(each, ast.Call) and ast.dump(each.func) == form]
         yield from (copy.deepcopy(each) for each in [*reversed(alike), *others][:_OTHERS])

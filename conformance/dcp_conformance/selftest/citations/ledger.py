@@ -1,4 +1,4 @@
-"""Citations that no change proves to stand in the right place, with reasons: ``data/unproved-citations.toml``."""
+"""Citations for which no change of the code can be detected, with reasons: ``data/unproved-citations.toml``."""
 
 from __future__ import annotations
 
@@ -11,11 +11,12 @@ from .places import Citation
 
 
 class Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Citations that share a reason."""
+    """Citations with the same reason."""
 
     reason: str
     citations: tuple[str, ...]
-    """``ID path function``, for a deviation followed by ``exception``; the function is ``-`` at module level."""
+    """Keys of citations: ``ID path function``, with ``-`` as the function at module level; for a deviation followed by
+    ``exception``."""
 
 
 class _File(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -23,14 +24,14 @@ class _File(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def key(citation: Citation) -> str:
-    """What the ledger calls a citation: it survives edits elsewhere in the file."""
+    """Return the key of a citation in the ledger; it does not change with the line number."""
     exception = " exception" if citation.remark.startswith("exception") else ""
     return f"{citation.requirement} {citation.path} {citation.function or '-'}{exception}"
 
 
 @cache
 def ledger() -> dict[str, str]:
-    """Reasons by the keys of citations. Raises ``msgspec.DecodeError`` for a file that is not well-formed."""
+    """Return the reasons by the keys of citations. Raise ``msgspec.DecodeError`` for a file that is not well-formed."""
     text = resources.files("dcp_conformance").joinpath("data", "unproved-citations.toml").read_bytes()
     entries = msgspec.toml.decode(text, type=_File).entry
     return {each: entry.reason for entry in entries for each in entry.citations}

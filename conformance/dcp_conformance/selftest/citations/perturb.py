@@ -1,4 +1,4 @@
-"""Another value of the same type: what changed code computes in place of the right one."""
+"""Replacement values of the same type, which changed code computes instead of the correct value."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from typing import Any
 
 
 def changed(value: Any) -> Any:
-    """A value that differs from ``value`` and is as plausible; values of types that have no such neighbour stay.
+    """Return a plausible value that differs from ``value``; values of unsupported types are returned unchanged.
 
-    Numbers grow by one, truth is inverted, octets and texts differ in the last place, an enumeration gives its next
-    member, sequences are reversed (those with fewer than two elements become empty).
+    Numbers are incremented, Booleans inverted, the last octet or character is changed, an enumeration yields its next
+    member, and sequences are reversed. A sequence that equals its reverse is replaced by an empty one.
     """
     if isinstance(value, Enum):
         members = list(type(value))
@@ -29,7 +29,10 @@ def changed(value: Any) -> Any:
 
 
 def blank(value: Any) -> Any:
-    """Zero, nothing, or an empty value of the type of ``value``; values of other types stay."""
+    """Return zero or an empty value of the type of ``value``; Booleans are inverted, octets become zero octets.
+
+    Enumerations and values of unsupported types are returned unchanged.
+    """
     if isinstance(value, bool):
         return not value
     if isinstance(value, Enum):

@@ -1,8 +1,8 @@
-"""Citations of requirements in our own code: ``##= ID`` on the line above what fulfils it.
+"""Citations of requirements in our own code: ``##= ID`` on the line above the code that fulfils the requirement.
 
-A citation stands on the statement (or the entry of a table) that follows it; where that only gives a local variable its
-value, also on the statements that follow, up to the first that does more. Several citations in a row stand on the same
-code. Sources are read as text; nothing is imported.
+A citation refers to the statement, or the entry of a table, that follows it. If that statement only assigns local
+variables, the citation includes the following statements, up to the first that does more. Adjacent citations refer to
+the same code. Sources are read as text; no module is imported.
 """
 
 from __future__ import annotations
@@ -18,44 +18,46 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 PACKAGES: Final = ("dcp_spec", "dcp_codec", "dcp_stack")
-"""Packages whose code fulfils requirements."""
+"""Packages whose code fulfils requirements and may cite them."""
 
 _CITATION: Final = re.compile(r"##= *((?:DATA|UWB)-\d\d|(?:BP|SRP|VD)-[A-Z]+-\d\d)\b *(\|.*)?")
 
 
 class Citation(NamedTuple):
-    """A requirement cited at a place."""
+    """A citation of one requirement, with the cited code."""
 
     requirement: str
     path: str
-    """Below the folder of the packages: ``dcp_stack/bp/queue.py``."""
+    """Path of the file, relative to the folder that has the package: ``dcp_stack/bp/queue.py``."""
     line: int
+    """Line of the comment, from 1."""
     first: int
-    """First line of the code that it stands on."""
+    """First line of the cited code."""
     last: int
+    """Last line of the cited code."""
     function: str
     """Qualified name of the function or class around it; empty at module level."""
     remark: str = ""
-    """What follows the identifier: ``exception: reason``."""
+    """Text after the identifier: ``exception: reason``."""
 
     def __str__(self) -> str:
         return f"{self.path}:{self.line}"
 
     @property
     def module(self) -> str:
-        """The module inside its package: ``bp.queue``."""
+        """The module name without the package: ``bp.queue``."""
         return self.path.partition("/")[2].removesuffix(".py").replace("/", ".")
 
 
 @cache
 def citations() -> tuple[Citation, ...]:
-    """All citations, file by file, from top to bottom."""
+    """Return all citations in the order of packages, paths and lines."""
     return tuple(_all())
 
 
 @cache
 def citations_by_requirement() -> dict[str, tuple[Citation, ...]]:
-    """The citations of each requirement that is cited."""
+    """Return the citations of each cited requirement."""
     found: dict[str, list[Citation]] = {}
     for each in citations():
         found.setdefault(each.requirement, []).append(each)
@@ -72,7 +74,7 @@ def _all() -> Iterator[Citation]:
 
 
 def citations_in(path: str, source: str) -> Iterator[Citation]:
-    """The citations in one file, with the code that each stands on."""
+    """Yield the citations in the source of one file. ``path`` is stored in each citation."""
     comments = [
         (token.start[0], match)
         for token in tokenize.generate_tokens(StringIO(source).readline)
@@ -87,7 +89,7 @@ def citations_in(path: str, source: str) -> Iterator[Citation]:
 
 
 def _places(node: ast.AST, function: str) -> Iterator[tuple[int, int, str]]:
-    """First line, last line and function of everything that a citation can stand on: statements, cases, entries."""
+    """Yield first line, last line and function of all citable code: statements, match cases, entries of tables."""
     for name, value in ast.iter_fields(node):
         children = value if isinstance(value, list) else [value]
         for number, child in enumerate(children):
@@ -110,7 +112,7 @@ def _places(node: ast.AST, function: str) -> Iterator[tuple[int, int, str]]:
 
 
 def _last_line(statements: list[ast.stmt]) -> int:
-    """Where the code ends that the first of these statements belongs to."""
+    """Return the last line of the code that a citation of the first of these statements refers to."""
     for statement in statements:
         if not _only_names(statement):
             return statement.end_lineno or statement.lineno
@@ -118,7 +120,7 @@ def _last_line(statements: list[ast.stmt]) -> int:
 
 
 def _only_names(statement: ast.stmt) -> bool:
-    """Whether a statement does nothing but give local variables their values."""
+    """Return whether a statement only assigns local variables."""
     if isinstance(statement, ast.AnnAssign):
         return isinstance(statement.target, ast.Name)
     if not isinstance(statement, ast.Assign):

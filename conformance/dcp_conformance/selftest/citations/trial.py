@@ -1,4 +1,4 @@
-"""The cases that name a requirement, against our node with a change in the code that cites it."""
+"""Run the cases that name a requirement against the reference node with a change in the code that cites it."""
 
 from __future__ import annotations
 
@@ -17,20 +17,23 @@ from .changes import CodeChange
 
 
 class Noticed(msgspec.Struct, frozen=True):
-    """What one change did to the cases of some requirements."""
+    """The effect of one change on the cases of some requirements."""
 
     by: dict[str, str]
-    """The case with a failed check that names the requirement, by requirement."""
+    """By requirement: the case with a failed check that names it."""
     crippled: bool = False
-    """Whether the node does not start, dies, or does not even pass the sanity case: then many cases fail."""
+    """Whether the node does not start, crashes, or fails the sanity case; many unrelated cases fail then."""
 
 
-#: Cases per requirement and profile: a citation that dozens of cases do not notice stands in the wrong place.
+#: Maximum number of cases for each requirement and profile: if these do not detect a change, further ones hardly do.
 _CASES: Final = 25
 
 
 def try_change(change: CodeChange, names: Iterable[str]) -> Noticed:
-    """Run the cases of requirements until each is noticed. For a new process that has not imported ``dcp_stack``."""
+    """Run the cases of the requirements ``names`` until the change is detected for each of them.
+
+    The calling process must be new: it must not have imported ``dcp_stack``.
+    """
     import_changed(change.module, compile(change.tree(), f"<changed {change.module}>", "exec"))
     noticed: dict[str, str] = {}
     crippled = False
@@ -43,13 +46,13 @@ def try_change(change: CodeChange, names: Iterable[str]) -> Noticed:
         except ConformanceError:
             crippled = True
         except Exception:
-            # The change makes the node raise where nobody expects it.
+            # The change makes the node raise an unexpected exception, possibly during its construction.
             crippled = True
     return Noticed(noticed, crippled)
 
 
 def _run(profile: str, names: Sequence[str], noticed: dict[str, str]) -> bool:
-    """Add what the cases notice on one profile; whether the sanity case failed, or the node died."""
+    """Add the detecting cases on one profile to ``noticed``; return whether the sanity case failed or the node died."""
     from dcp_conformance.execution.selection import ordered
     from dcp_conformance.model.case import SANITY, all_cases
     from dcp_conformance.selftest.runner import Suite, finding_of
@@ -62,7 +65,7 @@ def _run(profile: str, names: Sequence[str], noticed: dict[str, str]) -> bool:
         chosen.update(dict.fromkeys(deciding[:_CASES]))
     for result in Suite(profile).run([all_cases()[each] for each in chosen]):
         if result.killed:
-            # A death is no evidence of one requirement rather than another.
+            # A crash is not evidence for a particular requirement.
             return True
         if result.verdict is not Verdict.FAIL:
             continue
@@ -78,7 +81,7 @@ def _run(profile: str, names: Sequence[str], noticed: dict[str, str]) -> bool:
 
 
 def _profiles(names: Iterable[str]) -> Iterator[tuple[str, list[str]]]:
-    """On which profiles to try which requirements: the newest version that has it first, then the oldest."""
+    """Yield profiles with the requirements to try on them: the newest version of each requirement, then the oldest."""
     groups: dict[str, list[str]] = {}
     for newest in (True, False):
         for name in names:

@@ -1,6 +1,6 @@
-"""The unit tests that are marked with a requirement, against changed code.
+"""Run the unit tests that are marked with a requirement against changed code.
 
-:func:`main` is run as a program of its own, in an interpreter that has not imported anything of ours yet.
+:func:`main` runs as a separate program, in an interpreter that has not imported any module of the project.
 """
 
 from __future__ import annotations
@@ -15,19 +15,22 @@ from pathlib import Path
 from types import ModuleType
 from typing import Final
 
-#: Seconds that the tests of one requirement may take: a change can make a loop endless.
+#: Timeout in seconds for the tests of one requirement: a change can cause an endless loop.
 _PATIENCE: Final = 240.0
 
 
 def checkout() -> Path | None:
-    """The checkout whose node is imported, if its tests are there."""
+    """Return the root of the checkout that contains the imported ``dcp_stack``; None without its tests."""
     spec = find_spec("dcp_stack")
     root = Path(spec.origin).parents[1] if spec is not None and spec.origin is not None else None
     return root if root is not None and (root / "tests" / "stack").is_dir() else None
 
 
 def marked_files(root: Path, name: str) -> list[Path]:
-    """The test files below ``root/tests`` with tests that are marked with a requirement, but those in real time."""
+    """Return the test files below ``root/tests`` with tests that are marked with the requirement ``name``.
+
+    Folders with tests in real time are left out.
+    """
     from dcp_conformance.traceability import marked
 
     return [
@@ -38,7 +41,10 @@ def marked_files(root: Path, name: str) -> list[Path]:
 
 
 def failing_test(root: Path, name: str, module: str, source: str) -> str:
-    """The first test marked with the requirement that fails with the changed source of a module; empty if none does."""
+    """Run the tests marked with the requirement ``name`` with ``source`` as the source of ``module``.
+
+    Return the line of pytest about the first failed test, a note if the tests time out, or an empty text if all pass.
+    """
     files = marked_files(root, name)
     if not files:
         return ""
@@ -51,12 +57,15 @@ def failing_test(root: Path, name: str, module: str, source: str) -> str:
                 command, cwd=root, capture_output=True, text=True, timeout=_PATIENCE, check=False
             )
         except subprocess.TimeoutExpired:
-            return "(the tests did not come to an end)"
+            return "(the tests did not end in time)"
     return next((line for line in done.stdout.splitlines() if line.startswith("FAILED ")), "")[:200]
 
 
 def main(module: str, path: str, name: str, files: list[str]) -> int:
-    """Run the tests in ``files`` that are marked with ``name``, with ``module`` imported from ``path``."""
+    """Run the tests in ``files`` that are marked with ``name``, with ``module`` imported from ``path``.
+
+    Return the exit status of pytest.
+    """
     import importlib.abc
     import importlib.util
 
@@ -79,6 +88,6 @@ def main(module: str, path: str, name: str, files: list[str]) -> int:
 
 
 if __name__ == "__main__":
-    # The folder of this file would stand first, with modules that hide others.
+    # Python puts the folder of this file first in sys.path, where its modules would hide others of the same name.
     sys.path.pop(0)
     sys.exit(main(sys.argv[1], sys.argv[2], sys.argv[3], sys.argv[4:]))

@@ -1,1 +1,1 @@
-"""Make and measure the fault dictionary with the mutants."""
+"""Make the fault dictionary with the mutants, and measure the diagnosis that uses it."""

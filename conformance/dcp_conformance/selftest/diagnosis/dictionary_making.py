@@ -14,26 +14,30 @@ from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.selftest.mutants import Mutant, all_mutants
 from dcp_conformance.selftest.runner import Suite, cases, process_pool
 
-#: Seconds of processor time that a mutant gets. One that dies in every case takes minutes; what failed until then is
-#: its signature.
+#: Limit of the processor time for each mutant, in seconds. A mutant that crashes in every case would take minutes; its
+#: signature is then the set of cases that failed until the limit.
 _PATIENCE: Final = 60
 
 
 class _OutOfTimeError(BaseException):
-    """Not an ``Exception``: no case may take it for a finding."""
+    """The processor time is used up. Not an ``Exception``, so that no case catches it as a finding."""
 
 
 class Outcome(NamedTuple):
-    """The signature of a mutant, and whether the suite came to its end."""
+    """The signature of a mutant."""
 
     fault: Fault
     complete: bool
+    """Whether all cases were executed within the limit of processor time."""
 
 
 def make(
     mutants: Sequence[Mutant], *, jobs: int | None = None, on_result: Callable[[Outcome], None] = lambda _: None
 ) -> Dictionary:
-    """Run every case against each mutant, on the newest version that has it. ``jobs``: processes."""
+    """Run every case against each mutant, on the newest version that it affects; return the fault dictionary.
+
+    ``jobs`` is the number of processes, by default one for each processor. ``on_result`` is called with each outcome.
+    """
     found: list[Fault] = []
     with process_pool(jobs or os.cpu_count() or 1) as pool:
         for future in as_completed([pool.submit(_task, each.id) for each in mutants]):
@@ -48,7 +52,7 @@ def _task(name: str) -> Outcome:
 
 
 def signature(mutant: Mutant) -> Outcome:
-    """Run every case against the mutant."""
+    """Run every case against the mutant, and return its signature."""
     verdicts: dict[str, Verdict] = {}
     before = signal.signal(signal.SIGPROF, _out_of_time)
     signal.setitimer(signal.ITIMER_PROF, _PATIENCE)

@@ -12,6 +12,7 @@ import msgspec
 
 from dcp_conformance.diagnosis.dictionary import Dictionary, load
 from dcp_conformance.diagnosis.explain import explain
+from dcp_conformance.errors import UpperTesterError
 from dcp_conformance.model.results import Diagnosis
 from dcp_conformance.selftest.mutants import Mutant, all_mutants
 from dcp_conformance.selftest.mutants.combination import combined
@@ -21,42 +22,42 @@ PROFILE: Final = "dcp-2.0"
 
 
 class Outcome(msgspec.Struct, frozen=True):
-    """The diagnosis of one node."""
+    """The diagnosis of one node with several faults."""
 
     faults: tuple[str, ...]
     """The mutants that were combined."""
     failed: int
     """The number of failed cases."""
     hidden: tuple[str, ...]
-    """Faults of which nothing is left beside the others: no case of their signature fails."""
+    """Faults that the others conceal: no case of their signature fails."""
     named: tuple[str, ...]
     """The faults that the diagnosis names first."""
     found: tuple[str, ...]
-    """Of ``faults`` those that are named, or whose failures in this node are those of a named one."""
+    """The members of ``faults`` that are named, or that cause the same failures in this node as a named fault."""
     false: tuple[str, ...]
-    """Named faults that are none of ``faults``, nor the same in this node."""
+    """Named faults that are not in ``faults`` and do not cause the same failures as one of them."""
 
 
 class Measurement(msgspec.Struct, frozen=True):
-    """The numbers of many nodes."""
+    """The outcomes of many nodes, with summary figures."""
 
     outcomes: tuple[Outcome, ...]
 
     @property
     def recall(self) -> float:
-        """The share of the faults that are not hidden that were found."""
+        """The share of faults that were found, 0 to 1; hidden faults do not count."""
         there = sum(len(each.faults) - len(each.hidden) for each in self.outcomes)
         return sum(len(set(each.found) - set(each.hidden)) for each in self.outcomes) / there if there else 1.0
 
     @property
     def false_share(self) -> float:
-        """The share of the named faults that are false."""
+        """The share of named faults that are false, 0 to 1."""
         named = sum(len(each.named) for each in self.outcomes)
         return sum(len(each.false) for each in self.outcomes) / named if named else 0.0
 
 
 def draw(number: int, size: int, seed: int) -> list[tuple[str, ...]]:
-    """Draw groups of ``size`` mutants that can be combined."""
+    """Draw ``number`` groups of ``size`` mutants that can be combined in one node, reproducibly by ``seed``."""
     rng = random.Random(seed)  # noqa: S311 - a draw, no secret
     able = [name for name, each in sorted(all_mutants().items()) if each.part is not None and each.profile == PROFILE]
     found: list[tuple[str, ...]] = []
@@ -65,7 +66,7 @@ def draw(number: int, size: int, seed: int) -> list[tuple[str, ...]]:
         try:
             combined([all_mutants()[name] for name in group])
         except TypeError:
-            # Two changes of one class that cannot be put into one.
+            # Two of the mutants change the same class in ways that cannot be combined.
             continue
         found.append(group)
     return found
@@ -83,7 +84,7 @@ def measure(
     jobs: int | None = None,
     on_result: Callable[[Outcome], None] = lambda _: None,
 ) -> Measurement:
-    """Diagnose a node for each group of mutants."""
+    """Diagnose a node for each group of mutants in ``jobs`` processes; call ``on_result`` with each outcome."""
     found: list[Outcome] = []
     with process_pool(jobs or os.cpu_count() or 1) as pool:
         for future in as_completed([pool.submit(_task, group) for group in groups]):
@@ -97,9 +98,13 @@ def _task(group: tuple[str, ...]) -> Outcome:
 
 
 def outcome(group: tuple[str, ...], dictionary: Dictionary) -> Outcome:
-    """Diagnose a node with a group of faults."""
+    """Diagnose a node with a group of faults, and compare the named faults with the group."""
     known = all_mutants()
-    diagnosis, failed = diagnose([known[name] for name in group], dictionary)
+    try:
+        diagnosis, failed = diagnose([known[name] for name in group], dictionary)
+    except UpperTesterError:
+        # The node closes its connection before the first case: no case shows any of the faults.
+        return Outcome(group, 0, hidden=group, named=(), found=(), false=())
     signatures = {fault.id: fault.fails for fault in dictionary.faults}
     hidden = tuple(name for name in group if not signatures[name] & failed)
     named = tuple(each.fault for each in diagnosis.faults)

@@ -1,4 +1,4 @@
-"""Many generated mutants: drawn by a seed, tried on all processors, held against the ledger."""
+"""Draw generated mutants by a seed, try them on all processors, and compare the outcomes with the ledger."""
 
 from __future__ import annotations
 
@@ -23,69 +23,72 @@ from .sites import Site, sites
 from .trial import NODES, PROFILES, Outcome, Step, limit, measure, steps, try_site
 
 SCHEMA: Final = "dcp-conformance-generated/1"
-#: Changes from which on it pays to find out first which cases execute them.
+#: Number of changes from which on it saves time to measure first which cases execute them.
 _MANY: Final = 40
 
 
 class Trial(msgspec.Struct, frozen=True):
-    """A change and what became of it."""
+    """A change and its outcome."""
 
     site: Site
     outcome: Outcome
     excused: str = ""
-    """Why it cannot be seen from outside, as the ledger says; empty if it is not in the ledger."""
+    """The reason in the ledger why the change cannot be observed from outside; empty if it is not in the ledger."""
 
     @property
     def killed(self) -> bool:
-        """Whether the suite noticed in a way that a user sees: a failed case, or a node that does not work at all."""
+        """Whether a case failed, or the node does not work at all."""
         return self.outcome.fate in ("killed", "broken")
 
 
 class GeneratedResult(msgspec.Struct, frozen=True, kw_only=True):
-    """What ``generated.json`` holds."""
+    """The content of ``generated.json``."""
 
     schema: str = SCHEMA
     tool: str = f"dcp-conformance {__version__}"
     seed: int | None = None
     drawn: int = 0
     sites: int = 0
-    """All changes that can be made."""
+    """The number of all possible changes."""
     ledger: int = 0
-    """Those of them that the ledger excuses."""
+    """The number of possible changes that are in the ledger."""
     duration: float = 0.0
     """Seconds."""
     trials: tuple[Trial, ...] = ()
 
     @property
     def judged(self) -> tuple[Trial, ...]:
-        """Trials that count: those that the ledger does not excuse."""
+        """The trials that count: changes that are not in the ledger."""
         return tuple(each for each in self.trials if not each.excused)
 
     @property
     def survivors(self) -> tuple[Trial, ...]:
-        """Trials that count and were not killed."""
+        """The trials that count and were not killed."""
         return tuple(each for each in self.judged if not each.killed)
 
     @property
     def misplaced(self) -> tuple[Trial, ...]:
-        """Entries of the ledger that a case kills: the reason given there is wrong."""
+        """The trials of changes that are in the ledger although a case kills them: the reason there is wrong."""
         return tuple(each for each in self.trials if each.excused and each.outcome.fate == "killed")
 
     @property
     def score(self) -> float:
-        """The share of the trials that count which were killed, 0 to 1; 1 if there are none."""
+        """The share of counted trials that were killed, 0 to 1; 1 without any trial."""
         return 1 - len(self.survivors) / len(self.judged) if self.judged else 1.0
 
 
 def draw(count: int, seed: int, *, patterns: Sequence[str] = ()) -> list[Site]:
-    """Different changes, drawn at random; the same for the same seed and source. ``patterns``: parts of their text."""
+    """Draw ``count`` different changes at random, reproducibly by ``seed`` for the same source.
+
+    ``patterns`` restricts the draw to changes whose text contains one of them, or whose key equals one of them.
+    """
     pool = [site for site in sites() if not patterns or any(each in str(site) or each == site.key for each in patterns)]
     rng = random.Random(seed)  # noqa: S311 - a draw that can be repeated
     return rng.sample(pool, min(count, len(pool)))
 
 
 def reach(*, jobs: int | None = None) -> tuple[Reach, ...]:
-    """What the cases execute on each node. Takes about ten runs of the suite for each."""
+    """Measure the lines that the cases execute on each node. Takes about as long as ten runs of the suite per node."""
     with ThreadPoolExecutor(jobs or os.cpu_count() or 1) as pool:
         return tuple(pool.map(partial(_measured, process_context()), NODES))
 
@@ -99,12 +102,13 @@ def run(
     reached: Sequence[Reach] | None = None,
     on_result: Callable[[Trial], None] | None = None,
 ) -> GeneratedResult:
-    """Try each of the changes in a process of its own.
+    """Try each of the changes in a separate process, ``jobs`` at a time (default: one for each processor).
 
-    Raises :class:`ConformanceError` if the node does not work without a change: every change would count as killed.
+    ``excused`` also tries changes in the ledger, to find entries that a case kills. ``reached`` has the lines that the
+    cases execute (see :func:`reach`); by default they are measured if many changes are tried. ``seed`` is only stored
+    in the result. ``on_result`` is called with each trial when it is complete.
 
-    ``excused``: also those in the ledger, to find entries that a case kills. ``reached``: what the cases execute, if
-    that is known (see :func:`reach`); by default it is measured when many changes are tried.
+    Raise :class:`ConformanceError` if the node does not work without a change: every change would count as killed.
     """
     began = time.monotonic()
     excuses = ledger()
@@ -142,7 +146,7 @@ def run(
 
 
 def _require_working(context: ForkServerContext) -> None:
-    """Run the sanity case against the node as it is. Raises :class:`ConformanceError` if it fails."""
+    """Run the sanity case against the unchanged node. Raise :class:`ConformanceError` if it fails."""
     answer, fate = ask(context, _try, None, (Step(PROFILES[0], (0,)),))
     outcome = msgspec.json.decode(answer, type=Outcome) if answer else None
     if outcome is None or outcome.fate != "survived":
@@ -157,14 +161,14 @@ def _in_process(context: ForkServerContext, site: Site, plan: Sequence[Step]) ->
     if answer:
         outcome: Outcome = msgspec.json.decode(answer, type=Outcome)
         return outcome
-    # SIGXCPU, or out of memory: the node does not come to an end.
+    # The process ended by SIGXCPU or for lack of memory: an endless loop of the node.
     return Outcome(site.key, "broken", fate, "", round(time.monotonic() - began, 2))
 
 
 def _measured(context: ForkServerContext, node: str) -> Reach:
     answer, fate = ask(context, _measure, node)
     if not answer:
-        raise RuntimeError(f"what the cases execute on {node}: {fate}")
+        raise RuntimeError(f"cannot measure the lines that the cases execute on {node}: {fate}")
     return msgspec.msgpack.decode(answer, type=Reach)
 
 

@@ -1,6 +1,7 @@
-"""Work in new processes that import one module of the project from changed code.
+"""Run functions in new processes that import one module of the project from changed code.
 
-A change must be in place before the node is imported for the first time, and may make the node die or never end.
+The changed code must be installed before the node is imported for the first time. It can crash the node or cause an
+endless loop.
 """
 
 from __future__ import annotations
@@ -22,12 +23,12 @@ from typing import Final, TypeVar
 
 T = TypeVar("T")
 R = TypeVar("R")
-#: Seconds that a process may take by the clock: the processors may have other work.
+#: Timeout of a process in seconds of real time; long, because the processors may be busy with other work.
 _PATIENCE: Final = 600.0
 
 
 class _Importer(importlib.abc.MetaPathFinder, importlib.abc.Loader):
-    """Imports one module from changed code."""
+    """Finder and loader that imports one module from changed code."""
 
     def __init__(self, name: str, code: CodeType) -> None:
         self._name = name
@@ -36,29 +37,29 @@ class _Importer(importlib.abc.MetaPathFinder, importlib.abc.Loader):
     def find_spec(
         self, fullname: str, path: Sequence[str] | None = None, target: ModuleType | None = None
     ) -> importlib.machinery.ModuleSpec | None:
-        """The changed module; None for every other."""
+        """Return the specification of the changed module; None for every other."""
         del path, target
         return importlib.util.spec_from_loader(fullname, self) if fullname == self._name else None
 
     def exec_module(self, module: ModuleType) -> None:
-        """Run the changed code."""
+        """Execute the changed code in the module."""
         exec(self._code, module.__dict__)  # noqa: S102 - our own source with one change
 
 
 def import_changed(name: str, code: CodeType) -> None:
-    """Let the next import of a module run this code. The module must not be imported yet."""
+    """Make the first import of the module ``name`` execute ``code``. The module must not have been imported yet."""
     sys.meta_path.insert(0, _Importer(name, code))
 
 
 def process_context() -> ForkServerContext:
-    """Processes that have imported what no change touches."""
+    """Return a context whose processes have already imported the modules that no change affects."""
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload([f"{__package__}.preload"])
     return context
 
 
 def ask(context: ForkServerContext, work: Callable[..., bytes], *arguments: object) -> tuple[bytes, str]:
-    """Return what ``work`` returns in a new process; if it returns nothing, how that process ended."""
+    """Call ``work`` in a new process; return its result and an empty text, or no octets and how the process ended."""
     ours, theirs = context.Pipe(duplex=False)
     process = context.Process(target=_child, args=(theirs, work, *arguments), daemon=True)
     process.start()
@@ -66,7 +67,7 @@ def ask(context: ForkServerContext, work: Callable[..., bytes], *arguments: obje
     try:
         if ours.poll(_PATIENCE):
             return ours.recv_bytes(), ""
-        return b"", f"did not come to an end within {_PATIENCE:g} s"
+        return b"", f"did not end within {_PATIENCE:g} s"
     except (EOFError, OSError):
         process.join(5)
         return b"", f"its process ended with status {process.exitcode}"
@@ -77,7 +78,7 @@ def ask(context: ForkServerContext, work: Callable[..., bytes], *arguments: obje
 
 
 def _child(to: Connection, work: Callable[..., bytes], *arguments: object) -> None:
-    # A broken node may write any amount of messages.
+    # Discard the output: a broken node may write any number of messages.
     with Path(os.devnull).open("r+b") as nowhere:
         for descriptor in (1, 2):
             os.dup2(nowhere.fileno(), descriptor)
@@ -87,10 +88,11 @@ def _child(to: Connection, work: Callable[..., bytes], *arguments: object) -> No
 
 
 def concurrently(work: Callable[[T], R], items: Iterable[T], jobs: int | None, on_result: Callable[[R], None]) -> None:
-    """Call ``on_result`` with the result of ``work`` for each item as they come, from ``jobs`` threads.
+    """Call ``work`` for each item in ``jobs`` threads, and ``on_result`` with each result in the order of completion.
 
-    For work that waits for processes; None: a thread for each processor. An interrupt, also one during ``on_result``,
-    ends it early without an exception: what has not begun is left out.
+    ``jobs``: None means one thread for each processor. The function is meant for work that waits for processes. A
+    KeyboardInterrupt, also one during ``on_result``, ends it early without an exception; items that have not been
+    started are left out.
     """
     with ThreadPoolExecutor(jobs or os.cpu_count() or 1) as pool:
         waiting = [pool.submit(work, each) for each in items]

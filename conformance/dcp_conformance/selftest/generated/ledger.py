@@ -1,8 +1,8 @@
-"""Changes that cannot be seen from outside, each with the reason: the files of ``data/invisible-changes/``.
+"""Changes that cannot be observed from outside, with reasons: the files of ``data/invisible-changes/``.
 
 Each file is a list of tables ``[[entry]]`` with the keys of :class:`Entry`. An entry names changes by their keys (see
-:mod:`dcp_conformance.selftest.generated.sites`): when the changed code changes, the key no longer exists, and a
-test asks for the entry to be removed.
+:mod:`dcp_conformance.selftest.generated.sites`). After an edit of the changed code the key no longer exists, and a
+test fails until the entry is removed.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ from typing import Final
 
 import msgspec
 
-#: Kinds of reasons, with what they mean.
+#: Kinds of reasons, with their meanings.
 CLASSES: Final = {
     "counter": "a counter, statistic or drop reason that only dcp-node shows",
     "representation": "another representation of the same: names in messages, text of an error, a cache",
-    "speed": "work that is saved or done twice, with the same outcome",
+    "speed": "work that is saved or repeated, with the same outcome",
     "equivalent": "the same behaviour for every input that can occur",
     "unreachable": "a state that callers exclude, or a guard against misuse by our own program",
     "freedom": "another behaviour that the specification allows as well",
@@ -28,13 +28,13 @@ CLASSES: Final = {
 
 
 class Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Changes that share a reason."""
+    """Changes with the same reason."""
 
     kind: str
     """One of :data:`CLASSES`."""
     reason: str
     changes: tuple[str, ...]
-    """``key  what it is, for readers``."""
+    """``key  description of the change`` for each change."""
 
     def __post_init__(self) -> None:
         if self.kind not in CLASSES:
@@ -54,7 +54,7 @@ class _File(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 @cache
 def entries() -> tuple[Entry, ...]:
-    """All entries, file by file in the order of the names. Raises ``ValueError`` for a file that is not well-formed."""
+    """Return all entries in the order of file names. Raise ``ValueError`` for a file that is not well-formed."""
     folder = resources.files("dcp_conformance").joinpath("data", "invisible-changes")
     found: list[Entry] = []
     for file in sorted(folder.iterdir(), key=lambda each: each.name):
@@ -72,5 +72,5 @@ def _read(file: Traversable) -> tuple[Entry, ...]:
 
 @cache
 def ledger() -> dict[str, Entry]:
-    """Entries by the keys of their changes."""
+    """Return the entries by the keys of their changes."""
     return {change.split()[0]: entry for entry in entries() for change in entry.changes}

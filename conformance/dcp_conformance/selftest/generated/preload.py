@@ -1,4 +1,4 @@
-"""What every trial needs beside the node, imported once: trials are forked from a process that has this module."""
+"""Modules that every trial needs besides the node, imported once in the process from which trials are forked."""
 
 import dcp_codec.codec
 import dcp_conformance.execution.runner  # noqa: F401 - for those that are forked

@@ -1,7 +1,7 @@
-"""Which cases execute which lines of the node: a change of a line can only be noticed by a case that executes it.
+"""The lines of the node that each case executes: only cases that execute a changed line can detect the change.
 
-The suite is run once on each profile with a tracer, in a process of its own (:func:`measure`). A trial then runs the
-cases that execute the changed lines and no others.
+The suite is run once on each node with a tracer, in a separate process (:func:`trial.measure`). A trial then runs only
+the cases that execute the changed lines.
 """
 
 from __future__ import annotations
@@ -18,17 +18,17 @@ _FILES: Final = {f"/dcp_stack/{module.replace('.', '/')}.py": module for module 
 
 
 class Reach(msgspec.Struct, frozen=True):
-    """What the cases execute on one node."""
+    """The lines that the cases execute on one node."""
 
     node: str
     """One of :data:`trial.NODES`."""
     lines: dict[str, dict[int, tuple[int, ...]]]
     """By module and line: the numbers of the cases that execute the line, in the order of :func:`trial.cases`."""
     always: dict[str, tuple[int, ...]]
-    """By module: lines that are executed when the node is imported and configured: every case depends on them."""
+    """By module: lines that are executed when the node is imported and configured; every case depends on them."""
 
     def cases(self, site: Site) -> frozenset[int] | None:
-        """The cases that execute the statement of ``site``; None if every case may depend on it."""
+        """Return the numbers of the cases that execute the statement of ``site``; None if every case depends on it."""
         if site.first == 0:
             return None
         span = range(site.first, site.last + 1)
@@ -39,14 +39,14 @@ class Reach(msgspec.Struct, frozen=True):
 
 
 class Tracer:
-    """Collects executed lines of the modules that are changed."""
+    """Trace function that collects the executed lines of the modules in :data:`sites.MODULES`."""
 
     def __init__(self) -> None:
         self.seen: set[tuple[str, int]] = set()
         self._modules: dict[CodeType, str] = {}
 
     def __call__(self, frame: FrameType, _event: str, _argument: object) -> Any:
-        """Trace a call if it is one of the node's: the global function of ``sys.settrace``."""
+        """Start tracing a function call if its code is in one of the modules (protocol of ``sys.settrace``)."""
         code = frame.f_code
         module = self._modules.get(code)
         if module is None:
@@ -65,12 +65,13 @@ class Tracer:
         return line
 
     def take(self) -> set[tuple[str, int]]:
-        """The lines since the last time."""
-        # The same set: functions that are still running hold its `add`.
+        """Return the lines that were executed since the previous call."""
+        # Clear the set instead of replacing it: functions that are still running hold its method `add`.
         taken = set(self.seen)
         self.seen.clear()
         return taken
 
 
 def of_module(module: str, lines: Iterable[tuple[str, int]]) -> tuple[int, ...]:
+    """Return the sorted line numbers of one module."""
     return tuple(sorted(line for name, line in lines if name == module))

@@ -1,10 +1,13 @@
-"""Code of the node that only reports or shows something: no change of it can alter what the protocols do.
+"""Recognition of code that only reports: changes of it cannot alter the behaviour of the protocols.
 
-All kinds are recognised from the syntax alone: statements that emit a ``Dropped`` effect, which are the log of the
-protocol cores, or that count an event in the counters of BP; functions that consist of such statements, with the calls
-of them; what describes a fault for the log; functions that show or check the state for a reader, with the private
-functions that only these use; guards against misuse by the program around the node, which only raise an exception; and
-comparisons that choose a reading, of which every alternative is permitted.
+All kinds are recognised by their syntax:
+
+* statements that emit a ``Dropped`` effect (the log of the protocol cores) or count an event in the counters of BP;
+* functions that consist of such statements, and the calls of these functions;
+* descriptions of faults for the log;
+* functions that show or check the state for a reader, with the private functions that only these use;
+* guards against misuse by the program around the node, which only raise an exception;
+* comparisons that choose a reading, because every alternative of a reading is permitted.
 """
 
 from __future__ import annotations
@@ -13,25 +16,25 @@ import ast
 from collections.abc import Iterator
 from typing import Final, NamedTuple
 
-#: The effect by which a core reports what it has dropped and why, and what says why.
+#: The effect by which a core reports a drop with its reason, and the calls that describe reasons.
 _REPORT: Final = "Dropped"
 _DESCRIPTIONS: Final = frozenset({_REPORT, "Fault"})
-#: The object and its method by which BP counts.
+#: The object and its method by which BP counts events.
 _COUNTERS, _COUNT = "_counters", "count"
-#: The method of a configuration that tells which alternative of a reading is chosen.
+#: The method of a configuration that returns the chosen alternative of a reading.
 _READING: Final = "reading"
 #: Methods that show or check the state of an object.
 _SHOWING: Final = frozenset({"__repr__", "snapshot", "check_invariants"})
 
 
 class Reports(NamedTuple):
-    """What a module has of such code."""
+    """The functions of a module that only report or show something."""
 
     functions: frozenset[str]
     """Names of functions that only report or show."""
 
     def is_report(self, statement: ast.stmt) -> bool:
-        """Whether a statement is a call that only reports."""
+        """Return whether a statement is a call that only reports."""
         if not isinstance(statement, ast.Expr) or not isinstance(statement.value, ast.Call):
             return False
         call = statement.value
@@ -44,7 +47,7 @@ class Reports(NamedTuple):
 
 
 def is_guard(statement: ast.stmt) -> bool:
-    """Whether a statement only raises an exception under some condition."""
+    """Return whether a statement only raises an exception under a condition."""
     return (
         isinstance(statement, ast.If)
         and not statement.orelse
@@ -53,7 +56,7 @@ def is_guard(statement: ast.stmt) -> bool:
 
 
 def without_reports(expression: ast.AST) -> Iterator[ast.AST]:
-    """The nodes of an expression, without those that describe a fault or choose a reading."""
+    """Yield the syntax nodes of an expression, except descriptions of faults and choices of a reading."""
     if isinstance(expression, ast.Call) and _name(expression.func) in _DESCRIPTIONS:
         return
     left = expression.left if isinstance(expression, ast.Compare) else None
@@ -65,7 +68,7 @@ def without_reports(expression: ast.AST) -> Iterator[ast.AST]:
 
 
 def reports_of(tree: ast.Module) -> Reports:
-    """Find such code in a module."""
+    """Find the functions of a module that only report or show something."""
     functions = [each for each in ast.walk(tree) if isinstance(each, ast.FunctionDef)]
     found = Reports(_SHOWING)
     while True:
@@ -87,7 +90,7 @@ def _is_report_or_branch(statement: ast.stmt, known: Reports) -> bool:
 
 
 def _only_used_by(function: ast.FunctionDef, functions: list[ast.FunctionDef], known: Reports) -> bool:
-    """Whether a private function is used, and by no function but those that show."""
+    """Return whether a private function is used, and only by functions that show or check the state."""
     if not function.name.startswith("_") or function.name.startswith("__"):
         return False
     users = {each.name for each in functions if each is not function and function.name in _names_in(each)}
@@ -103,7 +106,7 @@ def _is_docstring(statement: ast.stmt) -> bool:
 
 
 def _name(node: ast.AST) -> str:
-    """The last part of a name: ``emit`` of ``self._core.emit``."""
+    """Return the last part of a name (``emit`` of ``self._core.emit``); empty for other expressions."""
     if isinstance(node, ast.Attribute):
         return node.attr
     return node.id if isinstance(node, ast.Name) else ""

@@ -1,4 +1,4 @@
-"""Every single change that can be made in the source of the protocol cores."""
+"""All single changes (sites) that can be generated in the source of the protocol cores."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from typing import Final, NamedTuple
 
 from .reports import Reports, is_guard, reports_of, without_reports
 
-#: The modules of BP, SRP and VarDis. What only composes them, names effects, counts or reads configurations is left
-#: out.
+#: The modules of BP, SRP and VarDis. Modules that only compose them, name effects, count or read configurations are
+#: left out.
 MODULES: Final = (
     "bp.entity", "bp.clients", "bp.parameters", "bp.queue", "bp.receive", "bp.services", "bp.timing", "bp.wire",
     "srp.entity", "srp.neighbour_table", "timestamps",
@@ -49,7 +49,7 @@ _ARITHMETIC: Final[dict[type[ast.operator], type[ast.operator]]] = {
 }
 
 
-#: A requirement that the code below fulfils, and the number of lines within which it is near a change.
+#: A citation of a requirement, and its maximum distance from a change to count as near, in lines.
 _CITATION: Final = re.compile(r"##= ([A-Z0-9-]+)")
 _NEAR: Final = 20
 
@@ -60,21 +60,21 @@ class Site(NamedTuple):
     module: str
     """Without the package ``dcp_stack``: ``vardis.compose``."""
     function: str
-    """The qualified name of the function or class that holds it; empty at module level."""
+    """The qualified name of the enclosing function or class; empty at module level."""
     line: int
     operator: str
     """The kind of the change: ``comparison``, ``dropped call``, ..."""
     before: str
     after: str
     number: int
-    """The place of the changed node among the nodes of the module, in the order of ``ast.walk``."""
+    """The index of the changed syntax node in ``ast.walk`` of the module."""
     variant: int
-    """Which of the changes of this kind at the node."""
+    """The index of the change among those of this kind at the node."""
     key: str
-    """A fingerprint of function, statement and change: it survives edits elsewhere in the file."""
+    """A fingerprint of function, statement and change; edits elsewhere in the file do not change it."""
     first: int = 0
     last: int = 0
-    """The lines of the statement without the statements in it; 0 if it is executed when the module is imported."""
+    """First and last line of the statement without nested statements; 0 if it is executed during the import."""
 
     def __str__(self) -> str:
         path = f"dcp_stack/{self.module.replace('.', '/')}.py"
@@ -84,7 +84,7 @@ class Site(NamedTuple):
 class _Change(NamedTuple):
     operator: str
     replacement: ast.AST | None
-    """None: the statement is dropped."""
+    """The new syntax node; None drops the statement."""
 
 
 @cache
@@ -94,13 +94,13 @@ def _source(module: str) -> str:
 
 @cache
 def sites() -> tuple[Site, ...]:
-    """All changes, module by module, from top to bottom."""
+    """Return all changes in the order of :data:`MODULES` and of their syntax nodes."""
     return tuple(site for module in MODULES for site in _sites_of(module))
 
 
 @cache
 def _citations(module: str) -> tuple[tuple[int, str], ...]:
-    """Lines and identifiers of the requirements that a module cites."""
+    """Return the citations of a module as (line, requirement)."""
     return tuple(
         (number, identifier)
         for number, line in enumerate(_source(module).splitlines(), 1)
@@ -109,13 +109,13 @@ def _citations(module: str) -> tuple[tuple[int, str], ...]:
 
 
 def cited(site: Site) -> tuple[str, ...]:
-    """The requirements that are cited near the change, the nearest first."""
+    """Return the requirements that are cited within 20 lines of the change, the nearest first."""
     near = sorted((abs(line - site.line), identifier) for line, identifier in _citations(site.module))
     return tuple(dict.fromkeys(identifier for distance, identifier in near if distance <= _NEAR))
 
 
 def mutated(site: Site) -> ast.Module:
-    """The module with this change."""
+    """Return the syntax tree of the module with the change of ``site``."""
     tree = ast.parse(_source(site.module))
     node = _nodes(tree)[site.number]
     change = [each for each in _changes(node) if each.operator == site.operator][site.variant]
@@ -139,7 +139,7 @@ def _sites_of(module: str) -> Iterator[Site]:
             if before == after:
                 continue
             text = "\0".join((module, function, _head(statement), change.operator, before, after))
-            # The same change of the same text twice in a statement: the second has a number.
+            # The same change of the same text can occur several times in a statement: number them.
             nth = seen[text] = seen.get(text, -1) + 1
             key = hashlib.sha256(f"{text}\0{nth}".encode()).hexdigest()[:12]
             line = getattr(node, "lineno", 0)
@@ -148,7 +148,7 @@ def _sites_of(module: str) -> Iterator[Site]:
 
 
 def _head(statement: ast.stmt) -> str:
-    """A statement without the statements in it."""
+    """Return the source of a statement without nested statements."""
     head = copy.copy(statement)
     for name in ("body", "orelse", "finalbody", "handlers", "cases"):
         if getattr(head, name, None):
@@ -160,7 +160,7 @@ def _head(statement: ast.stmt) -> str:
 
 
 def _lines(statement: ast.stmt) -> tuple[int, int]:
-    """First and last line of a statement without the statements in it."""
+    """Return the first and last line of a statement without nested statements."""
     inner = [
         each.lineno
         for name in ("body", "orelse", "finalbody", "handlers")
@@ -176,7 +176,7 @@ def _nodes(tree: ast.Module) -> list[ast.AST]:
 
 
 def _candidates(tree: ast.Module) -> Iterator[tuple[str, ast.stmt, ast.AST]]:
-    """Nodes that may be changed, with the function and the statement that hold them."""
+    """Yield the syntax nodes that may be changed, each with its function and its statement."""
     yield from _in_body(tree.body, "", reports_of(tree))
 
 
@@ -205,7 +205,7 @@ def _in_statement(statement: ast.stmt, function: str, reports: Reports) -> Itera
 
 
 def _is_only_for_readers(statement: ast.stmt) -> bool:
-    """Docstrings, assertions, misuse by the caller, declarations without a value."""
+    """Return whether a statement is a docstring, an assertion, a raise, an import or a declaration without value."""
     if isinstance(statement, ast.Expr) and isinstance(statement.value, ast.Constant):
         return True
     if isinstance(statement, ast.AnnAssign) and statement.value is None:
@@ -245,7 +245,7 @@ def _changes(node: ast.AST) -> Iterator[_Change]:
 
 
 def _order_matters(node: ast.Call) -> bool:
-    """Whether a call has two positional arguments that mean different things."""
+    """Return whether a call has two positional arguments that are not interchangeable."""
     symmetric = isinstance(node.func, ast.Name) and node.func.id in ("min", "max")
     return len(node.args) >= 2 and not symmetric and not any(isinstance(each, ast.Starred) for each in node.args)
 
@@ -256,7 +256,7 @@ def _changes_of_statement(node: ast.stmt) -> Iterator[_Change]:
     elif isinstance(node, ast.AugAssign):
         yield _Change("dropped assignment", None)
     elif isinstance(node, ast.Assign) and all(isinstance(each, ast.Attribute | ast.Subscript) for each in node.targets):
-        # Dropping a local name would only raise NameError.
+        # Assignments to local names are left out: dropping them would only raise NameError.
         yield _Change("dropped assignment", None)
     elif isinstance(node, ast.Delete):
         yield _Change("dropped deletion", None)

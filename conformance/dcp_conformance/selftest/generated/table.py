@@ -1,4 +1,4 @@
-"""Generated mutants as Markdown: the scores of draws, what survived, and what the ledger excuses."""
+"""Generated mutants as Markdown: the scores of draws, the survivors, and the numbers in the ledger."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from .sites import sites
 
 
 def section(results: Sequence[GeneratedResult]) -> str:
-    """The section ``generated`` of the document; the same for the same draws, suite and node."""
+    """Return the section ``generated`` of the document; it depends on the draws, the suite and the node only."""
     count = len(sites())
     excused = sum(len(entry.changes) for entry in entries())
     drawn = max((result.drawn for result in results), default=0)
@@ -21,12 +21,12 @@ def section(results: Sequence[GeneratedResult]) -> str:
         "",
         f"Made by `dcp-conformance selftest --generated {drawn} {seeds} --document docs/selftest.md`.",
         "",
-        "Each of these mutants is one random change in the source of our node: another comparison, operator, constant",
-        "or return value, a dropped call, assignment or condition, swapped arguments, a branch always or never taken.",
-        f"There are {count:,} such changes in the modules of BP, SRP and VarDis. They are drawn without looking at the",
-        "cases. A change is killed if a case or a passive check fails, or if the node does not work at all.",
-        "Changes in the ledger (`conformance/dcp_conformance/data/invisible-changes/`) cannot be seen from outside, or",
-        "are permitted; they do not count.",
+        "Each of these mutants is one random change in the source of the reference node: another comparison, operator,",
+        "constant or return value, a dropped call, assignment or condition, swapped arguments, a branch that is always",
+        f"or never taken. There are {count:,} such changes in the modules of BP, SRP and VarDis. The draw does not",
+        "depend on the cases. A change is killed if a case or a passive rule fails, or if the node does not work at",
+        "all. Changes in the ledger (`conformance/dcp_conformance/data/invisible-changes/`) cannot be observed from",
+        "outside, or are permitted; they do not count.",
         "",
         "| seed | drawn | in the ledger | judged | killed | survived | score |",
         "|---:|---:|---:|---:|---:|---:|---:|",
@@ -35,7 +35,7 @@ def section(results: Sequence[GeneratedResult]) -> str:
         *_survivors(results),
         f"The ledger holds {excused:,} of {count:,} changes ({excused / count:.1%}):",
         "",
-        "| kind | changes | what it means |",
+        "| kind | changes | meaning |",
         "|---|---:|---|",
         *_kinds(),
     ]

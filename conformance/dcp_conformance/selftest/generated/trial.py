@@ -1,4 +1,4 @@
-"""The suite against our node with one change in its source, in a process that has never seen the node without it."""
+"""Run the suite against the node with one change in its source, in a process that has not imported the node before."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ if TYPE_CHECKING:
     from dcp_conformance.selftest.runner import Suite
 
 PROFILES: Final = ("dcp-2.0", "dcp-1.0", "dcp-1.1", "dcp-1.2", "dcp-1.3", "cpp-2.0")
-"""Profiles on which a change is tried, until one notices: much of the source serves one version only."""
+"""Profiles on which a change is tried until a case detects it: much of the source is used for one version only."""
 OTHER_READINGS: Final = "dcp-2.0 with other readings"
-"""The node with the second alternative of every reading: some of the source serves only these."""
+"""The node with the second alternative of every reading: some of the source is used for these only."""
 NODES: Final = (*PROFILES, OTHER_READINGS)
-"""Everything that a change is tried on, by name."""
-#: How the cases about a module begin, by the first word of its name.
+"""The names of all nodes on which a change is tried."""
+#: Prefixes of the cases about a module, by the first part of its name.
 _PREFIXES: Final[dict[str, tuple[str, ...]]] = defaultdict(
     lambda: ("TC_",),
     vardis=("TC_VD", "TC_NET"),
@@ -44,7 +44,7 @@ _PREFIXES: Final[dict[str, tuple[str, ...]]] = defaultdict(
     srp=("TC_SRP",),
     neighbours=("TC_SRP",),
 )
-#: Bounds: seconds of CPU time for one case (the longest takes 0.1 s), octets of address space.
+#: Limits of a process: CPU time for each case in seconds (the longest takes 0.1 s), and address space in octets.
 CPU_SECONDS: Final = 10
 _ADDRESS_SPACE: Final = 4 << 30
 
@@ -52,27 +52,27 @@ Fate = Literal["killed", "broken", "noticed", "survived", "excused"]
 
 
 class Outcome(msgspec.Struct, frozen=True):
-    """What became of one change."""
+    """The outcome of one change."""
 
     key: str
     fate: Fate
-    """``killed``: a case failed; ``broken``: the node did not start, or did not come to an end; ``noticed``: cases
-    became inconclusive or stumbled, none failed; ``survived``: every case came out as without the change; ``excused``:
-    the change is in the ledger and was not tried."""
+    """``killed``: a case failed; ``broken``: the node did not start, or looped endlessly; ``noticed``: cases became
+    inconclusive or ended with an error, none failed; ``survived``: no case was affected; ``excused``: the change is in
+    the ledger and was not tried."""
     by: str = ""
-    """The first case that noticed, and why."""
+    """The first case that detected the change, with its reason."""
     profile: str = ""
     seconds: float = 0.0
 
 
 @cache
 def cases() -> tuple[Case, ...]:
-    """All cases in the order of a run. Their numbers are places in this tuple."""
+    """Return all cases in the order of a run. The number of a case is its index in this tuple."""
     return tuple(ordered(all_cases().values()))
 
 
 class Step(NamedTuple):
-    """A part of a trial."""
+    """One part of a trial: cases to run on one node."""
 
     node: str
     """One of :data:`NODES`."""
@@ -85,8 +85,8 @@ _EVERYTHING: Final = tuple(Step(node, None) for node in NODES)
 
 
 def suite_of(node: str) -> tuple[Suite, Profile]:
-    """The suite against the node with one of the names in :data:`NODES`, and the profile of that node."""
-    # The node must not be imported before its change is in place.
+    """Return the suite for the node of this name in :data:`NODES`, and the profile of the node."""
+    # Import the node only here: the change must be installed first.
     from dcp_conformance.reference.inprocess import plain_node
     from dcp_conformance.selftest.runner import Suite
 
@@ -101,9 +101,9 @@ def suite_of(node: str) -> tuple[Suite, Profile]:
 
 
 def steps(site: Site, reached: Sequence[Reach] = ()) -> tuple[Step, ...]:
-    """What must be run to see whether a case notices the change; empty if no case executes the changed code.
+    """Return the steps of a trial of ``site``; empty if no case executes the changed code.
 
-    ``reached``: what the cases execute on each node; without it every case is run on every node.
+    ``reached`` has the lines that the cases execute on each node; without it every case is run on every node.
     """
     if not reached:
         return _EVERYTHING
@@ -114,26 +114,27 @@ def steps(site: Site, reached: Sequence[Reach] = ()) -> tuple[Step, ...]:
 
 
 def limit() -> None:
-    """Bound the memory of this process and the CPU time of its first case: a change can make a loop endless."""
+    """Limit the memory of this process and the CPU time of its first case: a change can cause an endless loop."""
     resource.setrlimit(resource.RLIMIT_AS, (_ADDRESS_SPACE, _ADDRESS_SPACE))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     _limit_time()
-    # Most objects of a trial die by their reference counts.
+    # Collect garbage rarely: reference counts free most objects of a trial.
     gc.freeze()
     gc.set_threshold(100_000)
 
 
 def _limit_time() -> None:
-    """Let the process end if it uses ``CPU_SECONDS`` from now on."""
+    """End the process by SIGXCPU after ``CPU_SECONDS`` further seconds of CPU time."""
     _, hard = resource.getrlimit(resource.RLIMIT_CPU)
     resource.setrlimit(resource.RLIMIT_CPU, (int(time.process_time()) + CPU_SECONDS, hard))
 
 
 def try_site(site: Site | None, plan: Sequence[Step] | None = None) -> Outcome:
-    """Run the suite until a case notices. For a new process only: it must not have imported ``dcp_stack``.
+    """Run the suite until a case detects the change.
 
-    ``plan``: what to run, by default everything. Cases that name a requirement cited near the change are run first.
-    Without a ``site`` the node is left as it is, and has to survive.
+    ``plan`` has the steps to run, by default all cases on all nodes. Cases that name a requirement cited near the
+    change are run first. Without a ``site`` the node is unchanged, and the outcome must be ``survived``. Raise
+    RuntimeError if the process has imported ``dcp_stack``: it must be new.
     """
     loaded = [name for name in sys.modules if name == "dcp_stack" or name.startswith("dcp_stack.")]
     if loaded:
@@ -174,7 +175,7 @@ def _timed(chosen: Iterable[Case]) -> Iterator[Case]:
 
 
 def _in_order(site: Site | None, numbers: tuple[int, ...] | None) -> list[Case]:
-    """The cases with these numbers, those first that are likely to notice."""
+    """Return the cases with these numbers; cases that are likely to detect the change are first."""
     chosen = list(cases()) if numbers is None else [cases()[number] for number in numbers]
     if site is None:
         return chosen
@@ -185,15 +186,17 @@ def _in_order(site: Site | None, numbers: tuple[int, ...] | None) -> list[Case]:
         nth = variants[case.base] = variants.get(case.base, -1) + 1
         near = min((place[each] for each in case.requirements if each in place), default=len(place))
         elsewhere = not case.id.startswith(_PREFIXES[site.module.partition("_")[0]])
-        # What can leave the node dead stays last; variants of one case mostly notice the same.
+        # Destructive cases are last, because they may crash the node. The first variant of each case precedes the
+        # second variants, because variants of one case mostly detect the same faults.
         ranks[case.id] = case.destructive, nth, near, elsewhere
     return sorted(chosen, key=lambda case: ranks[case.id])
 
 
 def measure(node: str, numbers: Sequence[int] | None = None) -> Reach:
-    """Run the suite on ``node`` under the tracer, or the cases with these numbers, which must begin with sanity.
+    """Run cases on ``node`` under the tracer, and return the lines that each executes.
 
-    For a process of its own that has not imported the node, since it changes how a node is configured.
+    ``numbers`` selects cases, of which the first must be the sanity case; None selects all. The process must be new,
+    because the function modifies the class of the configuration.
     """
     chosen = cases() if numbers is None else [cases()[number] for number in numbers]
     place = {case.id: number for number, case in enumerate(cases())}
@@ -201,10 +204,10 @@ def measure(node: str, numbers: Sequence[int] | None = None) -> Reach:
     found: dict[str, dict[int, list[int]]] = {}
     sys.settrace(tracer)
     try:
-        # The node is imported under the tracer: some functions are called by modules only.
+        # Import the node under the tracer: some functions are called during the import only.
         from dcp_stack.config import NodeConfig
 
-        # Otherwise the first case alone would execute what is found out once and kept for all others.
+        # Disable the cache of the configuration: otherwise only the first case would execute the cached functions.
         setattr(NodeConfig, "once", lambda config, find: find(config))  # noqa: B010 - of a frozen class
         suite, _ = suite_of(node)
         always = tracer.take()

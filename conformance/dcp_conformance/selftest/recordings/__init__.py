@@ -1,4 +1,4 @@
-"""Who judges the judge of recordings: faulty nodes in simulated networks, and networks without any fault."""
+"""Tests of ``check`` with simulated recordings: networks with one faulty node, and networks without any fault."""
 
 from .clean import CleanResult, Suspicion, clean, situation
 from .faulty import FaultyResult, Outcome, faulty

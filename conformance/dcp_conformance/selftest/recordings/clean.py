@@ -1,4 +1,4 @@
-"""Networks without a fault: nothing may be found in their recordings."""
+"""Networks without a fault: ``check`` must not report a finding in their recordings."""
 
 from __future__ import annotations
 
@@ -20,13 +20,14 @@ from dcp_stack.config import NodeConfig
 
 from .judging import found, judged
 
+#: Profiles of the networks in rotation; the newest version is used twice as often.
 PROFILES: Final = ("dcp-2.0", "dcp-2.0", "cpp-2.0", "dcp-1.3", "cpp-1.3", "dcp-1.2", "dcp-1.1", "dcp-1.0")
-#: One network in so many has a permitted variant in the place of one node.
+#: In each third network, a permitted variant replaces one node.
 _VARIANTS: Final = 3
 
 
 class Suspicion(msgspec.Struct, frozen=True):
-    """A finding in a network without a fault: a false one."""
+    """A false finding: one in a network without a fault."""
 
     situation: str
     rule: str
@@ -35,7 +36,7 @@ class Suspicion(msgspec.Struct, frozen=True):
 
 
 class CleanResult(msgspec.Struct, frozen=True, kw_only=True):
-    """What came of a number of networks."""
+    """The outcome of all networks without a fault."""
 
     networks: int
     beacons: int
@@ -47,8 +48,8 @@ class CleanResult(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def situation(number: int) -> NetworkSituation:
-    """The network of a number, the same every time: all versions, shapes, losses, restarts, clocks."""
-    rng = random.Random(f"clean/{number}")  # noqa: S311 - to be repeatable is the point
+    """Return network ``number``: profile, topology, loss, restarts and clocks are derived from the number only."""
+    rng = random.Random(f"clean/{number}")  # noqa: S311 - the draw must be repeatable
     return NetworkSituation(
         profile=PROFILES[number % len(PROFILES)],
         nodes=rng.choice([3, 5, 5, 7]),
@@ -65,15 +66,15 @@ def situation(number: int) -> NetworkSituation:
 
 
 def variant_of(number: int, profile: str) -> Variant | None:
-    """The permitted variant in the network of a number; None for most."""
+    """Return the permitted variant in network ``number``; None for networks without a variant."""
     if number % _VARIANTS:
         return None
-    fitting = [each for each in all_variants().values() if each.applies_to(profile) and _on_the_air(each, profile)]
+    fitting = [each for each in all_variants().values() if each.applies_to(profile) and _is_node(each, profile)]
     return random.Random(f"variant/{number}").choice(fitting) if fitting else None  # noqa: S311
 
 
-def _on_the_air(variant: Variant, profile: str) -> bool:
-    """Whether a variant is another node, and not another application, clock or upper tester."""
+def _is_node(variant: Variant, profile: str) -> bool:
+    """Return whether a variant changes the node only: not the application or the clock, and SRP is configured."""
     setup = variant.build(profile)
     return setup.application is None and setup.clock(0) == 0 and setup.config.srp is not None
 
@@ -107,7 +108,10 @@ def _task(number: int) -> tuple[int, list[Suspicion], bool, float]:
 def clean(
     numbers: Sequence[int], *, jobs: int = 1, on_result: Callable[[int, list[Suspicion]], None] | None = None
 ) -> CleanResult:
-    """Judge the networks of these numbers in ``jobs`` processes; ``on_result`` is told of each as it is done."""
+    """Judge the networks ``numbers`` in ``jobs`` processes.
+
+    ``on_result`` is called with the number and the false findings of each network when it is complete.
+    """
     beacons = doubts = 0
     seconds = 0.0
     false: dict[int, list[Suspicion]] = {}

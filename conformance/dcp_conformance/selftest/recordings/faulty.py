@@ -1,4 +1,4 @@
-"""Networks with one faulty node: each mutant that shows on the air, in a network of five, on a bus and in a line."""
+"""Networks with one faulty node: each mutant in a network of five nodes, with the topologies bus and line."""
 
 from __future__ import annotations
 
@@ -21,15 +21,17 @@ from .judging import found, judged
 from .reasons import reason
 
 SHAPES: Final[tuple[Literal["bus", "line"], ...]] = ("bus", "line")
-#: The place of the faulty node: in a line everything between the halves passes it.
+#: Index of the faulty node: the middle of the line, which forwards all information between the two halves.
 PLACE: Final = 2
 
 Fate = Literal["found", "otherwise", "doubted", "observed", "missed", "same"]
-"""Found by a rule that names the requirement; by others; a pass is withheld; observed only; not found; our octets."""
+"""``found``: a failed rule names a violated requirement; ``otherwise``: failed rules name others; ``doubted``: an
+inconclusive verdict; ``observed``: a verdict info; ``missed``: no rule reports it; ``same``: the mutant sent the same
+octets as the reference node."""
 
 
 class Outcome(msgspec.Struct, frozen=True):
-    """What came of one mutant in one network."""
+    """The outcome of one mutant in one network."""
 
     mutant: str
     requirements: tuple[str, ...]
@@ -38,19 +40,20 @@ class Outcome(msgspec.Struct, frozen=True):
     shape: str
     fate: Fate
     rules: tuple[str, ...] = ()
-    """The rules that found it, those first that name its requirement."""
+    """The rules that report the mutant; rules that name a violated requirement are first."""
     text: str = ""
-    """The first finding; of a mutant that was not found, why not."""
+    """The first finding; for ``missed``, the reason why no rule reports the mutant."""
 
 
 class FaultyResult(msgspec.Struct, frozen=True, kw_only=True):
-    """What came of all mutants."""
+    """The outcomes of all mutants."""
 
     outcomes: tuple[Outcome, ...]
     seconds: float
+    """Processor time."""
 
     def by_mutant(self) -> dict[str, dict[str, Outcome]]:
-        """Mutant -> shape -> outcome."""
+        """Return the outcomes by mutant and topology."""
         table: dict[str, dict[str, Outcome]] = {}
         for each in self.outcomes:
             table.setdefault(each.mutant, {})[each.shape] = each
@@ -66,7 +69,7 @@ def _situation(profile: str, shape: Literal["bus", "line"]) -> NetworkSituation:
 
 @cache
 def _baseline(profile: str, shape: Literal["bus", "line"]) -> tuple[tuple[bytes, ...], frozenset[tuple[str, str]]]:
-    """The octets of the network without a fault, and what is observed in it."""
+    """Return the frames of the network without a fault, and the observations in it as (rule, text without digits)."""
     codec = Codec(profile)
     frames = record(_situation(profile, shape), {PLACE: Other()}, codec=codec)
     observed = found(judged(frames, codec), Verdict.INFO, Verdict.INCONCLUSIVE)
@@ -76,7 +79,7 @@ def _baseline(profile: str, shape: Literal["bus", "line"]) -> tuple[tuple[bytes,
 
 
 def _plain(text: str) -> str:
-    """An observation without its numbers."""
+    """Return an observation without its digits."""
     return "".join(each for each in text if not each.isdigit())
 
 
@@ -124,7 +127,10 @@ def faulty(
     jobs: int = 1,
     on_result: Callable[[Outcome], None] | None = None,
 ) -> FaultyResult:
-    """Judge a network for each mutant and shape in ``jobs`` processes; ``on_result`` is told of each as it is done."""
+    """Judge a network for each mutant and topology in ``jobs`` processes.
+
+    ``on_result`` is called with each outcome when it is known.
+    """
     outcomes: dict[tuple[str, str], Outcome] = {}
     seconds = 0.0
     with process_pool(jobs) as processes:

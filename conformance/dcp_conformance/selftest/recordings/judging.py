@@ -1,4 +1,4 @@
-"""Judging a simulated recording, and what counts as a finding."""
+"""Judge a simulated recording with the rules of ``check``."""
 
 from __future__ import annotations
 
@@ -15,12 +15,14 @@ from dcp_conformance.model.verdict import Verdict
 
 
 def judged(frames: Iterable[Frame], codec: Codec) -> list[CaseResult]:
-    """The results of all rules about a recording, of which nobody has stated the beacon period."""
+    """Return the results of all rules for a recording with an unknown beacon period.
+
+    Violations that the profile itself declares are left out.
+    """
     judge = Judge(codec, Pics(), recording="simulated", command="", period_known=False)
     for frame in frames:
         judge.feed(frame)
     declared = set(declared_by(codec.profile))
-    # What the profile itself declares is no finding in a recording.
     return [
         case
         for case in judge.result().cases
@@ -33,7 +35,7 @@ def _failed(case: CaseResult) -> set[str]:
 
 
 def found(cases: Iterable[CaseResult], *verdicts: Verdict) -> dict[str, dict[str, tuple[str, ...]]]:
-    """By rule: what it found with these verdicts, with the requirements that it names."""
+    """Return the findings with one of ``verdicts``, by rule and text, with the requirements that each names."""
     findings: dict[str, dict[str, tuple[str, ...]]] = {}
     for case in cases:
         for check in case.checks:

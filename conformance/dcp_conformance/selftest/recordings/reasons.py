@@ -1,4 +1,4 @@
-"""Why `check` has not found a faulty node: what differs on the air, and which rules could have spoken."""
+"""Reasons why `check` has not found a faulty node: the rules about its requirements, and the different octets."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from dcp_codec.codec import Codec
 from dcp_conformance.frames.received import KIND_OF
 from dcp_conformance.model.results import CaseResult
 
-#: Octets of a frame before the beacon: the header of Ethernet.
+#: Octets of the Ethernet header before the beacon.
 _HEADER: Final = 14
-#: Kinds of records that are compared, in the order in which they are told.
+#: Record types that are compared, in the order of the report.
 _KINDS: Final = tuple(ICType)
 
 
@@ -25,31 +25,31 @@ def reason(
     cases: Sequence[CaseResult],
     codec: Codec,
 ) -> str:
-    """The reason in one line: rules about the requirements of the mutant, then what differs from our node.
+    """Return the reason in one line: the rules about the requirements of the mutant, then the different octets.
 
-    ``octets`` are the frames of the network with the mutant, ``usual`` those of the same network with our node,
-    ``cases`` what `check` says about the former.
+    ``octets`` are the frames of the network with the mutant, ``usual`` those of the same network with the reference
+    node, ``cases`` the results of `check` for the former.
     """
     return f"{_rules(requirements, cases)}; {_difference(octets, usual, codec)}"
 
 
 def _rules(requirements: Sequence[str], cases: Sequence[CaseResult]) -> str:
-    """Which rules are about the requirements, and how many occasions the recording gave them."""
+    """Describe the rules about the requirements, with the number of occasions that each had in the recording."""
     about = [case for case in cases if set(case.requirements) & set(requirements)]
     names = ", ".join(requirements)
     if not about:
         return f"check has no rule about {names}: other nodes, loss or the application may show the same"
-    told = []
+    listed = []
     for case in about:
         occasions = max((case.occasions.get(each, 0) for each in requirements), default=0)
-        told.append(
-            f"{case.id} {f'had {occasions:,} occasions and nothing against it' if occasions else 'had no occasion'}"
+        listed.append(
+            f"{case.id} {f'found no violation in {occasions:,} occasions' if occasions else 'had no occasion'}"
         )
-    return ", ".join(told)
+    return ", ".join(listed)
 
 
 def _difference(octets: Sequence[bytes], usual: Sequence[bytes], codec: Codec) -> str:
-    """What differs: the first field, how many beacons, and how often each kind of record is sent by all nodes."""
+    """Describe the difference: number of beacons, first different field, and numbers of records of each type."""
     first = next((number for number, (mine, ours) in enumerate(zip(octets, usual, strict=False)) if mine != ours), None)
     if first is None:
         return f"the first {min(len(octets), len(usual)):,} frames are the same, and then one network sends more"
@@ -59,13 +59,13 @@ def _difference(octets: Sequence[bytes], usual: Sequence[bytes], codec: Codec) -
     text += f" {_field(octets[first], usual[first], codec)}"
     mine, ours = _counts(octets, codec), _counts(usual, codec)
     changed = [f"{kind.label} {ours[kind]:,} -> {mine[kind]:,}" for kind in _KINDS if mine[kind] != ours[kind]]
-    return f"{text}; records: {', '.join(changed) or 'as many of each kind'}"
+    return f"{text}; records: {', '.join(changed) or 'the same number of each type'}"
 
 
 def _field(mine: bytes, ours: bytes, codec: Codec) -> str:
-    """The first field that differs, by its path; "the sender" where another node sends."""
+    """Return the path of the first different field; "sender and time" if another node sends the frame."""
     if mine[:_HEADER] != ours[:_HEADER]:
-        return "who sends it and when"
+        return "sender and time"
     leaves = [
         {field.path: field.raw for field in codec.dissect(octets, start=_HEADER).root.walk() if not field.children}
         for octets in (mine, ours)
@@ -73,7 +73,7 @@ def _field(mine: bytes, ours: bytes, codec: Codec) -> str:
     for path in dict.fromkeys([*leaves[1], *leaves[0]]):
         if leaves[0].get(path) != leaves[1].get(path):
             return path
-    return "its padding"
+    return "the padding"
 
 
 def _counts(octets: Sequence[bytes], codec: Codec) -> Counter[ICType]:

@@ -1,4 +1,4 @@
-"""The document about trials of the judge of recordings: ``docs/check-selftest.md``."""
+"""The document ``docs/check-selftest.md``: how many faulty nodes ``check`` finds in simulated recordings."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from .clean import CleanResult
 from .faulty import SHAPES, FaultyResult, Outcome
 
 COMMAND: Final = "dcp-conformance selftest --recordings --clean 500 --document docs/check-selftest.md"
-#: What the last column says where nothing was found.
+#: Text of the last column for mutants without a failed rule, by outcome.
 REASONS: Final = {
-    "same": "not on the air: the octets are those of our node",
-    "missed": "on the air",
+    "same": "not visible: the beacons are those of the reference node",
+    "missed": "visible in the beacons",
     "observed": "observed, and not judged",
-    "doubted": "the pass is withheld",
+    "doubted": "inconclusive",
 }
 _ORDER: Final = ("found", "otherwise", "doubted", "observed", "missed", "same")
 TITLES: Final = {
     "found": "found, with the requirement",
     "otherwise": "found, with other requirements",
-    "doubted": "pass withheld",
+    "doubted": "inconclusive",
     "observed": "observed",
     "missed": "not found",
     "same": "same octets",
@@ -30,16 +30,17 @@ TITLES: Final = {
 
 
 def document(result: FaultyResult, clean: CleanResult | None) -> str:
-    """The document in Markdown: numbers, networks without a fault, a row for each mutant that shows on the air."""
+    """Return the document in Markdown: numbers, networks without a fault, and a row for each visible mutant."""
     table = result.by_mutant()
     lines = [
-        "# Who judges the judge of recordings",
+        "# Tests of check with simulated recordings",
         "",
         f"Made by `{COMMAND}`; do not edit.",
         "",
-        "Each mutant (our node with one small fault) is put into the middle of a simulated network of five nodes, on a",
-        "bus and in a line, with restarts, a node that joins late, and applications that create, update and delete.",
-        "`check` judges the recording. A mutant that sends the octets of our node in this traffic cannot be found.",
+        "Each mutant (the reference node with one small fault) is put into the middle of a simulated network of five",
+        "nodes, on a bus and in a line, with restarts, a node that joins late, and applications that create, update",
+        "and delete. `check` judges the recording. A mutant cannot be found if it sends the same octets as the",
+        "reference node in this traffic.",
         f"{len(table)} of {len(all_mutants())} mutants were tried for this page.",
         "",
         "| network | " + " | ".join(TITLES[each] for each in _ORDER) + " |",
@@ -55,14 +56,14 @@ def document(result: FaultyResult, clean: CleanResult | None) -> str:
             "",
             "## Networks without a fault",
             "",
-            f"{clean.networks} networks with {clean.beacons} beacons (all versions; bus, line, grid, links that come",
-            "and go; losses of 0 to 50 %; restarts, late joins, set clocks; a permitted variant in every third):",
+            f"{clean.networks} networks with {clean.beacons} beacons (all versions; bus, line, grid, moving nodes;",
+            "losses of 0 to 50 %; restarts, late joins, set clocks; a permitted variant in every third network):",
             f"{len(clean.false)} findings, inconclusive verdicts in {clean.doubts}.",
         ]
         lines += [f"* {each.situation}: {each.rule}: {each.text}" for each in clean.false]
     lines += [
         "",
-        "## Mutants that show on the air",
+        "## Mutants that are visible in the beacons",
         "",
         "| mutant | bus | line | rules, or the reason |",
         "|---|---|---|---|",
@@ -79,6 +80,6 @@ def _reason(row: dict[str, Outcome]) -> str:
     best = min(row.values(), key=lambda each: _ORDER.index(each.fate))
     if best.fate in ("found", "otherwise"):
         return ", ".join(rules)
-    # What was merely observed, and what was not found, has its reason: the first of the networks that has one.
+    # For mutants without a failed rule, show the reason from the network with the best outcome.
     why = best.text.replace("|", "\\|")
     return f"{', '.join(rules)}: {REASONS[best.fate]}: {why}" if rules else f"{REASONS[best.fate]}: {why}"

@@ -1,4 +1,4 @@
-"""Permitted nodes: our node with one freedom of the specification used; the suite must not fail any of them."""
+"""Permitted variants: nodes that use one freedom of the specification each. The suite must not fail any of them."""
 
 from .variant import Setup, Variant, all_variants, chosen
 

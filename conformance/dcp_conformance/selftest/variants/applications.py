@@ -1,4 +1,4 @@
-"""Applications on the node that act while the tester tests."""
+"""Variants with applications on the node that use its services during the test."""
 
 from __future__ import annotations
 
@@ -14,13 +14,16 @@ from dcp_stack.node import Node
 from .variant import Application, Setup, Variant, codec_of, has_srp, setup
 
 _CLIENT: Final = 0x7A11
-#: The tester leaves these identifiers to the applications (pixit.var_ids).
+#: Identifier of the applications' variable, and the range that the tester uses instead (pixit.var_ids).
 _VARIABLE: Final = 250
 _TESTER_VAR_IDS: Final = (0, 239)
 
 
 class _Periodic:
-    """Acts once in each period. Periods are no multiples of the beacon period, so that phases vary."""
+    """An application that acts once in each period.
+
+    Periods are not multiples of the beacon period, so that the phase varies.
+    """
 
     period_ms: ClassVar[int] = 103
 
@@ -35,12 +38,12 @@ class _Periodic:
         self.once(node, now, wall)
 
     def once(self, node: Node, now: int, wall: int) -> None:
-        """What is done each time."""
+        """Act once. Times in ns."""
         raise NotImplementedError
 
 
 class Pilot(_Periodic):
-    """Hands down safety data at about 10 Hz, as the architecture expects of an application."""
+    """Submits safety data at about 10 Hz, as the architecture expects of an application."""
 
     period_ms = 103
 
@@ -52,19 +55,19 @@ class Pilot(_Periodic):
 
 
 class FastPilot(Pilot):
-    """Hands down safety data at about 50 Hz, more often than there are beacons."""
+    """Submits safety data at about 50 Hz, more often than the node sends beacons."""
 
     period_ms = 21
 
 
 class SlowPilot(Pilot):
-    """Hands down safety data at about 1 Hz."""
+    """Submits safety data at about 1 Hz."""
 
     period_ms = 1009
 
 
 class Sensor(_Periodic):
-    """Has a variable that it updates once a second, and creates it again where it was forgotten."""
+    """Updates a variable once a second; creates it if it does not exist."""
 
     period_ms = 1013
     repetitions: ClassVar[int] = 2
@@ -84,7 +87,7 @@ class Sensor(_Periodic):
 
 
 class Chatter(_Periodic):
-    """Is a client of BP that hands down a payload three times a second."""
+    """A client of BP that submits a payload three times a second."""
 
     period_ms = 331
     mode: ClassVar[str] = "once"
@@ -98,13 +101,13 @@ class Chatter(_Periodic):
 
 
 class Beacon(Chatter):
-    """Is a client of BP with a payload in every beacon (mode REPEAT), so that the node is never silent."""
+    """A client of BP with a payload in every beacon (mode REPEAT), so that the node is never silent."""
 
     mode = "repeat"
 
 
 class Everything(_Periodic):
-    """All of these together."""
+    """The applications Pilot, Sensor and Chatter together."""
 
     period_ms = 97
 
@@ -131,15 +134,15 @@ def _one_octet_ids(profile: Any) -> bool:
     return bool(codec_of(profile.name).profile.types.var_id.width == 1)
 
 
-_SRP_WHY = "dcp-architecture.md: the application frequently hands its state down to SRP"
-_VD_WHY = "dcp-vardis.md: applications create and update variables at any time; PIXIT var_ids leaves them some"
+_SRP_WHY = "dcp-architecture.md: the application frequently submits its state to SRP"
+_VD_WHY = "dcp-vardis.md: applications create and update variables at any time; PIXIT var_ids reserves some for them"
 _BP_WHY = "dcp-bp.md: any number of client protocols may be registered"
 
-#: An application that goes on sending leaves no beacon period in which the node has nothing to send.
+#: Because the application keeps sending, no beacon period is without a payload.
 _NO_PAUSE = r"^TC_BP_HDR_BV_(09|12): no beacon during the pause"
-#: What waits while BP is inactive is what the application has handed down last.
+#: While BP is inactive, the application replaces the waiting payload.
 _REPLACED = r"^TC_SRP_REC_(TI_01|BV_04): .*: an application on the node replaces"
-#: A variable of the node's own is summarised in every payload for as long as it exists.
+#: The node summarises its own variable in every payload as long as the variable exists.
 _SUMMARISED = (
     r"^TC_VD_RUN_TI_0.*: variables from other sources are still summarised"
     r"|^TC_VD_SUM_BV_04: .*: an application on the node has created a variable"
@@ -148,7 +151,7 @@ _SUMMARISED = (
 VARIANTS = (
     Variant(
         "V-APP-reports-10Hz",
-        "has an application that hands down safety data at 10 Hz",
+        "has an application that submits safety data at 10 Hz",
         _SRP_WHY,
         _running(Pilot),
         where=has_srp,
@@ -156,7 +159,7 @@ VARIANTS = (
     ),
     Variant(
         "V-APP-reports-50Hz",
-        "has an application that hands down safety data at 50 Hz",
+        "has an application that submits safety data at 50 Hz",
         _SRP_WHY,
         _running(FastPilot),
         where=has_srp,
@@ -164,7 +167,7 @@ VARIANTS = (
     ),
     Variant(
         "V-APP-reports-1Hz",
-        "has an application that hands down safety data at 1 Hz",
+        "has an application that submits safety data at 1 Hz",
         _SRP_WHY,
         _running(SlowPilot),
         where=has_srp,
@@ -172,11 +175,11 @@ VARIANTS = (
     ),
     Variant(
         "V-APP-initial-report",
-        "has safety data configured, which it hands down at its start",
+        "submits configured safety data when it starts",
         _SRP_WHY,
         _configured,
         where=has_srp,
-        # Up to 1.2 it is repeated.
+        # Up to 1.2 the report is repeated.
         explains=(_NO_PAUSE,),
     ),
     Variant(
@@ -189,7 +192,7 @@ VARIANTS = (
     ),
     Variant(
         "V-APP-client",
-        "has a client of BP that hands down a payload three times a second",
+        "has a client of BP that submits a payload three times a second",
         _BP_WHY,
         _running(Chatter),
         explains=(_NO_PAUSE,),

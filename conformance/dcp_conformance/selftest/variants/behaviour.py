@@ -1,4 +1,4 @@
-"""Freedoms in what a node does: how many payloads, in which order, when, and what becomes of doubtful beacons."""
+"""Variants of the node's behaviour: number, order and time of payloads, and the processing of doubtful beacons."""
 
 from __future__ import annotations
 
@@ -29,10 +29,12 @@ from .variant import Setup, Variant, has_srp, setup
 
 _V = SpecVersion
 
-# -- what goes into a beacon -------------------------------------------------------------------------------------------
+# -- the content of beacons --------------------------------------------------------------------------------------------
 
 
 class _AtMost(ClientList):
+    """Puts at most :attr:`most` payloads into a beacon."""
+
     most: ClassVar[int]
 
     def take(self, room: int, size: Callable[[bytes], int], most: int) -> Chosen:
@@ -40,21 +42,28 @@ class _AtMost(ClientList):
 
 
 class OneBlock(_AtMost):
+    """Puts one payload into a beacon."""
+
     most = 1
 
 
 class TwoBlocks(_AtMost):
+    """Puts at most two payloads into a beacon."""
+
     most = 2
 
 
 class TenBlocks(_AtMost):
+    """Puts at most ten payloads into a beacon."""
+
     most = 10
 
 
 class _Priority(ClientList):
-    """Serves the clients in a fixed order in each beacon."""
+    """Serves the clients of each beacon in the order of :meth:`rank`, the lowest first."""
 
     def rank(self, protocol_id: int) -> int:
+        """Return the place of a client in the order."""
         raise NotImplementedError
 
     def take(self, room: int, size: Callable[[bytes], int], most: int) -> Chosen:
@@ -63,34 +72,42 @@ class _Priority(ClientList):
 
 
 class LowestFirst(_Priority):
+    """Serves clients in the order of their protocol identifiers."""
+
     def rank(self, protocol_id: int) -> int:
         return protocol_id
 
 
 class HighestFirst(_Priority):
+    """Serves clients in the reverse order of their protocol identifiers."""
+
     def rank(self, protocol_id: int) -> int:
         return -protocol_id
 
 
 class VardisFirst(_Priority):
+    """Serves VarDis before other clients."""
+
     def rank(self, protocol_id: int) -> int:
         return protocol_id != BP_PROTID_VARDIS
 
 
 class VardisLast(_Priority):
+    """Serves VarDis after other clients."""
+
     def rank(self, protocol_id: int) -> int:
         return protocol_id == BP_PROTID_VARDIS
 
 
 class PriorityOneBlock(LowestFirst):
-    """Puts the payload of the client with the lowest identifier into a beacon, and nothing else."""
+    """Puts one payload into a beacon: that of the client with the lowest protocol identifier."""
 
     def take(self, room: int, size: Callable[[bytes], int], most: int) -> Chosen:
         return super().take(room, size, min(most, 1))
 
 
 class DerivedValue(BPParameters):
-    """Tells a value that follows from a parameter."""
+    """Reports a further value that is computed from a parameter."""
 
     def as_dict(self) -> dict[str, Any]:
         found = super().as_dict()
@@ -98,7 +115,7 @@ class DerivedValue(BPParameters):
 
 
 class CoarseValue(BPParameters):
-    """Keeps beacon periods in ticks of 20 ms."""
+    """Rounds beacon periods down to multiples of 20 ms."""
 
     def set(self, name: str, value: object) -> Violation | None:
         if name == "BPPAR_BEACON_PERIOD" and isinstance(value, int) and value > 0:
@@ -107,14 +124,14 @@ class CoarseValue(BPParameters):
 
 
 class SortedBlocks(ClientList):
-    """Writes the blocks of a beacon in the order of their protocol identifiers."""
+    """Sends the blocks of a beacon in the order of their protocol identifiers."""
 
     def take(self, room: int, size: Callable[[bytes], int], most: int) -> Chosen:
         return sorted(super().take(room, size, most), key=lambda block: block[0])
 
 
 class TwoContainers(Composer):
-    """Sends two containers of a type where the records of one, and another header, have room."""
+    """Splits the records of a type into two containers if the payload has room for another container header."""
 
     def compose(self, room: int) -> tuple[Container, ...]:
         containers = super().compose(room)
@@ -137,11 +154,11 @@ class TwoContainers(Composer):
         self._database_codec = core.config.codec
 
 
-# -- when --------------------------------------------------------------------------------------------------------------
+# -- times -------------------------------------------------------------------------------------------------------------
 
 
 class CoarsePeriod(BeaconSchedule):
-    """Beacons only at ticks of 10 ms."""
+    """Sends beacons only at multiples of 10 ms."""
 
     def _place(self) -> None:
         super()._place()
@@ -158,23 +175,23 @@ class ScrubsWhileActive(Vardis):
 
 
 class OneIndicationPerBeacon(Node):
-    """Tells a client once for each beacon that it has sent payloads, however many there were."""
+    """Sends one BP-PayloadTransmitted.indication for each client and beacon, whatever the number of its payloads."""
 
     def take_effects(self) -> list[Effect]:
-        told: set[int] = set()
+        indicated: set[int] = set()
         kept: list[Effect] = []
         for effect in super().take_effects():
             if isinstance(effect, PayloadTransmitted):
-                if effect.protocol_id in told:
+                if effect.protocol_id in indicated:
                     continue
-                told.add(effect.protocol_id)
+                indicated.add(effect.protocol_id)
             else:
-                told.clear()
+                indicated.clear()
             kept.append(effect)
         return kept
 
 
-# -- what comes --------------------------------------------------------------------------------------------------------
+# -- received beacons --------------------------------------------------------------------------------------------------
 
 
 class CountChecked(Receiver):
@@ -189,7 +206,7 @@ class CountChecked(Receiver):
 
 
 class EmptyDelivered(Receiver):
-    """Gives a client that is registered the blocks without octets, too."""
+    """Delivers empty payload blocks to registered clients."""
 
     def _deliver(self, block: Block, sender: bytes) -> None:
         if block.payload or block.protocol_id not in self._clients:
@@ -199,7 +216,7 @@ class EmptyDelivered(Receiver):
 
 
 class EmptyIgnored(Receiver):
-    """Gives no client blocks without octets."""
+    """Does not deliver empty payload blocks."""
 
     def _deliver(self, block: Block, sender: bytes) -> None:
         if block.payload:
@@ -207,7 +224,7 @@ class EmptyIgnored(Receiver):
 
 
 class NoLosses(Receiver):
-    """Does not look at sequence numbers of beacons."""
+    """Ignores the sequence numbers of beacons, and so estimates no losses."""
 
     def receive(self, octets: bytes, now: int) -> None:
         self._losses = LossTable()
@@ -215,7 +232,7 @@ class NoLosses(Receiver):
 
 
 class NewestReport(StateReporting):
-    """Takes no report whose sequence number is lower than that of the entry."""
+    """Ignores a report whose sequence number is before that of the stored one, modulo 2^32."""
 
     def handle_payload(self, payload: bytes, sender_id: bytes, *, now: int, wall: int) -> None:
         try:
@@ -234,7 +251,7 @@ class NewestReport(StateReporting):
 
 
 class LiteralVardis(Vardis):
-    """Takes the current system time as creation time, whatever it was at an earlier creation."""
+    """Uses the current system time as creationTime, even if the previous creation has the same or a later one."""
 
     def _creation_time(self, entry: Any, wall: int) -> int | None:
         del entry
@@ -242,7 +259,7 @@ class LiteralVardis(Vardis):
 
 
 class MillisecondCreation(Vardis):
-    """Has a clock that counts in ms."""
+    """Truncates creationTime to whole milliseconds."""
 
     def _creation_time(self, entry: Any, wall: int) -> int | None:
         return super()._creation_time(entry, wall // MS * MS)
@@ -259,14 +276,14 @@ def _bp(**changes: Any) -> Callable[[str], Setup]:
     return lambda profile: setup(profile, bp=BPConfig(**changes))
 
 
-_MANY = "dcp-bp.md, Transmit Path: how many payloads and which is left to the implementation"
-_ORDER = "dcp-bp.md: the order of clients is free, and no payload is promised a beacon (BP-GEN-02)"
+_MANY = "dcp-bp.md, Transmit Path: the implementation chooses number and order of payloads"
+_ORDER = "dcp-bp.md: the order of clients is free, and BP does not guarantee that a payload is sent (BP-GEN-02)"
 _INTERVALS = "dcp-bp.md, Transmit Path: the mean interval tends to the period (BP-TX-01, BP-TX-02)"
 #: Before 1.2 BP cannot be deactivated, so that no two payloads can be submitted between two triggered beacons.
 _NO_GAP = r"submission (of|and counting of) .* between two beacons: a beacon in between in each attempt"
-#: Two beacons so close together that no request of the tester comes between them: the second has room.
+#: Two beacons can be so close together that no request of the tester fits between them; the second then has room.
 _TOO_CLOSE = "payloads full of VarCreates, which this case needs: room for a VarReqUpdate"
-#: A mean of intervals that vary so much is only known after more of them than a case has time for.
+#: With intervals that vary so much, a reliable mean needs more beacons than a case waits for.
 _TOO_FEW = r"^TC_BP_TX_TI_0[12].*: too few beacons for their variance"
 
 VARIANTS = (
@@ -286,18 +303,18 @@ VARIANTS = (
         "puts one payload into each beacon, that of the lowest protocol identifier",
         _ORDER,
         _part(PriorityOneBlock),
-        # Up to 1.2 SRP repeats its reports, and would keep everybody else back for good.
+        # Up to 1.2 SRP repeats its reports, so that other clients would never be served.
         since=_V.V1_3,
     ),
     Variant(
         "V-BP-PAR-derived",
-        "tells a value beside its parameters that follows from one of them",
+        "reports a further value that is computed from one of its parameters",
         "UPPER-TESTER.md: answers may have further members",
         _part(DerivedValue),
     ),
     Variant(
         "V-BP-PAR-ticks",
-        "keeps beacon periods in ticks of 20 ms",
+        "rounds beacon periods down to multiples of 20 ms",
         "dcp-bp.md: the resolution of time values is system-dependent",
         _part(CoarseValue),
     ),
@@ -313,7 +330,7 @@ VARIANTS = (
     Variant("V-BP-TX-jitter-0", "has no jitter", _INTERVALS, _bp(jitter=0.0)),
     Variant(
         "V-BP-TX-jitter-0-denied",
-        "has no jitter, and its PICS says so",
+        "has no jitter, and its PICS denies it",
         _INTERVALS,
         lambda profile: setup(profile, bp=BPConfig(jitter=0.0), pics=Capabilities(jitter=False)),
     ),
@@ -327,14 +344,14 @@ VARIANTS = (
     ),
     Variant(
         "V-BP-TX-jitter-95",
-        "varies intervals between nothing and twice the period",
+        "varies intervals between almost zero and twice the period",
         _INTERVALS,
         _bp(jitter=0.95),
         explains=(_TOO_FEW, _TOO_CLOSE),
     ),
     Variant(
         "V-BP-TX-ticks",
-        "sends beacons at ticks of 10 ms",
+        "sends beacons at multiples of 10 ms",
         "dcp-bp.md: the resolution of time values is system-dependent",
         _part(CoarsePeriod),
     ),
@@ -372,14 +389,14 @@ VARIANTS = (
     ),
     Variant(
         "V-SRP-RX-newest-silent",
-        "keeps the report with the highest sequence number; its PICS is silent",
+        "keeps the report with the highest sequence number; its PICS does not declare it",
         "SRP-RX-04",
         _part(NewestReport),
         where=has_srp,
     ),
     Variant(
         "V-VD-IC-two-containers",
-        "sends two containers of a type in place of one",
+        "sends two containers of a type instead of one",
         "VD-IC-04",
         _part(TwoContainers),
         since=_V.V1_2,
@@ -387,7 +404,7 @@ VARIANTS = (
     ),
     Variant(
         "V-VD-IC-two-containers-claimed",
-        "sends two containers of a type, and its PICS says so",
+        "sends two containers of a type, and its PICS claims it",
         "VD-IC-04",
         _part(TwoContainers, pics=Capabilities(several_containers=True)),
         since=_V.V1_2,
@@ -396,13 +413,13 @@ VARIANTS = (
     Variant(
         "V-VD-RUN-just-before",
         "composes a VarDis payload 2 ms before its beacon",
-        "VD-RUN-01: the indication tells when the next beacon is prepared, so that payloads can be fresh",
+        "VD-RUN-01: the indication announces the next beacon, so that payloads can be composed just before it",
         lambda profile: setup(profile, vardis=VardisConfig(buffer_check_period_ms=150, compose_lead_ms=2.0)),
     ),
     Variant(
         "V-VD-RUN-early",
         "composes a VarDis payload 60 ms before its beacon",
-        "X54: how far ahead of its beacon a payload is composed is open",
+        "X54: the time between composing a payload and its beacon is open",
         lambda profile: setup(profile, vardis=VardisConfig(compose_lead_ms=60.0)),
     ),
     Variant(
@@ -414,7 +431,7 @@ VARIANTS = (
     ),
     Variant(
         "V-VD-CRE-literal-time",
-        "takes the current time as creation time, also of a second creation",
+        "uses the current time as creation time, also for a second creation",
         "VD-CRE-09",
         _part(LiteralVardis),
         since=_V.V2_0,

@@ -1,4 +1,4 @@
-"""The suite against permitted variants: who is failed although the specification permits it."""
+"""Run the suite against permitted variants, to find cases that fail a permitted implementation."""
 
 from __future__ import annotations
 
@@ -29,23 +29,23 @@ _FINE: Final = frozenset({Verdict.PASS, Verdict.INFO, Verdict.NOT_APPLICABLE})
 
 
 class Judged(msgspec.Struct, frozen=True):
-    """A variant on one profile, and what the suite said of it."""
+    """The outcome of the suite for one variant on one profile."""
 
     variant: str
     profile: str
     what: str
     why: str
     cases: int
-    """Cases that applied."""
+    """Number of applicable cases."""
     passed: int
-    """Cases that passed or only reported."""
+    """Number of cases with the verdict pass or info."""
     fails: tuple[Finding, ...]
     inconclusive: tuple[Finding, ...]
-    """Inconclusive verdicts that nothing explains."""
+    """Inconclusive verdicts without an explanation."""
     explained: int
-    """Inconclusive verdicts that the variant makes unavoidable, and what the profile itself declares as not met."""
+    """Number of unavoidable inconclusive verdicts, and of fails that the profile itself declares."""
     errors: tuple[Finding, ...]
-    """Cases in which the tester stumbled, and a set-up that could not be tested at all."""
+    """Cases with the verdict error; one finding without a case if the set-up could not be tested."""
     seconds: float
     """Processor time."""
     used: tuple[str, ...] = ()
@@ -53,12 +53,12 @@ class Judged(msgspec.Struct, frozen=True):
 
     @property
     def good(self) -> bool:
-        """Whether the suite is fair to the variant."""
+        """Whether the variant got no fail, error or unexplained inconclusive verdict."""
         return not (self.fails or self.inconclusive or self.errors)
 
 
 class VariantsResult(msgspec.Struct, frozen=True, kw_only=True):
-    """What ``variants.json`` holds."""
+    """The content of ``variants.json``."""
 
     schema: str = SCHEMA
     tool: str = f"dcp-conformance {__version__}"
@@ -69,7 +69,10 @@ class VariantsResult(msgspec.Struct, frozen=True, kw_only=True):
     trials: tuple[Judged, ...] = ()
 
     def idle(self, variants: Iterable[Variant]) -> dict[str, list[str]]:
-        """Expressions that explained nothing, by variant; only of those that were judged on all of their profiles."""
+        """Return the expressions that explained no verdict, by variant.
+
+        Variants that were not judged on all of their profiles are left out.
+        """
         used = {(each.variant, one) for each in self.trials for one in each.used}
         tried = {(each.variant, each.profile) for each in self.trials}
         whole = [each for each in variants if tried >= {(each.id, profile) for _, profile in trials_of([each])}]
@@ -77,14 +80,17 @@ class VariantsResult(msgspec.Struct, frozen=True, kw_only=True):
         return {name: found for name, found in idle.items() if found}
 
     def exit_status(self) -> int:
-        """0: the suite is fair to every variant; 1: not so; 4: the tester stumbled."""
+        """Return 4 after an error of the tester, 1 after a fail or unexplained inconclusive verdict, else 0."""
         if any(each.errors for each in self.trials):
             return 4
         return 0 if all(each.good for each in self.trials) else 1
 
 
 def judge(variant: Variant, profile: str, cases: Sequence[Case] | None = None) -> Judged:
-    """Run the sanity case and then ``cases``, by default the whole suite, against a variant on a profile."""
+    """Run the sanity case and then ``cases``, by default the whole suite, against a variant on a profile.
+
+    An exception that prevents the test is stored in the outcome, not raised.
+    """
     began = time.process_time()
     count = passed = explained = 0
     fails: list[Finding] = []
@@ -94,7 +100,7 @@ def judge(variant: Variant, profile: str, cases: Sequence[Case] | None = None) -
     try:
         results = _results(variant, profile, cases)
     except Exception as error:
-        # One node that cannot be made or talked to must not end the others.
+        # A node that cannot be made or reached must not end the campaign.
         results = []
         errors.append(Finding("", Verdict.ERROR, reason=f"the node cannot be tested: {type(error).__name__}: {error}"))
     for result in results:
@@ -129,7 +135,7 @@ def judge(variant: Variant, profile: str, cases: Sequence[Case] | None = None) -
 
 
 def _results(variant: Variant, profile: str, cases: Sequence[Case] | None) -> list[CaseResult]:
-    """The last result of every case, in the order of the run, and broken invariants."""
+    """Run the cases; return the last result of each, in the order of the run, and the passive rules that failed."""
     setup = variant.build(profile)
     sut = Tested(setup)
     session = Session(setup.config.codec, sut.lower_tester(), sut.connection(setup.upper), setup.pics)
@@ -147,7 +153,7 @@ def _results(variant: Variant, profile: str, cases: Sequence[Case] | None) -> li
 
 
 def _task(variant: str, profile: str) -> Judged:
-    # The collector finds next to nothing among the octets and checks of a run, and takes a twelfth of its time.
+    # Without garbage collection a run is faster by a twelfth, and hardly any of its objects are in cycles.
     gc.disable()
     try:
         return judge(all_variants()[variant], profile)
@@ -157,7 +163,7 @@ def _task(variant: str, profile: str) -> Judged:
 
 
 def trials_of(variants: Sequence[Variant], profiles: Sequence[str] = ()) -> list[tuple[Variant, str]]:
-    """Each variant with each profile that has the freedom; ``profiles`` instead of all of ``selftest.PROFILES``."""
+    """Return the pairs of variants and profile names that apply to each other, of ``profiles`` or of all PROFILES."""
     return [(each, profile) for each in variants for profile in profiles or PROFILES if each.applies_to(profile)]
 
 
@@ -169,12 +175,15 @@ def run(
     on_start: Callable[[int], None] | None = None,
     on_result: Callable[[Judged], None] | None = None,
 ) -> VariantsResult:
-    """Judge each variant on every profile that it applies to, in ``jobs`` processes (default: one per processor)."""
+    """Judge each variant on every profile that it applies to, in ``jobs`` processes (default: one per processor).
+
+    ``on_start`` is called with the number of pairs, and ``on_result`` with each outcome.
+    """
     began, started = time.monotonic(), timestamp()
     pairs = trials_of(variants, profiles)
     if on_start is not None:
         on_start(len(pairs))
-    # Before the processes are forked, so that each of them has it.
+    # Load the cases and variants before the processes are forked: all of them share these.
     all_cases(), all_variants()
     judged: dict[tuple[str, str], Judged] = {}
     with process_pool(jobs or os.cpu_count() or 1) as processes:

@@ -1,4 +1,4 @@
-"""The smallest limits that the bounds allow, and small capacities; the node tells its parameters."""
+"""Variants with the smallest permitted limits, and with small capacities; the node reports its parameters."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ def _small(name: str, what: str, requirement: str, **limits: int) -> Variant:
     return Variant(f"V-LIM-{name}", what, requirement, _vardis(**limits))
 
 
-#: The specification names no capacity; a profile can.
-_ROOM = "no entity can keep more than it has memory for: max_variables and max_neighbours of the profile"
+#: The specification does not limit capacities; a profile can.
+_ROOM = "the memory of a node is finite: max_variables and max_neighbours of the profile"
 
 
 def _room(**limits: int) -> Callable[[str], Setup]:

@@ -1,4 +1,4 @@
-"""Parameters at their legal corners: told to the tester by the node, by the PIXIT, or by nobody."""
+"""Variants with extreme permitted values of parameters, known to the tester from the node, the PIXIT or not at all."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from dcp_spec.constants import SpecVersion
 from dcp_conformance.model.pics import Testing
 from dcp_stack.config import BPConfig, SRPConfig, VardisConfig
 
-from .services import GETTERS, NOBODY_TOLD
+from .services import ASSUMED_VALUE, GETTERS
 from .surroundings import without
 from .variant import Setup, Variant, anywhere, has_srp, setup
 
@@ -18,6 +18,8 @@ _V = SpecVersion
 
 
 class _Corner(NamedTuple):
+    """A parameter with its extreme values."""
+
     name: str
     parameter: str
     requirement: str
@@ -33,17 +35,17 @@ def _vardis(field: str) -> Callable[[int], dict[str, Any]]:
 
 #: Inconclusive verdicts that follow from a value, by corner.
 _EXPLAINS: Final = {
-    # No payload size is so small that it bounds what is this long already.
+    # No permitted payload size limits the length further.
     "value-255": (r"^TC_VD_PAR_BI_02: a payload size whose limit is below",),
     "description-255": (
         r"^TC_VD_PAR_BI_02: a payload size whose limit is below",
-        # No longer one can be sent.
+        # The length field cannot express a longer one.
         r"^TC_DCP_DATA_BI_02: a description longer than the maximum",
     ),
     # By the time of the update all repetitions may be over.
     "repetitions-3": (r"^TC_VD_UPD_BV_06: VarCreates with repetitions left",),
     "repetitions-2": (r"^TC_VD_UPD_BV_06: VarCreates with repetitions left",),
-    # Without summaries VarDis falls silent after the repetitions.
+    # Without summaries VarDis sends no payloads after the repetitions.
     "summaries-0": (r"^TC_BP_HDR_BV_03: 4 beacons",),
 }
 
@@ -127,7 +129,7 @@ _CORNERS = (
 
 
 def _payload_in(packet: int) -> int:
-    """A VarDis payload that fits into packets of so many octets."""
+    """Return a size of VarDis payloads, in octets, that fits into packets of ``packet`` octets."""
     return min(packet - 60, 1000)
 
 
@@ -147,19 +149,20 @@ def _build(corner: _Corner, value: int, knowledge: str) -> Callable[[str], Setup
     return build
 
 
-_TOLD = {
-    "get": "which it tells",
-    "pixit": "which the PIXIT tells",
-    "unknown": "which nobody tells",
+#: Sources from which the tester gets the value.
+_SOURCES = {
+    "get": "reported by its upper tester",
+    "pixit": "stated in the PIXIT",
+    "unknown": "unknown to the tester",
 }
 
 
 def _variants() -> Iterator[Variant]:
     for corner in _CORNERS:
         for value in corner.values:
-            for knowledge, how in _TOLD.items():
+            for knowledge, how in _SOURCES.items():
                 if knowledge == "unknown" and corner.name == "network":
-                    # Without the right network no beacon is understood: nothing can be tested at all.
+                    # With a wrong network identifier all beacons are discarded, and nothing can be tested.
                     continue
                 yield Variant(
                     f"V-PAR-{corner.name}-{value}-{knowledge}",
@@ -169,7 +172,7 @@ def _variants() -> Iterator[Variant]:
                     since=corner.since,
                     explains=(
                         *_EXPLAINS.get(f"{corner.name}-{value}", ()),
-                        *(() if knowledge == "get" else (NOBODY_TOLD,)),
+                        *(() if knowledge == "get" else (ASSUMED_VALUE,)),
                     ),
                     where=has_srp if corner.name == "neighbours" else anywhere,
                 )

@@ -1,4 +1,4 @@
-"""Every alternative of every reading that our node, or a small part of it, can follow."""
+"""Variants that follow other alternatives of the readings of contradictory text than the reference node."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from .variant import Setup, Variant, anywhere, has_srp, setup
 
 _V = SpecVersion
 
-#: First and last version (None: no last one) in which a reading has something to choose, where these are not all.
+#: First and last version (None: no last one) in which the alternatives of a reading differ; others differ in all.
 _VERSIONS: dict[str, tuple[SpecVersion, SpecVersion | None]] = {
     "X02": (_V.V1_2, None),  # there is a length field since 1.2
     "X03": (_V.V1_1, None),  # 1.0 begins with 1 anyway
@@ -19,8 +19,8 @@ _VERSIONS: dict[str, tuple[SpecVersion, SpecVersion | None]] = {
     "X20": (_V.V2_0, None),
     "X26": (_V.V2_0, None),
     "X27": (_V.V2_0, None),
-    "X30": (_V.V1_2, None),  # 1.0 and 1.1 demand an answer
-    "X34": (_V.V1_2, None),  # 1.0 and 1.1 say what is to be done
+    "X30": (_V.V1_2, None),  # 1.0 and 1.1 require an answer
+    "X34": (_V.V1_2, None),  # 1.0 and 1.1 specify the behaviour
     "X36": (_V.V2_0, None),
     "X37": (_V.V1_2, None),
     "X38": (_V.V2_0, None),
@@ -47,7 +47,7 @@ def _variants() -> Iterator[Variant]:
                 has_srp if reading.id == "X10" else anywhere,
             )
         if reading.alternatives and reading.id == "X28":
-            # Profiles choose this one themselves; ours is not the default of all of them.
+            # Profiles choose an alternative of this reading; the first one is not the default of all profiles.
             yield Variant(
                 "V-X28-half-range-neither",
                 f"reads {reading.title.lower()} as: {reading.alternatives[0].description}",
@@ -64,6 +64,7 @@ def _choose(reading: str, name: str) -> Callable[[str], Setup]:
 
 
 def _every_other(profile: str) -> Setup:
+    """Return a node that follows the second alternative of every reading of the version."""
     version = setup(profile).config.features.version
     chosen = {}
     for reading in readings().values():

@@ -1,4 +1,4 @@
-"""Upper testers that lack methods or are slow, and PICS that deny optional capabilities."""
+"""Variants whose upper tester lacks methods, is slow or answers differently, or whose PICS denies capabilities."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ OPTIONAL = tuple(name for name, method in METHODS.items() if method.optional)
 GETTERS = tuple(name for name in METHODS if name.endswith("-GetParameters"))
 SETTERS = tuple(name for name in METHODS if name.endswith("-SetParameter"))
 _CONTRACT = "UPPER-TESTER.md, Methods"
-_NEEDED_ONLY = "an upper tester need not be complete: docs/dcp-conformance.md"
+_NEEDED_ONLY = "an upper tester may be incomplete: docs/dcp-conformance.md"
 
 
 def _lacking(*methods: str) -> Callable[[str], Setup]:
@@ -37,7 +37,7 @@ def _without_each() -> Iterator[Variant]:
         if name == "UT-Hello":
             continue
         why = _CONTRACT if name in OPTIONAL else _NEEDED_ONLY
-        explains = {"VD-GetParameters": (NOBODY_TOLD,), "UT-Reset": (_STILL_TALKING,)}.get(name, ())
+        explains = {"VD-GetParameters": (ASSUMED_VALUE,), "UT-Reset": (_REPORTS_REPEATED,)}.get(name, ())
         yield Variant(f"V-UT-no-{name}", f"has an upper tester without {name}", why, _lacking(name), explains=explains)
 
 
@@ -87,6 +87,7 @@ _SPEC_FIELDS = ("varId", "prodId", "repCnt", "descr", "creationTime", "timeout",
 
 
 def _specs_only(method: str, params: dict[str, Any], answer: Answer) -> Answer:
+    """List only the fields of VarSpecT for each variable."""
     del params
     if method != "RTDB-DescribeDatabase" or "variables" not in answer.result:
         return answer
@@ -95,6 +96,7 @@ def _specs_only(method: str, params: dict[str, Any], answer: Answer) -> Answer:
 
 
 def _no_statistics(method: str, params: dict[str, Any], answer: Answer) -> Answer:
+    """List neighbours without their statistics."""
     del params
     if method != "SRP-NeighbourTable" or "neighbours" not in answer.result:
         return answer
@@ -104,32 +106,33 @@ def _no_statistics(method: str, params: dict[str, Any], answer: Answer) -> Answe
 
 
 def _further_members(method: str, params: dict[str, Any], answer: Answer) -> Answer:
-    """A derived parameter that changes with the others, and a member that counts calls."""
+    """Add a parameter that is computed from the others, and a member with the name of the method."""
     del params
     if answer.code is not None:
         return answer
     result: dict[str, Any] = {**answer.result, "vendorNote": method}
-    told = answer.result.get("parameters")
-    if isinstance(told, dict):
-        numbers = [value for value in told.values() if isinstance(value, int | float)]
-        result["parameters"] = {**told, "VENDOR-DERIVED": sum(numbers)}
+    reported = answer.result.get("parameters")
+    if isinstance(reported, dict):
+        numbers = [value for value in reported.values() if isinstance(value, int | float)]
+        result["parameters"] = {**reported, "VENDOR-DERIVED": sum(numbers)}
     return msgspec.structs.replace(answer, result=result)
 
 
 def _underscores(method: str, params: dict[str, Any], answer: Answer) -> Answer:
+    """Spell the status with underscores, as 1.0 does."""
     del method, params
     return msgspec.structs.replace(answer, status=answer.status.replace("-", "_"))
 
 
 def _ascii_names(method: str, params: dict[str, Any], answer: Answer) -> Answer:
-    """The name of a client protocol that is not ASCII cannot be expressed."""
+    """Reject the registration of a client protocol whose name is not ASCII."""
     if method == "BP-RegisterProtocol" and not str(params.get("name", "")).isascii():
         return Answer(code=-32602, message="name: only ASCII characters can be expressed")
     return answer
 
 
 def _silent_refusals(method: str, params: dict[str, Any], answer: Answer) -> Answer:
-    """A value that is out of bounds is not taken, and nobody is told."""
+    """Confirm the rejection of a parameter value with OK."""
     del params
     if method.endswith("-SetParameter") and answer.code == -32001:
         protocol = {"BP": "BP", "SR": "SRP", "VD": "VARDIS"}[method[:2]]
@@ -138,7 +141,7 @@ def _silent_refusals(method: str, params: dict[str, Any], answer: Answer) -> Ans
 
 
 def _unconfirmed(method: str, params: dict[str, Any], answer: Answer) -> Answer:
-    """BP-TransmitPayload has no confirm: the adapter answers for itself, and always with OK."""
+    """Answer BP-TransmitPayload with OK in every case, as an adapter does for an implementation without confirm."""
     del params
     if method == "BP-TransmitPayload" and answer.code is None:
         return Answer(status="BP-STATUS-OK", result={"status": "BP-STATUS-OK"})
@@ -146,7 +149,7 @@ def _unconfirmed(method: str, params: dict[str, Any], answer: Answer) -> Answer:
 
 
 def _whole_records(method: str, params: dict[str, Any], answer: Answer) -> Answer:
-    """In 1.0 the list of protocols holds whole records of type BPClientProtocol."""
+    """List complete records of type BPClientProtocol, as 1.0 does."""
     del params
     if method != "BP-ListRegisteredProtocols" or "protocols" not in answer.result:
         return answer
@@ -158,7 +161,7 @@ def _whole_records(method: str, params: dict[str, Any], answer: Answer) -> Answe
 
 
 class OneForEachClient(ClientList):
-    """Takes allowMultiplePayloads for a permission that it never uses."""
+    """Puts at most one payload of a client into a beacon, also with allowMultiplePayloads."""
 
     def insert(self, client: Client) -> None:
         client.several = False
@@ -173,13 +176,13 @@ def _denied(name: str) -> Variant:
     spoken = name.replace("_", " ")
     return Variant(
         f"V-PICS-no-{name.replace('_', '-')}",
-        f"has no {spoken}, and its PICS says so",
+        f"does not support {spoken}, and its PICS denies it",
         "optional",
         _pics(**{name: False}),
     )
 
 
-#: The optional capabilities of a PICS; srp and vardis have a module of their own.
+#: The optional capabilities of a PICS; srp and vardis are those of the module ``entities``.
 _CAPABILITIES = tuple(
     name
     for name in Capabilities.__struct_fields__
@@ -193,7 +196,7 @@ def _one_container(profile: Profile) -> Profile:
 
 
 def _only_the_text(method: str, params: dict[str, Any], answer: Answer) -> Answer:
-    """Members that the specification names, and a BP-TransmitPayload without confirm."""
+    """Answer with the members of the specification only, and do not confirm BP-TransmitPayload."""
     for change in (_specs_only, _no_statistics, _unconfirmed):
         answer = change(method, params, answer)
     return answer
@@ -201,7 +204,7 @@ def _only_the_text(method: str, params: dict[str, Any], answer: Answer) -> Answe
 
 def _deny_all(profile: str) -> Setup:
     version = load_profile(profile).spec_version
-    # Only since 1.2 the confirm of BP-TransmitPayload may be left out.
+    # The confirm of BP-TransmitPayload is optional since 1.2.
     names = [name for name in _CAPABILITIES if name != "transmit_payload_confirm" or version >= _V.V1_2]
     denied = Capabilities(**dict.fromkeys(names, False))
     return setup(
@@ -214,13 +217,13 @@ def _deny_all(profile: str) -> Setup:
     )
 
 
-#: Without a reset the identifiers of variables run out; the message says how to have them back.
+#: Without a reset the unused identifiers of variables run out.
 _USED_UP = r"identifiers used up: .* A reset frees them"
-#: Where nobody has told a limit, cases end as inconclusive and name the entry of the PIXIT that would help.
-NOBODY_TOLD: Final = r"was taken to be .*\(pixit\."
+#: If a limit is unknown, cases are inconclusive and name the entry of the PIXIT that would define it.
+ASSUMED_VALUE: Final = r"was taken to be .*\(pixit\."
 #: Up to 1.2 state reports of earlier cases are repeated until a reset.
-_STILL_TALKING = r"^TC_BP_HDR_BV_09: no beacon during the pause"
-#: A call takes a sixth of the time after which a neighbour is forgotten.
+_REPORTS_REPEATED = r"^TC_BP_HDR_BV_09: no beacon during the pause"
+#: A call takes a sixth of the timeout of neighbours.
 _TOO_SLOW = r"^TC_SRP_NT_TI_0[245]: entries of the neighbours"
 #: Up to 1.1 BP cannot be deactivated while payloads are submitted.
 TOO_SLOW_FOR_A_GAP = r"between two beacons: a beacon in between in each attempt; calls take up to \d+ ms"
@@ -233,82 +236,87 @@ VARIANTS = (
     Variant("V-UT-no-optional", "has no optional method", _CONTRACT, _lacking(*OPTIONAL)),
     Variant(
         "V-UT-no-get",
-        "cannot be asked for any parameter",
+        "has an upper tester that cannot read parameters",
         _NEEDED_ONLY,
         _lacking(*GETTERS),
-        explains=(NOBODY_TOLD,),
+        explains=(ASSUMED_VALUE,),
     ),
-    Variant("V-UT-no-set", "has no parameter that can be set at run time", "BP-PAR-01", _lacking(*SETTERS)),
+    Variant("V-UT-no-set", "has an upper tester that cannot set parameters", "BP-PAR-01", _lacking(*SETTERS)),
     Variant(
         "V-UT-no-get-no-set",
-        "has parameters that nobody can ask for or set",
+        "has an upper tester that can neither read nor set parameters",
         "BP-PAR-01",
         _lacking(*GETTERS, *SETTERS),
-        explains=(NOBODY_TOLD,),
+        explains=(ASSUMED_VALUE,),
     ),
     Variant(
         "V-UT-no-reset",
         "has neither UT-Reset nor a restart",
         "PIXIT reset = none",
         _no_reset,
-        explains=(_USED_UP, _STILL_TALKING),
+        explains=(_USED_UP, _REPORTS_REPEATED),
     ),
     Variant("V-UT-restart", "is restarted before each case", "PIXIT reset = restart", _only_restart),
-    Variant("V-UT-none", "has no upper tester", "docs/dcp-conformance.md", _no_upper, explains=(_USED_UP, NOBODY_TOLD)),
+    Variant(
+        "V-UT-none", "has no upper tester", "docs/dcp-conformance.md", _no_upper, explains=(_USED_UP, ASSUMED_VALUE)
+    ),
     Variant(
         "V-UT-none-no-restart",
         "has no upper tester and no restart",
         "docs/dcp-conformance.md",
         _no_upper_no_restart,
-        explains=(_USED_UP, NOBODY_TOLD),
+        explains=(_USED_UP, ASSUMED_VALUE),
     ),
-    Variant("V-UT-one-connection", "can be asked over one connection at a time", "a command has one", _one_connection),
     Variant(
-        "V-UT-specs-only", "lists a VarSpecT for each variable and nothing else", "VD-DDB-03", _answering(_specs_only)
+        "V-UT-one-connection",
+        "has an upper tester with one connection",
+        "an upper tester that is a command has one connection",
+        _one_connection,
     ),
+    Variant("V-UT-specs-only", "lists only a VarSpecT for each variable", "VD-DDB-03", _answering(_specs_only)),
     Variant(
         "V-UT-specs-only-denied",
-        "lists VarSpecT only, and its PICS says so",
+        "lists only a VarSpecT for each variable, and its PICS denies further fields",
         "VD-DDB-03",
         _answering(_specs_only, pics=Capabilities(describe_extra_fields=False)),
         since=_V.V1_0,
     ),
     Variant(
         "V-UT-no-statistics",
-        "has no statistics of neighbours, and its PICS says so",
+        "has no statistics of neighbours, and its PICS denies them",
         "SRP-NT-04",
         _answering(_no_statistics, pics=Capabilities(neighbour_statistics=False)),
         where=has_srp,
     ),
     Variant(
         "V-UT-further-members",
-        "tells more than it is asked for, also a derived parameter",
+        "adds members to its answers, among them a derived parameter",
         "UPPER-TESTER.md: an implementation may add members",
         _answering(_further_members),
     ),
     Variant("V-UT-underscores", "spells statuses with underscores", "X07", _answering(_underscores)),
     Variant(
         "V-UT-ascii-names",
-        "takes ASCII names of client protocols only",
+        "accepts only ASCII names of client protocols",
         "dcp-data-types.md: String is system-dependent",
         _answering(_ascii_names),
     ),
     Variant(
         "V-UT-silent-refusals",
-        "refuses a parameter without telling",
+        "rejects a parameter value but confirms it with OK",
         "BP-PAR-07",
         _answering(_silent_refusals, pics=Capabilities(parameter_feedback=False)),
     ),
     Variant(
         "V-UT-unconfirmed",
-        "does not confirm BP-TransmitPayload, and its PICS says so",
+        "does not confirm BP-TransmitPayload, and its PICS denies it",
         "BP-TXP-08",
         _answering(_unconfirmed, pics=Capabilities(transmit_payload_confirm=False)),
         since=_V.V1_2,
     ),
     Variant(
         "V-UT-whole-records",
-        "lists whole records of client protocols",
+        "lists complete records of client protocols",
         "BP-LST-02 in 1.0",
         _answering(_whole_records),
         until=_V.V1_0,
@@ -316,21 +324,21 @@ VARIANTS = (
     *map(_denied, ("triggered_beacons", "srp_seqno_filter")),
     Variant(
         "V-PICS-deny-all",
-        "has no optional capability, and its PICS denies all",
+        "has no optional capability, and its PICS denies all of them",
         "BP-QM-08, VD-DDB-03, X21",
         _deny_all,
         since=_V.V1_1,
     ),
     Variant(
         "V-PICS-one-payload",
-        "never puts several payloads of one client into a beacon, and its PICS says so",
+        "never puts several payloads of one client into a beacon, and its PICS denies it",
         "BP-QM-08",
         lambda profile: setup(profile, part=OneForEachClient, pics=Capabilities(multiple_payloads=False)),
         since=_V.V1_1,
     ),
     Variant(
         "V-PICS-one-payload-silent",
-        "never puts several payloads of one client into a beacon; its PICS is silent",
+        "never puts several payloads of one client into a beacon; its PICS does not declare it",
         "BP-QM-08",
         lambda profile: setup(profile, part=OneForEachClient),
         since=_V.V1_1,

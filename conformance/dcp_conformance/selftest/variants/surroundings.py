@@ -1,4 +1,4 @@
-"""What is around a variant: its clock, its applications and its upper tester, in virtual time."""
+"""The surroundings of a variant in virtual time: its clock, its application and its upper tester."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from dcp_conformance.upper_tester import Answer
 
 from .variant import Application, Setup, UpperTesting
 
-#: What every upper tester has.
+#: Methods that every upper tester has.
 _ALWAYS: Final = frozenset({"UT-Hello"})
 
 
@@ -19,7 +19,7 @@ class Tested(InProcess):
     """The node of a set-up with its clock and its application."""
 
     def __init__(self, setup: Setup, *, seed: int = 1, now: int = 0) -> None:
-        """``now``: virtual time in ns at which the node starts."""
+        """Start the node of a set-up at the virtual time ``now`` in ns, with the random seed ``seed``."""
         self._offset = setup.clock
         self._make_application = setup.application
         self._application: Application | None = setup.application() if setup.application is not None else None
@@ -27,7 +27,7 @@ class Tested(InProcess):
         self.can_restart = setup.can_restart
 
     def node_wall(self) -> int:
-        """The node's clock in ns since 1970."""
+        """Return the time of the node's clock in ns since 1970."""
         return max(self.wall() + self._offset(self.now), 0)
 
     def _step(self, until: int) -> bool:
@@ -47,18 +47,18 @@ class Tested(InProcess):
         self.node.settle(self.now, self.node_wall())
 
     def restart(self) -> None:
-        """A new node; its application is started anew as well."""
+        """Replace the node and its application by new ones."""
         super().restart()
         if self._make_application is not None:
             self._application = self._make_application()
 
     def connection(self, testing: UpperTesting) -> VirtualUpperTester | None:
-        """The upper tester that a set-up asks for."""
+        """Return the upper tester of a set-up; None if it has none."""
         return Upper(self, testing) if testing.there else None
 
 
 class Upper(VirtualUpperTester):
-    """An upper tester that differs from ours as :class:`UpperTesting` says."""
+    """An upper tester with the differences of :class:`UpperTesting`."""
 
     def __init__(self, sut: InProcess, testing: UpperTesting) -> None:
         self._testing = testing
@@ -68,10 +68,10 @@ class Upper(VirtualUpperTester):
         self.about = {**self.about, "methods": sorted(self.methods)}
 
     def call(self, method: str, params: dict[str, Any]) -> Answer:
-        """As ours, but time passes, and answers can differ."""
+        """Call a method as the reference upper tester does, with the delay and the changed answer of the variant."""
         if method in self._testing.without:
             return Answer(code=-32601, message=f"no method {method!r}")
-        # Between cases nobody waits for anything.
+        # UT-Reset is called between cases, where a delay has no effect.
         delay = 0 if method == "UT-Reset" else round(self._testing.call_ms * 1e6)
         if delay:
             self._node.elapse(delay // 2)
@@ -84,20 +84,20 @@ class Upper(VirtualUpperTester):
         return answer
 
     def another(self) -> VirtualUpperTester | None:  # type: ignore[override]
-        """A second connection of the same kind; None if there can be only one."""
+        """Return a second connection of the same kind; None if the upper tester allows only one."""
         return None if self._testing.one_connection else Upper(self._node, self._testing)
 
 
 def slow(call_ms: float, without: frozenset[str] = frozenset()) -> UpperTesting:
-    """An upper tester that takes so many ms for each call."""
+    """Return an upper tester that takes ``call_ms`` for each call and lacks the methods ``without``."""
     return UpperTesting(call_ms=call_ms, without=without)
 
 
 def without(*methods: str) -> UpperTesting:
-    """An upper tester that lacks methods."""
+    """Return an upper tester that lacks ``methods``."""
     return UpperTesting(without=frozenset(methods))
 
 
 def extended(answer: Answer, **members: Any) -> Answer:
-    """An answer with other or further members in its result."""
+    """Return an answer with changed or additional members in its result."""
     return msgspec.structs.replace(answer, result={**answer.result, **members})

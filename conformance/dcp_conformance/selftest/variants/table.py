@@ -1,4 +1,4 @@
-"""Permitted variants as Markdown: what differs, what permits it, and what the suite said."""
+"""Permitted variants as Markdown: their difference, the text that permits it, and the verdicts of the suite."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from .campaign import Judged, VariantsResult
 
 
 def section(result: VariantsResult) -> str:
-    """The section ``variants`` of the document; the same whenever and wherever it is made."""
+    """Return the section ``variants`` of the document; it depends on the suite and the variants only."""
     fair = sum(all(each.good for each in trials) for _, trials in _grouped(result))
     total = sum(1 for _ in _grouped(result))
     profiles = list(dict.fromkeys(each.profile for each in result.trials))
@@ -19,8 +19,8 @@ def section(result: VariantsResult) -> str:
         "Made by `dcp-conformance selftest --variants --document docs/selftest.md`.",
         "",
         "Each variant is a node that follows the specification and uses one of its freedoms",
-        "(`dcp_conformance.selftest.variants`). The whole suite runs against it on every version that has the",
-        "freedom. No case may fail. An inconclusive verdict must be one that the variant makes unavoidable.",
+        "(`conformance/dcp_conformance/selftest/variants/`). The whole suite runs against it on every version that has",
+        "the freedom. No case may fail, and only verdicts that the variant makes unavoidable may be inconclusive.",
         "",
         f"{fair} of {total} variants, on {len(result.trials)} pairs of variant and profile, have no fail, error or",
         f"unexplained inconclusive verdict. Profiles: {', '.join(profiles)}.",

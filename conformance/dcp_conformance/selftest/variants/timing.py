@@ -1,4 +1,4 @@
-"""Periods within their bounds, nodes that take one received payload at a time, and slow upper testers with them."""
+"""Variants with other permitted periods, with delayed processing of received payloads, and with slow upper testers."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from .variant import Setup, Variant, node_of, setup
 
 _V = SpecVersion
 
-#: Two payloads of one beacon are taken apart, so that what the second takes back may have left.
+#: The two payloads of a beacon are processed separately, so that a record that the second cancels may have been sent.
 _ONE_BY_ONE = r"^TC_VD_PEND_BV_0[123]: .*; but it processes received payloads one at a time and may answer in between"
 
-#: After idling, a variable with a short timeout has timed out before VarDis looks at the buffer.
+#: After an idle time, a variable with a short timeout expires before VarDis checks the buffer.
 _TIMED_OUT = (
     r"^TC_VD_(INI_BV_05|STATE_TI_01-[a-z-]+\.timeout): .*, which this case needs: none in time$",
     r"^TC_VD_SCR_TI_0[18](-1500)?: a forwarded VarCreate of a variable with a timeout: none in time$",
@@ -30,9 +30,9 @@ _TIMED_OUT = (
 
 
 def polling(interval_ms: int, room: int | None = None) -> MakeNode:
-    """A node whose VarDis takes one received payload from BP every ``interval_ms``.
+    """Return a constructor of nodes whose VarDis processes one received payload every ``interval_ms``.
 
-    ``room``: how many payloads wait at most; further ones are lost. None: all wait.
+    ``room`` is the maximum number of waiting payloads; further ones are lost. None: unlimited.
     """
 
     class Polling(Vardis):
@@ -67,7 +67,7 @@ def _variants() -> Iterator[Variant]:
     for period in (20, 50, 200, 500, 1000, 5000):
         yield Variant(
             f"V-TIME-beacon-{period}",
-            f"has a beacon period of {period} ms, and the PIXIT says so",
+            f"has a beacon period of {period} ms, stated in the PIXIT",
             "BP-PAR-03",
             lambda profile, period=period: setup(  # type: ignore[misc]
                 profile, bp=BPConfig(beacon_period_ms=period), pixit=Testing(beacon_period_ms=period)
@@ -76,7 +76,7 @@ def _variants() -> Iterator[Variant]:
     for period in (1, 10, 200, 300, 400, 1000, 2000):
         yield Variant(
             f"V-TIME-check-{period}",
-            f"looks at the buffer every {period} ms",
+            f"checks the buffer every {period} ms",
             "VD-PAR-08",
             lambda profile, period=period: setup(  # type: ignore[misc]
                 profile, vardis=VardisConfig(buffer_check_period_ms=period)
@@ -86,7 +86,7 @@ def _variants() -> Iterator[Variant]:
     for period in (1, 10, 300, 1000):
         yield Variant(
             f"V-TIME-check-{period}-after",
-            f"looks at the buffer every {period} ms, and composes as soon as it is empty",
+            f"checks the buffer every {period} ms, and composes when it becomes empty",
             "VD-PAR-08, X54",
             lambda profile, period=period: setup(  # type: ignore[misc]
                 profile,
@@ -108,14 +108,14 @@ def _variants() -> Iterator[Variant]:
     for interval in (20, 100, 200):
         yield Variant(
             f"V-TIME-polling-{interval}",
-            f"takes one received payload every {interval} ms",
-            "no time is promised for the processing of what was received",
+            f"processes one received payload every {interval} ms",
+            "the specification has no time limit for the processing of received payloads",
             lambda profile, interval=interval: setup(profile, make=polling(interval)),  # type: ignore[misc]
             explains=(_ONE_BY_ONE,),
         )
     yield Variant(
         "V-TIME-all-slow",
-        "looks at the buffer every 400 ms and has an upper tester that takes 100 ms for each call",
+        "checks the buffer every 400 ms and has an upper tester that takes 100 ms for each call",
         "VD-PAR-08",
         _all_slow,
         explains=(TOO_SLOW_FOR_A_GAP,),

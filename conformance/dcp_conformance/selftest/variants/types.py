@@ -1,4 +1,4 @@
-"""Transmissible types of other widths: the specification leaves them to implementations since 1.1."""
+"""Variants with transmissible types of other widths, which implementations may choose since 1.1."""
 
 from __future__ import annotations
 
@@ -30,6 +30,7 @@ def _safety(*fields: SafetyField) -> Callable[[str], Setup]:
 
 
 _WHY = "dcp-data-types.md, Conventions: implementers choose the widths of transmissible types"
+_SAFETY_WHY = "SRP-TYP-01: the implementation defines SafetyDataT"
 _WIDE: dict[str, Any] = {
     "network_id": IntType(4), "var_id": IntType(2), "var_rep_cnt": IntType(2),
     "var_seqno": IntType(4), "var_timeout": IntType(4), "value": TextType((IntType(2),)),
@@ -63,21 +64,21 @@ VARIANTS = (
     Variant(
         "V-TYPE-safety-integers",
         "has safety data of integers",
-        "SRP-TYP-01: SafetyDataT is the implementer's",
+        _SAFETY_WHY,
         _safety(SafetyField("latitude", "i32"), SafetyField("longitude", "i32"), SafetyField("speed", "u16")),
         where=by_letter,
     ),
     Variant(
         "V-TYPE-safety-one",
         "has safety data of one octet",
-        "SRP-TYP-01: SafetyDataT is the implementer's",
+        _SAFETY_WHY,
         _safety(SafetyField("state", "u8")),
         where=by_letter,
     ),
     Variant(
         "V-TYPE-safety-large",
         "has safety data of 96 octets",
-        "SRP-TYP-01: SafetyDataT is the implementer's",
+        _SAFETY_WHY,
         _safety(*(SafetyField(f"f{number}", "f64") for number in range(12))),
         where=by_letter,
     ),

@@ -1,8 +1,8 @@
-"""What a permitted variant is, and how variants are found.
+"""Definition and lookup of permitted variants.
 
-A variant is a node that follows the specification and differs from ours in one point that the specification leaves
-open. It may also be our node with another upper tester, PICS or PIXIT: the contract of the upper tester and the files
-leave freedoms as well.
+A variant is a node that follows the specification and differs from the reference node in one point that the
+specification leaves open. It can also be the reference node with another upper tester, PICS or PIXIT, because the
+contract of the upper tester and these files leave freedoms, too.
 """
 
 from __future__ import annotations
@@ -33,41 +33,41 @@ PACKAGE: Final = "dcp_conformance.selftest.variants"
 
 
 class Application(Protocol):
-    """An application on the node, which acts while the tester tests. Times are ns."""
+    """An application on the node, which uses services during the test. Times are in ns."""
 
     def due(self) -> int:
-        """The monotonic time at which :meth:`act` is to be called next."""
+        """Return the monotonic time of the next call of :meth:`act`."""
         ...
 
     def act(self, node: Any, now: int, wall: int) -> None:
-        """Ask services of the node. Called as well after ``UT-Reset`` or a restart has taken everything away."""
+        """Use services of the node. ``UT-Reset`` or a restart may have removed the application's registrations."""
         ...
 
 
 def same_clock(now: int) -> int:
-    """No difference between the node's clock and the tester's."""
+    """Return 0: the node's clock agrees with the tester's."""
     del now
     return 0
 
 
 class UpperTesting(msgspec.Struct, frozen=True, kw_only=True):
-    """How the node's upper tester differs from ours."""
+    """The differences between the variant's upper tester and that of the reference node."""
 
     there: bool = True
-    """Whether there is an upper tester at all."""
+    """Whether the node has an upper tester."""
     without: frozenset[str] = frozenset()
-    """Methods that it does not offer."""
+    """Methods that it does not have."""
     call_ms: float = 0.0
-    """Time that each call takes, half of it before the node is asked."""
+    """Duration of each call in ms; half of it passes before the node executes the call."""
     answers: Callable[[str, dict[str, Any], Any], Any] | None = None
-    """Changes an :class:`~dcp_conformance.upper_tester.Answer`; is given method, parameters and answer."""
+    """Function of method, parameters and :class:`~dcp_conformance.upper_tester.Answer`; returns the answer to send."""
     one_connection: bool = False
-    """Whether there cannot be a second connection at the same time."""
+    """Whether the upper tester allows only one connection at a time."""
 
 
 @dataclass(frozen=True, slots=True)
 class Setup:
-    """A node and everything that the tester is told about it."""
+    """A node with its surroundings, and the PICS and PIXIT that the tester gets."""
 
     config: NodeConfig
     make: MakeNode = plain_node
@@ -76,49 +76,49 @@ class Setup:
     can_restart: bool = True
     application: Callable[[], Application] | None = None
     clock: Callable[[int], int] = same_clock
-    """By how many ns the node's wall clock is ahead of the tester's, by monotonic time in ns."""
+    """Function of the monotonic time in ns; returns the offset of the node's wall clock from the tester's in ns."""
 
 
 def anywhere(profile: Profile) -> bool:
-    """Every profile has room for the freedom."""
+    """Return True: the freedom exists on every profile."""
     del profile
     return True
 
 
 @dataclass(frozen=True, slots=True)
 class Variant:
-    """One permitted node."""
+    """One permitted variant."""
 
     id: str
-    """``V-<part>-<freedom>``, never used for another freedom."""
+    """``V-<part>-<freedom>``; an identifier is never used for another freedom."""
     what: str
-    """What is different, as a sentence whose subject is the node."""
+    """The difference, as a sentence whose subject is the node."""
     why: str
     """Reading, requirement, or place in the text that permits it."""
     build: Callable[[str], Setup]
-    """Makes the node for the profile of a name."""
+    """Function of the name of a profile that returns the node."""
     since: SpecVersion = SpecVersion.V1_0
     until: SpecVersion | None = None
     """First and last version of the specification that permits it; None: no last one."""
     explains: tuple[str, ...] = ()
-    """Regular expressions, searched for in ``<case>: <reason>`` of an inconclusive verdict that cannot be avoided."""
+    """Regular expressions for ``<case>: <reason>`` of unavoidable inconclusive verdicts."""
     where: Callable[[Profile], bool] = field(default=anywhere)
-    """Whether a profile has room for the freedom."""
+    """Function that returns whether the freedom exists on a profile."""
 
     def applies_to(self, profile: str) -> bool:
-        """Whether the freedom exists on the profile of this name."""
+        """Return whether the freedom exists on the profile of this name."""
         loaded = codec_of(profile).profile
         return loaded.spec_version.is_within(self.since, self.until) and self.where(loaded)
 
     def explanation(self, case: str, reason: str) -> str:
-        """The expression that explains an inconclusive verdict; empty if it is not explained."""
+        """Return the expression that explains an inconclusive verdict; empty if none matches."""
         text = f"{case}: {reason}"
         return next((each for each in self.explains if re.search(each, text)), "")
 
 
 @cache
 def codec_of(profile: str) -> Codec:
-    """The codec of a built-in profile."""
+    """Return the codec of a built-in profile."""
     return Codec(profile)
 
 
@@ -135,9 +135,9 @@ def setup(
     pixit: Testing | None = None,
     **more: Any,
 ) -> Setup:
-    """A set-up of our node with one thing changed.
+    """Return a set-up of the reference node with changes.
 
-    ``part``: the subclass of a part of the node to put into its place. ``more``: further fields of :class:`Setup`.
+    ``part`` is a subclass of a part of the node that replaces the part. ``more`` has further fields of :class:`Setup`.
     """
     codec = profile if isinstance(profile, Codec) else codec_of(profile)
     layout = codec.profile.types.node_id
@@ -159,7 +159,7 @@ def _node_id(width: int) -> bytes:
 
 
 def node_of(part: type) -> MakeNode:
-    """Makes a node that has ``part`` where ours has the class that ``part`` derives from."""
+    """Return a constructor of nodes in which ``part`` replaces the base class that it is derived from."""
     made_of = node_with(part)
 
     def make(config: NodeConfig, rng: Any, now: int, wall: int) -> Any:
@@ -169,9 +169,9 @@ def node_of(part: type) -> MakeNode:
 
 
 def derived(name: str, change: Callable[[Profile], Profile]) -> Codec:
-    """The codec of a changed copy of a built-in profile.
+    """Return the codec of a changed copy of the built-in profile ``name``.
 
-    Raises ``ValueError`` if the copy contradicts itself.
+    Raise ``ValueError`` if the copy contradicts itself.
     """
     profile = change(codec_of(name).profile)
     if wrong := list(contradictions(profile)):
@@ -180,24 +180,24 @@ def derived(name: str, change: Callable[[Profile], Profile]) -> Codec:
 
 
 def by_letter(profile: Profile) -> bool:
-    """Whether the profile is the specification's own: the others describe one implementation each."""
+    """Return whether the profile is that of a specification, not that of one implementation."""
     return profile.name.startswith("dcp-")
 
 
 def has_srp(profile: Profile) -> bool:
-    """Whether the profile has octets for state reports."""
+    """Return whether the profile defines the octets of state reports."""
     return bool(profile.srp.is_report)
 
 
 def variants_of(module: ModuleType) -> Iterable[Variant]:
-    """The variants of a module: its ``VARIANTS``."""
+    """Return the variants in ``VARIANTS`` of a module; empty without it."""
     found: Iterable[Variant] = getattr(module, "VARIANTS", ())
     return found
 
 
 @cache
 def all_variants() -> dict[str, Variant]:
-    """All variants by identifier. Raises ``ValueError`` for an identifier that is there twice."""
+    """Return all variants by identifier. Raise ``ValueError`` for a duplicate identifier."""
     found: dict[str, Variant] = {}
     package = importlib.import_module(PACKAGE)
     for name in sorted(info.name for info in pkgutil.iter_modules(package.__path__)):
@@ -205,13 +205,16 @@ def all_variants() -> dict[str, Variant]:
             continue
         for each in variants_of(importlib.import_module(f"{PACKAGE}.{name}")):
             if each.id in found:
-                raise ValueError(f"{each.id} is there twice, the second time in {name}")
+                raise ValueError(f"duplicate identifier {each.id}, the second time in {name}")
             found[each.id] = each
     return found
 
 
 def chosen(patterns: Sequence[str]) -> list[Variant]:
-    """The variants that identifiers or globs mean; all without any. Raises :class:`UsageError` for one without."""
+    """Return the variants that match identifiers or globs; all variants without a pattern.
+
+    Raise :class:`UsageError` for a pattern that matches no variant.
+    """
     variants = list(all_variants().values())
     if not patterns:
         return variants
@@ -220,7 +223,7 @@ def chosen(patterns: Sequence[str]) -> list[Variant]:
         meant = {each.id for each in variants if fnmatchcase(each.id, pattern)}
         if not meant:
             raise UsageError(
-                f"no variant is called {pattern!r}; 'dcp-conformance selftest --variants --list' shows those there are"
+                f"no variant is called {pattern!r}; 'dcp-conformance selftest --variants --list' shows the variants"
             )
         found |= meant
     return [each for each in variants if each.id in found]

@@ -10,8 +10,8 @@ from dcp_spec.constants import ICType, SpecVersion
 from dcp_codec.values import VarCreate, VardisRecord
 from dcp_conformance.model.case import Needs, case
 from dcp_conformance.suite.vardis.reception.receive import require_both_taken
+from dcp_conformance.test_steps.services import produced, settled
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.services import produced, settled
 
 _CREATE, _UPDATE, _DELETE = ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.DELETE_VARIABLES
 
@@ -19,13 +19,13 @@ _CREATE, _UPDATE, _DELETE = ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.DELE
 def held(bench: Bench, name: int) -> VarCreate | None:
     """Return the VarCreate in the answer to a request for a variable; None if there is no answer."""
     if bench.instructions(_CREATE, name):
-        bench.repeated(_CREATE, name, 0)
+        bench.waiting.repeated(_CREATE, name, 0)
     asking, mark = bench.peer(), bench.mark()
     asking.send(asking.request_create(name))
     if bench.until_instruction(_CREATE, name) is None:
         return None
     # A VarCreate composed before the request may arrive first; the last one is the answer.
-    bench.repeated(_CREATE, name, mark)
+    bench.waiting.repeated(_CREATE, name, mark)
     record: VarCreate = bench.instructions(_CREATE, name, mark)[-1].record
     return record
 
@@ -52,12 +52,12 @@ def check_deleted(bench: Bench, name: int, *requirements: str) -> None:
 )
 def crossing(bench: Bench, order: tuple[int, int]) -> None:
     source, name = bench.peer(), bench.var_id()
-    bench.learn(source, source.create(name, seqno=1, rep_cnt=bench.rep_cnt(2)))
+    bench.learn(source, source.create(name, seqno=1, rep_cnt=bench.sut.rep_cnt(2)))
     mark = bench.mark()
     for number in order:
         peer = bench.peer()
         peer.send(peer.update(name, number, b"%d" % number))
-    numbers = [each.record.seqno for each in bench.repeated(_UPDATE, name, mark)]
+    numbers = [each.record.seqno for each in bench.waiting.repeated(_UPDATE, name, mark)]
     bench.check(
         numbers == sorted(numbers), "sequence numbers that do not decrease", f"{numbers}", "VD-PU-06", shown=True
     )
@@ -86,9 +86,9 @@ def crossing(bench: Bench, order: tuple[int, int]) -> None:
     variants={"the-second-later": 1, "both-equal": 0, "the-second-earlier": -1},
 )
 def two_producers(bench: Bench, difference: int) -> None:
-    first, second, name, count = bench.peer(), bench.peer(), bench.var_id(), bench.rep_cnt(4)
-    bench.creation_time()
-    time = bench.creation_time()
+    first, second, name, count = bench.peer(), bench.peer(), bench.var_id(), bench.sut.rep_cnt(4)
+    bench.records.creation_time()
+    time = bench.records.creation_time()
     one = first.create(name, value=b"one", rep_cnt=count, creation_time=time)
     two = second.create(name, value=b"two", rep_cnt=count, creation_time=time + difference)
     if difference > 0:
@@ -99,7 +99,7 @@ def two_producers(bench: Bench, difference: int) -> None:
     )
     second.send(two)
     wanted = two if bench.features.creation_time and difference > 0 else one
-    found = bench.repeated(_CREATE, name, 0)
+    found = bench.waiting.repeated(_CREATE, name, 0)
     wrong = [each for each in found if each.record not in (one, two)]
     bench.check(
         not wrong,
@@ -162,7 +162,7 @@ def two_producers(bench: Bench, difference: int) -> None:
     },
 )
 def deletion_and_update(bench: Bench, beacons: tuple[str, ...]) -> None:
-    source, name, count = bench.peer(), bench.var_id(), bench.rep_cnt(3)
+    source, name, count = bench.peer(), bench.var_id(), bench.sut.rep_cnt(3)
     bench.learn(source, source.create(name, rep_cnt=count))
     records: dict[str, VardisRecord] = {"delete": source.delete(name), "update": source.update(name, 1)}
     mark = bench.mark()
@@ -198,7 +198,7 @@ def deletion_and_update(bench: Bench, beacons: tuple[str, ...]) -> None:
     variants={"creation-first": 1, "deletion-first": -1},
 )
 def created_and_deleted(bench: Bench, step: int) -> None:
-    peer, count = bench.peer(), bench.rep_cnt(2)
+    peer, count = bench.peer(), bench.sut.rep_cnt(2)
     require_both_taken(bench, peer, step < 0)
     name, mark = bench.var_id(), bench.mark()
     records: list[VardisRecord] = [peer.create(name, rep_cnt=count), peer.delete(name)]
@@ -226,13 +226,13 @@ def created_and_deleted(bench: Bench, step: int) -> None:
     needs=Needs(since=SpecVersion.V2_0),
 )
 def slow_echo(bench: Bench) -> None:
-    source, echo, name, count = bench.peer(), bench.peer(), bench.var_id(), bench.rep_cnt(2)
+    source, echo, name, count = bench.peer(), bench.peer(), bench.var_id(), bench.sut.rep_cnt(2)
     create = source.create(name, rep_cnt=count)
     bench.learn(source, create)
     mark = bench.mark()
     source.send(source.delete(name))
     # Unless it has forwarded the deletion, it may not have received it.
-    deleted = bench.repeated(_DELETE, name, mark)
+    deleted = bench.waiting.repeated(_DELETE, name, mark)
     mark = bench.mark()
     for record, requirement in (
         (create, "VD-PC-01"),

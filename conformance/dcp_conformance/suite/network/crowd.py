@@ -11,7 +11,7 @@ from dcp_conformance.frames.received import Instruction
 from dcp_conformance.model.case import Needs, case
 from dcp_conformance.suite.vardis.composition.summaries import summarises
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.peers import Peer
+from dcp_conformance.test_system.sending.peers import Peer
 from dcp_conformance.test_system.session import FLOOR
 
 from .conflicts import held
@@ -33,11 +33,11 @@ _FEW = 4
     stimulus="30 peers create three variables each, and summarise them, within one beacon period",
     expect="each of the 90 VarCreates in exactly one beacon; each variable in the summaries eventually",
     window=30,
-    needs=Needs(when=lambda bench: bench.lacks_room(90) or None),
+    needs=Needs(when=lambda bench: bench.sut.lacks_room(90) or None),
 )
 def many_variables(bench: Bench) -> None:
     peers = [bench.peer() for _ in range(30)]
-    names = {peer: bench.var_ids(3) for peer in peers}
+    names = {peer: bench.identifiers.var_ids(3) for peer in peers}
     everything = {each for mine in names.values() for each in mine}
     mark = bench.mark()
 
@@ -72,7 +72,7 @@ def many_variables(bench: Bench) -> None:
         # A variable that is created again is forwarded again.
         shown=not lost,
     )
-    wrong = [each for each in found() if each.record.upd.value != bench.value(b"%d" % each.var_id)]
+    wrong = [each for each in found() if each.record.upd.value != bench.records.value(b"%d" % each.var_id)]
     bench.check(
         not wrong,
         "each variable with its own value",
@@ -84,7 +84,7 @@ def many_variables(bench: Bench) -> None:
     if summarises(bench):
         return
     start = bench.mark()
-    most = bench.bound("VARDISPAR_MAX_SUMMARIES")
+    most = bench.sut.bound("VARDISPAR_MAX_SUMMARIES")
 
     def complete(_: object) -> bool:
         return {each.var_id for each in bench.instructions(_SUMMARY, since=start)} >= everything
@@ -200,7 +200,7 @@ def _old_update(peer: Peer, name: int) -> VardisRecord:
 )
 def storm(bench: Bench, variant: tuple[Callable[[Peer, int], VardisRecord], ICType, str]) -> None:
     make, kind, rule = variant
-    count = bench.rep_cnt(3)
+    count = bench.sut.rep_cnt(3)
 
     def prepare() -> tuple[VardisRecord, int]:
         source, name = bench.peer(), bench.var_id()
@@ -235,7 +235,7 @@ def _answers(
         mark, begun = bench.mark(), bench.now()
         _send_ten(bench, record)
         end = bench.now()
-        found = bench.repeated(kind, name, mark)
+        found = bench.waiting.repeated(kind, name, mark)
         if sum(begun <= heard.time <= end for heard in bench.heard[mark:]) <= 1:
             judged = found
             if len(found) <= most:
@@ -248,7 +248,7 @@ def _answers(
 
 
 def _send_ten(bench: Bench, record: VardisRecord) -> None:
-    if bench.one_by_one:
+    if bench.sut.one_by_one:
         # The implementation may answer each payload before it processes the next: send all records in one payload.
         bench.peer().send(*[record] * 10)
         return
@@ -310,7 +310,7 @@ def one_request(bench: Bench, variant: tuple[str, ICType, str]) -> None:
     window=40,
 )
 def lasting_storm(bench: Bench) -> None:
-    source, name, count = bench.peer(), bench.var_id(), bench.rep_cnt(3)
+    source, name, count = bench.peer(), bench.var_id(), bench.sut.rep_cnt(3)
     bench.learn(source, source.create(name, rep_cnt=count))
     mark = bench.mark()
     asking = bench.peer()
@@ -318,8 +318,8 @@ def lasting_storm(bench: Bench) -> None:
         asking.send(asking.request_create(name))
         bench.wait(1)
     # A slow implementation processes the last request later.
-    taken = bench.now() + round((bench.reaction - min(bench.reaction, FLOOR)) * bench.period)
-    found = bench.repeated(_CREATE, name, mark)
+    taken = bench.now() + round((bench.sut.reaction - min(bench.sut.reaction, FLOOR)) * bench.period)
+    found = bench.waiting.repeated(_CREATE, name, mark)
     passed = sum(heard.time <= taken for heard in bench.heard[mark:])
     # Two for payloads that were composed before the last request but not yet sent.
     most = passed + count + 2
@@ -341,7 +341,7 @@ def lasting_storm(bench: Bench) -> None:
     window=40,
 )
 def duplicates(bench: Bench) -> None:
-    peer, name, count = bench.peer(), bench.var_id(), bench.rep_cnt(3)
+    peer, name, count = bench.peer(), bench.var_id(), bench.sut.rep_cnt(3)
     for kind, record in (
         (_CREATE, peer.create(name, rep_cnt=count)),
         (_UPDATE, peer.update(name, 1)),
@@ -371,7 +371,7 @@ def out_of_order(bench: Bench, order: tuple[int, ...]) -> None:
     for place in order:
         peer.send_octets(beacons[place])
     bench.until_instruction(_UPDATE, name)
-    numbers = [each.record.seqno for each in bench.repeated(_UPDATE, name, mark)]
+    numbers = [each.record.seqno for each in bench.waiting.repeated(_UPDATE, name, mark)]
     bench.check(numbers == sorted(numbers), "sequence numbers that do not decrease", f"{numbers}", "VD-PU-06")
     record = held(bench, name)
     if record is None and order[0]:

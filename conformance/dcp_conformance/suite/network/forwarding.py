@@ -33,12 +33,12 @@ def _check_unchanged(bench: Bench, found: list[Instruction], wanted: VardisRecor
     variants={"1": 1, "2": 2, "5": 5, "max": 255},
 )
 def passes_through(bench: Bench, wanted: int) -> None:
-    count = bench.rep_cnt(wanted)
-    peer, producer, name = bench.peer(), bench.node_id(), bench.var_id()
+    count = bench.sut.rep_cnt(wanted)
+    peer, producer, name = bench.peer(), bench.identifiers.node_id(), bench.var_id()
     create = peer.create(name, rep_cnt=count, producer=producer, descr=b"a far one", value=b"\x00\xff\x80", seqno=200)
     steps = (
         (_CREATE, create, ("VD-TYP-06", "VD-PC-10")),
-        (_UPDATE, VarUpdate(name, 201, bench.value(b"another length")), ("VD-PU-07",)),
+        (_UPDATE, VarUpdate(name, 201, bench.records.value(b"another length")), ("VD-PU-07",)),
         (_DELETE, VarDelete(name), ("VD-PD-04",)),
     )
     for kind, record, requirements in steps:
@@ -58,7 +58,7 @@ def passes_through(bench: Bench, wanted: int) -> None:
 )
 def no_echo(bench: Bench) -> None:
     source, echo = bench.peer(), bench.peer()
-    name, count = bench.var_id(), bench.rep_cnt(2)
+    name, count = bench.var_id(), bench.sut.rep_cnt(2)
     for kind, record in (
         (_CREATE, source.create(name, rep_cnt=count)),
         (_UPDATE, source.update(name, 1)),
@@ -84,7 +84,7 @@ def no_echo(bench: Bench) -> None:
     window=40,
 )
 def repetitions_of_the_producer(bench: Bench) -> None:
-    source, name, count = bench.peer(), bench.var_id(), bench.rep_cnt(4)
+    source, name, count = bench.peer(), bench.var_id(), bench.sut.rep_cnt(4)
     for kind, record in ((_CREATE, source.create(name, rep_cnt=count)), (_UPDATE, source.update(name, 1))):
         mark = bench.mark()
         for _ in range(count):
@@ -135,7 +135,7 @@ def single_hop(bench: Bench, kind: ICType) -> None:
     variants={"one-payload": "one", "six-beacons": "burst", "one-per-period": "paced"},
 )
 def chain(bench: Bench, how: str) -> None:
-    peer, name, count = bench.peer(), bench.var_id(), bench.rep_cnt(2)
+    peer, name, count = bench.peer(), bench.var_id(), bench.sut.rep_cnt(2)
     bench.learn(peer, peer.create(name, rep_cnt=count))
     mark = bench.mark()
     updates = [peer.update(name, number, bytes((number,))) for number in range(1, 7)]
@@ -144,7 +144,7 @@ def chain(bench: Bench, how: str) -> None:
     for each in updates if how != "one" else ():
         peer.send(each)
         bench.wait(1 if how == "paced" else 0)
-    found = bench.repeated(_UPDATE, name, mark)
+    found = bench.waiting.repeated(_UPDATE, name, mark)
     numbers = [each.record.seqno for each in found]
     bench.check(
         numbers == sorted(numbers),
@@ -186,7 +186,7 @@ def chain(bench: Bench, how: str) -> None:
     window=60,
 )
 def whole_life(bench: Bench) -> None:
-    peer, name, count = bench.peer(), bench.var_id(), bench.rep_cnt(2)
+    peer, name, count = bench.peer(), bench.var_id(), bench.sut.rep_cnt(2)
     steps = (
         (_CREATE, lambda: peer.create(name, value=b"first", rep_cnt=count), "VD-PC-09"),
         (_UPDATE, lambda: peer.update(name, 1, b"second"), "VD-PU-07"),

@@ -9,8 +9,8 @@ from __future__ import annotations
 from dcp_spec.constants import ICType, SpecVersion, seqno_modulus
 
 from dcp_conformance.model.case import Needs, case
+from dcp_conformance.test_steps.services import create_request, produced
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.services import create_request, produced
 
 from .conflicts import check_deleted, held
 
@@ -75,7 +75,7 @@ def forgotten_variable(bench: Bench) -> None:
         if bench.until_instruction(_ASK_CREATE, name) is None:
             break
         rounds += 1
-        peer.send(peer.create(name, seqno=7, producer=bench.sut_id))
+        peer.send(peer.create(name, seqno=7, producer=bench.identifiers.sut_id))
     bench.check(rounds == 3, "a request for each summary", f"{rounds} of 3", "VD-PS-01")
     bench.require_alive("a VarCreate with the implementation as producer", "VD-PC-03")
     found = bench.instructions(_CREATE, name, mark)
@@ -100,7 +100,7 @@ def forgotten_variable(bench: Bench) -> None:
     window=40,
 )
 def split(bench: Bench) -> None:
-    source, other, name, count = bench.peer(), bench.peer(), bench.var_id(), bench.rep_cnt(2)
+    source, other, name, count = bench.peer(), bench.peer(), bench.var_id(), bench.sut.rep_cnt(2)
     create = source.create(name, rep_cnt=count)
     bench.learn(source, create)
     mark = bench.mark()
@@ -157,10 +157,10 @@ def taken_over(bench: Bench) -> None:
     if not mine:
         bench.inconclusive("a VarCreate of the node's own variable", "none in time")
     stamp, made = bench.profile.types.timestamp, mine[0].record.spec.creation_time
-    if stamp.epoch_ns is not None and made - bench.creation_time() > 86_400 * stamp.per_second:
+    if stamp.epoch_ns is not None and made - bench.records.creation_time() > 86_400 * stamp.per_second:
         # Otherwise every further VarCreate of this run would need a still later creationTime.
         bench.inconclusive("a creationTime within a day of now, which this case needs", f"{made:#x}")
-    later = max(bench.creation_time(), made + 1)
+    later = max(bench.records.creation_time(), made + 1)
     bench.session.creation_time = later
     create = peer.create(name, value=b"foreign", creation_time=later)
     mark = bench.mark()
@@ -191,7 +191,7 @@ def clock_ahead(bench: Bench) -> None:
     # The variable identifier cannot be used for an hour, so it must be one that no other case uses.
     wrong, right, name = bench.peer(), bench.peer(), bench.unknown_id()
     ticks = bench.profile.types.timestamp.per_second
-    ahead = wrong.create(name, value=b"ahead", creation_time=bench.creation_time() + 3600 * ticks)
+    ahead = wrong.create(name, value=b"ahead", creation_time=bench.records.creation_time() + 3600 * ticks)
     bench.learn(wrong, ahead)
     right.send(right.create(name, value=b"right"))
     bench.require_alive("a VarCreate with an older creationTime")
@@ -215,7 +215,7 @@ def clock_ahead(bench: Bench) -> None:
     needs=Needs(until=SpecVersion.V1_3),
 )
 def starts_again(bench: Bench) -> None:
-    source, name, count = bench.peer(), bench.var_id(), bench.rep_cnt(2)
+    source, name, count = bench.peer(), bench.var_id(), bench.sut.rep_cnt(2)
     bench.learn(source, source.create(name, value=b"fifty", seqno=50, rep_cnt=count))
     mark = bench.mark()
     source.send(source.create(name, value=b"again", seqno=0, rep_cnt=count))
@@ -235,7 +235,7 @@ def starts_again(bench: Bench) -> None:
         frames=found,
         shown=numbers - {50},
     )
-    if bench.all_hold():
+    if bench.verdicts.all_hold():
         bench.reading("H6", "the producer's values are ignored until its number passes 50")
 
 
@@ -252,7 +252,7 @@ def starts_again(bench: Bench) -> None:
     needs=Needs(since=SpecVersion.V2_0),
 )
 def missed_creation(bench: Bench) -> None:
-    source, other, name, count = bench.peer(), bench.peer(), bench.var_id(), bench.rep_cnt(2)
+    source, other, name, count = bench.peer(), bench.peer(), bench.var_id(), bench.sut.rep_cnt(2)
     bench.learn(source, source.create(name, value=b"first life", seqno=3, rep_cnt=count))
     mark = bench.mark()
     other.send(other.summary(name, 0))
@@ -269,7 +269,7 @@ def missed_creation(bench: Bench) -> None:
         shown=True,
     )
     asked = bench.instructions(_ASK_CREATE, name, mark)
-    if asked or bench.all_hold():
+    if asked or bench.verdicts.all_hold():
         bench.reading("H7", "requests the VarCreate" if asked else "keeps the first creation without a request")
 
 
@@ -286,7 +286,7 @@ def missed_creation(bench: Bench) -> None:
     needs=Needs(since=SpecVersion.V2_0),
 )
 def earlier_update(bench: Bench) -> None:
-    source, late, name, count = bench.peer(), bench.peer(), bench.var_id(), bench.rep_cnt(2)
+    source, late, name, count = bench.peer(), bench.peer(), bench.var_id(), bench.sut.rep_cnt(2)
     bench.learn(source, source.create(name, seqno=9, rep_cnt=count))
     mark = bench.mark()
     second = source.create(name, value=b"second life", rep_cnt=count)
@@ -297,7 +297,7 @@ def earlier_update(bench: Bench) -> None:
     bench.check_repeated(_UPDATE, name, count, mark, "VD-PU-07")
     record = held(bench, name)
     state = "nothing" if record is None else f"{record.upd.value.decode(errors='replace')!r}"
-    if bench.all_hold():
+    if bench.verdicts.all_hold():
         bench.reading("H8", f"holds {state} after an update of the first creation")
 
 
@@ -313,7 +313,7 @@ def earlier_update(bench: Bench) -> None:
     window=24,
 )
 def far_behind(bench: Bench) -> None:
-    source, name, count = bench.peer(), bench.var_id(), bench.rep_cnt(2)
+    source, name, count = bench.peer(), bench.var_id(), bench.sut.rep_cnt(2)
     far = seqno_modulus(bench.profile.types.var_seqno.width) // 2 + 1
     bench.learn(source, source.create(name, value=b"stale", rep_cnt=count))
     for record, requirement in (
@@ -323,9 +323,9 @@ def far_behind(bench: Bench) -> None:
         mark = bench.mark()
         source.send(record)
         found = bench.check_repeated(_UPDATE, name, count, mark, requirement)
-        values, stored = {each.record.value for each in found}, bench.value(b"stale")
+        values, stored = {each.record.value for each in found}, bench.records.value(b"stale")
         bench.check(
             values == {stored}, "the stored value", f"{values}", requirement, frames=found, shown=values - {stored}
         )
-    if bench.all_hold():
+    if bench.verdicts.all_hold():
         bench.reading("H9", "sends its outdated value and keeps it")

@@ -11,9 +11,9 @@ from dcp_codec.values import VarCreate, VarUpdate
 from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.model.case import Needs, case
 from dcp_conformance.suite.vardis.composition.summaries import summarises
+from dcp_conformance.test_steps.services import produced, settled
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.peers import Peer
-from dcp_conformance.test_system.services import produced, settled
+from dcp_conformance.test_system.sending.peers import Peer
 
 _CREATE, _UPDATE, _SUMMARY = ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.SUMMARIES
 _ASK_UPDATE, _ASK_CREATE = ICType.REQUEST_VARUPDATES, ICType.REQUEST_VARCREATES
@@ -30,7 +30,7 @@ _SUMMARIES = Needs(when=summarises)
     variants={"summary": _SUMMARY, "update": _UPDATE},
 )
 def learns(bench: Bench, by: ICType) -> None:
-    peer, name, count = bench.peer(), bench.unknown_id(), bench.rep_cnt(2)
+    peer, name, count = bench.peer(), bench.unknown_id(), bench.sut.rep_cnt(2)
     mark = bench.mark()
     peer.send(peer.summary(name, 6) if by is _SUMMARY else peer.update(name, 6))
     asked = bench.until_instruction(_ASK_CREATE, name)
@@ -71,7 +71,7 @@ def _check_summarised(bench: Bench, name: int, number: int) -> None:
     window=16,
 )
 def catches_up(bench: Bench) -> None:
-    peer, name, count = bench.peer(), bench.var_id(), bench.rep_cnt(2)
+    peer, name, count = bench.peer(), bench.var_id(), bench.sut.rep_cnt(2)
     bench.learn(peer, peer.create(name, seqno=2, rep_cnt=count))
     mark = bench.mark()
     peer.send(peer.summary(name, 7))
@@ -83,7 +83,7 @@ def catches_up(bench: Bench) -> None:
     )
     peer.send(peer.update(name, 7, b"seven"))
     found = bench.check_repeated(_UPDATE, name, count, mark, "VD-PU-07")
-    wrong = [each for each in found if each.record != VarUpdate(name, 7, bench.value(b"seven"))]
+    wrong = [each for each in found if each.record != VarUpdate(name, 7, bench.records.value(b"seven"))]
     text = f"{wrong[0].record}" if wrong else ""
     bench.check(not wrong, "the VarUpdate unchanged", text, "VD-PU-07", frames=wrong, shown=True)
     bench.check_repeated(_ASK_UPDATE, name, 1, mark, "VD-CMP-11")
@@ -99,16 +99,16 @@ def catches_up(bench: Bench) -> None:
 )
 def teaches_create(bench: Bench) -> None:
     producer, joiner = bench.peer(), bench.peer()
-    name, count = bench.var_id(), bench.rep_cnt(3)
+    name, count = bench.var_id(), bench.sut.rep_cnt(3)
     create = producer.create(name, value=b"old", seqno=1, rep_cnt=count)
     bench.learn(producer, create)
     mark = bench.mark()
     producer.send(producer.update(name, 2, b"new"))
-    updated = bench.repeated(_UPDATE, name, mark)
+    updated = bench.waiting.repeated(_UPDATE, name, mark)
     mark = bench.mark()
     joiner.send(joiner.request_create(name))
     found = bench.check_repeated(_CREATE, name, count, mark, "VD-RC-03")
-    wanted = VarCreate(create.spec, VarUpdate(name, 2, bench.value(b"new")))
+    wanted = VarCreate(create.spec, VarUpdate(name, 2, bench.records.value(b"new")))
     wrong = [each for each in found if each.record != wanted]
     text = f"{wrong[0].record}" if wrong else ""
     bench.check(not wrong, f"{wanted}", text, "VD-CMP-07", frames=wrong, shown=updated)
@@ -124,12 +124,12 @@ def teaches_create(bench: Bench) -> None:
 )
 def teaches_update(bench: Bench) -> None:
     producer, stale = bench.peer(), bench.peer()
-    name, count = bench.var_id(), bench.rep_cnt(3)
+    name, count = bench.var_id(), bench.sut.rep_cnt(3)
     bench.learn(producer, producer.create(name, value=b"five", seqno=5, rep_cnt=count))
     mark = bench.mark()
     stale.send(stale.request_update(name, 4))
     found = bench.check_repeated(_UPDATE, name, count, mark)
-    wrong = [each for each in found if each.record != VarUpdate(name, 5, bench.value(b"five"))]
+    wrong = [each for each in found if each.record != VarUpdate(name, 5, bench.records.value(b"five"))]
     text = f"{wrong[0].record}" if wrong else ""
     bench.check(not wrong, "the stored value with sequence number 5", text, frames=wrong, shown=True)
 
@@ -146,12 +146,12 @@ def teaches_update(bench: Bench) -> None:
 def teaches_stale(bench: Bench, by: ICType) -> None:
     requirement = "VD-PS-03" if by is _SUMMARY else "VD-PU-06"
     producer, stale = bench.peer(), bench.peer()
-    name, count = bench.var_id(), bench.rep_cnt(3)
+    name, count = bench.var_id(), bench.sut.rep_cnt(3)
     bench.learn(producer, producer.create(name, value=b"nine", seqno=9, rep_cnt=count))
     mark = bench.mark()
     stale.send(stale.summary(name, 8) if by is _SUMMARY else stale.update(name, 8, b"eight"))
     found = bench.check_repeated(_UPDATE, name, count, mark, requirement)
-    wrong = [each for each in found if each.record != VarUpdate(name, 9, bench.value(b"nine"))]
+    wrong = [each for each in found if each.record != VarUpdate(name, 9, bench.records.value(b"nine"))]
     text = f"{wrong[0].record}" if wrong else ""
     bench.check(not wrong, "the stored value with sequence number 9", text, requirement, frames=wrong, shown=True)
     mark = bench.mark()
@@ -206,7 +206,7 @@ class _Joiner:
     needs=_SUMMARIES,
 )
 def converges(bench: Bench) -> None:
-    producer, names = bench.peer(), bench.var_ids(8)
+    producer, names = bench.peer(), bench.identifiers.var_ids(8)
     bench.learn(producer, *(producer.create(each, value=b"0") for each in names))
     truth = dict.fromkeys(names, (0, b"0"))
     joiner = _Joiner(bench.peer(), names)
@@ -218,9 +218,9 @@ def converges(bench: Bench) -> None:
     for turn in (1, 2):
         mark = bench.mark()
         for name in names[turn::2]:
-            truth[name] = (turn, bench.value(b"turn %d" % turn))
+            truth[name] = (turn, bench.records.value(b"turn %d" % turn))
             producer.send(producer.update(name, *truth[name]))
-        bench.repeated(_UPDATE, names[turn], mark)
+        bench.waiting.repeated(_UPDATE, names[turn], mark)
         converged = bench.until(caught_up, 60)
         wrong = sorted(each for each in names if joiner.values.get(each) != truth[each])
         bench.require(
@@ -262,18 +262,18 @@ def asks_again(bench: Bench, kind: ICType) -> None:
     needs=Needs(ut=("RTDB-Create", "RTDB-Update")),
 )
 def taught_by_producer(bench: Bench) -> None:
-    count = bench.rep_cnt(3)
+    count = bench.sut.rep_cnt(3)
     name = produced(bench, rep_cnt=count)
     bench.until_instruction(_CREATE, name)
     settled(bench, name)
     mark = bench.mark()
-    bench.must("RTDB-Update", varId=name, value=bench.value(b"\x01\x02").hex())
-    bench.repeated(_UPDATE, name, mark)
+    bench.must("RTDB-Update", varId=name, value=bench.records.value(b"\x01\x02").hex())
+    bench.waiting.repeated(_UPDATE, name, mark)
     joiner, stale = bench.peer(), bench.peer()
     mark = bench.mark()
     joiner.send(joiner.request_create(name))
     found = bench.check_repeated(_CREATE, name, count, mark, "VD-RC-03")
-    wrong = [each for each in found if each.record.upd != VarUpdate(name, 1, bench.value(b"\x01\x02"))]
+    wrong = [each for each in found if each.record.upd != VarUpdate(name, 1, bench.records.value(b"\x01\x02"))]
     text = f"{wrong[0].record.upd}" if wrong else ""
     bench.check(not wrong, "the current value with sequence number 1", text, "VD-CMP-07", frames=wrong, shown=True)
     mark = bench.mark()

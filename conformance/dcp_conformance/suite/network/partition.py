@@ -28,7 +28,7 @@ _ASK_UPDATE, _ASK_CREATE = ICType.REQUEST_VARUPDATES, ICType.REQUEST_VARCREATES
 def heals(bench: Bench, numbers: tuple[int, int]) -> None:
     modulus = seqno_modulus(bench.profile.types.var_seqno.width)
     old, new = (each % modulus for each in numbers)
-    source, name, count = bench.peer(), bench.var_id(), bench.rep_cnt(2)
+    source, name, count = bench.peer(), bench.var_id(), bench.sut.rep_cnt(2)
     bench.learn(source, source.create(name, seqno=old, rep_cnt=count))
     peers = [bench.peer() for _ in range(4)]
     mark = bench.mark()
@@ -40,14 +40,16 @@ def heals(bench: Bench, numbers: tuple[int, int]) -> None:
     bench.check(
         asked.seqno == old, f"its own sequence number, {old}, in the request", f"{asked.seqno}", "VD-CMP-11", shown=True
     )
-    bench.repeated(_ASK_UPDATE, name, mark)
+    bench.waiting.repeated(_ASK_UPDATE, name, mark)
     mark = bench.mark()
     peers[0].send(peers[0].update(name, new, b"last"))
     # In the same beacon period the summaries arrive again; they contain nothing new now.
     for peer in peers[1:]:
         peer.send(peer.summary(name, new))
-    found = bench.repeated(_UPDATE, name, mark)
-    right = bool(found) and all((each.record.seqno, each.record.value) == (new, bench.value(b"last")) for each in found)
+    found = bench.waiting.repeated(_UPDATE, name, mark)
+    right = bool(found) and all(
+        (each.record.seqno, each.record.value) == (new, bench.records.value(b"last")) for each in found
+    )
     bench.check(
         right and len(found) == count,
         f"VarUpdate {new} in {count} beacons",
@@ -81,8 +83,8 @@ def heals(bench: Bench, numbers: tuple[int, int]) -> None:
 )
 def both_directions(bench: Bench) -> None:
     source, other = bench.peer(), bench.peer()
-    (newer, same, older), unknown = bench.var_ids(3), bench.unknown_id()
-    count = bench.rep_cnt(2)
+    (newer, same, older), unknown = bench.identifiers.var_ids(3), bench.unknown_id()
+    count = bench.sut.rep_cnt(2)
     bench.learn(source, *(source.create(each, seqno=5, rep_cnt=count) for each in (newer, same, older)))
     mark = bench.mark()
     other.send(other.summary(newer, 4), other.summary(same, 5), other.summary(older, 6), other.summary(unknown, 1))
@@ -112,11 +114,11 @@ def both_directions(bench: Bench) -> None:
     needs=Needs(since=SpecVersion.V2_0),
 )
 def created_in_the_other_half(bench: Bench) -> None:
-    source, other, name, count = bench.peer(), bench.peer(), bench.var_id(), bench.rep_cnt(2)
+    source, other, name, count = bench.peer(), bench.peer(), bench.var_id(), bench.sut.rep_cnt(2)
     bench.learn(source, source.create(name, seqno=100, rep_cnt=count))
     mark = bench.mark()
     source.send(source.delete(name))
-    bench.repeated(_DELETE, name, mark)
+    bench.waiting.repeated(_DELETE, name, mark)
     mark = bench.mark()
     create = other.create(name, value=b"other half", rep_cnt=count)
     other.send(create)
@@ -138,7 +140,7 @@ def created_in_the_other_half(bench: Bench) -> None:
 )
 def catches_up_with_all(bench: Bench) -> None:
     source, other = bench.peer(), bench.peer()
-    known, unknown = bench.var_ids(10), bench.unknown_ids(10)
+    known, unknown = bench.identifiers.var_ids(10), bench.identifiers.unknown_ids(10)
     bench.learn(source, *(source.create(each) for each in known))
     mark = bench.mark()
     other.send(*(other.summary(each, 3) for each in (*known, *unknown)))

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from dcp_conformance.model.case import Needs, case
+from dcp_conformance.test_steps.services import neighbours, until_neighbour
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.services import neighbours, until_neighbour
 
 _MANY = 1001
 #: Reports sent without a pause: few enough for a receive buffer.
@@ -29,7 +29,7 @@ def many_neighbours(bench: Bench) -> None:
     before = len(neighbours(bench))
     peers = [bench.peer() for _ in range(_MANY)]
     for number, peer in enumerate(peers):
-        peer.send(bench.report(peer.node_id, 1))
+        peer.send(bench.records.report(peer.node_id, 1))
         if number % _AT_ONCE == _AT_ONCE - 1:
             bench.wait(0.05)
     listed = len(neighbours(bench))
@@ -38,7 +38,7 @@ def many_neighbours(bench: Bench) -> None:
     room = _MANY if limit is None else min(_MANY, limit - before)
     for peer in (*peers[:3], *peers[room - 3 : room]):
         # The older entries may have timed out by now, or may have been replaced by others.
-        peer.send(bench.report(peer.node_id, 2))
+        peer.send(bench.records.report(peer.node_id, 2))
         entry = until_neighbour(bench, peer.node_id, 2)
         number = peers.index(peer) + 1
         what = f"an entry of neighbour {number} of {_MANY} with the sequence number of its last record, 2"

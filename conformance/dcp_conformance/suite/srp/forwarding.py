@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.model.case import Needs, case
 from dcp_conformance.test_steps.bp_clients import talking
+from dcp_conformance.test_steps.services import safety_data, srp_blocks
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.services import safety_data, srp_blocks
 
 #: Rounds of the case, each with records of different neighbours.
 _ROUNDS = 6
@@ -37,14 +37,14 @@ def never_forwarded(bench: Bench) -> None:
                 bench.must("SRP-UpdateSafetyData", sData=safety_data(bench, number))
             peer = bench.peer()
             # One record at a time; otherwise each would overwrite the one before.
-            report = bench.report(peer.node_id if number < _ROUNDS - 2 else bench.node_id(), number)
+            report = bench.records.report(peer.node_id if number < _ROUNDS - 2 else bench.identifiers.node_id(), number)
             foreign.append(bench.builder.srp(report).octets)
             peer.send(report)
             # If the implementation has nothing to send, there are no beacons to inspect.
             bench.beacons(2, 3)
-        if bench.pics.vardis is not False:
+        if bench.sut.pics.vardis is not False:
             bench.require_alive("state reports of neighbours")
-        bench.beacons(2, bench.reaction)
+        bench.beacons(2, bench.sut.reaction)
     _check(bench, bench.heard[mark:], foreign)
     if not bench.heard[mark:]:
         bench.info("Were there beacons after the records?", "no: the implementation had nothing to send")
@@ -55,7 +55,7 @@ def _check(bench: Bench, frames: Sequence[ReceivedBeacon], foreign: Sequence[byt
     for heard in frames:
         if any(octets in heard.octets for octets in foreign):
             bench.fail("no beacon with a received record", "a beacon contains one", frames=[heard], shown=True)
-        own = heard.sender or bench.sut_id
+        own = heard.sender or bench.identifiers.sut_id
         senders = [bench.codec.decode_report(block).node_id for block in srp_blocks(heard) if _whole(bench, block)]
         if any(node_id != own for node_id in senders):
             bench.fail(
@@ -64,4 +64,4 @@ def _check(bench: Bench, frames: Sequence[ReceivedBeacon], foreign: Sequence[byt
 
 
 def _whole(bench: Bench, block: bytes) -> bool:
-    return len(block) == len(bench.builder.srp(bench.report(bench.sut_id, 0)).octets)
+    return len(block) == len(bench.builder.srp(bench.records.report(bench.identifiers.sut_id, 0)).octets)

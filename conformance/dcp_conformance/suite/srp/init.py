@@ -8,8 +8,7 @@ from dcp_spec.constants import BP_PROTID_SRP
 
 from dcp_conformance.errors import NoAnswerError
 from dcp_conformance.model.case import Needs, case
-from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.services import (
+from dcp_conformance.test_steps.services import (
     NO_RESPONSE,
     check_registered_name,
     neighbours,
@@ -19,7 +18,8 @@ from dcp_conformance.test_system.services import (
     srp_blocks,
     until_report,
 )
-from dcp_conformance.test_system.state_reports import Reporter
+from dcp_conformance.test_steps.state_reports import Reporter
+from dcp_conformance.test_system.bench import Bench
 
 #: Submissions of safety data before a restart: more than an application makes from the restart to the first beacon.
 _MANY = 300
@@ -90,13 +90,13 @@ def _forgets(bench: Bench, reporter: Reporter, restart: bool, most: int | None =
     report may have, if not 0.
     """
     peer = bench.peer()
-    peer.send(bench.report(peer.node_id, 1))
+    peer.send(bench.records.report(peer.node_id, 1))
     for _ in (1, 2):
         reporter.submit()
     until_report(bench)
     start = bench.mark()
     if restart:
-        bench.restart()
+        bench.control.restart()
     else:
         bench.must("UT-Reset")
     gone = peer.node_id not in neighbours(bench)
@@ -164,7 +164,7 @@ def bring_back(bench: Bench) -> None:
     if bench.session.upper is not None and "UT-Reset" in bench.session.upper.methods:
         bench.call("UT-Reset")
     else:
-        bench.restart()
+        bench.control.restart()
 
 
 @case(
@@ -195,7 +195,7 @@ def not_registered(bench: Bench) -> None:
         if answer.code == NO_RESPONSE:
             bench.reading("X10", "no-response")
             bench.check(True, "no service while SRP is not registered", str(answer))
-        elif bench.check_status(answer, ("SRP-STATUS-INACTIVE",), "SRP-UpdateSafetyData"):
+        elif bench.services.check_status(answer, ("SRP-STATUS-INACTIVE",), "SRP-UpdateSafetyData"):
             bench.reading("X10", "confirm-inactive")
         bench.beacons(3, 3)
         frames = [heard for heard in bench.heard[mark:] if srp_blocks(heard)]

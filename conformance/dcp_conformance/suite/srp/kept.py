@@ -10,10 +10,10 @@ from typing import Any
 from dcp_spec.constants import SRP_SEQNO_MODULUS, SpecVersion
 
 from dcp_conformance.model.case import Needs, case
+from dcp_conformance.test_steps.services import neighbours, safety_data, until_neighbour
+from dcp_conformance.test_steps.state_reports import Reporter
 from dcp_conformance.test_system.bench import MS, Bench
-from dcp_conformance.test_system.peers import Peer
-from dcp_conformance.test_system.services import neighbours, safety_data, until_neighbour
-from dcp_conformance.test_system.state_reports import Reporter
+from dcp_conformance.test_system.sending.peers import Peer
 
 _TABLE = Needs(ut=("SRP-NeighbourTable",), entities=("srp",))
 _UPDATE = "SRP-UpdateSafetyData"
@@ -54,7 +54,7 @@ def own_entries(bench: Bench) -> None:
         for number in (1, 2, 3)
     ]
     reports = [
-        bench.report(peer.node_id, 1000 * number, **data)
+        bench.records.report(peer.node_id, 1000 * number, **data)
         for number, (peer, data) in enumerate(zip(peers, values, strict=True), 1)
     ]
     begun = bench.now()
@@ -67,14 +67,14 @@ def own_entries(bench: Bench) -> None:
         right = (data, report.t_stamp, report.seqno)
         bench.check(said == right, f"sData, tStamp and seqno {right}", f"{said}", shown=True)
     bench.wait(0.5)
-    peers[1].send(bench.report(peers[1].node_id, 2001, **values[0]))
+    peers[1].send(bench.records.report(peers[1].node_id, 2001, **values[0]))
     # A single query: entries time out while a slow upper tester answers.
     bench.wait(1)
     second = {node_id: entries[0] for node_id, entries in neighbours(bench).items()}
     for place in (0, 2):
         was, is_now = first[peers[place].node_id], second.get(peers[place].node_id)
-        if is_now is None and bench.now() - begun > bench.parameter("SRPPAR_NEIGHBOUR_TABLE_TIMEOUT") * MS * 3 // 4:
-            bench.not_applicable("the calls of this case take longer than the neighbour table timeout")
+        if is_now is None and bench.now() - begun > bench.sut.parameter("SRPPAR_NEIGHBOUR_TABLE_TIMEOUT") * MS * 3 // 4:
+            bench.verdicts.not_applicable("the calls of this case take longer than the neighbour table timeout")
         is_now = is_now or {}
         same = all(is_now.get(name) == was.get(name) for name in (*_FIELDS, "receptionTime"))
         bench.check(same, f"{was}, as before", f"{is_now}", "SRP-RX-03", shown=True)
@@ -91,13 +91,13 @@ def own_entries(bench: Bench) -> None:
 def table_across_activation(bench: Bench) -> None:
     peers = [bench.peer() for _ in range(2)]
     for number, peer in enumerate(peers):
-        peer.send(bench.report(peer.node_id, number + 7))
+        peer.send(bench.records.report(peer.node_id, number + 7))
     before, begun = _heard_of(bench, peers), bench.now()
-    with bench.deactivated("BP"):
+    with bench.services.deactivated("BP"):
         during = neighbours(bench)
     after = neighbours(bench)
-    if bench.now() - begun > bench.parameter("SRPPAR_NEIGHBOUR_TABLE_TIMEOUT") * MS * 3 // 4:
-        bench.not_applicable("the calls of this case take longer than the neighbour table timeout")
+    if bench.now() - begun > bench.sut.parameter("SRPPAR_NEIGHBOUR_TABLE_TIMEOUT") * MS * 3 // 4:
+        bench.verdicts.not_applicable("the calls of this case take longer than the neighbour table timeout")
     for node_id, entry in before.items():
         for when, table in (("while BP is inactive", during), ("afterwards", after)):
             is_now = table.get(node_id, [{}])[0]
@@ -117,7 +117,7 @@ def table_across_activation(bench: Bench) -> None:
 def numbers_across_activation(bench: Bench) -> None:
     reporter = Reporter(bench)
     first = reporter.sent("SRP-SRV-03")
-    with bench.deactivated("BP"):
+    with bench.services.deactivated("BP"):
         # A beacon sent before the deactivation may still be in transit to the tester.
         bench.wait(0.2)
         start = bench.mark()
@@ -152,7 +152,7 @@ def numbers_across_activation(bench: Bench) -> None:
     needs=Needs(since=SpecVersion.V1_1, ut=(_UPDATE,), entities=("srp",)),
 )
 def immediate(bench: Bench) -> None:
-    questions = [each for each in ("SRP-GetParameters", "SRP-NeighbourTable") if each in bench.ut.methods]
+    questions = [each for each in ("SRP-GetParameters", "SRP-NeighbourTable") if each in bench.services.upper.methods]
     delays, others = [], [0]
     for number in range(7):
         start = bench.now()
@@ -164,7 +164,7 @@ def immediate(bench: Bench) -> None:
             others.append(bench.now() - start)
     median = sorted(delays)[len(delays) // 2]
     # Each request to the upper tester takes time, which the time of another request estimates.
-    limit = bench.period // 2 + round(bench.pixit.timer_tolerance_ms * MS) + sorted(others)[len(others) // 2]
+    limit = bench.period // 2 + round(bench.sut.pixit.timer_tolerance_ms * MS) + sorted(others)[len(others) // 2]
     bench.check(
         median <= limit, f"a median time to the confirm of at most {limit / MS:.0f} ms", f"{median / MS:.0f} ms"
     )
@@ -188,9 +188,9 @@ def immediate(bench: Bench) -> None:
 )
 def any_number(bench: Bench, seqno: int) -> None:
     if seqno >= 1 << (8 * bench.profile.types.srp_seqno.width):
-        bench.not_applicable(f"in the profile {bench.profile.name} the sequence number has fewer octets")
+        bench.verdicts.not_applicable(f"in the profile {bench.profile.name} the sequence number has fewer octets")
     peer = bench.peer()
-    peer.send(bench.report(peer.node_id, seqno))
+    peer.send(bench.records.report(peer.node_id, seqno))
     entry = until_neighbour(bench, peer.node_id)
     bench.require(entry is not None, "an entry of the neighbour", "no entry", "SRP-RX-03")
     assert entry is not None

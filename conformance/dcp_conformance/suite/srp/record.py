@@ -13,9 +13,7 @@ from dcp_spec.constants import SRP_SEQNO_MODULUS, SpecVersion
 from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.model.case import Needs, case
 from dcp_conformance.test_steps.beacon_gaps import between_beacons
-from dcp_conformance.test_steps.time_stamps import Stamps, check_apart, check_now
-from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.services import (
+from dcp_conformance.test_steps.services import (
     Moment,
     nanoseconds,
     report_octets,
@@ -23,7 +21,9 @@ from dcp_conformance.test_system.services import (
     told,
     until_report,
 )
-from dcp_conformance.test_system.state_reports import Reporter, Sent
+from dcp_conformance.test_steps.state_reports import Reporter, Sent
+from dcp_conformance.test_steps.time_stamps import Stamps, check_apart, check_now
+from dcp_conformance.test_system.bench import Bench
 
 #: Attempts to submit safety data that an application does not replace before the next beacon.
 _ATTEMPTS = 12
@@ -71,7 +71,7 @@ def one_record(bench: Bench) -> None:
                 frames=[heard],
                 shown=True,
             )
-        own = heard.sender or bench.sut_id
+        own = heard.sender or bench.identifiers.sut_id
         for block in blocks:
             node_id = bench.codec.decode_report(block).node_id
             if node_id != own:
@@ -177,7 +177,7 @@ def time_stamp_of_late_record(bench: Bench) -> None:
 
     def measure() -> Stamps:
         first = reporter.sent("SRP-TYP-05")
-        with bench.deactivated("BP"):
+        with bench.services.deactivated("BP"):
             values = reporter.submit()
             bench.wait(8)
         what = "the record is sent after BP was activated"
@@ -271,7 +271,7 @@ def once(bench: Bench) -> None:
     for number in (1, 2, 3):
         mark = bench.mark()
         values = reporter.sent("SRP-SRV-04").values
-        if bench.pics.vardis is not False:
+        if bench.sut.pics.vardis is not False:
             # Without another payload to send there would be no further beacons to inspect.
             peer = bench.peer()
             peer.send(peer.create(bench.var_id()))

@@ -9,9 +9,9 @@ from contextlib import contextmanager
 from dcp_spec.constants import SpecVersion
 
 from dcp_conformance.model.case import Needs, case
+from dcp_conformance.test_steps.services import neighbour, neighbours, parameters_set, until_neighbour
 from dcp_conformance.test_system.bench import MS, Bench
-from dcp_conformance.test_system.peers import Peer
-from dcp_conformance.test_system.services import neighbour, neighbours, parameters_set, until_neighbour
+from dcp_conformance.test_system.sending.peers import Peer
 
 _TIMEOUT = "SRPPAR_NEIGHBOUR_TABLE_TIMEOUT"
 _TABLE = Needs(ut=("SRP-NeighbourTable",), entities=("srp",))
@@ -24,7 +24,7 @@ def _lifetime(
 
     ``meanwhile`` is called twenty times per timeout.
     """
-    latest = timeout + timeout // 5 + round(bench.pixit.timer_tolerance_ms * MS)
+    latest = timeout + timeout // 5 + round(bench.sut.pixit.timer_tolerance_ms * MS)
     step, there = max(timeout // 20, 10 * MS), {peer.node_id for peer in peers}
     if missing := there - set(neighbours(bench)):
         bench.inconclusive("entries of the neighbours", f"{len(missing)} missing")
@@ -44,21 +44,21 @@ def _lifetime(
             observed = f"{min(there).hex(':')} is still there after {before / 1e6:.0f} ms"
             bench.fail(f"an entry is removed within {latest / 1e6:.0f} ms after the reception of its record", observed)
         if there:
-            bench.wait_ns(step)
+            bench.waiting.wait_ns(step)
 
 
 @contextmanager
 def _brief_timeout(bench: Bench) -> Iterator[int]:
     """Set a timeout of half a second if possible; yield the timeout in use, in ms."""
     settable = bench.session.upper is not None and "SRP-SetParameter" in bench.session.upper.methods
-    length = round(500 * bench.session.timing_scale) if settable else bench.bound(_TIMEOUT)
+    length = round(500 * bench.session.timing_scale) if settable else bench.sut.bound(_TIMEOUT)
     with parameters_set(bench, "SRP", **({_TIMEOUT: length} if settable else {})):
         yield length
 
 
 def _offsets(bench: Bench) -> dict[str, int]:
     """Return special time stamps by name, in ticks of the profile's clock."""
-    now = bench.creation_time()
+    now = bench.records.creation_time()
     second = bench.profile.types.timestamp.per_second
     return {"now": now, "old": max(0, now - 3600 * second), "future": now + 3600 * second}
 
@@ -79,10 +79,10 @@ def timeout(bench: Bench) -> None:
     peers = [bench.peer() for _ in range(3)]
     begun = bench.now()
     for peer, stamp in zip(peers, _offsets(bench).values(), strict=True):
-        peer.send(bench.report(peer.node_id, 1, t_stamp=stamp))
+        peer.send(bench.records.report(peer.node_id, 1, t_stamp=stamp))
     for peer in peers:
         until_neighbour(bench, peer.node_id)
-    _lifetime(bench, peers, begun, bench.bound(_TIMEOUT) * MS)
+    _lifetime(bench, peers, begun, bench.sut.bound(_TIMEOUT) * MS)
 
 
 @case(
@@ -99,7 +99,7 @@ def short_timeout(bench: Bench) -> None:
     with parameters_set(bench, "SRP", **{_TIMEOUT: short}):
         peer = bench.peer()
         begun = bench.now()
-        peer.send(bench.report(peer.node_id, 1))
+        peer.send(bench.records.report(peer.node_id, 1))
         until_neighbour(bench, peer.node_id)
         _lifetime(bench, [peer], begun, short * MS)
 
@@ -119,12 +119,12 @@ def refreshed(bench: Bench) -> None:
         begun = bench.now()
         for number in range(5):
             begun = bench.now()
-            peer.send(bench.report(peer.node_id, number))
-            bench.wait_ns(length * MS // 2)
+            peer.send(bench.records.report(peer.node_id, number))
+            bench.waiting.wait_ns(length * MS // 2)
             there = neighbour(bench, peer.node_id) is not None
             if not there and bench.now() - begun < length * MS:
                 bench.fail("the entry remains while records arrive", f"removed after record {number + 1}")
-        peer.send(bench.report(peer.node_id, 5))
+        peer.send(bench.records.report(peer.node_id, 5))
         begun = bench.now()
         _lifetime(bench, [peer], begun, length * MS)
 
@@ -144,11 +144,11 @@ def silent_among_others(bench: Bench) -> None:
         numbers = itertools.count()
 
         def report() -> None:
-            other.send(bench.report(other.node_id, next(numbers)))
+            other.send(bench.records.report(other.node_id, next(numbers)))
 
         report()
         begun = bench.now()
-        silent.send(bench.report(silent.node_id, 1))
+        silent.send(bench.records.report(silent.node_id, 1))
         until_neighbour(bench, silent.node_id)
         _lifetime(bench, [silent], begun, length * MS, report)
 
@@ -176,9 +176,9 @@ def while_others_rest(bench: Bench) -> None:
     with _brief_timeout(bench) as length:
         peer = bench.peer()
         begun = bench.now()
-        peer.send(bench.report(peer.node_id, 1))
+        peer.send(bench.records.report(peer.node_id, 1))
         until_neighbour(bench, peer.node_id)
-        with bench.deactivated("VD"), bench.deactivated("BP"):
+        with bench.services.deactivated("VD"), bench.services.deactivated("BP"):
             _lifetime(bench, [peer], begun, length * MS)
 
 
@@ -194,7 +194,7 @@ def answers(bench: Bench) -> None:
     peer = bench.peer()
     bench.expect_status("SRP-STATUS-OK", "SRP-NeighbourTable", "SRP-NT-02")
     for number in (1, 2, 3, 3):
-        peer.send(bench.report(peer.node_id, number))
+        peer.send(bench.records.report(peer.node_id, number))
         bench.wait(1)
         bench.expect_status("SRP-STATUS-OK", "SRP-NeighbourTable", "SRP-NT-02")
 
@@ -209,7 +209,7 @@ def answers(bench: Bench) -> None:
 )
 def default_timeout(bench: Bench) -> None:
     answer = bench.call("SRP-GetParameters")
-    bench.require_asked(answer, "an answer to SRP-GetParameters")
+    bench.services.require_asked(answer, "an answer to SRP-GetParameters")
     bench.require(answer.ok, "a positive answer to SRP-GetParameters", str(answer))
     value = answer.result.get("parameters", {}).get(_TIMEOUT)
     bench.check(value is not None, f"{_TIMEOUT} in ms, in the answer", "no such parameter", "SRP-PAR-01", shown=True)

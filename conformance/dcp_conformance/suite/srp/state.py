@@ -8,8 +8,8 @@ from __future__ import annotations
 from dcp_spec.constants import SpecVersion
 
 from dcp_conformance.model.case import Needs, case
+from dcp_conformance.test_steps.services import neighbours, safety_data, until_neighbour
 from dcp_conformance.test_system.bench import MS, Bench
-from dcp_conformance.test_system.services import neighbours, safety_data, until_neighbour
 
 _TABLE = Needs(ut=("SRP-NeighbourTable",), entities=("srp",))
 #: Number of neighbours in a small swarm: a smaller table would be of little use.
@@ -25,13 +25,13 @@ _SWARM = 8
     needs=_TABLE,
 )
 def older_stamp(bench: Bench) -> None:
-    peer, now = bench.peer(), bench.creation_time()
+    peer, now = bench.peer(), bench.records.creation_time()
     hour = 3600 * bench.profile.types.timestamp.per_second
     later = max(now, hour)
-    peer.send(bench.report(peer.node_id, 5, t_stamp=later))
+    peer.send(bench.records.report(peer.node_id, 5, t_stamp=later))
     if until_neighbour(bench, peer.node_id, 5) is None:
         bench.inconclusive("an entry with the first record", "no such entry")
-    peer.send(bench.report(peer.node_id, 6, t_stamp=later - hour))
+    peer.send(bench.records.report(peer.node_id, 6, t_stamp=later - hour))
     entry = until_neighbour(bench, peer.node_id, 6)
     bench.check(entry is not None, "an entry with the second record", "the entry still has the first record")
 
@@ -50,10 +50,10 @@ def small_swarm(bench: Bench) -> None:
         # A record may be lost. Querying after each record would let the first entry time out if the upper tester is
         # slow.
         for peer in peers:
-            peer.send(bench.report(peer.node_id, 1))
+            peer.send(bench.records.report(peer.node_id, 1))
         # Entries time out by the clock, however long the beacon period is.
         for _ in range(10):
-            bench.wait_ns(200 * MS)
+            bench.waiting.wait_ns(200 * MS)
             missing = {peer.node_id for peer in peers} - set(neighbours(bench))
             if not missing:
                 break
@@ -75,5 +75,5 @@ def small_swarm(bench: Bench) -> None:
     ),
 )
 def bp_inactive(bench: Bench) -> None:
-    with bench.deactivated("BP"):
+    with bench.services.deactivated("BP"):
         bench.expect_status("SRP-STATUS-OK", "SRP-UpdateSafetyData", sData=safety_data(bench, 1))

@@ -11,10 +11,10 @@ from dcp_spec.constants import BP_PROTID_SRP
 
 from dcp_conformance.frames.builder import Block
 from dcp_conformance.model.case import Needs, case
+from dcp_conformance.test_steps.services import neighbour, neighbours, rows, safety_data, until_neighbour
 from dcp_conformance.test_steps.time_stamps import check_later
 from dcp_conformance.test_system.bench import MS, Bench
-from dcp_conformance.test_system.peers import Peer
-from dcp_conformance.test_system.services import neighbour, neighbours, rows, safety_data, until_neighbour
+from dcp_conformance.test_system.sending.peers import Peer
 
 _TABLE = Needs(ut=("SRP-NeighbourTable",), entities=("srp",))
 
@@ -22,7 +22,7 @@ _TABLE = Needs(ut=("SRP-NeighbourTable",), entities=("srp",))
 def _require_reception(bench: Bench) -> None:
     """Stop as inconclusive unless valid records enter the table: otherwise a missing entry proves nothing."""
     control = bench.peer()
-    control.send(bench.report(control.node_id, 1))
+    control.send(bench.records.report(control.node_id, 1))
     if until_neighbour(bench, control.node_id) is None:
         bench.inconclusive("an entry for a valid record, which this case needs", "no entry in time")
 
@@ -30,13 +30,13 @@ def _require_reception(bench: Bench) -> None:
 def _require_working(bench: Bench, after: str) -> None:
     """Fail and stop the case unless the record of another neighbour still enters the table."""
     probe = bench.peer()
-    probe.send(bench.report(probe.node_id, 1))
+    probe.send(bench.records.report(probe.node_id, 1))
     entry = until_neighbour(bench, probe.node_id)
     bench.require(entry is not None, f"an entry of another neighbour after {after}", "no entry in time")
 
 
 def _small(bench: Bench, number: int) -> dict[str, Any]:
-    """Return safety data as keyword arguments of :meth:`Bench.report`, numeric fields only."""
+    """Return safety data as keyword arguments of :meth:`.Records.report`, numeric fields only."""
     kinds = {each.name: each.type for each in bench.profile.srp.safety_data}
     return {name: value for name, value in safety_data(bench, number).items() if kinds[name] != "opaque"}
 
@@ -51,7 +51,7 @@ def _small(bench: Bench, number: int) -> dict[str, Any]:
 )
 def stored(bench: Bench) -> None:
     peer, values = bench.peer(), _small(bench, 1)
-    report = bench.report(peer.node_id, 77, **values)
+    report = bench.records.report(peer.node_id, 77, **values)
     sent = bench.lower.wall()
     peer.send(report)
     entry = until_neighbour(bench, peer.node_id)
@@ -68,7 +68,7 @@ def stored(bench: Bench) -> None:
         "SRP-RX-03",
         shown=True,
     )
-    time, slack = entry.get("receptionTime"), bench.pixit.clock_tolerance_ms * MS
+    time, slack = entry.get("receptionTime"), bench.sut.pixit.clock_tolerance_ms * MS
     near = isinstance(time, int) and sent - slack <= time <= came + slack
     bench.check(
         near, f"receptionTime within {slack / 1e6:.0f} ms of the tester's clock", f"{time}", "SRP-RX-03", shown=True
@@ -86,7 +86,7 @@ def stored(bench: Bench) -> None:
 )
 def replaced(bench: Bench) -> None:
     peer = bench.peer()
-    peer.send(bench.report(peer.node_id, 5, **_small(bench, 1)))
+    peer.send(bench.records.report(peer.node_id, 5, **_small(bench, 1)))
     first = until_neighbour(bench, peer.node_id)
     if first is None:
         bench.fail("an entry with the first record", "no such entry", "SRP-RX-03")
@@ -96,7 +96,7 @@ def replaced(bench: Bench) -> None:
         bench.wait(2)
         number = 5 + len(entries)
         values = _small(bench, number - 4)
-        peer.send(bench.report(peer.node_id, number, **values))
+        peer.send(bench.records.report(peer.node_id, number, **values))
         second = until_neighbour(bench, peer.node_id, number)
         if second is None:
             bench.fail("an entry with the newer record", "no such entry in time", "SRP-RX-03")
@@ -122,11 +122,11 @@ def replaced(bench: Bench) -> None:
 def not_newer(bench: Bench, seqno: int) -> None:
     _require_reception(bench)
     peer = bench.peer()
-    peer.send(bench.report(peer.node_id, 100, **_small(bench, 1)))
+    peer.send(bench.records.report(peer.node_id, 100, **_small(bench, 1)))
     if until_neighbour(bench, peer.node_id, 100) is None:
         bench.inconclusive("an entry with the first record", "no such entry")
     values = _small(bench, 2)
-    peer.send(bench.report(peer.node_id, seqno, **values))
+    peer.send(bench.records.report(peer.node_id, seqno, **values))
     _require_working(bench, "a record with an older sequence number")
     entry = neighbour(bench, peer.node_id) or {}
     data = entry.get("sData", {})
@@ -135,7 +135,7 @@ def not_newer(bench: Bench, seqno: int) -> None:
         "Is a record stored if its sequence number is not newer?",
         "yes" if taken else "no: sequence numbers are a filter",
     )
-    claimed = bench.pics.srp_seqno_filter
+    claimed = bench.sut.pics.srp_seqno_filter
     # For an equal sequence number a filter may accept the record (it is not older) or drop it as a repetition.
     if claimed is not None and seqno < 100:
         bench.check(
@@ -155,8 +155,8 @@ def not_newer(bench: Bench, seqno: int) -> None:
     needs=Needs(ut=("SRP-NeighbourTable",), entities=("srp",), header=("senderId",)),
 )
 def key(bench: Bench) -> None:
-    peer, other = bench.peer(), bench.node_id()
-    peer.send(bench.report(other, 1))
+    peer, other = bench.peer(), bench.identifiers.node_id()
+    peer.send(bench.records.report(other, 1))
     bench.check(until_neighbour(bench, other) is not None, "an entry of the record's node", "none in time")
     bench.check(neighbour(bench, peer.node_id) is None, "no entry of the beacon's sender", "an entry", shown=True)
 
@@ -172,7 +172,7 @@ def key(bench: Bench) -> None:
 def wide_numbers(bench: Bench) -> None:
     for number in (0xFFFF_FFFF, 0x0102_0304):
         peer = bench.peer()
-        peer.send(bench.report(peer.node_id, number))
+        peer.send(bench.records.report(peer.node_id, number))
         entry = until_neighbour(bench, peer.node_id)
         observed = "no entry" if entry is None else f"seqno {entry.get('seqno')}"
         bench.check(
@@ -185,7 +185,7 @@ def wide_numbers(bench: Bench) -> None:
 
 def _block(bench: Bench, peer: Peer, name: str) -> Block:
     """Return a block with the record of the peer, made invalid as ``name`` says."""
-    octets = bench.builder.srp(bench.report(peer.node_id, 1)).octets
+    octets = bench.builder.srp(bench.records.report(peer.node_id, 1)).octets
     spoilt = {
         "one-short": octets[:-1],
         "one-long": octets + b"\0",
@@ -214,7 +214,7 @@ def wrong_length(bench: Bench, name: str) -> None:
     table = set(neighbours(bench))
     bench.check(peer.node_id not in table, "no entry of the payload's node", "an entry", shown=True)
     # No other node sent anything, so any other entry was made from octets of the payload.
-    others = table - before - {each.node_id for each in bench.peers_made}
+    others = table - before - {each.node_id for each in bench.peers.made}
     if not any(event.direction == "other" for event in bench.traffic.events):
         bench.check(
             not others,
@@ -235,7 +235,7 @@ def wrong_length(bench: Bench, name: str) -> None:
 def wrong_protocol(bench: Bench) -> None:
     _require_reception(bench)
     peer = bench.peer()
-    peer.send(Block(3, bench.builder.srp(bench.report(peer.node_id, 1)).octets))
+    peer.send(Block(3, bench.builder.srp(bench.records.report(peer.node_id, 1)).octets))
     _require_working(bench, "a record in a block of another protocol")
     bench.check(neighbour(bench, peer.node_id) is None, "no entry of the payload's node", "an entry", shown=True)
 
@@ -251,10 +251,13 @@ def wrong_protocol(bench: Bench) -> None:
 def own_identifier(bench: Bench) -> None:
     _require_reception(bench)
     peer = bench.peer()
-    peer.send(bench.report(bench.sut_id, 1))
+    peer.send(bench.records.report(bench.identifiers.sut_id, 1))
     _require_working(bench, "a record with its own identifier")
     bench.check(
-        neighbour(bench, bench.sut_id) is None, "no entry of the implementation's own node", "an entry", shown=True
+        neighbour(bench, bench.identifiers.sut_id) is None,
+        "no entry of the implementation's own node",
+        "an entry",
+        shown=True,
     )
 
 
@@ -269,11 +272,11 @@ def own_identifier(bench: Bench) -> None:
 def list_and_look_up(bench: Bench) -> None:
     peers = [bench.peer() for _ in range(3)]
     for number, peer in enumerate(peers):
-        peer.send(bench.report(peer.node_id, number))
+        peer.send(bench.records.report(peer.node_id, number))
     for peer in peers:
         entry = until_neighbour(bench, peer.node_id)
         bench.check(entry is not None, f"{peer.node_id.hex(':')} in the list", "not in the list", "SRP-NT-02")
-    for node_id, expected in ((peers[1].node_id, [1]), (bench.node_id(), [])):
+    for node_id, expected in ((peers[1].node_id, [1]), (bench.identifiers.node_id(), [])):
         found = rows(bench.must("SRP-NeighbourTable", nodeId=node_id.hex(":")), "neighbours")
         numbers = [row.get("seqno") for row in found]
         bench.check(
@@ -298,7 +301,10 @@ def own_data(bench: Bench) -> None:
     bench.must("SRP-UpdateSafetyData", sData=safety_data(bench, 1))
     _require_working(bench, "a submission of safety data")
     bench.check(
-        neighbour(bench, bench.sut_id) is None, "no entry of the implementation's own node", "an entry", shown=True
+        neighbour(bench, bench.identifiers.sut_id) is None,
+        "no entry of the implementation's own node",
+        "an entry",
+        shown=True,
     )
 
 
@@ -312,13 +318,13 @@ def own_data(bench: Bench) -> None:
 )
 def extra_fields(bench: Bench) -> None:
     peer = bench.peer()
-    peer.send(bench.report(peer.node_id, 1))
+    peer.send(bench.records.report(peer.node_id, 1))
     entry = until_neighbour(bench, peer.node_id)
     if entry is None:
         bench.inconclusive("an entry of the neighbour", "no entry")
     extra = sorted(set(entry) - {"nodeId", "sData", "tStamp", "seqno", "receptionTime"})
     bench.info("Which additional fields does the neighbour table have?", ", ".join(extra) or "none")
-    claimed = bench.pics.neighbour_statistics
+    claimed = bench.sut.pics.neighbour_statistics
     if claimed is not None:
         bench.check(
             bool(extra) == claimed, f"[pics] neighbour_statistics = {str(claimed).lower()}", f"{extra}", shown=True

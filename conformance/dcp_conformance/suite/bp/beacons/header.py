@@ -27,8 +27,8 @@ from dcp_conformance.test_steps.bp_clients import (
     some_beacons,
     talking,
 )
+from dcp_conformance.test_steps.services import rows
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.services import rows
 
 V1_1, V1_2, V2_0 = SpecVersion.V1_1, SpecVersion.V1_2, SpecVersion.V2_0
 #: Minimum payload of an Ethernet frame: shorter bearer payloads may have been padded in transit.
@@ -146,7 +146,7 @@ def order_of_fields(bench: Bench) -> None:
     with talking(bench, clients=2) as clients:
         wires = [read(bench, heard) for heard in some_beacons(bench, 6)]
     _judged(bench, wires, "BP-HDR-10")
-    check_field(bench, wires, "senderId", bench.sut_id)
+    check_field(bench, wires, "senderId", bench.identifiers.sut_id)
     known = {BP_PROTID_SRP, BP_PROTID_VARDIS, *(client.prot_id for client in clients)}
     others = _registered(bench)
     # If the clients of the implementation cannot be listed, one known identifier in a beacon is sufficient.
@@ -212,9 +212,9 @@ def predefined_identifiers(bench: Bench) -> None:
 def sender(bench: Bench) -> None:
     _named_by_another(bench)
     wires = beacons_read(bench, 3)
-    if bench.pics.vardis is not False:
+    if bench.sut.pics.vardis is not False:
         for _ in range(3):
-            bench.probe()
+            bench.probes.probe()
     ids = {each.fields.get("senderId") for each in wires} | {heard.sender for heard in bench.heard}
     bench.check(
         len(ids - {None}) == 1, "one senderId in all beacons", f"{len(ids)} different ones", shown=len(ids - {None}) > 1
@@ -226,8 +226,8 @@ def sender(bench: Bench) -> None:
         said = heard.hex() if isinstance(heard, bytes) else f"{heard}"
         bench.check(said == told, f"senderId {told}", said, "BP-HDR-03", frames=[wires[0].heard], shown=True)
     # Frames from the same link address with another senderId: they are not attributed to the implementation.
-    sources = {heard.source for heard in bench.heard} - {peer.address for peer in bench.peers_made}
-    other = [heard for heard in bench.others if heard.source in sources]
+    sources = {heard.source for heard in bench.heard} - {peer.address for peer in bench.peers.made}
+    other = [heard for heard in bench.receiver.others if heard.source in sources]
     expected = "no beacon with another senderId from the same link address"
     bench.check(not other, expected, f"{len(other)} such beacons", frames=other[:8], shown=True)
 
@@ -236,16 +236,16 @@ def _named_by_another(bench: Bench) -> None:
     """Fail if the implementation answers with a senderId other than the nodeId it reports: its beacons would not be
     recognised.
     """
-    if bench.pics.vardis is False or bench.session.upper is None or "nodeId" not in bench.session.upper.about:
+    if bench.sut.pics.vardis is False or bench.session.upper is None or "nodeId" not in bench.session.upper.about:
         return
-    start, others, unknown, peer = bench.mark(), len(bench.others), bench.unknown_id(), bench.peer()
+    start, others, unknown, peer = bench.mark(), len(bench.receiver.others), bench.unknown_id(), bench.peer()
     peer.send(peer.summary(unknown, 1))
     bench.until_instruction(ICType.REQUEST_VARCREATES, unknown)
-    known = {each.node_id for each in bench.peers_made}
-    answers = [each for each in bench.others[others:] if each.about(ICType.REQUEST_VARCREATES, unknown)]
+    known = {each.node_id for each in bench.peers.made}
+    answers = [each for each in bench.receiver.others[others:] if each.about(ICType.REQUEST_VARCREATES, unknown)]
     if not bench.heard[start:] and answers and not known & {each.sender for each in answers}:
         said = f"senderId {(answers[0].sender or b'').hex(':')} in the answer to a summary"
-        bench.fail(f"senderId {bench.sut_id.hex(':')}", said, "BP-HDR-03", frames=answers[:4], shown=True)
+        bench.fail(f"senderId {bench.identifiers.sut_id.hex(':')}", said, "BP-HDR-03", frames=answers[:4], shown=True)
 
 
 @case(
@@ -259,7 +259,7 @@ def _named_by_another(bench: Bench) -> None:
 )
 def network(bench: Bench) -> None:
     wires = beacons_read(bench)
-    check_field(bench, wires, "networkId", bench.parameter("BPPAR_NETWORK_ID"), "BP-HDR-04")
+    check_field(bench, wires, "networkId", bench.sut.parameter("BPPAR_NETWORK_ID"), "BP-HDR-04")
     width = bench.profile.types.network_id.width
     bench.check(width >= 2, "a networkId of at least 16 bits", f"{8 * width} bits", "BP-HDR-05", shown=True)
 
@@ -329,7 +329,7 @@ def number_of_blocks(bench: Bench) -> None:
     ),
 )
 def largest_beacons(bench: Bench) -> None:
-    limit = bench.bound("BPPAR_MAXIMUM_PACKET_SIZE")
+    limit = bench.sut.bound("BPPAR_MAXIMUM_PACKET_SIZE")
     size = min(largest_payload(bench), limit - header_octets(bench) - block_header_octets(bench))
     with (
         BPClient(bench, ONCE, size=size) as one,
@@ -337,7 +337,7 @@ def largest_beacons(bench: Bench) -> None:
         BPClient(bench, ONCE, size=size) as three,
     ):
         clients = (one, two, three)
-        variable = bench.peer() if bench.pics.vardis is not False else None
+        variable = bench.peer() if bench.sut.pics.vardis is not False else None
         var_id = bench.var_id()
         if variable is not None:
             variable.send(variable.create(var_id))
@@ -348,12 +348,12 @@ def largest_beacons(bench: Bench) -> None:
         def all_sent(_: object = None) -> bool:
             return all(client.frames(start) for client in clients)
 
-        bench.until(all_sent, 3 * bench.reaction)
+        bench.until(all_sent, 3 * bench.sut.reaction)
         if variable is not None and not all_sent():
             # A block that is in every beacon may be served first each time: the order is free (BP-TX-03).
             variable.send(variable.delete(var_id))
             bench.until_quiet(lambda heard: heard.has_vardis and not all_sent())
-            bench.until(all_sent, 3 * bench.reaction)
+            bench.until(all_sent, 3 * bench.sut.reaction)
         _check_all_sent(bench, clients)
         large = [heard for heard in bench.heard[start:] if len(heard.octets) > limit]
         most = max((len(heard.octets) for heard in bench.heard[start:]), default=0)
@@ -374,7 +374,7 @@ def _check_all_sent(bench: Bench, clients: Sequence[BPClient]) -> None:
     """Check that each client has sent its payload, unless every beacon had a block of another client."""
     waiting = [client for client in clients if not client.sent()]
     ours = {client.prot_id for client in clients}
-    last = bench.wait(2 * bench.reaction) if waiting else []
+    last = bench.wait(2 * bench.sut.reaction) if waiting else []
     waiting = [client for client in waiting if not client.sent()]
     if waiting and last and all({prot_id for prot_id, _ in each.blocks} - ours for each in last):
         bench.info("Can a block in every beacon delay the largest payloads indefinitely?", "yes", "BP-TX-03")

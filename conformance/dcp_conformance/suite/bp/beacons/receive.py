@@ -13,9 +13,9 @@ from dcp_codec.values import VarSumm
 from dcp_conformance.frames.builder import Block, Lies
 from dcp_conformance.model.case import Needs, Variant, case
 from dcp_conformance.test_steps.bp_clients import block_header_octets, header_octets, unused_protocol_id
+from dcp_conformance.test_steps.services import until_neighbour
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.peers import Peer
-from dcp_conformance.test_system.services import until_neighbour
+from dcp_conformance.test_system.sending.peers import Peer
 
 Send = Callable[[Peer, VarSumm], object]
 
@@ -61,7 +61,7 @@ def _processed_or_discarded(bench: Bench, var_ids: Sequence[int], since: int, wh
     """
     bench.until(lambda _: not missing(bench, var_ids, since))
     if missing(bench, var_ids, since):
-        peer, others, start = bench.peer(), bench.unknown_ids(2), bench.mark()
+        peer, others, start = bench.peer(), bench.identifiers.unknown_ids(2), bench.mark()
         blocks = [Block(unused_protocol_id(bench), bytes(40)), *(summary_block(bench, peer, each) for each in others)]
         # Without a length field, padding cannot be told from a further block.
         peer.send(*blocks, lies={"bp.numPayloads": 2 if bench.profile.has_header_field("length") else 4})
@@ -172,7 +172,7 @@ def zero_payloads(bench: Bench) -> None:
 )
 def foreign_network(bench: Bench, other: Callable[[int, int], int]) -> None:
     top = (1 << (8 * bench.profile.types.network_id.width)) - 1
-    identifier = other(bench.parameter("BPPAR_NETWORK_ID"), top)
+    identifier = other(bench.sut.parameter("BPPAR_NETWORK_ID"), top)
     check_dropped(bench, lambda peer, it: peer.send(it, network_id=identifier), f"a beacon of network {identifier:#x}")
 
 
@@ -186,8 +186,8 @@ def foreign_network(bench: Bench, other: Callable[[int, int], int]) -> None:
 )
 def own_beacon(bench: Bench) -> None:
     if bench.session.sut_id is None:
-        bench.probe()
-    own = bench.sut_id
+        bench.probes.probe()
+    own = bench.identifiers.sut_id
     check_dropped(bench, lambda peer, it: peer.send(it, sender=own), "a beacon with its own senderId")
 
 
@@ -220,7 +220,7 @@ def two_faults(bench: Bench, lies: Lies) -> None:
     variants={"1": 1, "2": 2, "3": 3, "8": 8},
 )
 def several_blocks(bench: Bench, count: int) -> None:
-    peer, var_ids, start = bench.peer(), bench.unknown_ids(count), bench.mark()
+    peer, var_ids, start = bench.peer(), bench.identifiers.unknown_ids(count), bench.mark()
     peer.send(*(summary_block(bench, peer, each) for each in var_ids))
     check_processed(bench, var_ids, start, "each block")
 
@@ -239,11 +239,11 @@ def two_protocols(bench: Bench, report_first: bool) -> None:
     asks = upper is not None and "SRP-NeighbourTable" in upper.methods
     control = bench.peer()
     if asks:
-        control.send(bench.report(control.node_id, 1))
+        control.send(bench.records.report(control.node_id, 1))
     # If an SRP record alone in a beacon is not stored either, the fault is not one of BP.
     stores = asks and until_neighbour(bench, control.node_id) is not None
     peer, var_id, start = bench.peer(), bench.unknown_id(), bench.mark()
-    blocks = [bench.builder.srp(bench.report(peer.node_id, 1)), summary_block(bench, peer, var_id)]
+    blocks = [bench.builder.srp(bench.records.report(peer.node_id, 1)), summary_block(bench, peer, var_id)]
     peer.send(*(blocks if report_first else blocks[::-1]))
     # Query the neighbour table first: the entry may time out before the beacon with the request is sent.
     found = until_neighbour(bench, peer.node_id) if stores else None
@@ -271,7 +271,7 @@ def two_protocols(bench: Bench, report_first: bool) -> None:
 )
 def unregistered_blocks(bench: Bench, layout: Sequence[tuple[int] | None]) -> None:
     peer, start = bench.peer(), bench.mark()
-    var_ids = bench.unknown_ids(sum(each is None for each in layout))
+    var_ids = bench.identifiers.unknown_ids(sum(each is None for each in layout))
     waiting = iter(var_ids)
     blocks = [
         # For VarDis these octets would be instruction containers.
@@ -326,7 +326,7 @@ def other_protocol_ids(bench: Bench, prot_id: int) -> None:
     },
 )
 def block_past_the_end(bench: Bench, claimed: Callable[[int], int]) -> None:
-    peer, (good, bad), start = bench.peer(), bench.unknown_ids(2), bench.mark()
+    peer, (good, bad), start = bench.peer(), bench.identifiers.unknown_ids(2), bench.mark()
     last = summary_block(bench, peer, bad)
     # Bearers pad short frames, and before 1.2 padding cannot be told from the last block.
     filler = Block(unused_protocol_id(bench), bytes(40))
@@ -428,7 +428,7 @@ def empty_block(bench: Bench, prot_id: int | None) -> None:
     },
 )
 def seqno_not_checked(bench: Bench, numbers: Sequence[int]) -> None:
-    peer, var_ids, start = bench.peer(), bench.unknown_ids(len(numbers)), bench.mark()
+    peer, var_ids, start = bench.peer(), bench.identifiers.unknown_ids(len(numbers)), bench.mark()
     for number, var_id in zip(numbers, var_ids, strict=True):
         peer.seqno = number
         peer.send(peer.summary(var_id, 1))
@@ -446,7 +446,7 @@ def seqno_not_checked(bench: Bench, numbers: Sequence[int]) -> None:
     robustness=True,
 )
 def other_number_of_payloads(bench: Bench, claimed: int) -> None:
-    peer, var_ids, start = bench.peer(), bench.unknown_ids(2), bench.mark()
+    peer, var_ids, start = bench.peer(), bench.identifiers.unknown_ids(2), bench.mark()
     peer.send(*(summary_block(bench, peer, each) for each in var_ids), lies={"bp.numPayloads": claimed})
     bench.require_alive("a wrong numPayloads")
     lost = missing(bench, var_ids, start)

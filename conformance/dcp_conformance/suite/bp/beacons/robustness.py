@@ -37,7 +37,7 @@ def broken_rule(bench: Bench, octets: bytes) -> str:
     none.
     """
     root = bench.codec.dissect(octets).root
-    network = bench.parameter("BPPAR_NETWORK_ID")
+    network = bench.sut.parameter("BPPAR_NETWORK_ID")
     says = {
         path: field.value for path in _CHECKED if (field := root.find(path)) is not None and field.value is not None
     }
@@ -82,7 +82,7 @@ def foreign_layout(bench: Bench, name: str) -> None:
     for number, filler in enumerate((0, 300)):
         var_id = bench.unknown_id()
         blocks = [Block(0x7777, bytes(filler))] * (filler > 0) + [builder.vardis(peer.summary(var_id, 1))]
-        network = bench.parameter("BPPAR_NETWORK_ID") if codec.profile.has_header_field("networkId") else None
+        network = bench.sut.parameter("BPPAR_NETWORK_ID") if codec.profile.has_header_field("networkId") else None
         octets = builder.beacon(peer.node_id, 258 + number, blocks, network_id=network)
         peer.send_octets(octets)
         sent.append((var_id, octets, f"a beacon of {len(octets)} octets in the layout of {codec.profile.spec_version}"))
@@ -180,7 +180,7 @@ def cut_headers(bench: Bench) -> None:
     robustness=True,
 )
 def cut_blocks(bench: Bench) -> None:
-    peer, (first, second) = bench.peer(), bench.unknown_ids(2)
+    peer, (first, second) = bench.peer(), bench.identifiers.unknown_ids(2)
     blocks = [bench.builder.vardis(peer.summary(each, 1)) for each in (first, second)]
     whole = peer.beacon(*blocks)
     begin, area = header_octets(bench), bench.profile.bp.payload_area

@@ -81,12 +81,12 @@ def check_first_number(bench: Bench, heard: ReceivedBeacon) -> None:
     needs=Needs(ut=("UT-Reset",), header=("seqno",)),
 )
 def numbers_after_reset(bench: Bench) -> None:
-    bench.probe()
-    bench.probe()
+    bench.probes.probe()
+    bench.probes.probe()
     bench.must("UT-Reset")
     # Beacons sent before the reset may still be in transit to the tester.
     from_now = bench.now() + bench.period // 50
-    bench.probe()
+    bench.probes.probe()
     check_first_number(bench, first_number(bench, (), [heard for heard in bench.heard if heard.time >= from_now]))
 
 
@@ -101,10 +101,10 @@ def numbers_after_reset(bench: Bench) -> None:
     destructive=True,
 )
 def numbers_after_restart(bench: Bench) -> None:
-    bench.probe()
-    bench.probe()
+    bench.probes.probe()
+    bench.probes.probe()
     start = bench.mark()
-    bench.restart()
+    bench.control.restart()
     check_first_number(bench, first_number(bench, bench.heard[:start], bench.heard[start:]))
 
 
@@ -118,12 +118,12 @@ def numbers_after_restart(bench: Bench) -> None:
     needs=Needs(header=("seqno",)),
 )
 def idle_gap(bench: Bench) -> None:
-    needed(bench, bench.probe() or bench.probe(), "a beacon with the answer to a probe")
+    needed(bench, bench.probes.probe() or bench.probes.probe(), "a beacon with the answer to a probe")
     # The answer may be followed by one or two further beacons.
     bench.until_quiet(lambda heard: heard, 6)
     last = bench.heard[-1]
     pause = bench.wait(6)
-    needed(bench, bench.probe() or bench.probe(), "a beacon with the answer to a probe")
+    needed(bench, bench.probes.probe() or bench.probes.probe(), "a beacon with the answer to a probe")
     following = bench.heard[bench.heard.index(last) + 1]
     if last.seqno is None or following.seqno is None:
         bench.inconclusive("decodable beacons", f"{last.problem or following.problem}")

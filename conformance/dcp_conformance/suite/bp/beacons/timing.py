@@ -31,8 +31,8 @@ from dcp_conformance.test_steps.bp_clients import (
     talking,
 )
 from dcp_conformance.test_steps.jitter import SHIFT, Intervals, compare, intervals
+from dcp_conformance.test_steps.services import parameters_set
 from dcp_conformance.test_system.bench import MS, Bench
-from dcp_conformance.test_system.services import parameters_set
 
 PERIOD = "BPPAR_BEACON_PERIOD"
 #: 99 % quantile (two-sided) of the normal distribution, in standard deviations; it approximates that of sample means.
@@ -82,9 +82,9 @@ def measure(bench: Bench, period: float, *, least: int = LEAST, most: int = MOST
 
     Returns None if too few beacons arrive. After ``most`` intervals, returns the estimate reached so far.
     """
-    tolerance = bench.pixit.period_tolerance * period
+    tolerance = bench.sut.pixit.period_tolerance * period
     start = bench.mark()
-    bench.beacons(least + 1, 3 * least + bench.reaction)
+    bench.beacons(least + 1, 3 * least + bench.sut.reaction)
     while len(frames := bench.heard[start:]) >= 3:
         found = estimate(frames)
         off = abs(found.mean - period)
@@ -102,9 +102,9 @@ def check_mean(bench: Bench, found: Estimate | None, period: float, *requirement
     """
     if found is None:
         bench.inconclusive("enough beacons to estimate their mean interval", "too few beacons", *requirements)
-    tolerance = bench.pixit.period_tolerance * period
+    tolerance = bench.sut.pixit.period_tolerance * period
     low, high = found.mean - found.margin, found.mean + found.margin
-    expected = f"a mean interval of {period / MS:g} ms \u00b1 {bench.pixit.period_tolerance:.0%}"
+    expected = f"a mean interval of {period / MS:g} ms \u00b1 {bench.sut.pixit.period_tolerance:.0%}"
     if low > period + tolerance and not sure:
         said = f"{found}; but the implementation may have had no payload to send (an upper tester could decide this)"
         bench.inconclusive(expected, said, *requirements)
@@ -132,7 +132,7 @@ def check_mean(bench: Bench, found: Estimate | None, period: float, *requirement
     needs=Needs(entities=()),
 )
 def mean_period(bench: Bench) -> None:
-    period = bench.parameter(PERIOD) * MS
+    period = bench.sut.parameter(PERIOD) * MS
     with talking(bench) as clients:
         bench.until(lambda heard: heard.octets)
         found = measure(bench, period)
@@ -141,7 +141,7 @@ def mean_period(bench: Bench) -> None:
         least, most = min(found.intervals) / MS, max(found.intervals) / MS
         said = f"{least:.1f} ms to {most:.1f} ms, standard deviation {spread:.1%} of the mean"
         bench.info("How much do the intervals between beacons vary?", said, "BP-TX-02")
-        if bench.pics.jitter:
+        if bench.sut.pics.jitter:
             bench.check(spread > 0.002, "intervals that vary, as the PICS claims", said, "BP-TX-02")
     check_mean(bench, found, period, "BP-TX-01", sure=bool(clients))
 
@@ -160,7 +160,7 @@ def other_period(bench: Bench, factor: float) -> None:
     with BPClient(bench, REPEAT) as client:
         client.transmit(client.payload())
         needed(bench, client.until_sent(), "beacons before the change")
-        wanted = round(bench.parameter(PERIOD) * factor)
+        wanted = round(bench.sut.parameter(PERIOD) * factor)
         with parameters_set(bench, "BP", **{PERIOD: wanted}):
             value: float = wanted
             if bench.session.upper is not None and "BP-GetParameters" in bench.session.upper.methods:
@@ -195,9 +195,9 @@ def delay_of_payloads(bench: Bench) -> None:
                 bench.inconclusive("a beacon with each payload", f"{number} of 5 in time")
             delays.append(max(0, heard.time - start) / MS)
             bench.wait(0.3 + 0.2 * number)
-    said = f"{', '.join(f'{delay:.0f}' for delay in delays)} ms, with a period of {bench.parameter(PERIOD)} ms"
+    said = f"{', '.join(f'{delay:.0f}' for delay in delays)} ms, with a period of {bench.sut.parameter(PERIOD)} ms"
     bench.info("How long after its submission is a payload sent?", said)
-    triggered = statistics.median(delays) < bench.parameter(PERIOD) / 10
+    triggered = statistics.median(delays) < bench.sut.parameter(PERIOD) / 10
     bench.info("Does a new payload trigger an early beacon?", "probably" if triggered else "no", "BP-TXP-07")
 
 
@@ -233,7 +233,7 @@ def epoch_of_next_beacon(bench: Bench) -> None:
                 "an indication for each of ten beacons", f"{len(told)} indications for {len(frames)} beacons"
             )
         errors = [(epoch - wall) / MS for epoch, wall in pairs]
-        middle, limit = statistics.median(errors), bench.parameter(PERIOD) / 2
+        middle, limit = statistics.median(errors), bench.sut.parameter(PERIOD) / 2
         said = f"{middle:.1f} ms off (median of {len(errors)}), {min(errors):.1f} ms to {max(errors):.1f} ms"
         bench.check(
             abs(middle) < limit, f"a median epoch within {limit:g} ms of the next beacon", said, frames=frames[:8]
@@ -331,6 +331,6 @@ def jitter_after_starts(bench: Bench) -> None:
 
 
 def _after_start(bench: Bench) -> Intervals:
-    bench.restart()
+    bench.control.restart()
     with talking(bench):
         return intervals(some_beacons(bench, _COMPARED + SHIFT + 1))

@@ -17,8 +17,8 @@ from dcp_conformance.test_steps.bp_clients import (
     needed,
     no_confirm,
 )
+from dcp_conformance.test_steps.sequences import part_of
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.checks import part_of
 
 V1_0 = SpecVersion.V1_0
 _QUEUE = QueueingMode.QUEUE
@@ -64,7 +64,7 @@ def one_from_the_queue(bench: Bench) -> None:
             for payload in payloads:
                 answer = client.transmit(payload, must=False)
                 if no_confirm(bench) is None:
-                    bench.check_status(answer, (OK,), TRANSMIT, "BP-TXP-09")
+                    bench.services.check_status(answer, (OK,), TRANSMIT, "BP-TXP-09")
                 numbers.append(client.number())
             return payloads, numbers
 

@@ -9,8 +9,8 @@ from dcp_spec.constants import SpecVersion
 
 from dcp_conformance.model.case import Needs, case
 from dcp_conformance.test_steps.bp_clients import CLIENT, ONCE, REPEAT, BPClient
+from dcp_conformance.test_steps.services import until_neighbour
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.services import until_neighbour
 
 _PERIOD = "BPPAR_BEACON_PERIOD"
 _STANDARD = frozenset({"nodeId", "sData", "tStamp", "seqno", "receptionTime"})
@@ -65,9 +65,9 @@ def losses(bench: Bench) -> None:
     steady, lossy = bench.peer(), bench.peer()
     for number in range(12):
         for peer in (steady, lossy):
-            peer.send(bench.report(peer.node_id, number))
+            peer.send(bench.records.report(peer.node_id, number))
         # This beacon is built but not sent.
-        lossy.beacon(bench.report(lossy.node_id, number))
+        lossy.beacon(bench.records.report(lossy.node_id, number))
         bench.wait(0.5)
     entries = [until_neighbour(bench, peer.node_id) for peer in (steady, lossy)]
     if entries[0] is None or entries[1] is None:

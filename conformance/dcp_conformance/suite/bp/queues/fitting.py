@@ -88,7 +88,7 @@ def fitting(bench: Bench, octets: int, *, together: bool) -> None:
             bench, "submission of two payloads", act, lambda heard: one.in_frame(heard) or two.in_frame(heard)
         )
         start = starts[-1]
-        bench.until(lambda _: one.frames(start) and two.frames(start), 2 * bench.reaction)
+        bench.until(lambda _: one.frames(start) and two.frames(start), 2 * bench.sut.reaction)
         sent = [*one.sent(start), *two.sent(start)]
         bench.check(
             sorted(sent) == sorted(payloads),
@@ -116,8 +116,8 @@ def fitting(bench: Bench, octets: int, *, together: bool) -> None:
 
 def check_sizes(bench: Bench, since: int) -> None:
     """Check that no beacon exceeds the maximum size; X04 leaves open whether the header counts."""
-    limit = bench.bound("BPPAR_MAXIMUM_PACKET_SIZE")
-    margin = header_octets(bench) if bench.readings.get("X04") == "blocks-only" else 0
+    limit = bench.sut.bound("BPPAR_MAXIMUM_PACKET_SIZE")
+    margin = header_octets(bench) if bench.verdicts.readings.get("X04") == "blocks-only" else 0
     large = [heard for heard in bench.heard[since:] if len(heard.octets) > limit + margin]
     found = f"a beacon of {max(len(heard.octets) for heard in large)} octets" if large else ""
     bench.check(not large, f"no beacon of more than {limit} octets", found, "BP-FMT-02", frames=large, shown=True)
@@ -194,11 +194,11 @@ def several_clients(bench: Bench) -> None:
         start = bench.mark()
         for client, payload in zip(clients, payloads, strict=True):
             client.transmit(payload)
-        bench.until(lambda _: all(client.frames(start) for client in clients), 2 * bench.reaction)
+        bench.until(lambda _: all(client.frames(start) for client in clients), 2 * bench.sut.reaction)
         if not all(client.frames(start) for client in clients):
             # The repeated payload may be served first in every beacon.
             bench.call(DEREGISTER, protId=clients[1].prot_id)
-            bench.until(lambda _: all(client.frames(start) for client in clients), 2 * bench.reaction)
+            bench.until(lambda _: all(client.frames(start) for client in clients), 2 * bench.sut.reaction)
         for client, payload in zip(clients, payloads, strict=True):
             sent = set(client.sent(start))
             bench.check(

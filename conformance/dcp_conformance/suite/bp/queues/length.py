@@ -29,7 +29,7 @@ def _noise(count: int) -> bytes:
     | {f"{count}-random": _noise(count) for count in (1, 4, 7, 46)},
 )
 def padding(bench: Bench, octets: bytes) -> None:
-    peer, (first, second), start = bench.peer(), bench.unknown_ids(2), bench.mark()
+    peer, (first, second), start = bench.peer(), bench.identifiers.unknown_ids(2), bench.mark()
     peer.send(peer.summary(first, 1), padding=octets)
     peer.send(peer.summary(second, 1))
     check_processed(bench, [first, second], start, "a beacon with padding and the next beacon")
@@ -44,7 +44,7 @@ def padding(bench: Bench, octets: bytes) -> None:
     needs=lengths(),
 )
 def block_in_padding(bench: Bench) -> None:
-    peer, (inside, outside), start = bench.peer(), bench.unknown_ids(2), bench.mark()
+    peer, (inside, outside), start = bench.peer(), bench.identifiers.unknown_ids(2), bench.mark()
     whole = peer.beacon(summary_block(bench, peer, inside), summary_block(bench, peer, outside))
     # Append the second block to a beacon whose length counts only the first.
     head = peer.beacon(summary_block(bench, peer, inside))

@@ -23,8 +23,8 @@ from dcp_conformance.test_steps.bp_clients import (
     needed,
     no_confirm,
 )
+from dcp_conformance.test_steps.sequences import part_of
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.checks import part_of
 
 V1_1 = SpecVersion.V1_1
 _SENDER = Needs(entities=(), ut=CLIENT)
@@ -188,7 +188,7 @@ def several_per_beacon(bench: Bench) -> None:
         )
         counts = [len(client.in_frame(each)) for each in client.frames(start)]
         bench.info("How many payloads of one client are in each beacon?", ", ".join(map(str, counts)))
-        if bench.pics.multiple_payloads:
+        if bench.sut.pics.multiple_payloads:
             bench.check(
                 max(counts, default=0) > 1, "several payloads in a beacon, as the PICS claims", f"{counts}", "BP-QM-08"
             )
@@ -272,7 +272,7 @@ def repeat_in_every_beacon(bench: Bench) -> None:
         needed(bench, client.until_sent(), "a beacon with the payload")
         frames = bench.beacons(6)
         bare = [heard for heard in frames if not client.in_frame(heard)]
-        bench.check(len(frames) == 6, "six beacons", f"{len(frames)} beacons in {2 * 6 + bench.reaction:g} periods")
+        bench.check(len(frames) == 6, "six beacons", f"{len(frames)} beacons in {2 * 6 + bench.sut.reaction:g} periods")
         if len(bare) == len(frames):
             bench.inconclusive("further beacons with the payload", "all beacons have only blocks of other protocols")
         if bare:

@@ -17,8 +17,8 @@ from dcp_conformance.test_steps.bp_clients import (
     BPClient,
     queue_mode,
 )
+from dcp_conformance.test_steps.sequences import part_of
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.checks import part_of
 
 V1_1 = SpecVersion.V1_1
 _MANY = 64
@@ -47,7 +47,7 @@ def many_entries(bench: Bench, mode: QueueingMode) -> None:
             for payload in payloads:
                 # Other cases check the status for a full queue (BP-TXP-04, BP-TXP-05).
                 client.transmit(payload, must=False)
-            return payloads, client.number() if QUERY in bench.ut.methods else None
+            return payloads, client.number() if QUERY in bench.services.upper.methods else None
 
         start = bench.mark()
         what = f"submission of {_MANY + _BEYOND} payloads"

@@ -30,9 +30,9 @@ from dcp_conformance.test_steps.bp_clients import (
     until,
     unused_protocol_id,
 )
+from dcp_conformance.test_steps.sequences import part_of
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.checks import part_of
-from dcp_conformance.test_system.peers import Peer
+from dcp_conformance.test_system.sending.peers import Peer
 
 V1_1, V1_2, V2_0 = SpecVersion.V1_1, SpecVersion.V1_2, SpecVersion.V2_0
 _RECEPTION = Needs(entities=(), ut=(REGISTER, DEREGISTER))
@@ -84,7 +84,7 @@ class _Fault:
 
 
 def _other_network(bench: Bench) -> int:
-    return int(bench.parameter("BPPAR_NETWORK_ID")) ^ 1
+    return int(bench.sut.parameter("BPPAR_NETWORK_ID")) ^ 1
 
 
 _FAULTS: dict[str, _Fault] = {
@@ -139,7 +139,9 @@ def own_sender(bench: Bench) -> None:
         with BPClient(bench, ONCE) as client:
             client.transmit(client.payload())
             needed(bench, client.until_sent(), "a beacon of the implementation")
-    check_ignored(bench, lambda peer, block: peer.send(block, sender=bench.sut_id), "a beacon with its own senderId")
+    check_ignored(
+        bench, lambda peer, block: peer.send(block, sender=bench.identifiers.sut_id), "a beacon with its own senderId"
+    )
 
 
 @case(
@@ -152,7 +154,7 @@ def own_sender(bench: Bench) -> None:
 )
 def many_blocks(bench: Bench) -> None:
     if bench.profile.bp.payload_area:
-        bench.not_applicable(f"a beacon of the profile {bench.profile.name} has no room for {_MANY} blocks")
+        bench.verdicts.not_applicable(f"a beacon of the profile {bench.profile.name} has no room for {_MANY} blocks")
     with BPClient(bench, ONCE) as client:
         payloads = [bytes([number, *range(number % 3)]) for number in range(_MANY)]
         bench.peer().send(*(Block(client.prot_id, octets) for octets in payloads))
@@ -316,7 +318,7 @@ def no_beacons(bench: Bench) -> None:
 def deaf_for_clients(bench: Bench) -> None:
     with BPClient(bench, ONCE) as client:
         peer, early = bench.peer(), b"while inactive"
-        with bench.deactivated("BP"):
+        with bench.services.deactivated("BP"):
             peer.send(Block(client.prot_id, early))
             bench.wait(1)
         received = after(bench, client, peer, "a time of inactivity", "BP-MGT-05")
@@ -467,5 +469,5 @@ def any_sender(bench: Bench, made: Callable[[bytes], bytes]) -> None:
         if bench.session.sut_id is None:
             client.transmit(client.payload())
             needed(bench, client.until_sent(), "a beacon of the implementation")
-        bench.peer().send(Block(client.prot_id, b"from anybody"), sender=made(bench.sut_id))
+        bench.peer().send(Block(client.prot_id, b"from anybody"), sender=made(bench.identifiers.sut_id))
         bench.check(client.until_received(), "an indication of the block", "no indication in time")

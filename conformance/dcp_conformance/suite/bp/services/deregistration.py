@@ -176,14 +176,14 @@ def list_clients(bench: Bench) -> None:
     needs=Needs(since=V1_1, entities=(), ut=(*CLIENT, LIST)),
 )
 def comes_back(bench: Bench) -> None:
-    other = bench.ut.another()
+    other = bench.services.upper.another()
     client = BPClient(bench, REPEAT)
     if other is None:
         bench.info("Can a restarted client register again?", "unknown: the upper tester has only one connection")
         return
     try:
-        bench.call_on(other, REGISTER, **client.registration)
-        bench.call_on(other, TRANSMIT, protId=client.prot_id, payload=client.payload().hex())
+        bench.services.call_on(other, REGISTER, **client.registration)
+        bench.services.call_on(other, TRANSMIT, protId=client.prot_id, payload=client.payload().hex())
     finally:
         other.close()
     bench.wait(0.5)

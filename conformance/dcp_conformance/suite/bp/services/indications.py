@@ -33,8 +33,8 @@ from dcp_conformance.test_steps.bp_clients import (
     until,
     unused_protocol_id,
 )
+from dcp_conformance.test_steps.sequences import part_of
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.checks import part_of
 
 _RECEPTION = Needs(entities=(), ut=(REGISTER, DEREGISTER))
 _SMALL = 256
@@ -54,7 +54,7 @@ def _largest(bench: Bench) -> int:
 
 def _registrable(bench: Bench) -> int:
     """Return the largest payload size, in octets, that a client can register and the bearer can carry."""
-    fits = bench.bound("BPPAR_MAXIMUM_PACKET_SIZE") - header_octets(bench) - block_header_octets(bench)
+    fits = bench.sut.bound("BPPAR_MAXIMUM_PACKET_SIZE") - header_octets(bench) - block_header_octets(bench)
     return min(largest_payload(bench), fits, bench.profile.bp.payload_area or fits)
 
 
@@ -84,7 +84,9 @@ def unchanged(bench: Bench, size: int) -> None:
             shown=True,
         )
         said = next(
-            each.params.get("length") for each in bench.notifications if each.params.get("protId") == client.prot_id
+            each.params.get("length")
+            for each in bench.receiver.notifications
+            if each.params.get("protId") == client.prot_id
         )
         bench.check(said == len(octets), f"length {len(octets)}", f"length {said}", "BP-RXP-01", shown=True)
         bench.wait(_AFTERWARDS)
@@ -123,7 +125,7 @@ def right_client(bench: Bench) -> None:
         ours = {one.prot_id, two.prot_id}
         strange = [
             each
-            for each in bench.notifications
+            for each in bench.receiver.notifications
             if each.method.startswith("BP-R") and each.params.get("protId") not in ours
         ]
         bench.check(
@@ -320,7 +322,7 @@ def taken_over(bench: Bench, prot_id: int) -> None:
 
 def no_indication(bench: Bench) -> str | None:
     """Return why BP-PayloadTransmitted cannot be judged, or None; for ``Needs.when``."""
-    claimed = bench.pics.payload_transmitted_indication
+    claimed = bench.sut.pics.payload_transmitted_indication
     if claimed is False:
         return f"the PICS denies payload_transmitted_indication ({DENIED} fails for that)"
     if claimed is None and not bench.profile.behaviour.payload_transmitted_indication:

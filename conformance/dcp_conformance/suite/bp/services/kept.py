@@ -38,8 +38,8 @@ from dcp_conformance.test_steps.bp_clients import (
     until,
     unused_protocol_id,
 )
+from dcp_conformance.test_steps.sequences import part_of
 from dcp_conformance.test_system.bench import MS, Bench
-from dcp_conformance.test_system.checks import part_of
 
 from .indications import no_indication
 
@@ -63,7 +63,7 @@ def _cleared_another(bench: Bench, _: BPClient) -> None:
 
 
 def _paused(bench: Bench, _: BPClient) -> None:
-    with bench.deactivated("BP"):
+    with bench.services.deactivated("BP"):
         bench.wait(0.2)
 
 
@@ -157,9 +157,9 @@ def own_fields(bench: Bench) -> None:
         BPClient(bench, DROPHEAD if both else REPEAT, size=60, entries=200, name="3"),
     ]
     with clients[0]:
-        bench.wait_ns(pause)
+        bench.waiting.wait_ns(pause)
         with clients[1]:
-            bench.wait_ns(pause)
+            bench.waiting.wait_ns(pause)
             with clients[2]:
                 first = registered(bench)
                 _check_fields(bench, clients, first)
@@ -301,7 +301,7 @@ def identifier_of_refused(bench: Bench) -> None:
             )
         other = BPClient(bench, ONCE)
         for answer in (client.register(), other.register(maxPayloadSize=0)):
-            bench.require_asked(answer, "a confirm of BP-RegisterProtocol")
+            bench.services.require_asked(answer, "a confirm of BP-RegisterProtocol")
             if answer.ok:
                 bench.inconclusive("a rejected registration", f"{answer}")
             said = answer.result.get("ownNodeIdentifier")
@@ -351,7 +351,7 @@ def immediate(bench: Bench, method: str) -> None:
                 bench.call(DEREGISTER, protId=client.prot_id)
     median = sorted(delays)[len(delays) // 2]
     # Each request to the upper tester takes time, which the time of another request estimates.
-    limit = bench.period // 2 + round(bench.pixit.timer_tolerance_ms * MS) + sorted(others)[len(others) // 2]
+    limit = bench.period // 2 + round(bench.sut.pixit.timer_tolerance_ms * MS) + sorted(others)[len(others) // 2]
     bench.check(
         median <= limit, f"a median time to the confirm of at most {limit / MS:.0f} ms", f"{median / MS:.0f} ms"
     )
@@ -374,7 +374,7 @@ def no_arrears(bench: Bench) -> None:
         client.transmit(client.payload())
         needed(bench, client.until_sent(), "a beacon with the payload")
         before = len(bench.wait(8))
-        with bench.deactivated("BP"):
+        with bench.services.deactivated("BP"):
             bench.wait(10)
             start = bench.mark()
         bench.wait(8)
@@ -398,7 +398,7 @@ def no_arrears(bench: Bench) -> None:
 )
 def queue_across_activation(bench: Bench) -> None:
     with BPClient(bench, DROPTAIL, entries=3) as client:
-        with bench.deactivated("BP"):
+        with bench.services.deactivated("BP"):
             bench.wait(0.2)
             start = bench.mark()
             payloads = [client.payload() for _ in range(3)]

@@ -77,7 +77,7 @@ def switched_off(bench: Bench) -> None:
 def deaf(bench: Bench) -> None:
     with BPClient(bench, ONCE) as client:
         peer, var_id, early, late = bench.peer(), bench.unknown_id(), b"while inactive", b"while active"
-        with bench.deactivated("BP"):
+        with bench.services.deactivated("BP"):
             peer.send(Block(client.prot_id, early), peer.summary(var_id, 1))
             bench.wait(1.5)
         peer.send(Block(client.prot_id, late))
@@ -115,18 +115,18 @@ def deaf(bench: Bench) -> None:
 def serves_while_inactive(bench: Bench) -> None:
     client = BPClient(bench, ONCE)
     prot_id, payload = client.prot_id, client.payload()
-    with bench.deactivated("BP"):
+    with bench.services.deactivated("BP"):
         bench.expect_status(UNKNOWN_PROTOCOL, QUERY, "BP-MGT-04", protId=prot_id)
         bench.expect_status(OK, REGISTER, "BP-MGT-04", **client.registration)
         bench.check(prot_id in registered(bench), "the client in the list", "not in the list", "BP-MGT-04", shown=True)
-        if bench.pics.transmit_payload_confirm is not False:
+        if bench.sut.pics.transmit_payload_confirm is not False:
             bench.expect_status(EMPTY, TRANSMIT, "BP-MGT-04", protId=prot_id, payload="")
         for number, method, params in (
             (1, TRANSMIT, {"payload": payload.hex()}),
             (0, CLEAR, {}),
             (1, TRANSMIT, {"payload": payload.hex()}),
         ):
-            if method != TRANSMIT or bench.pics.transmit_payload_confirm is not False:
+            if method != TRANSMIT or bench.sut.pics.transmit_payload_confirm is not False:
                 bench.expect_status(OK, method, "BP-MGT-04", "BP-TXP-09", protId=prot_id, **params)
             else:
                 bench.call(method, protId=prot_id, **params)
@@ -205,7 +205,7 @@ def without_vardis(bench: Bench) -> None:
     with BPClient(bench, REPEAT) as client:
         client.transmit(client.payload())
         needed(bench, client.until_sent(), "beacons before the deactivation")
-        with bench.deactivated("VD"):
+        with bench.services.deactivated("VD"):
             since = bench.now()
             bench.wait(6)
             count = len(client.frames(after=since))

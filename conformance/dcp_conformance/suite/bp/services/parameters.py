@@ -24,8 +24,8 @@ from dcp_conformance.test_steps.bp_clients import (
     some_beacons,
     talking,
 )
+from dcp_conformance.test_steps.services import parameters_set
 from dcp_conformance.test_system.bench import MS, Bench
-from dcp_conformance.test_system.services import parameters_set
 
 V1_0, V1_1, V2_0 = SpecVersion.V1_0, SpecVersion.V1_1, SpecVersion.V2_0
 GET, SET = "BP-GetParameters", "BP-SetParameter"
@@ -38,7 +38,7 @@ _PARAMETERS = Needs(since=V1_1, entities=(), ut=(GET, SET))
 def values(bench: Bench) -> dict[str, Any]:
     """Return the parameters in the answer to BP-GetParameters, by name; fails and stops the case without them."""
     answer = bench.call(GET)
-    bench.require_asked(answer, f"an answer to {GET}")
+    bench.services.require_asked(answer, f"an answer to {GET}")
     bench.require(answer.ok, f"a positive answer to {GET}", str(answer), "BP-PAR-01")
     found = answer.result.get("parameters")
     if not isinstance(found, dict):
@@ -48,7 +48,7 @@ def values(bench: Bench) -> dict[str, Any]:
 
 def changed(bench: Bench, name: str) -> int:
     """Return a valid value for a parameter that differs from the current one."""
-    old = bench.parameter(name)
+    old = bench.sut.parameter(name)
     return {PERIOD: 2 * old, SIZE: old - 7, NETWORK: old ^ 0x0102}[name]
 
 
@@ -236,17 +236,17 @@ def smaller_beacons(bench: Bench) -> None:
     window=8,
 )
 def other_network(bench: Bench) -> None:
-    old = bench.parameter(NETWORK)
+    old = bench.sut.parameter(NETWORK)
     new = 0xA55B if old != 0xA55B else 0x5AA4
     with talking(bench):
         bench.until(lambda heard: heard.beacon)
         with parameters_set(bench, "BP", **{NETWORK: new}):
             from_now, peer = bench.now() + bench.period // 5, bench.peer()
-            stranger, friend = bench.unknown_ids(2)
+            stranger, friend = bench.identifiers.unknown_ids(2)
             peer.send(peer.summary(stranger, 1), network_id=old)
             peer.send(peer.summary(friend, 1), network_id=new)
             # The tester's client may fill every other beacon: the number of blocks in a beacon is free.
-            asked = bench.until_instruction(ICType.REQUEST_VARCREATES, friend, 2 * bench.reaction)
+            asked = bench.until_instruction(ICType.REQUEST_VARCREATES, friend, 2 * bench.sut.reaction)
             bench.check(asked, "a beacon of the new network is processed", "not processed", "BP-PAR-05", "BP-RX-05")
             heard = [each for each in (*bench.heard, *bench.beacons(3)) if each.time >= from_now]
             numbers = {
@@ -279,7 +279,7 @@ def other_network(bench: Bench) -> None:
     needs=Needs(since=V1_1, entities=()),
 )
 def default_period(bench: Bench) -> None:
-    configured = bench.pixit.beacon_period_ms
+    configured = bench.sut.pixit.beacon_period_ms
     if bench.session.upper is not None and GET in bench.session.upper.methods:
         period = values(bench).get(PERIOD)
         near = isinstance(period, int | float) and 80 <= period <= 120

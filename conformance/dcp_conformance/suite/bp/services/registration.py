@@ -88,7 +88,7 @@ def register(bench: Bench, mode: QueueingMode) -> None:
             "BP-REG-12",
             shown=True,
         )
-    stamp, margin = entry.get("timeStampRegistration"), round(bench.pixit.clock_tolerance_ms * MS)
+    stamp, margin = entry.get("timeStampRegistration"), round(bench.sut.pixit.clock_tolerance_ms * MS)
     near = isinstance(stamp, int) and before - margin <= stamp <= after + margin
     bench.check(
         near,
@@ -146,7 +146,7 @@ def immediate_confirm(bench: Bench) -> None:
         others.append(bench.now() - start)
     median = sorted(delays)[len(delays) // 2]
     # Each request to the upper tester takes time, which the time of another request estimates.
-    limit = bench.period // 2 + round(bench.pixit.timer_tolerance_ms * MS) + sorted(others)[len(others) // 2]
+    limit = bench.period // 2 + round(bench.sut.pixit.timer_tolerance_ms * MS) + sorted(others)[len(others) // 2]
     bench.check(
         median <= limit, f"a median time to the confirm of at most {limit / MS:.0f} ms", f"{median / MS:.0f} ms"
     )
@@ -203,7 +203,7 @@ def any_identifier(bench: Bench, prot_id: int | None) -> None:
     largest = (1 << 8 * bench.profile.types.protocol_id.width) - 1
     client = BPClient(bench, ONCE, prot_id=largest if prot_id is None else min(prot_id, largest))
     answer = client.register()
-    bench.require_asked(answer, "BP-STATUS-OK for the registration")
+    bench.services.require_asked(answer, "BP-STATUS-OK for the registration")
     if answer.is_status(ALREADY_REGISTERED):
         bench.inconclusive("an unregistered protocol identifier", f"{client.prot_id} is already registered")
     bench.require(answer.is_status(OK), "BP-STATUS-OK for the registration", str(answer), shown=True)
@@ -240,7 +240,7 @@ def size_zero(bench: Bench) -> None:
 )
 def size_too_large(bench: Bench, what: int | None) -> None:
     largest = largest_payload(bench)
-    size = {1: largest + 1, None: bench.bound("BPPAR_MAXIMUM_PACKET_SIZE")}.get(what, 0xFFFF)
+    size = {1: largest + 1, None: bench.sut.bound("BPPAR_MAXIMUM_PACKET_SIZE")}.get(what, 0xFFFF)
     expect(bench, ILLEGAL_SIZE, BPClient(bench, ONCE), maxPayloadSize=size)
 
 

@@ -84,7 +84,7 @@ def full_size(bench: Bench, size: int | None) -> None:
     if size is None:
         # Before 1.1, the limit for registrations ignores the BP header, so a client may register payloads too large to
         # be sent.
-        fits = bench.bound("BPPAR_MAXIMUM_PACKET_SIZE") - header_octets(bench) - block_header_octets(bench)
+        fits = bench.sut.bound("BPPAR_MAXIMUM_PACKET_SIZE") - header_octets(bench) - block_header_octets(bench)
         size = min(largest_payload(bench), fits, bench.profile.bp.payload_area or fits)
     with BPClient(bench, ONCE, size=size) as client:
         payload = client.payload(size)
@@ -108,7 +108,7 @@ def too_large(bench: Bench, more: int) -> None:
         octets = client.payload(20 + more)
         answer = bench.call(TRANSMIT, protId=client.prot_id, payload=octets.hex())
         if no_confirm(bench) is None:
-            bench.check_status(answer, (TOO_LARGE,), TRANSMIT)
+            bench.services.check_status(answer, (TOO_LARGE,), TRANSMIT)
         number = client.number()
         bench.check(number == 0, "no buffered payload", f"{number} buffered payloads", shown=True)
         bench.wait(2)
@@ -142,7 +142,7 @@ def empty_payload(bench: Bench, mode: QueueingMode) -> None:
         result = act() if mode is REPEAT else between_beacons(bench, what, act, client.in_frame)
         before, answer, after = result
         if no_confirm(bench) is None:
-            bench.check_status(answer, (EMPTY,), TRANSMIT)
+            bench.services.check_status(answer, (EMPTY,), TRANSMIT)
         bench.check(after == before, f"{before} buffered payloads, as before", f"{after} buffered payloads", shown=True)
         if mode is REPEAT:
             start = bench.mark()
@@ -316,7 +316,7 @@ def confirms(bench: Bench) -> None:
         }
         extras = {REGISTER: set(client.answer.result) - {"status", "ownNodeIdentifier"}}
         for method, params in requests.items():
-            if method not in bench.ut.methods:
+            if method not in bench.services.upper.methods:
                 continue
             if method == TRANSMIT and no_confirm(bench):
                 bench.info("Is BP-TransmitPayload confirmed?", "no", "BP-TXP-08")

@@ -43,7 +43,7 @@ def several_that_do_not_fit(bench: Bench) -> None:
     with BPClient(bench, DROPTAIL, size=size, entries=5, several=True) as client:
         start = bench.mark()
         payloads = client.submit(5, size)
-        bench.until(lambda _: payloads[-1] in client.sent(start), 5 * bench.reaction)
+        bench.until(lambda _: payloads[-1] in client.sent(start), 5 * bench.sut.reaction)
         check_sizes(bench, start)
         sent = [each for each in client.sent(start) if each in payloads]
         bench.check(sent == payloads, "each payload once, in order", listed(sent, payloads), "BP-TX-04", "BP-QM-03")
@@ -62,7 +62,7 @@ def numbers_go_on(bench: Bench) -> None:
     with BPClient(bench, REPEAT) as client:
         client.transmit(client.payload())
         needed(bench, len(bench.beacons(3)) == 3, "beacons before the deactivation")
-        with bench.deactivated("BP"):
+        with bench.services.deactivated("BP"):
             # A beacon sent before the deactivation may still be in transit to the tester.
             bench.wait(1)
             last = bench.heard[-1]

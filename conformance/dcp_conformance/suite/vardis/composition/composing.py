@@ -11,8 +11,8 @@ from dcp_conformance.frames.received import Instruction, ReceivedBeacon
 from dcp_conformance.model.case import Needs, case
 from dcp_conformance.suite.vardis.reception.payload import check_filled, check_order_of_queue, stock
 from dcp_conformance.test_steps.full_payloads import PAYLOAD_SIZE, longest
+from dcp_conformance.test_steps.services import produced
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.services import produced
 
 _CREATE, _UPDATE, _DELETE = ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.DELETE_VARIABLES
 _SUMMARY, _ASK_UPDATE, _ASK_CREATE = ICType.SUMMARIES, ICType.REQUEST_VARUPDATES, ICType.REQUEST_VARCREATES
@@ -20,7 +20,7 @@ _SUMMARY, _ASK_UPDATE, _ASK_CREATE = ICType.SUMMARIES, ICType.REQUEST_VARUPDATES
 
 def _counts(bench: Bench) -> list[int]:
     """Return different repetition counts, as far as the implementation accepts them."""
-    return [bench.rep_cnt(1), bench.rep_cnt(2), bench.rep_cnt(4)]
+    return [bench.sut.rep_cnt(1), bench.sut.rep_cnt(2), bench.sut.rep_cnt(4)]
 
 
 @case(
@@ -82,7 +82,9 @@ def deletes_counted(bench: Bench) -> None:
     stimulus="in one beacon, requests for more variables with repCnt 2 than fit into a payload",
     expect="the records in the order of the requests, then all of them again in the same order",
     window=20,
-    needs=Needs(when=lambda bench: None if bench.rep_cnt(2) == 2 else "the implementation does not accept repCnt 2"),
+    needs=Needs(
+        when=lambda bench: None if bench.sut.rep_cnt(2) == 2 else "the implementation does not accept repCnt 2"
+    ),
     variants={"creates": _CREATE, "updates": _UPDATE},
 )
 def back_to_the_tail(bench: Bench, kind: ICType) -> None:
@@ -108,20 +110,22 @@ def back_to_the_tail(bench: Bench, kind: ICType) -> None:
 )
 def current_value(bench: Bench) -> None:
     peer, var_id = bench.peer(), bench.var_id()
-    create = peer.create(var_id, value=b"first", seqno=3, rep_cnt=bench.rep_cnt(2))
+    create = peer.create(var_id, value=b"first", seqno=3, rep_cnt=bench.sut.rep_cnt(2))
     bench.learn(peer, create)
     updated: list[Instruction] = []
     for number, value in ((4, b"second"), (7, b"the third")):
         mark = bench.mark()
         peer.send(peer.update(var_id, number, value))
-        updated = bench.repeated(_UPDATE, var_id, mark)
+        updated = bench.waiting.repeated(_UPDATE, var_id, mark)
     mark = bench.mark()
     peer.send(peer.request_create(var_id))
     bench.require(bench.until_instruction(_CREATE, var_id), "a VarCreate of the requested variable", "none")
     found = bench.instructions(_CREATE, var_id, mark)
     record = found[0].record
     value, seqno = record.upd.value, record.upd.seqno
-    bench.check(value == bench.value(b"the third"), "the current value", f"{value!r}", frames=found[:1], shown=updated)
+    bench.check(
+        value == bench.records.value(b"the third"), "the current value", f"{value!r}", frames=found[:1], shown=updated
+    )
     bench.check(seqno == 7, "the current sequence number, 7", f"{seqno}", frames=found[:1], shown=updated)
     bench.check(
         record.spec == create.spec, f"the specification {create.spec}", f"{record.spec}", frames=found[:1], shown=True
@@ -137,11 +141,13 @@ def current_value(bench: Bench) -> None:
     stimulus="a variable with many repetitions is created and, while its VarCreate is being repeated, updated",
     expect="the VarCreates after the first VarUpdate have its value and sequence number",
     window=12,
-    needs=Needs(when=lambda bench: None if bench.rep_cnt(8) >= 4 else "the implementation does not accept repCnt 4"),
+    needs=Needs(
+        when=lambda bench: None if bench.sut.rep_cnt(8) >= 4 else "the implementation does not accept repCnt 4"
+    ),
 )
 def changes_while_repeated(bench: Bench) -> None:
     peer, var_id, mark = bench.peer(), bench.var_id(), bench.mark()
-    peer.send(peer.create(var_id, value=b"old", rep_cnt=bench.rep_cnt(8)))
+    peer.send(peer.create(var_id, value=b"old", rep_cnt=bench.sut.rep_cnt(8)))
     bench.require(bench.until_instruction(_CREATE, var_id), "the VarCreate is forwarded", "not forwarded in time")
     peer.send(peer.update(var_id, 1, b"new"))
     frames = bench.until_quiet(lambda heard: heard.about(_CREATE, var_id) or heard.about(_UPDATE, var_id), since=mark)
@@ -151,7 +157,9 @@ def changes_while_repeated(bench: Bench) -> None:
     behind = [each for heard in frames[begun:] for each in heard.instructions(_CREATE, var_id)]
     if not behind:
         bench.inconclusive("VarCreates with repetitions left when the VarUpdate is sent", "none left")
-    stale = [each for each in behind if (each.record.upd.seqno, each.record.upd.value) != (1, bench.value(b"new"))]
+    stale = [
+        each for each in behind if (each.record.upd.seqno, each.record.upd.value) != (1, bench.records.value(b"new"))
+    ]
     bench.check(
         not stale,
         "value and sequence number of the update in all VarCreates after it",
@@ -171,7 +179,7 @@ def changes_while_repeated(bench: Bench) -> None:
 )
 def update_requested_once(bench: Bench) -> None:
     peer, var_id = bench.peer(), bench.var_id()
-    bench.learn(peer, peer.create(var_id, seqno=5, rep_cnt=bench.rep_cnt(3)))
+    bench.learn(peer, peer.create(var_id, seqno=5, rep_cnt=bench.sut.rep_cnt(3)))
     mark = bench.mark()
     peer.send(peer.summary(var_id, 9))
     found = bench.check_repeated(_ASK_UPDATE, var_id, 1, mark)
@@ -205,7 +213,10 @@ def create_requested_once(bench: Bench) -> None:
     variants={"outdated": _ASK_UPDATE, "unknown": _ASK_CREATE},
 )
 def many_requests(bench: Bench, kind: ICType) -> None:
-    peer, names = bench.peer(), bench.var_ids(12) if kind is _ASK_UPDATE else bench.unknown_ids(12)
+    peer, names = (
+        bench.peer(),
+        bench.identifiers.var_ids(12) if kind is _ASK_UPDATE else bench.identifiers.unknown_ids(12),
+    )
     requirement = "VD-CMP-11" if kind is _ASK_UPDATE else "VD-CMP-12"
     if kind is _ASK_UPDATE:
         bench.learn(peer, *(peer.create(each, seqno=number) for number, each in enumerate(names)))
@@ -246,7 +257,7 @@ def many_requests(bench: Bench, kind: ICType) -> None:
     window=20,
 )
 def after_the_last_delete(bench: Bench) -> None:
-    peer, var_id, repetitions = bench.peer(), bench.var_id(), bench.rep_cnt(2)
+    peer, var_id, repetitions = bench.peer(), bench.var_id(), bench.sut.rep_cnt(2)
     bench.learn(peer, peer.create(var_id, rep_cnt=repetitions))
     mark = bench.mark()
     peer.send(peer.delete(var_id))
@@ -274,11 +285,11 @@ def after_the_last_delete(bench: Bench) -> None:
     needs=Needs(ut=("RTDB-DescribeVariable",)),
 )
 def described_after_the_last_delete(bench: Bench) -> None:
-    peer, var_id, repetitions = bench.peer(), bench.var_id(), bench.rep_cnt(2)
+    peer, var_id, repetitions = bench.peer(), bench.var_id(), bench.sut.rep_cnt(2)
     bench.learn(peer, peer.create(var_id, rep_cnt=repetitions))
     mark = bench.mark()
     peer.send(peer.delete(var_id))
-    if not bench.repeated(_DELETE, var_id, mark):
+    if not bench.waiting.repeated(_DELETE, var_id, mark):
         bench.inconclusive("a VarDelete of the variable, which this case needs", "none in time")
     if bench.features.removed_after_deletion:
         bench.expect_status("VARDIS-STATUS-VARIABLE-DOES-NOT-EXIST", "RTDB-DescribeVariable", varId=var_id)
@@ -299,7 +310,7 @@ def described_after_the_last_delete(bench: Bench) -> None:
     window=16,
 )
 def update_waits(bench: Bench) -> None:
-    peer, repetitions = bench.peer(), bench.rep_cnt(2)
+    peer, repetitions = bench.peer(), bench.sut.rep_cnt(2)
     creates = stock(bench, peer, _CREATE)
     waiting = peer.create(bench.var_id(), seqno=9, rep_cnt=repetitions, value=longest(bench)[0])
     bench.learn(peer, waiting)
@@ -311,7 +322,7 @@ def update_waits(bench: Bench) -> None:
 
     frames = bench.until_quiet(busy, since=mark)
     bench.check_repeated(_UPDATE, waiting.spec.var_id, repetitions, mark, "VD-CMP-09")
-    limit = bench.bound(PAYLOAD_SIZE)
+    limit = bench.sut.bound(PAYLOAD_SIZE)
     sizes = [len(bench.codec.encode_containers(each.containers)) for each in frames]
     largest = max(sizes, default=0)
     bench.check(
@@ -336,7 +347,7 @@ def update_waits(bench: Bench) -> None:
     variants={"create": _CREATE, "update": _UPDATE},
 )
 def deletion_takes_back(bench: Bench, kind: ICType) -> None:
-    peer, var_id, repetitions = bench.peer(), bench.var_id(), bench.rep_cnt(6)
+    peer, var_id, repetitions = bench.peer(), bench.var_id(), bench.sut.rep_cnt(6)
     create = peer.create(var_id, rep_cnt=repetitions)
     if kind is _CREATE:
         peer.send(create)
@@ -366,7 +377,7 @@ def deletion_takes_back(bench: Bench, kind: ICType) -> None:
     needs=Needs(since=SpecVersion.V2_0, ut=("RTDB-Create", "RTDB-Delete", "RTDB-DescribeVariable")),
 )
 def own_deletion(bench: Bench) -> None:
-    repetitions = bench.rep_cnt(3)
+    repetitions = bench.sut.rep_cnt(3)
     var_id = produced(bench, rep_cnt=repetitions)
     bench.require(bench.until_instruction(_CREATE, var_id), "the VarCreate of the node's own variable", "none")
     mark = bench.mark()

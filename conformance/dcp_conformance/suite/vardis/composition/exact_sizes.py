@@ -14,10 +14,10 @@ from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.model.case import Needs, case
 from dcp_conformance.suite.vardis.reception.payload import all_of, request, size_of
 from dcp_conformance.test_steps.full_payloads import PAYLOAD_SIZE, filling, longest, settable
+from dcp_conformance.test_steps.sequences import part_of
+from dcp_conformance.test_steps.services import OK, create_request, produced, settled
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.checks import part_of
-from dcp_conformance.test_system.peers import Peer
-from dcp_conformance.test_system.services import OK, create_request, produced, settled
+from dcp_conformance.test_system.sending.peers import Peer
 
 from .summaries import SUMMARIES, summarises
 
@@ -31,7 +31,7 @@ _FEW = 6
 
 def _fillable(bench: Bench) -> str | None:
     """Return why no payload can be filled to the last octet, or None; for ``Needs.when``."""
-    if settable(bench) or bench.parameter(PAYLOAD_SIZE) >= 2 * largest_create(bench):
+    if settable(bench) or bench.sut.parameter(PAYLOAD_SIZE) >= 2 * largest_create(bench):
         return None
     return f"{PAYLOAD_SIZE} cannot be set (VD-SetParameter, UT-Reset), and is too small for two VarCreates"
 
@@ -39,7 +39,9 @@ def _fillable(bench: Bench) -> str | None:
 def largest_create(bench: Bench) -> int:
     """Return the size in octets of a container with one VarCreate of the longest value and description."""
     value, description = longest(bench)
-    return bench.builder.container_header_size + bench.builder.record_size(bench.sample(value=value, descr=description))
+    return bench.builder.container_header_size + bench.builder.record_size(
+        bench.records.sample(value=value, descr=description)
+    )
 
 
 @case(
@@ -85,7 +87,7 @@ def to_the_last_octet(bench: Bench, variant: tuple[ICType, int]) -> None:
 def _two(bench: Bench, peer: Peer, kind: ICType, less: int) -> tuple[Sequence[VarCreate], int]:
     """Teach two variables and set the payload size to that of two records of them, minus ``less`` octets."""
     value, description = longest(bench)
-    creates = [peer.create(each, value=value, descr=description, seqno=9) for each in bench.var_ids(2)]
+    creates = [peer.create(each, value=value, descr=description, seqno=9) for each in bench.identifiers.var_ids(2)]
     bench.learn(peer, *creates)
     bench.must("VD-SetParameter", name=SUMMARIES, value=0)
     records = creates if kind is _CREATE else [each.upd for each in creates]
@@ -99,7 +101,7 @@ def _two(bench: Bench, peer: Peer, kind: ICType, less: int) -> tuple[Sequence[Va
 
 def _as_many_as_fit(bench: Bench, peer: Peer, kind: ICType, less: int) -> tuple[Sequence[VarCreate], int]:
     """Teach variables whose records fill a payload of the known size, plus ``less`` octets."""
-    limit = bench.bound(PAYLOAD_SIZE)
+    limit = bench.sut.bound(PAYLOAD_SIZE)
     creates = _learnt(bench, peer, kind, lambda before: limit - before + less)
     return creates, limit
 
@@ -127,10 +129,10 @@ def _learnt(bench: Bench, peer: Peer, kind: ICType, octets: Callable[[int], int]
 
 def _summaries(bench: Bench, peer: Peer) -> int:
     """Return the size in octets of the SUMMARIES container after teaching as many variables as it can hold."""
-    most = bench.bound(SUMMARIES)
+    most = bench.sut.bound(SUMMARIES)
     if not most:
         return 0
-    bench.learn(peer, *(peer.create(each, value=b"v", descr=b"d") for each in bench.var_ids(most)))
+    bench.learn(peer, *(peer.create(each, value=b"v", descr=b"d") for each in bench.identifiers.var_ids(most)))
     return len(bench.builder.container(*[peer.summary(0, 0)] * most))
 
 
@@ -160,7 +162,7 @@ def room_for_a_summary(bench: Bench, less: int) -> None:
         bench.must("VD-SetParameter", name=PAYLOAD_SIZE, value=limit)
         bench.wait(3)
     else:
-        limit = bench.bound(PAYLOAD_SIZE)
+        limit = bench.sut.bound(PAYLOAD_SIZE)
         creates = _learnt(bench, peer, _CREATE, lambda before: limit - before - summary + less)
     wanted = {each.spec.var_id for each in creates}
     peer.send(*(peer.request_create(each) for each in wanted))
@@ -182,7 +184,7 @@ def room_for_a_summary(bench: Bench, less: int) -> None:
 
 def _never_fits(bench: Bench) -> str | None:
     """Return why no VarCreate can be larger than a payload, or None; for ``Needs.when``."""
-    if settable(bench) or largest_create(bench) > bench.parameter(PAYLOAD_SIZE):
+    if settable(bench) or largest_create(bench) > bench.sut.parameter(PAYLOAD_SIZE):
         return None
     return (
         f"{PAYLOAD_SIZE} cannot be set (VD-SetParameter, UT-Reset), and with the maximum sizes in the PIXIT no "
@@ -217,7 +219,7 @@ def head_does_not_fit(bench: Bench) -> None:
         ):
             bench.must("VD-SetParameter", name=name, value=least)
     else:
-        limit = bench.bound(PAYLOAD_SIZE)
+        limit = bench.sut.bound(PAYLOAD_SIZE)
         # Whether the implementation learnt it cannot be observed: a forwarded VarCreate would be the only sign.
         peer.send(create)
     bench.wait(3)
@@ -302,7 +304,7 @@ def _lower(bench: Bench, octets: int) -> None:
 )
 def without_values(bench: Bench, variant: tuple[ICType, int]) -> None:
     (kind, less), peer, number = variant, bench.peer(), 8
-    names = bench.unknown_ids(number) if kind is _ASK else bench.var_ids(number)
+    names = bench.identifiers.unknown_ids(number) if kind is _ASK else bench.identifiers.var_ids(number)
     if kind is not _ASK:
         bench.learn(peer, *(peer.create(each, seqno=5) for each in names))
     sample: VardisRecord = peer.request_create(names[0])
@@ -341,7 +343,7 @@ def without_values(bench: Bench, variant: tuple[ICType, int]) -> None:
 def created_to_the_last_octet(bench: Bench, length: int) -> None:
     longest_value, _ = longest(bench)
     value, var_id = longest_value[: length or len(longest_value)], bench.var_id()
-    sample = bench.sample(value=value, descr=b"d")
+    sample = bench.records.sample(value=value, descr=b"d")
     bench.must("VD-SetParameter", name=SUMMARIES, value=0)
     _lower(bench, bench.builder.record_size(sample))
     bench.expect_status(OK, "RTDB-Create", **create_request(bench, var_id, descr="d", value=value))
@@ -366,7 +368,7 @@ def updated_to_the_last_octet(bench: Bench) -> None:
     var_id = produced(bench)
     settled(bench, var_id)
     bench.must("VD-SetParameter", name=SUMMARIES, value=0)
-    _lower(bench, bench.builder.record_size(bench.sample(value=value).upd))
+    _lower(bench, bench.builder.record_size(bench.records.sample(value=value).upd))
     bench.expect_status(OK, "RTDB-Update", varId=var_id, value=value.hex())
     found = bench.until_instruction(_UPDATE, var_id)
     bench.check(

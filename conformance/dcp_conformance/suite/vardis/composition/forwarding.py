@@ -12,10 +12,10 @@ from dcp_spec.constants import ICType
 
 from dcp_codec.values import VardisRecord
 from dcp_conformance.model.case import Needs, Variant, case
+from dcp_conformance.test_steps.services import max_repetitions, taught
 from dcp_conformance.test_steps.variable_queries import INSTRUCTIONS, ask, named, stepped, traces
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.peers import Peer
-from dcp_conformance.test_system.services import max_repetitions, taught
+from dcp_conformance.test_system.sending.peers import Peer
 
 CREATES, UPDATES, DELETES = ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.DELETE_VARIABLES
 
@@ -24,7 +24,7 @@ _COUNTS: dict[str, Count] = {"r1": lambda _: 1, "r2": lambda _: 2, "max": max_re
 
 
 def _too_many(bench: Bench) -> str | None:
-    if bench.bound("VARDISPAR_MAX_REPETITIONS", missing=True) < 2:
+    if bench.sut.bound("VARDISPAR_MAX_REPETITIONS", missing=True) < 2:
         return "VARDISPAR_MAX_REPETITIONS is 1"
     return None
 
@@ -83,7 +83,7 @@ def creation(bench: Bench, count: Count) -> None:
     wrong = [each for each in found if each.record != record]
     bench.check(not wrong, "the record unchanged", f"{wrong[0].record if wrong else ''}", frames=wrong, shown=True)
     _nothing_else(bench, var_id, since, CREATES)
-    if bench.bound("VARDISPAR_MAX_SUMMARIES"):
+    if bench.sut.bound("VARDISPAR_MAX_SUMMARIES"):
         bench.until_instruction(ICType.SUMMARIES, var_id)
         summaries = bench.instructions(ICType.SUMMARIES, var_id, since)
         bench.check(summaries, "summaries of the variable", "none in time", "VD-PC-09")
@@ -230,7 +230,7 @@ def update_again(bench: Bench) -> None:
     peer.send(peer.update(var_id, 1, b"one"))
     bench.until_instruction(UPDATES, var_id)
     peer.send(peer.update(var_id, 2, b"two"))
-    found = bench.repeated(UPDATES, var_id, since)
+    found = bench.waiting.repeated(UPDATES, var_id, since)
     beacons = {id(each.heard) for each in found}
     bench.check(
         len(found) == len(beacons),
@@ -278,7 +278,7 @@ def not_again(bench: Bench, stimulus: Callable[[Peer, int], VardisRecord]) -> No
         _require_left(bench, UPDATES, var_id, count, since)
         bench.check_repeated(UPDATES, var_id, count, since)
         return
-    came = len(bench.repeated(UPDATES, var_id, since))
+    came = len(bench.waiting.repeated(UPDATES, var_id, since))
     bench.info(
         "How many repetitions are there if older information arrives between them?",
         f"{came} for repCnt {count}: the older information may have arrived too late",
@@ -310,10 +310,10 @@ def requested_again(bench: Bench, what: tuple[ICType, _Trigger]) -> None:
     other = bench.peer()
     other.send(trigger(bench, peer, var_id))
     before = _require_left(bench, kind, var_id, count, since)
-    found = bench.repeated(kind, var_id, since)
+    found = bench.waiting.repeated(kind, var_id, since)
     # Payloads may be composed up to two beacons before they are sent, and a slow implementation processes the request
     # later.
-    most = before + count + bench.ahead
+    most = before + count + bench.sut.ahead
     bench.check(
         before + count <= len(found) <= most,
         f"{before} repetitions and {count} more",
@@ -402,7 +402,7 @@ def newest_value(bench: Bench) -> None:
     for what in ("after the update", "after a VarCreate with the first value"):
         held = ask(bench, var_id)
         upd = held.record.upd if held.record is not None else None
-        right = upd is not None and (upd.seqno, upd.value) == (1, bench.value(b"newer"))
+        right = upd is not None and (upd.seqno, upd.value) == (1, bench.records.value(b"newer"))
         bench.check(
             right, f"{what}: sequence number and value of the VarUpdate", str(held), shown=updated and held.record
         )

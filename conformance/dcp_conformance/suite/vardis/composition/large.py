@@ -7,10 +7,10 @@ from dcp_spec.constants import IC_MAX_RECORDS, ICType
 from dcp_codec.values import VarSumm
 from dcp_conformance.model.case import Needs, Variant, case
 from dcp_conformance.test_steps.bp_clients import areas_of_fixed_size, block_header_octets, header_octets
+from dcp_conformance.test_steps.services import taught
 from dcp_conformance.test_steps.variable_queries import ask
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.peers import Peer
-from dcp_conformance.test_system.services import taught
+from dcp_conformance.test_system.sending.peers import Peer
 
 #: Octets of a bearer payload that Ethernet and UDP carry in one frame.
 _LARGEST = 1450
@@ -20,7 +20,7 @@ _LIMITS = {"own-payload": "VARDISPAR_MAX_PAYLOAD_SIZE", "own-beacon": "BPPAR_MAX
 def _octets(bench: Bench, limit: str) -> int:
     """Return the size in octets of a VarDis payload one octet larger than the implementation's own may be."""
     headers = header_octets(bench) + block_header_octets(bench) if limit.startswith("BP") else 0
-    return bench.parameter(limit) + 1 - headers
+    return bench.sut.parameter(limit) + 1 - headers
 
 
 def _carried(limit: str) -> Needs:
@@ -51,7 +51,7 @@ def _carried(limit: str) -> Needs:
 def larger_than_own(bench: Bench, limit: str) -> None:
     peer = bench.peer()
     known = taught(bench, peer, value=b"stays")
-    first, last = bench.unknown_ids(2)
+    first, last = bench.identifiers.unknown_ids(2)
     since = bench.mark()
     peer.send(bench.builder.vardis(*_filled(bench, peer, first, last, known, _octets(bench, limit))))
     bench.require_alive("a payload larger than its own maximum", "VD-ROB-01")
@@ -62,7 +62,9 @@ def larger_than_own(bench: Bench, limit: str) -> None:
     bench.info(question, said.get((asked[0], asked[1]), "only its last container"), "VD-RX-04")
     held = ask(bench, known)
     value = None if held.record is None else held.record.upd.value
-    bench.check(value == bench.value(b"stays"), "an unchanged database", str(held), "VD-ROB-01", shown=held.shown)
+    bench.check(
+        value == bench.records.value(b"stays"), "an unchanged database", str(held), "VD-ROB-01", shown=held.shown
+    )
 
 
 def _filled(bench: Bench, peer: Peer, first: int, last: int, known: int, octets: int) -> list[bytes]:

@@ -8,10 +8,7 @@ from dcp_spec.constants import ICType, SpecVersion
 
 from dcp_codec.values import VardisRecord
 from dcp_conformance.model.case import Needs, Variant, case
-from dcp_conformance.test_steps.variable_queries import named, stepped, traces
-from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.peers import Peer
-from dcp_conformance.test_system.services import (
+from dcp_conformance.test_steps.services import (
     entry_of,
     max_repetitions,
     produced,
@@ -19,6 +16,9 @@ from dcp_conformance.test_system.services import (
     several_repetitions,
     taught,
 )
+from dcp_conformance.test_steps.variable_queries import named, stepped, traces
+from dcp_conformance.test_system.bench import Bench
+from dcp_conformance.test_system.sending.peers import Peer
 
 _DELETE = ICType.DELETE_VARIABLES
 _OTHERS = (ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.REQUEST_VARCREATES, ICType.REQUEST_VARUPDATES)
@@ -29,7 +29,7 @@ def _check_once(bench: Bench, attempt: Callable[[], bool], expected: str, observ
     tester.
     """
     right = any(attempt() for _ in range(3))
-    if not right and bench.one_by_one:
+    if not right and bench.sut.one_by_one:
         bench.inconclusive(
             expected, f"{observed}; but it processes received payloads one at a time and may answer in between"
         )
@@ -76,7 +76,7 @@ def request_dropped(bench: Bench) -> None:
 def create_request_dropped(bench: Bench) -> None:
     def attempt() -> bool:
         peer, var_id = bench.peer(), bench.unknown_id()
-        bench.created.add(var_id)
+        bench.identifiers.created.add(var_id)
         since = bench.mark()
         peer.send(peer.summary(var_id, 0))
         peer.send(peer.create(var_id))
@@ -107,7 +107,7 @@ def pending_dropped(bench: Bench) -> None:
     def attempt() -> bool:
         peer = bench.peer()
         # Up to 1.3 the variable is unknown after the last VarDelete, so no other record could be sent in any case.
-        several = bench.features.removed_after_deletion and not bench.one_by_one
+        several = bench.features.removed_after_deletion and not bench.sut.one_by_one
         var_id = taught(bench, peer, seqno=5, rep_cnt=min(3, max_repetitions(bench)) if several else 1)
         if several:
             settled(bench, var_id)

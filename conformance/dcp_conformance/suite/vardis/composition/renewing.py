@@ -11,11 +11,11 @@ from dcp_spec.constants import ICType, SpecVersion
 
 from dcp_codec.values import VarCreate, VardisRecord
 from dcp_conformance.model.case import Needs, Variant, case
+from dcp_conformance.test_steps.services import created_again, described, produced, settled, taught
 from dcp_conformance.test_steps.time_stamps import check_later
 from dcp_conformance.test_steps.variable_queries import stepped
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.peers import Peer
-from dcp_conformance.test_system.services import created_again, described, produced, settled, taught
+from dcp_conformance.test_system.sending.peers import Peer
 
 _DESCRIBE = Needs(ut=("RTDB-DescribeVariable",))
 _V2 = Needs(since=SpecVersion.V2_0, ut=("RTDB-DescribeVariable",))
@@ -103,11 +103,11 @@ def _read(bench: Bench, _peer: Peer, held: VarCreate) -> None:
 
 def _refused(bench: Bench, _peer: Peer, held: VarCreate) -> None:
     answer = bench.call("RTDB-Update", varId=held.spec.var_id, value="")
-    bench.require_asked(answer, "an answer to RTDB-Update")
+    bench.services.require_asked(answer, "an answer to RTDB-Update")
 
 
 def _activated(bench: Bench, _peer: Peer, _held: VarCreate) -> None:
-    with bench.deactivated("VD"):
+    with bench.services.deactivated("VD"):
         bench.wait(2)
 
 

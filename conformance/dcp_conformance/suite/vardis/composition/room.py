@@ -17,7 +17,7 @@ from dcp_conformance.test_steps.full_payloads import PAYLOAD_SIZE, filling, long
 from dcp_conformance.test_steps.timeouts import hurry, lasting, latest, learn
 from dcp_conformance.test_steps.variable_queries import taught_all
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.peers import Peer
+from dcp_conformance.test_system.sending.peers import Peer
 
 from .exact_sizes import largest_create
 from .summaries import SUMMARIES, summarises
@@ -30,9 +30,9 @@ _FULL = "a payload full of VarCreates, which this case needs"
 
 def _fillable(bench: Bench) -> str | None:
     """Return why VarCreates cannot fill a payload to the last octet, or None; for ``Needs.when``."""
-    if bench.parameter(PAYLOAD_SIZE) >= 2 * largest_create(bench):
+    if bench.sut.parameter(PAYLOAD_SIZE) >= 2 * largest_create(bench):
         value, description = longest(bench)
-        if len(value) + len(description) > bench.builder.record_size(bench.sample(value=b"v", descr=b"d")):
+        if len(value) + len(description) > bench.builder.record_size(bench.records.sample(value=b"v", descr=b"d")):
             return None
         # With only a few different lengths, some sizes cannot be reached.
         return "values and descriptions are too short for VarCreates to fill a payload to the last octet"
@@ -48,7 +48,7 @@ def _fillable_without_summaries(bench: Bench) -> str | None:
 
 def _fillers(bench: Bench, peer: Peer, left: int) -> list[VarCreate]:
     """Teach variables whose VarCreates leave ``left`` octets of a payload, and return the VarCreates."""
-    octets = bench.bound(PAYLOAD_SIZE) - bench.builder.container_header_size - left
+    octets = bench.sut.bound(PAYLOAD_SIZE) - bench.builder.container_header_size - left
     creates = filling(bench, peer, _CREATE, octets)
     if creates is None:
         bench.inconclusive("VarCreates that fill a payload", f"no combination has {octets} octets")
@@ -73,10 +73,10 @@ class _Pending:
 def _pending(bench: Bench, peer: Peer, kind: ICType, number: int) -> _Pending:
     """Prepare ``number`` variables for which the stimuli cause a record of this kind."""
     if kind is _ASK:
-        names = bench.unknown_ids(number)
+        names = bench.identifiers.unknown_ids(number)
         return _Pending(kind, names, [peer.summary(each, 1) for each in names], 1)
-    count = bench.rep_cnt(3)
-    creates = [peer.create(each, seqno=5, rep_cnt=count) for each in bench.var_ids(number)]
+    count = bench.sut.rep_cnt(3)
+    creates = [peer.create(each, seqno=5, rep_cnt=count) for each in bench.identifiers.var_ids(number)]
     bench.learn(peer, *creates)
     names = [each.spec.var_id for each in creates]
     made: dict[ICType, Sequence[VardisRecord]] = {
@@ -209,12 +209,12 @@ def summaries_stay_queued(bench: Bench) -> None:
     _full(bench, fillers)
     bench.mark()
     since, wanted = len(bench.heard), {each.spec.var_id for each in fillers}
-    turn = 3 + 2 * len(wanted) / bench.parameter(SUMMARIES)
+    turn = 3 + 2 * len(wanted) / bench.sut.parameter(SUMMARIES)
 
     def missing() -> set[int]:
         return wanted - {each.var_id for each in bench.instructions(_SUMMARY, since=since)}
 
-    bench.until(lambda _: not missing(), bench.reaction + turn)
+    bench.until(lambda _: not missing(), bench.sut.reaction + turn)
     left = sorted(missing())
     bench.check(not left, f"summaries of all {len(wanted)} variables", f"none of variables {left}")
 

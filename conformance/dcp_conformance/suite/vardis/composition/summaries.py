@@ -7,8 +7,8 @@ from dcp_spec.constants import ICType
 from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.model.case import Needs, case
 from dcp_conformance.test_steps.full_payloads import settable
+from dcp_conformance.test_steps.services import produced
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.services import produced
 
 SUMMARIES = "VARDISPAR_MAX_SUMMARIES"
 _SUMMARY = ICType.SUMMARIES
@@ -18,7 +18,9 @@ _MANY = 60
 
 def summarises(bench: Bench) -> str | None:
     """Return why cases about summaries do not apply, or None; for ``Needs.when``."""
-    return None if bench.bound(SUMMARIES, missing=True) else f"{SUMMARIES} is 0: the implementation sends no summaries"
+    return (
+        None if bench.sut.bound(SUMMARIES, missing=True) else f"{SUMMARIES} is 0: the implementation sends no summaries"
+    )
 
 
 _WIRE = Needs(when=summarises)
@@ -26,14 +28,14 @@ _WIRE = Needs(when=summarises)
 
 def _never_summarises(bench: Bench) -> str | None:
     """Return why the parameter cannot be 0, or None; for ``Needs.when``."""
-    if settable(bench) or not bench.bound(SUMMARIES):
+    if settable(bench) or not bench.sut.bound(SUMMARIES):
         return None
-    return f"{SUMMARIES} is {bench.bound(SUMMARIES)} and cannot be set (VD-SetParameter, UT-Reset)"
+    return f"{SUMMARIES} is {bench.sut.bound(SUMMARIES)} and cannot be set (VD-SetParameter, UT-Reset)"
 
 
 def _know(bench: Bench, count: int) -> list[int]:
     """Teach the implementation ``count`` variables with short values and descriptions."""
-    peer, names = bench.peer(), bench.var_ids(count)
+    peer, names = bench.peer(), bench.identifiers.var_ids(count)
     bench.learn(peer, *(peer.create(each, value=b"v", descr=b"d") for each in names))
     return names
 
@@ -85,7 +87,7 @@ def _check_rotation(bench: Bench, names: list[int], most: int, *requirements: st
     needs=_WIRE,
 )
 def rotation(bench: Bench) -> None:
-    most = bench.bound(SUMMARIES)
+    most = bench.sut.bound(SUMMARIES)
     names = _know(bench, min(max(3, most + most // 2), _MANY))
     _check_rotation(bench, names, most, "VD-CMP-03")
 
@@ -111,7 +113,7 @@ def most_summaries(bench: Bench, most: int) -> None:
         names = _know(bench, 10)
         bench.must("VD-SetParameter", name=SUMMARIES, value=most)
     else:
-        count, most = most, bench.bound(SUMMARIES)
+        count, most = most, bench.sut.bound(SUMMARIES)
         names = _know(bench, min(count if count < 10 else most + count - 10, _MANY))
     bench.beacons(2)
     _check_rotation(bench, names, most, "VD-CMP-03")
@@ -162,7 +164,7 @@ def nothing_to_summarise(bench: Bench) -> None:
     bench.wait(2)
     number = bench.builder.ic_type(_SUMMARY)
     found = [each for each in bench.heard[mark:] if any(one.ic_type == number for one in each.containers)]
-    if any(bench.is_applications(name) for each in found for name in _named(each)):
+    if any(bench.identifiers.is_applications(name) for each in found for name in _named(each)):
         bench.inconclusive(
             "an empty database, which this case needs", "an application on the node has created a variable"
         )
@@ -195,7 +197,7 @@ def current_number(bench: Bench) -> None:
             bench.until_instruction(ICType.UPDATES, name), "the VarUpdate is forwarded", "not forwarded in time"
         )
         # A payload composed before the update was sent before the VarUpdate.
-        begun = bench.heard.index(bench.frames_with(ICType.UPDATES, name, mark)[0])
+        begun = bench.heard.index(bench.receiver.frames_with(ICType.UPDATES, name, mark)[0])
         _check_number(bench, name, number, begun)
 
 
@@ -223,7 +225,7 @@ def deleted_not_summarised(bench: Bench) -> None:
     peer.send(*(peer.delete(each) for each in gone))
     found = bench.until_instruction(ICType.DELETE_VARIABLES, gone[0])
     bench.require(found, "the VarDelete is forwarded", "not forwarded in time")
-    begun = bench.heard.index(bench.frames_with(ICType.DELETE_VARIABLES, gone[0], mark)[0])
+    begun = bench.heard.index(bench.receiver.frames_with(ICType.DELETE_VARIABLES, gone[0], mark)[0])
     bench.until(lambda _: set(left) <= {each.var_id for each in bench.instructions(_SUMMARY, since=begun)}, 16)
     late = [each for each in bench.instructions(_SUMMARY, since=begun) if each.var_id in gone]
     bench.check(not late, "no summary of a deleted variable", f"{len(late)} summaries", frames=late[:4], shown=True)
@@ -247,7 +249,7 @@ def own_summarised(bench: Bench) -> None:
     for value in ("01", "02"):
         bench.must("RTDB-Update", varId=name, value=value)
     bench.require(bench.until_instruction(ICType.UPDATES, name), "the VarUpdate", "none")
-    begun = bench.heard.index(bench.frames_with(ICType.UPDATES, name, mark)[-1])
+    begun = bench.heard.index(bench.receiver.frames_with(ICType.UPDATES, name, mark)[-1])
     last = bench.instructions(ICType.UPDATES, name, begun)[0].record.seqno
     if last != 2:
         # The first VarUpdate was composed before the second update.
@@ -267,7 +269,7 @@ def own_summarised(bench: Bench) -> None:
 )
 def unknown_not_summarised(bench: Bench) -> None:
     _know(bench, 1)
-    peer, names = bench.peer(), bench.unknown_ids(4)
+    peer, names = bench.peer(), bench.identifiers.unknown_ids(4)
     mark = bench.mark()
     peer.send(peer.summary(names[0], 1), peer.request_update(names[1], 2), peer.request_create(names[2]))
     peer.send(peer.delete(names[3]))

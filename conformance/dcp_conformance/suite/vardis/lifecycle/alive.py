@@ -12,6 +12,7 @@ from dcp_spec.constants import ICType, SpecVersion
 
 from dcp_codec.values import VarCreate
 from dcp_conformance.model.case import Needs, Variant, case
+from dcp_conformance.test_steps.services import created_again, described, several_repetitions
 from dcp_conformance.test_steps.timeouts import (
     Change,
     check_time,
@@ -27,8 +28,7 @@ from dcp_conformance.test_steps.timeouts import (
 )
 from dcp_conformance.test_steps.variable_queries import ask
 from dcp_conformance.test_system.bench import MS, Bench
-from dcp_conformance.test_system.peers import Peer
-from dcp_conformance.test_system.services import created_again, described, several_repetitions
+from dcp_conformance.test_system.sending.peers import Peer
 
 _CREATE, _UPDATE, _DELETE = ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.DELETE_VARIABLES
 _SUMMARY = ICType.SUMMARIES
@@ -61,12 +61,12 @@ def _earlier(peer: Peer, record: VarCreate) -> VarCreate:
 def not_kept_by_creates(bench: Bench, make: Callable[[Peer, VarCreate], VarCreate]) -> None:
     hurry(bench)
     peer, timeout_ms = bench.peer(), 500
-    record, silent = (peer.create(each, seqno=5, timeout=timeout_ms) for each in bench.var_ids(2))
+    record, silent = (peer.create(each, seqno=5, timeout=timeout_ms) for each in bench.identifiers.var_ids(2))
     name = record.spec.var_id
     since = sent(bench, peer, record, silent)
     deadline = since.after + latest(bench, timeout_ms)
     while bench.now() < deadline and not bench.instructions(_DELETE, name):
-        bench.wait_ns(150 * MS)
+        bench.waiting.wait_ns(150 * MS)
         if not bench.instructions(_DELETE, name):
             peer.send(make(peer, record))
     found = bench.instructions(_DELETE, name)
@@ -103,10 +103,10 @@ def _by_application(bench: Bench, _peer: Peer, name: int, timeout_ms: int) -> Ch
 def begun_anew(bench: Bench, create: Callable[[Bench, Peer, int, int], Change]) -> None:
     hurry(bench)
     own = create is _by_application
-    peer, name = bench.peer(), bench.own_var_id() if own else bench.var_id()
+    peer, name = bench.peer(), bench.identifiers.own_var_id() if own else bench.var_id()
     timeout_ms = max(lasting(bench, 900, 8), round(4 * bench.session.slow_call / MS))
     first = create(bench, peer, name, timeout_ms)
-    bench.wait_ns(max(0, first.before + timeout_ms * MS * 2 // 3 - bench.now()))
+    bench.waiting.wait_ns(max(0, first.before + timeout_ms * MS * 2 // 3 - bench.now()))
     if own:
         before = bench.now()
         created_again(bench, name, timeout=timeout_ms)
@@ -136,7 +136,7 @@ def begun_anew(bench: Bench, create: Callable[[Bench, Peer, int, int], Change]) 
 )
 def update_taken_back(bench: Bench) -> None:
     hurry(bench)
-    peer, name, count, timeout_ms = bench.peer(), bench.var_id(), bench.rep_cnt(15), lasting(bench, 300)
+    peer, name, count, timeout_ms = bench.peer(), bench.var_id(), bench.sut.rep_cnt(15), lasting(bench, 300)
     peer.send(peer.create(name, timeout=timeout_ms, rep_cnt=count))
     since = sent(bench, peer, peer.update(name, 1))
     found = deleted(bench, name, since, timeout_ms)
@@ -172,8 +172,8 @@ def long_timeout(bench: Bench, timeout_ms: int) -> None:
     period = hurry(bench)
     peer, name = bench.peer(), bench.var_id()
     learn(bench, peer, name, timeout_ms)
-    tolerance = bench.pixit.timer_tolerance_ms * bench.session.timing_scale
-    bench.wait_ns(round((2 * period + tolerance) * MS))
+    tolerance = bench.sut.pixit.timer_tolerance_ms * bench.session.timing_scale
+    bench.waiting.wait_ns(round((2 * period + tolerance) * MS))
     bench.beacons(2)
     found = bench.instructions(_DELETE, name)
     bench.check(not found, "no VarDelete of the variable", f"{len(found)} VarDeletes", frames=found[:2], shown=True)
@@ -192,9 +192,9 @@ def long_timeout(bench: Bench, timeout_ms: int) -> None:
 )
 def after_deactivation(bench: Bench) -> None:
     hurry(bench)
-    with bench.deactivated("VD"):
+    with bench.services.deactivated("VD"):
         bench.wait(3)
-    name, timeout_ms = bench.own_var_id(), 300
+    name, timeout_ms = bench.identifiers.own_var_id(), 300
     since = create_own(bench, name, timeout_ms)
     found = deleted(bench, name, since, timeout_ms)
     if found is None:
@@ -217,14 +217,14 @@ def after_deactivation(bench: Bench) -> None:
 def while_inactive(bench: Bench) -> None:
     period = hurry(bench)
     # The variable must still exist when VarDis is deactivated.
-    name, timeout_ms = bench.own_var_id(), updated_in_time(bench, 300)
+    name, timeout_ms = bench.identifiers.own_var_id(), updated_in_time(bench, 300)
     since = create_own(bench, name, timeout_ms)
-    with bench.deactivated("VD"):
-        bench.wait_ns(max(0, since.after + latest(bench, timeout_ms) - bench.now()))
+    with bench.services.deactivated("VD"):
+        bench.waiting.wait_ns(max(0, since.after + latest(bench, timeout_ms) - bench.now()))
         mark = bench.mark()
     activated = bench.now()
-    tolerance = bench.pixit.timer_tolerance_ms * bench.session.timing_scale
-    most = (period + tolerance) * MS / bench.period + bench.reaction
+    tolerance = bench.sut.pixit.timer_tolerance_ms * bench.session.timing_scale
+    most = (period + tolerance) * MS / bench.period + bench.sut.reaction
     found = bench.until_instruction(_DELETE, name, most) or bench.instructions(_DELETE, name, mark)
     bench.require(found, "a VarDelete of the node's own variable after the activation", "none in time")
     took = bench.instructions(_DELETE, name)[0].heard.time - activated

@@ -7,9 +7,9 @@ from typing import Any
 from dcp_spec.constants import BP_PROTID_VARDIS, ICType, SpecVersion
 
 from dcp_conformance.model.case import Needs, case
+from dcp_conformance.test_steps.services import check_registered_name, listed, produced, registration, taught
 from dcp_conformance.test_steps.timeouts import not_by_consumers
 from dcp_conformance.test_system.bench import MS, Bench
-from dcp_conformance.test_system.services import check_registered_name, listed, produced, registration, taught
 
 _LIST = Needs(ut=("BP-ListRegisteredProtocols",))
 
@@ -49,7 +49,7 @@ def registered(bench: Bench) -> None:
         entries, several = found.get("maxEntries"), found.get("allowMultiplePayloads")
         bench.check(isinstance(entries, int) and entries > 0, "a positive maxEntries", f"{entries}", shown=True)
         bench.check(several is False, "allowMultiplePayloads false", f"{several}", shown=True)
-    size, told = bench.bound("VARDISPAR_MAX_PAYLOAD_SIZE"), found.get("maxPayloadSize")
+    size, told = bench.sut.bound("VARDISPAR_MAX_PAYLOAD_SIZE"), found.get("maxPayloadSize")
     bench.check(told == size, f"maxPayloadSize {size}", f"{told}", shown=True)
 
 
@@ -70,7 +70,7 @@ def registered(bench: Bench) -> None:
 )
 def after_reset(bench: Bench) -> None:
     peer = bench.peer()
-    mine = produced(bench, rep_cnt=bench.bound("VARDISPAR_MAX_REPETITIONS"))
+    mine = produced(bench, rep_cnt=bench.sut.bound("VARDISPAR_MAX_REPETITIONS"))
     theirs, wanted = taught(bench, peer), bench.unknown_id()
     peer.send(peer.summary(wanted, 1))
     bench.must("UT-Reset")
@@ -108,7 +108,7 @@ def after_reset(bench: Bench) -> None:
 def after_restart(bench: Bench) -> None:
     peer = bench.peer()
     var_id = taught(bench, peer)
-    bench.restart()
+    bench.control.restart()
     mark = bench.mark()
     bench.beacons(2, 2.5)
     frames = [heard for heard in bench.heard[mark:] if heard.instructions(var_id=var_id)]
@@ -134,8 +134,8 @@ def scrubbing(bench: Bench) -> None:
     peer = bench.peer()
     timeout = round(5 * bench.period / MS)
     var_id = taught(bench, peer, timeout=timeout)
-    period = bench.parameter("VARDISPAR_SCRUBBING_PERIOD")
-    latest = (timeout + period + bench.pixit.timer_tolerance_ms) * MS / bench.period + bench.reaction
+    period = bench.sut.parameter("VARDISPAR_SCRUBBING_PERIOD")
+    latest = (timeout + period + bench.sut.pixit.timer_tolerance_ms) * MS / bench.period + bench.sut.reaction
     shown = bench.until_instruction(ICType.DELETE_VARIABLES, var_id, latest)
     if shown is None:
         # TC_VD_SCR_TI_02 tests the same with a variable of the implementation's own, which is scrubbed in every

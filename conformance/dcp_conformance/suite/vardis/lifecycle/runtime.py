@@ -19,11 +19,13 @@ _CREATE = ICType.CREATE_VARIABLES
     stimulus="a variable with many repetitions is created",
     expect="its VarCreate in consecutive beacons",
     window=20,
-    needs=Needs(when=lambda bench: None if bench.rep_cnt(10) >= 3 else "the implementation does not accept repCnt 3"),
+    needs=Needs(
+        when=lambda bench: None if bench.sut.rep_cnt(10) >= 3 else "the implementation does not accept repCnt 3"
+    ),
 )
 def no_beacon_without(bench: Bench) -> None:
     peer, name, mark = bench.peer(), bench.var_id(), bench.mark()
-    count = bench.rep_cnt(10)
+    count = bench.sut.rep_cnt(10)
     peer.send(peer.create(name, rep_cnt=count))
     having = bench.until_quiet(lambda heard: heard.about(_CREATE, name), since=mark)
     bench.require(having, "the VarCreate is forwarded", "not forwarded in time")
@@ -83,7 +85,7 @@ def one_after_the_other(bench: Bench) -> None:
 )
 def after_idling(bench: Bench) -> None:
     bench.wait(2.5)
-    _check_wake_up(bench, bench.bound(CHECK_PERIOD))
+    _check_wake_up(bench, bench.sut.bound(CHECK_PERIOD))
 
 
 @case(
@@ -117,7 +119,7 @@ def _check_wake_up(bench: Bench, period_ms: int) -> None:
     started = bench.now()
     # Intervals between beacons vary (jitter), and a slow machine must not cause a failure.
     scale = bench.session.timing_scale
-    allowed = round((period_ms + bench.pixit.timer_tolerance_ms) * MS * scale) + round(1.5 * bench.period)
+    allowed = round((period_ms + bench.sut.pixit.timer_tolerance_ms) * MS * scale) + round(1.5 * bench.period)
     found = bench.until(
         lambda heard: heard if heard.instructions(ICType.REQUEST_VARCREATES, unknown) else None,
         3 * allowed / bench.period,
@@ -141,10 +143,10 @@ def _check_wake_up(bench: Bench, period_ms: int) -> None:
     needs=Needs(since=SpecVersion.V1_2, ut=("VD-MGMT-Activate", "VD-MGMT-Deactivate")),
 )
 def only_while_active(bench: Bench) -> None:
-    peer, name, count = bench.peer(), bench.var_id(), bench.rep_cnt(15)
+    peer, name, count = bench.peer(), bench.var_id(), bench.sut.rep_cnt(15)
     peer.send(peer.create(name, rep_cnt=count))
     bench.require(bench.until_instruction(_CREATE, name), "the VarCreate is forwarded", "not forwarded in time")
-    with bench.deactivated("VD"):
+    with bench.services.deactivated("VD"):
         bench.wait(2)
         mark = bench.mark()
         peer.send(peer.summary(bench.unknown_id(), 1))
@@ -157,9 +159,9 @@ def only_while_active(bench: Bench) -> None:
             frames=found[:4],
             shown=True,
         )
-    bench.check(bench.probe(), "VarDis answers a probe after its activation", "no answer")
+    bench.check(bench.probes.probe(), "VarDis answers a probe after its activation", "no answer")
     if count > 6:
-        bench.repeated(_CREATE, name, 0)
+        bench.waiting.repeated(_CREATE, name, 0)
         total = len(bench.instructions(_CREATE, name))
         kept = f"all {count} repetitions" if total == count else f"{total} of {count} repetitions"
         bench.info("What happens to pending records while VarDis is inactive?", f"{kept} were sent")
@@ -174,13 +176,13 @@ def only_while_active(bench: Bench) -> None:
     window=16,
 )
 def newest_only(bench: Bench) -> None:
-    peer, name, count = bench.peer(), bench.var_id(), bench.rep_cnt(3)
+    peer, name, count = bench.peer(), bench.var_id(), bench.sut.rep_cnt(3)
     bench.learn(peer, peer.create(name, rep_cnt=count))
     mark = bench.mark()
     for number in range(1, 11):
         peer.send(peer.update(name, number, bytes((number,))))
         bench.wait(0.2)
-    found = bench.repeated(ICType.UPDATES, name, mark)
+    found = bench.waiting.repeated(ICType.UPDATES, name, mark)
     numbers = [each.record.seqno for each in found]
     bench.check(
         numbers == sorted(numbers),
@@ -212,7 +214,7 @@ def newest_only(bench: Bench) -> None:
     needs=Needs(ut=("UT-Reset", "VD-SetParameter")),
 )
 def parameter_takes_effect(bench: Bench) -> None:
-    peer, names = bench.peer(), bench.var_ids(4)
+    peer, names = bench.peer(), bench.identifiers.var_ids(4)
     bench.learn(peer, *(peer.create(each) for each in names))
     for most in (1, 4):
         bench.must("VD-SetParameter", name=SUMMARIES, value=most)
@@ -239,17 +241,17 @@ def _own_period(bench: Bench, periods: float) -> int:
     window=50,
     needs=Needs(
         ut=("UT-Reset", "VD-SetParameter"),
-        when=lambda bench: None if bench.rep_cnt(5) >= 3 else "the implementation does not accept repCnt 3",
+        when=lambda bench: None if bench.sut.rep_cnt(5) >= 3 else "the implementation does not accept repCnt 3",
     ),
 )
 def composed_when_sent(bench: Bench) -> None:
     _own_period(bench, 12)
-    peer, name, count = bench.peer(), bench.var_id(), bench.rep_cnt(5)
+    peer, name, count = bench.peer(), bench.var_id(), bench.sut.rep_cnt(5)
     peer.send(peer.create(name, rep_cnt=count))
     bench.require(bench.until_instruction(_CREATE, name, 30), "the VarCreate is forwarded", "not forwarded in time")
     begun = bench.now()
-    bench.wait(count + bench.reaction)
-    frames = bench.frames_with(_CREATE, name)
+    bench.wait(count + bench.sut.reaction)
+    frames = bench.receiver.frames_with(_CREATE, name)
     text = f"{len(frames)} of {count} in {(bench.now() - begun) / MS:.0f} ms"
     bench.check(
         len(frames) == count,
@@ -271,7 +273,7 @@ def composed_when_sent(bench: Bench) -> None:
 )
 def looked_at_often(bench: Bench) -> None:
     _own_period(bench, 0.1)
-    peer, name, count, mark = bench.peer(), bench.var_id(), bench.rep_cnt(4), bench.mark()
+    peer, name, count, mark = bench.peer(), bench.var_id(), bench.sut.rep_cnt(4), bench.mark()
     peer.send(peer.create(name, rep_cnt=count))
     bench.check_repeated(_CREATE, name, count, mark)
     mark = bench.mark()

@@ -40,7 +40,7 @@ _OWN = Needs(since=SpecVersion.V2_0, ut=("RTDB-Create", "RTDB-Update"))
     variants={"200": 200, "1500": 1500},
 )
 def consumer(bench: Bench, timeout_ms: int) -> None:
-    peer, name, count = bench.peer(), bench.var_id(), bench.rep_cnt(3)
+    peer, name, count = bench.peer(), bench.var_id(), bench.sut.rep_cnt(3)
     timeout_ms = lasting(bench, timeout_ms, 2)
     since = learn(bench, peer, name, timeout_ms, count)
     found = deleted(bench, name, since, timeout_ms)
@@ -72,7 +72,7 @@ def _check_no_trace(bench: Bench, name: int, found: Instruction) -> None:
     needs=_OWN,
 )
 def producer(bench: Bench) -> None:
-    name, count, timeout_ms = bench.own_var_id(), bench.rep_cnt(3), 300
+    name, count, timeout_ms = bench.identifiers.own_var_id(), bench.sut.rep_cnt(3), 300
     since = create_own(bench, name, timeout_ms, count)
     found = deleted(bench, name, since, timeout_ms)
     if found is None:
@@ -98,7 +98,7 @@ def timeout_zero(bench: Bench) -> None:
     since = sent(bench, peer, peer.create(name, timeout=0), peer.create(other, timeout=300))
     if deleted(bench, other, since, 300) is None:
         not_by_consumers(bench, other)
-    bench.wait_ns(2 * period_ms * MS)
+    bench.waiting.wait_ns(2 * period_ms * MS)
     found = bench.instructions(_DELETE, name)
     bench.check(
         not found, "no VarDelete of a variable with timeout 0", f"{len(found)} VarDeletes", frames=found[:4], shown=True
@@ -125,7 +125,7 @@ def _check_known(bench: Bench, name: int, *requirements: str) -> None:
 )
 def deleted_skipped(bench: Bench) -> None:
     hurry(bench)
-    peer, name, other, count = bench.peer(), bench.var_id(), bench.var_id(), bench.rep_cnt(2)
+    peer, name, other, count = bench.peer(), bench.var_id(), bench.var_id(), bench.sut.rep_cnt(2)
     timeout_ms = lasting(bench, 400, 4)
     learn(bench, peer, name, timeout_ms, count)
     since = learn(bench, peer, other, timeout_ms)
@@ -154,7 +154,7 @@ def deleted_skipped(bench: Bench) -> None:
     needs=_WIRE,
 )
 def takes_back(bench: Bench) -> None:
-    peer, name, count = bench.peer(), bench.var_id(), bench.rep_cnt(15)
+    peer, name, count = bench.peer(), bench.var_id(), bench.sut.rep_cnt(15)
     since = sent(bench, peer, peer.create(name, timeout=1, rep_cnt=count))
     found = deleted(bench, name, since, 1)
     if found is None:
@@ -178,8 +178,8 @@ def takes_back(bench: Bench) -> None:
 def all_variables(bench: Bench) -> None:
     hurry(bench)
     peers = [bench.peer() for _ in range(4)]
-    names = bench.var_ids(12)
-    kept = bench.var_ids(3)
+    names = bench.identifiers.var_ids(12)
+    kept = bench.identifiers.var_ids(3)
     begun = bench.now()
     timeouts = {name: 100 + 50 * number for number, name in enumerate(names)}
     for number, peer in enumerate(peers):
@@ -219,11 +219,11 @@ def not_much_longer(bench: Bench) -> None:
     first, scale = scrubbing_period_ms(bench), bench.session.timing_scale
     bench.must("VD-SetParameter", name="VARDISPAR_SCRUBBING_PERIOD", value=round(100 * scale))
     # The current scrubbing period may still run to its end.
-    bench.wait_ns(first * MS)
-    name, timeout_ms = bench.own_var_id(), round(1000 * scale)
+    bench.waiting.wait_ns(first * MS)
+    name, timeout_ms = bench.identifiers.own_var_id(), round(1000 * scale)
     since = create_own(bench, name, timeout_ms)
-    tolerance = bench.pixit.timer_tolerance_ms * scale
-    most = round((timeout_ms + 100 * scale + tolerance) * MS + bench.reaction * bench.period)
+    tolerance = bench.sut.pixit.timer_tolerance_ms * scale
+    most = round((timeout_ms + 100 * scale + tolerance) * MS + bench.sut.reaction * bench.period)
     bench.until_instruction(_DELETE, name, 2 * most / bench.period)
     found = next(iter(bench.instructions(_DELETE, name)), None)
     if found is None:

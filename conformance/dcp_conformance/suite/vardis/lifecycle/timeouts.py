@@ -25,7 +25,7 @@ from dcp_conformance.test_steps.timeouts import (
     updated_in_time,
 )
 from dcp_conformance.test_system.bench import MS, Bench
-from dcp_conformance.test_system.peers import Peer
+from dcp_conformance.test_system.sending.peers import Peer
 from dcp_conformance.upper_tester import Answer
 
 _DELETE = ICType.DELETE_VARIABLES
@@ -55,7 +55,7 @@ def kept_by_updates(bench: Bench) -> None:
         last, number = since, number + 1
         since = sent(bench, peer, peer.update(name, number, bytes((number,))))
         slowest = max(slowest, since.after - last.before)
-        bench.wait_ns(timeout_ms * MS // 3)
+        bench.waiting.wait_ns(timeout_ms * MS // 3)
     early = bench.instructions(_DELETE, name)
     _check_in_time(bench, slowest, timeout_ms, early)
     bench.check(
@@ -86,10 +86,10 @@ def kept_by_updates(bench: Bench) -> None:
 )
 def kept_by_the_application(bench: Bench) -> None:
     period_ms = hurry(bench)
-    if "UT-Hello" in bench.ut.methods:
+    if "UT-Hello" in bench.services.upper.methods:
         # Measures how long a call takes.
         bench.call("UT-Hello")
-    name, timeout_ms = bench.own_var_id(), updated_in_time(bench, round(600 * bench.session.timing_scale))
+    name, timeout_ms = bench.identifiers.own_var_id(), updated_in_time(bench, round(600 * bench.session.timing_scale))
     since = create_own(bench, name, timeout_ms)
     until = bench.now() + (2 * timeout_ms + period_ms) * MS
     slowest = 0
@@ -100,12 +100,12 @@ def kept_by_the_application(bench: Bench) -> None:
         if not answer.ok:
             refused = answer
             # If the reason is that the variable was deleted, the next beacons show it.
-            bench.wait(bench.reaction)
+            bench.wait(bench.sut.reaction)
             slowest = max(slowest, before - last.before)
             break
         since = Change(before, bench.now())
         slowest = max(slowest, since.after - last.before)
-        bench.wait_ns(timeout_ms * MS // 3)
+        bench.waiting.wait_ns(timeout_ms * MS // 3)
     early = bench.instructions(_DELETE, name)
     _check_in_time(bench, slowest, timeout_ms, early)
     bench.check(
@@ -166,7 +166,7 @@ def not_kept(bench: Bench, act: Callable[[Peer, int], None]) -> None:
     since = sent(bench, peer, *creates)
     deadline = since.after + latest(bench, timeout_ms)
     while bench.now() < deadline and not bench.instructions(_DELETE, name):
-        bench.wait_ns(150 * MS)
+        bench.waiting.wait_ns(150 * MS)
         if not bench.instructions(_DELETE, name):
             act(peer, name)
     found = bench.instructions(_DELETE, name)
@@ -197,7 +197,7 @@ def created_anew(bench: Bench) -> None:
     if deleted(bench, name, first, short) is None:
         not_by_consumers(bench, name)
         return
-    bench.repeated(_DELETE, name, 0)
+    bench.waiting.repeated(_DELETE, name, 0)
     mark = bench.mark()
     long = 3 * short
     second = learn(bench, peer, name, long)
@@ -234,7 +234,7 @@ _LONGEST = 65_535
 )
 def longest_timeout(bench: Bench, make: Callable[[Bench, int, int], Change]) -> None:
     hurry(bench)
-    name = bench.own_var_id() if make is _own else bench.var_id()
+    name = bench.identifiers.own_var_id() if make is _own else bench.var_id()
     since = make(bench, name, _LONGEST)
     found = deleted(bench, name, since, _LONGEST)
     if found is None and make is _foreign:

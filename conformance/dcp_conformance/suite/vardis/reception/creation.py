@@ -8,10 +8,10 @@ from dcp_spec.constants import ICType, SpecVersion
 
 from dcp_codec.values import VarCreate
 from dcp_conformance.model.case import Needs, Variant, case
+from dcp_conformance.test_steps.services import longest_description, max_repetitions, taught
 from dcp_conformance.test_steps.variable_queries import ask, modulus, named, own_id, stepped, traces
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.peers import Peer
-from dcp_conformance.test_system.services import longest_description, max_repetitions, taught
+from dcp_conformance.test_system.sending.peers import Peer
 
 CREATES = ICType.CREATE_VARIABLES
 _V2_0 = Needs(since=SpecVersion.V2_0)
@@ -39,7 +39,7 @@ def _plain(bench: Bench, peer: Peer, var_id: int) -> VarCreate:  # noqa: ARG001
 def _largest(bench: Bench, peer: Peer, var_id: int) -> VarCreate:
     return peer.create(
         var_id,
-        value=bytes(range(min(bench.bound("VARDISPAR_MAX_VALUE_LENGTH"), 255))),
+        value=bytes(range(min(bench.sut.bound("VARDISPAR_MAX_VALUE_LENGTH"), 255))),
         descr=b"d" * min(longest_description(bench), 254),
         seqno=modulus(bench) - 1,
         rep_cnt=max_repetitions(bench),
@@ -51,7 +51,7 @@ def _smallest(bench: Bench, peer: Peer, var_id: int) -> VarCreate:  # noqa: ARG0
 
 
 def _umlauts(bench: Bench, peer: Peer, var_id: int) -> VarCreate:
-    return peer.create(var_id, value=b"\0\xff\0", descr="höhe".encode(), producer=bench.node_id())
+    return peer.create(var_id, value=b"\0\xff\0", descr="höhe".encode(), producer=bench.identifiers.node_id())
 
 
 def _with_timeout(bench: Bench, peer: Peer, var_id: int) -> VarCreate:
@@ -104,7 +104,7 @@ def replaced(bench: Bench) -> None:
     bench.learn(peer, first)
     count = min(2, max_repetitions(bench))
     second = other.create(var_id, value=b"other", seqno=3, rep_cnt=count, descr=b"anew", creation_time=_time(first) + 1)
-    bench.creation_time()
+    bench.records.creation_time()
     since = bench.mark()
     other.send(second)
     found = bench.check_repeated(CREATES, var_id, count, since)
@@ -112,7 +112,7 @@ def replaced(bench: Bench) -> None:
     bench.check(not wrong, "the VarCreate unchanged", f"{wrong[0].record if wrong else ''}", frames=wrong, shown=True)
     _held(bench, var_id, second, "all contents of the second VarCreate in the database", "VD-PC-07")
     summary = bench.until_instruction(ICType.SUMMARIES, var_id)
-    if bench.bound("VARDISPAR_MAX_SUMMARIES"):
+    if bench.sut.bound("VARDISPAR_MAX_SUMMARIES"):
         bench.check(
             summary is not None and summary.seqno == 3,
             "sequence number 3 in the summaries",
@@ -180,11 +180,11 @@ def as_numbers(bench: Bench, times: tuple[int, int]) -> None:
     for order in (times, times[::-1]):
         # These creationTimes are long past, so the variable must never have been created before.
         var_id = bench.unknown_id()
-        bench.created.add(var_id)
+        bench.identifiers.created.add(var_id)
         records = {each: peer.create(var_id, value=str(each)[-5:].encode(), creation_time=each) for each in order}
         for each in order:
             peer.send(records[each])
-            bench.until_instruction(CREATES, var_id, bench.reaction if each == order[0] else 1.5)
+            bench.until_instruction(CREATES, var_id, bench.sut.reaction if each == order[0] else 1.5)
         _held(
             bench,
             var_id,
@@ -245,7 +245,7 @@ def revived(bench: Bench) -> None:
         found = bench.check_repeated(kind, var_id, 1, since)
         wrong = [each for each in found if each.record != what]
         bench.check(not wrong, f"the {kind.label} record unchanged", f"{what}", frames=wrong, shown=True)
-        if kind is CREATES and bench.bound("VARDISPAR_MAX_SUMMARIES"):
+        if kind is CREATES and bench.sut.bound("VARDISPAR_MAX_SUMMARIES"):
             summary = bench.until_instruction(ICType.SUMMARIES, var_id)
             bench.check(
                 summary is not None and summary.seqno == 0,
@@ -293,8 +293,8 @@ def own_producer(bench: Bench) -> None:
     expect="it is ignored, or stored under the identifier of its specification",
 )
 def two_identifiers(bench: Bench) -> None:
-    peer, (spec, upd) = bench.peer(), bench.unknown_ids(2)
-    bench.created.add(spec)
+    peer, (spec, upd) = bench.peer(), bench.identifiers.unknown_ids(2)
+    bench.identifiers.created.add(spec)
     record = bench.builder.container(peer.create(spec), lies={"records[0].upd.varId": upd})
     since = bench.mark()
     peer.send(record)

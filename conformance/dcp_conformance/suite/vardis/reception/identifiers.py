@@ -12,8 +12,8 @@ from dcp_spec.constants import ICType
 
 from dcp_codec.values import VardisRecord
 from dcp_conformance.model.case import Needs, Variant, case
+from dcp_conformance.test_steps.services import OK, UNKNOWN, create_request
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.services import OK, UNKNOWN, create_request
 
 _CREATE, _UPDATE = ICType.CREATE_VARIABLES, ICType.UPDATES
 _DELETE, _SUMMARY = ICType.DELETE_VARIABLES, ICType.SUMMARIES
@@ -24,7 +24,7 @@ def _usable(name: str) -> Callable[[Bench], str | None]:
     """Return a condition for ``Needs.when``: the identifier must be in the range that the tester may use (PIXIT)."""
 
     def when(bench: Bench) -> str | None:
-        number, allowed = bench.session.boundaries[name], bench.pixit.var_ids
+        number, allowed = bench.session.boundaries[name], bench.sut.pixit.var_ids
         if allowed is None or allowed[0] <= number <= allowed[1]:
             return None
         return f"the tester may only use the identifiers {allowed[0]} to {allowed[1]} (pixit.var_ids)"
@@ -53,7 +53,7 @@ def _each(*methods: str) -> dict[str, Variant]:
     variants=_each(),
 )
 def consumer(bench: Bench, name: str) -> None:
-    peer, var_id = bench.peer(), bench.boundary_id(name)
+    peer, var_id = bench.peer(), bench.identifiers.boundary_id(name)
     create = peer.create(var_id, value=b"first", rep_cnt=1)
     steps: tuple[tuple[VardisRecord, ICType, str], ...] = (
         (peer.summary(var_id, 0), _ASK_CREATE, "VD-PS-01"),
@@ -77,7 +77,7 @@ def consumer(bench: Bench, name: str) -> None:
     variants=_each("RTDB-Create", "RTDB-Update", "RTDB-Read", "RTDB-Delete"),
 )
 def producer(bench: Bench, name: str) -> None:
-    var_id = bench.boundary_id(name)
+    var_id = bench.identifiers.boundary_id(name)
     bench.expect_status(UNKNOWN, "RTDB-Read", "VD-TYP-01", varId=var_id)
 
     def served(method: str, **params: Any) -> None:
@@ -86,15 +86,17 @@ def producer(bench: Bench, name: str) -> None:
     request = create_request(bench, var_id, value=b"first")
     request.pop("varId")
     _check_answer(bench, lambda: served("RTDB-Create", **request), _CREATE, var_id, "VD-CRE-12")
-    if bench.bound("VARDISPAR_MAX_SUMMARIES"):
-        told = bench.until_instruction(_SUMMARY, var_id, 2 * bench.reaction)
+    if bench.sut.bound("VARDISPAR_MAX_SUMMARIES"):
+        told = bench.until_instruction(_SUMMARY, var_id, 2 * bench.sut.reaction)
         bench.check(told, f"a summary of variable {var_id}", "none in time", "VD-CRE-12", "VD-TYP-01")
     _check_answer(
-        bench, lambda: served("RTDB-Update", value=bench.value(b"second").hex()), _UPDATE, var_id, "VD-TYP-01"
+        bench, lambda: served("RTDB-Update", value=bench.records.value(b"second").hex()), _UPDATE, var_id, "VD-TYP-01"
     )
     answer = bench.expect_status(OK, "RTDB-Read", "VD-TYP-01", varId=var_id)
     value = answer.result.get("value")
-    bench.check(value == bench.value(b"second").hex(), "the value of the update", f"{value}", "VD-TYP-01", shown=True)
+    bench.check(
+        value == bench.records.value(b"second").hex(), "the value of the update", f"{value}", "VD-TYP-01", shown=True
+    )
     _check_answer(bench, lambda: served("RTDB-Delete"), _DELETE, var_id, "VD-TYP-01")
 
 

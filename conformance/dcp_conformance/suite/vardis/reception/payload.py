@@ -14,9 +14,9 @@ from dcp_codec.values import VarCreate, VarSumm
 from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.model.case import Needs, case
 from dcp_conformance.test_steps.full_payloads import PAYLOAD_SIZE, longest
+from dcp_conformance.test_steps.sequences import part_of
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.checks import part_of
-from dcp_conformance.test_system.peers import Peer
+from dcp_conformance.test_system.sending.peers import Peer
 
 #: Attempts to get one payload with all kinds of containers; in the second half each container is sent in a separate
 #: beacon.
@@ -37,7 +37,7 @@ def stock(
     value, description = longest(bench)
     creates: list[VarCreate] = []
     octets = 0
-    while octets < 2.2 * bench.parameter(PAYLOAD_SIZE) and len(creates) < _MOST:
+    while octets < 2.2 * bench.sut.parameter(PAYLOAD_SIZE) and len(creates) < _MOST:
         short = mixed and len(creates) % 3 == 2
         create = peer.create(
             bench.var_id(),
@@ -61,8 +61,8 @@ def octets_up_to(bench: Bench, heard: ReceivedBeacon, kind: ICType) -> int:
 
 def check_filled(bench: Bench, kind: ICType, frames: Sequence[ReceivedBeacon], *requirements: str) -> None:
     """Check that the next record would not have fitted into any of the payloads but the last."""
-    limit = bench.parameter(PAYLOAD_SIZE)
-    if PAYLOAD_SIZE not in bench.session.parameters and bench.pixit.max_payload_size is None:
+    limit = bench.sut.parameter(PAYLOAD_SIZE)
+    if PAYLOAD_SIZE not in bench.session.parameters and bench.sut.pixit.max_payload_size is None:
         # The maximum size of a payload is unknown, but not less than the largest one.
         limit = max(octets_up_to(bench, heard, kind) for heard in frames)
     for heard, following in itertools.pairwise(frames):
@@ -101,13 +101,13 @@ def _room_for_all_kinds(bench: Bench) -> str | None:
     """Return why one payload cannot hold all six kinds of containers along with a full list of summaries; for
     ``Needs.when``.
     """
-    summaries = bench.bound("VARDISPAR_MAX_SUMMARIES")
+    summaries = bench.sut.bound("VARDISPAR_MAX_SUMMARIES")
     if not summaries:
         return "the implementation sends no summaries"
-    create, size = bench.sample(), bench.builder.record_size
+    create, size = bench.records.sample(), bench.builder.record_size
     octets = size(create) + size(create.upd) + (3 + min(summaries, 16)) * size(VarSumm(0, 0))
     octets += 6 * bench.builder.container_header_size
-    limit = bench.parameter(PAYLOAD_SIZE)
+    limit = bench.sut.parameter(PAYLOAD_SIZE)
     return None if octets <= limit else f"{PAYLOAD_SIZE} is {limit}, and all kinds together may need {octets} octets"
 
 
@@ -124,7 +124,7 @@ def _room_for_all_kinds(bench: Bench) -> str | None:
 )
 def order_of_containers(bench: Bench) -> None:
     peer = bench.peer()
-    deleted, updated, outdated = bench.var_ids(3)
+    deleted, updated, outdated = bench.identifiers.var_ids(3)
     bench.learn(peer, *(peer.create(each, seqno=3) for each in (deleted, updated, outdated)))
     order = bench.features.container_order
     full: ReceivedBeacon | None = None
@@ -179,7 +179,7 @@ def order_of_containers(bench: Bench) -> None:
     if full is None:
         bench.inconclusive("a payload with all six kinds of containers", f"none in {_ATTEMPTS} attempts", "VD-PAY-02")
     bench.check(True, "one payload with all six kinds of containers", "", "VD-PAY-02", "VD-IC-02", frames=[full])
-    if bench.checks and all(each.verdict == "pass" for each in bench.checks):
+    if bench.verdicts.checks and all(each.verdict == "pass" for each in bench.verdicts.checks):
         bench.reading("X18", ", ".join(_kind(bench, each.ic_type).label for each in full.containers))
 
 
@@ -208,12 +208,12 @@ def filled(bench: Bench, kind: ICType) -> None:
                 creates if kind is ICType.CREATE_VARIABLES else [each.upd for each in creates],
             )
         )
-        if len(creates) == _MOST and octets < bench.bound(PAYLOAD_SIZE):
-            bench.not_applicable(f"values are so short that {len(creates)} records have only {octets} octets")
+        if len(creates) == _MOST and octets < bench.sut.bound(PAYLOAD_SIZE):
+            bench.verdicts.not_applicable(f"values are so short that {len(creates)} records have only {octets} octets")
         bench.inconclusive("more records than fit into a payload", f"{len(creates)} records in one payload")
     check_filled(bench, kind, frames, "VD-PAY-02")
     largest = max(frames, key=lambda heard: size_of(bench, heard))
-    limit = bench.bound(PAYLOAD_SIZE)
+    limit = bench.sut.bound(PAYLOAD_SIZE)
     text = f"{size_of(bench, largest)} octets"
     bench.check(
         size_of(bench, largest) <= limit,
@@ -266,17 +266,17 @@ def all_of(
     window=20,
 )
 def no_variable_twice(bench: Bench) -> None:
-    peer, repetitions = bench.peer(), bench.rep_cnt(3)
-    var_ids = bench.var_ids(3)
+    peer, repetitions = bench.peer(), bench.sut.rep_cnt(3)
+    var_ids = bench.identifiers.var_ids(3)
     bench.learn(peer, *(peer.create(each, seqno=1, rep_cnt=repetitions) for each in var_ids))
     peer.send(*(peer.update(each, 2) for each in var_ids), *(peer.summary(each, 9) for each in var_ids))
     peer.send(*(peer.request_create(each) for each in var_ids), *(peer.summary(each, 9) for each in var_ids))
     unknown = bench.unknown_id()
     peer.send(peer.summary(unknown, 1), peer.summary(unknown, 2), peer.summary(unknown, 3))
-    bench.repeated(ICType.CREATE_VARIABLES, var_ids[-1], bench.mark())
+    bench.waiting.repeated(ICType.CREATE_VARIABLES, var_ids[-1], bench.mark())
     mark = bench.mark()
     peer.send(*(peer.delete(each) for each in var_ids))
-    bench.repeated(ICType.DELETE_VARIABLES, var_ids[-1], mark)
+    bench.waiting.repeated(ICType.DELETE_VARIABLES, var_ids[-1], mark)
     kinds = {each.kind for heard in bench.heard for each in heard.instructions()}
     for heard in bench.heard:
         for number in range(len(heard.containers)):
@@ -308,7 +308,7 @@ def nothing_to_say(bench: Bench) -> None:
     bench.learn(peer, peer.create(var_id))
     mark = bench.mark()
     peer.send(peer.delete(var_id))
-    bench.repeated(ICType.DELETE_VARIABLES, var_id, mark)
+    bench.waiting.repeated(ICType.DELETE_VARIABLES, var_id, mark)
     quiet = bench.mark()
     bench.wait(5)
     empty = [each for each in bench.heard if each.has_vardis and not each.containers]
@@ -336,16 +336,16 @@ def nothing_to_say(bench: Bench) -> None:
 def _room_for_256(bench: Bench) -> str | None:
     width = bench.profile.types.var_id.width
     needed = 2 * bench.builder.container_header_size + (IC_MAX_RECORDS + 1) * width
-    if bench.parameter(PAYLOAD_SIZE) < needed:
+    if bench.sut.parameter(PAYLOAD_SIZE) < needed:
         return f"a payload has no room for {IC_MAX_RECORDS + 1} records of any kind"
-    if bench.session.identifiers.size <= IC_MAX_RECORDS:
-        return f"the tester may only use {bench.session.identifiers.size} identifiers (pixit.var_ids)"
-    return bench.lacks_room(IC_MAX_RECORDS + 1) or None
+    if bench.session.identifier_pool.size <= IC_MAX_RECORDS:
+        return f"the tester may only use {bench.session.identifier_pool.size} identifiers (pixit.var_ids)"
+    return bench.sut.lacks_room(IC_MAX_RECORDS + 1) or None
 
 
 def _names(bench: Bench) -> set[int]:
     """Return one more variable identifier than a container can hold, of those that the tester may use."""
-    first = bench.session.identifiers.first
+    first = bench.session.identifier_pool.first
     return set(range(first, first + IC_MAX_RECORDS + 1))
 
 
@@ -417,7 +417,7 @@ def several_containers(bench: Bench) -> None:
     text = f"{len(several)} payloads with more"
     if not bench.features.several_containers_per_type:
         bench.check(not several, "one container of each type in a payload (1.0)", text, frames=several[:2], shown=True)
-    elif bench.pics.several_containers is False:
+    elif bench.sut.pics.several_containers is False:
         bench.check(
             not several,
             "one container of each type in a payload, as the PICS claims",
@@ -425,7 +425,7 @@ def several_containers(bench: Bench) -> None:
             frames=several[:2],
             shown=True,
         )
-    elif bench.pics.several_containers:
+    elif bench.sut.pics.several_containers:
         if not several:
             bench.inconclusive("several containers of a type in a payload, as the PICS claims", "none observed")
         bench.check(True, "several containers of a type in a payload, as the PICS claims", "", frames=several[:2])

@@ -9,10 +9,10 @@ from dcp_spec.constants import ICType, SpecVersion
 
 from dcp_codec.values import VarCreate, VardisRecord
 from dcp_conformance.model.case import Needs, case
+from dcp_conformance.test_steps.services import entry_of, max_repetitions, settled, taught
 from dcp_conformance.test_steps.variable_queries import ask, modulus, named, stepped, taught_all, traces
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.peers import Peer
-from dcp_conformance.test_system.services import entry_of, max_repetitions, settled, taught
+from dcp_conformance.test_system.sending.peers import Peer
 
 _SEVERAL = Needs(since=SpecVersion.V1_1)
 _RC, _RU = ICType.REQUEST_VARCREATES, ICType.REQUEST_VARUPDATES
@@ -22,7 +22,7 @@ def _stored(bench: Bench, var_id: int, seqno: int, value: bytes, came: object, *
     """Check the stored sequence number and value of a variable."""
     held = ask(bench, var_id)
     upd = held.record.upd if held.record is not None else None
-    as_expected = upd is not None and (upd.seqno, upd.value) == (seqno, bench.value(value))
+    as_expected = upd is not None and (upd.seqno, upd.value) == (seqno, bench.records.value(value))
     what = f"variable {var_id} stored with sequence number {seqno} and value {value.hex()}"
     bench.check(as_expected, what, str(held), *requirements, shown=came and held.record)
 
@@ -74,7 +74,11 @@ def two_phases(bench: Bench) -> None:
 def permutations(bench: Bench) -> None:
     peer = bench.peer()
     orders = list(itertools.permutations(range(3)))
-    created, unknown, since = bench.var_ids(len(orders)), bench.unknown_ids(len(orders)), bench.mark()
+    created, unknown, since = (
+        bench.identifiers.var_ids(len(orders)),
+        bench.identifiers.unknown_ids(len(orders)),
+        bench.mark(),
+    )
     for order, var_id, other in zip(orders, created, unknown, strict=True):
         containers = [
             bench.builder.container(peer.create(var_id, value=b"first")),
@@ -86,10 +90,10 @@ def permutations(bench: Bench) -> None:
     bench.until(lambda heard: set(unknown) <= {each.var_id for each in heard.instructions(_RC)})
     for order, var_id, other in zip(orders, created, unknown, strict=True):
         what = " before ".join(names[index] for index in order)
-        found = [each.record.upd for each in bench.repeated(ICType.CREATE_VARIABLES, var_id, since)]
+        found = [each.record.upd for each in bench.waiting.repeated(ICType.CREATE_VARIABLES, var_id, since)]
         newest = [(each.seqno, each.value) for each in found[-1:]]
         shown = f"sequence number {newest[0][0]}, value {newest[0][1]!r}" if newest else "no VarCreate"
-        right = newest == [(1, bench.value(b"newer"))]
+        right = newest == [(1, bench.records.value(b"newer"))]
         applied = bench.check(right, f"{what}: creation and update are applied", shown, "VD-RX-02", shown=newest)
         came = bench.instructions(_RC, other, since)
         bench.check(
@@ -121,7 +125,7 @@ _Stimulus = Callable[[Peer, int], VardisRecord]
 )
 def all_types(bench: Bench, turn: int) -> None:
     peer = bench.peer()
-    known = [peer.create(var_id, seqno=5) for var_id in bench.var_ids(5)]
+    known = [peer.create(var_id, seqno=5) for var_id in bench.identifiers.var_ids(5)]
     taught_all(bench, peer, known)
     doomed, updated, behind, asked, lagging = (create.spec.var_id for create in known)
     fresh, unknown = bench.var_id(), bench.unknown_id()
@@ -149,7 +153,7 @@ def all_types(bench: Bench, turn: int) -> None:
     def missing() -> list[str]:
         return [what for (kind, var_id), what in expected.items() if not bench.instructions(kind, var_id, since)]
 
-    bench.until(lambda _: not missing(), bench.sending(len(expected)))
+    bench.until(lambda _: not missing(), bench.teaching.periods(len(expected)))
     left = missing()
     for what in expected.values():
         bench.check(what not in left, what, "none in time")
@@ -177,13 +181,13 @@ _TWO: dict[str, tuple[ICType, _Stimulus, ICType]] = {
 )
 def same_type_twice(bench: Bench, what: tuple[ICType, _Stimulus, ICType]) -> None:
     kind, make, answer = what
-    peer, ids = bench.peer(), bench.var_ids(3)
+    peer, ids = bench.peer(), bench.identifiers.var_ids(3)
     if kind is not ICType.CREATE_VARIABLES:
         taught_all(bench, peer, [peer.create(var_id, seqno=5) for var_id in ids])
     one, two, three = (make(peer, var_id) for var_id in ids)
     since = bench.mark()
     peer.send(bench.builder.container(one, two), bench.builder.container(three))
-    bench.until(lambda _: all(bench.instructions(answer, var_id, since) for var_id in ids), bench.sending(6))
+    bench.until(lambda _: all(bench.instructions(answer, var_id, since) for var_id in ids), bench.teaching.periods(6))
     missing = [number for number, var_id in enumerate(ids, 1) if not bench.instructions(answer, var_id, since)]
     names = ", ".join(_PLACES[number - 1] for number in missing)
     bench.check(not missing, f"effects of three {kind.label} records in two containers", f"no effect of {names} record")
@@ -400,12 +404,12 @@ def updates_in_order(bench: Bench) -> None:
     expect="the first one is stored and forwarded",
 )
 def creates_in_order(bench: Bench) -> None:
-    peer, var_id, stamp = bench.peer(), bench.var_id(), bench.creation_time()
+    peer, var_id, stamp = bench.peer(), bench.var_id(), bench.records.creation_time()
     first = peer.create(var_id, value=b"first", creation_time=stamp)
     second = peer.create(var_id, value=b"next", creation_time=stamp)
     since = bench.mark()
     peer.send(first, second)
-    found: list[VarCreate] = [each.record for each in bench.repeated(ICType.CREATE_VARIABLES, var_id, since)]
+    found: list[VarCreate] = [each.record for each in bench.waiting.repeated(ICType.CREATE_VARIABLES, var_id, since)]
     bench.check(
         found == [first],
         "only the first VarCreate is forwarded",

@@ -8,7 +8,7 @@ from dcp_spec.constants import ICType, SpecVersion
 
 from dcp_conformance.model.case import Needs, Variant, case
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.peers import Peer
+from dcp_conformance.test_system.sending.peers import Peer
 
 _REQUEST = ICType.REQUEST_VARCREATES
 _V1_0, _V1_1 = SpecVersion.V1_0, SpecVersion.V1_1
@@ -51,8 +51,8 @@ _IN_1_0 = Needs(until=_V1_0)
     },
 )
 def before_the_error(bench: Bench, bad: _Bad) -> None:
-    peer, (wanted, spoilt) = bench.peer(), bench.unknown_ids(2)
-    bench.created.add(spoilt)
+    peer, (wanted, spoilt) = bench.peer(), bench.identifiers.unknown_ids(2)
+    bench.identifiers.created.add(spoilt)
     peer.send(bench.builder.container(peer.summary(wanted, 1)), bad(bench, peer, spoilt))
     found = bench.until_instruction(_REQUEST, wanted)
     bench.check(found, "a request for the variable in the container before the invalid one", "none in time")
@@ -69,7 +69,7 @@ def before_the_error(bench: Bench, bad: _Bad) -> None:
     variants={"unknown-type": _unknown_type, "no-records": _no_records},
 )
 def after_the_error(bench: Bench, bad: _Bad) -> None:
-    peer, (wanted, spoilt) = bench.peer(), bench.unknown_ids(2)
+    peer, (wanted, spoilt) = bench.peer(), bench.identifiers.unknown_ids(2)
     since = bench.mark()
     peer.send(bad(bench, peer, spoilt), bench.builder.container(peer.summary(wanted, 1)))
     bench.require_alive("the payload")

@@ -8,8 +8,7 @@ from dcp_spec.constants import ICType, SpecVersion
 
 from dcp_conformance.frames.received import Instruction
 from dcp_conformance.model.case import Needs, case
-from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.services import (
+from dcp_conformance.test_steps.services import (
     EXISTS,
     OK,
     create_request,
@@ -23,6 +22,7 @@ from dcp_conformance.test_system.services import (
     taught,
     untaught,
 )
+from dcp_conformance.test_system.bench import Bench
 
 _CREATE = ICType.CREATE_VARIABLES
 _DELETE = ICType.DELETE_VARIABLES
@@ -41,7 +41,7 @@ def foreign(bench: Bench) -> None:
     var_id = taught(bench, bench.peer(), value=b"theirs")
     bench.expect_status(EXISTS, "RTDB-Create", **create_request(bench, var_id, value=b"ours"))
     value = bench.call("RTDB-Read", varId=var_id).result.get("value")
-    bench.check(value == bench.value(b"theirs").hex(), "the value unchanged", f"{value}", shown=True)
+    bench.check(value == bench.records.value(b"theirs").hex(), "the value unchanged", f"{value}", shown=True)
 
 
 @case(
@@ -73,7 +73,7 @@ def own_exists(bench: Bench) -> None:
     var_id = produced(bench, value=b"first")
     bench.expect_status(EXISTS, "RTDB-Create", **create_request(bench, var_id, value=b"second"))
     value = bench.call("RTDB-Read", varId=var_id).result.get("value")
-    bench.check(value == bench.value(b"first").hex(), "the value unchanged", f"{value}", shown=True)
+    bench.check(value == bench.records.value(b"first").hex(), "the value unchanged", f"{value}", shown=True)
 
 
 @case(
@@ -93,10 +93,10 @@ def own_anew(bench: Bench) -> None:
     first = bench.until_instruction(_CREATE, var_id)
     if first is None:
         bench.inconclusive("the first VarCreate", "none in time")
-    bench.must("RTDB-Update", varId=var_id, value=bench.value(b"newer").hex())
+    bench.must("RTDB-Update", varId=var_id, value=bench.records.value(b"newer").hex())
     bench.wait(2)
     # The resolution of the clock may be coarser than this.
-    bench.wait_ns(nanoseconds(bench, 1))
+    bench.waiting.wait_ns(nanoseconds(bench, 1))
     mark = bench.mark()
     answer = expect_any(
         bench, (OK, EXISTS), "RTDB-Create", "VD-CRE-03", **create_request(bench, var_id, value=b"second")
@@ -105,8 +105,8 @@ def own_anew(bench: Bench) -> None:
         bench.reading("X20", "by-steps" if answer.ok else "by-description")
     if not answer.ok:
         return
-    bench.relies_on("creationTime")
-    _check_anew(bench, var_id, mark, first.spec.creation_time, bench.value(b"second"))
+    bench.excuses.relies_on("creationTime")
+    _check_anew(bench, var_id, mark, first.spec.creation_time, bench.records.value(b"second"))
 
 
 def _check_anew(bench: Bench, var_id: int, mark: int, before: int, value: bytes) -> None:
@@ -157,12 +157,12 @@ def ends_deletion(bench: Bench) -> None:
     mark = bench.mark()
     bench.expect_status(OK, "RTDB-Create", "VD-CRE-03", **create_request(bench, var_id, rep_cnt=count, value=b"second"))
     done = bench.mark()
-    if len(bench.frames_with(_DELETE, var_id)) > count - 2:
+    if len(bench.receiver.frames_with(_DELETE, var_id)) > count - 2:
         bench.inconclusive("remaining repetitions of the VarDelete", "none left when the variable was created again")
-    bench.relies_on("creationTime")
+    bench.excuses.relies_on("creationTime")
     before = first.spec.creation_time
     made = bench.until_quiet(lambda heard: _anew(heard.about(_CREATE, var_id), before), since=mark)
-    deletions = bench.frames_with(_DELETE, var_id, done)
+    deletions = bench.receiver.frames_with(_DELETE, var_id, done)
     late = [heard for heard in deletions if not made or heard.time >= made[0].time]
     bench.check(
         len(deletions) <= 1 and not late,
@@ -197,7 +197,7 @@ def ends_repetitions(bench: Bench) -> None:
     first = bench.until_instruction(_CREATE, var_id)
     if first is None:
         bench.inconclusive("the first VarCreate", "none in time")
-    bench.must("RTDB-Update", varId=var_id, value=bench.value(b"newer").hex())
+    bench.must("RTDB-Update", varId=var_id, value=bench.records.value(b"newer").hex())
     if bench.until_instruction(_UPDATE, var_id) is None:
         bench.inconclusive("a VarUpdate", "none in time")
     mark = bench.mark()
@@ -205,8 +205,8 @@ def ends_repetitions(bench: Bench) -> None:
     if same_status(answer, EXISTS):
         bench.reading("X20", "by-description")
         return
-    bench.check_status(answer, (OK,), "RTDB-Create")
-    bench.relies_on("creationTime")
+    bench.services.check_status(answer, (OK,), "RTDB-Create")
+    bench.excuses.relies_on("creationTime")
     before = first.spec.creation_time
     made = bench.until_quiet(lambda heard: _anew(heard.about(_CREATE, var_id), before), since=mark)
     bench.check(
@@ -224,7 +224,7 @@ def ends_repetitions(bench: Bench) -> None:
         frames=twice,
         shown=True,
     )
-    late = [heard for heard in bench.frames_with(_UPDATE, var_id, mark) if made and heard.time >= made[0].time]
+    late = [heard for heard in bench.receiver.frames_with(_UPDATE, var_id, mark) if made and heard.time >= made[0].time]
     bench.check(
         not late,
         "no VarUpdate with or after the new VarCreate",
@@ -246,14 +246,14 @@ def ends_repetitions(bench: Bench) -> None:
 def used_again(bench: Bench) -> None:
     var_id = produced(bench, value=b"first")
     settled(bench, var_id)
-    bench.must("RTDB-Update", varId=var_id, value=bench.value(b"newer").hex())
+    bench.must("RTDB-Update", varId=var_id, value=bench.records.value(b"newer").hex())
     bench.must("RTDB-Delete", varId=var_id)
     bench.until_quiet(lambda heard: heard.instructions(_DELETE, var_id))
     mark = bench.mark()
     bench.expect_status(OK, "RTDB-Create", **create_request(bench, var_id, value=b"second"))
     record = bench.until_instruction(_CREATE, var_id)
     frames = bench.instructions(_CREATE, var_id, mark)
-    ok = record is not None and record.upd.seqno == 0 and record.upd.value == bench.value(b"second")
+    ok = record is not None and record.upd.seqno == 0 and record.upd.value == bench.records.value(b"second")
     bench.check(
         ok, "a VarCreate of the new variable with seqno 0", f"{record}", frames=frames, shown=record is not None
     )
@@ -285,7 +285,7 @@ def being_deleted(bench: Bench) -> None:
 def request_ended(bench: Bench) -> None:
     late: list[Instruction] = []
     for _ in range(3):
-        peer, var_id = bench.peer(), bench.own_var_id()
+        peer, var_id = bench.peer(), bench.identifiers.own_var_id()
         bench.beacons(1)
         since = bench.mark()
         peer.send(peer.summary(var_id, 1))

@@ -13,10 +13,10 @@ from dcp_spec.constants import BP_PROTID_VARDIS, ICType
 
 from dcp_conformance.frames.builder import Block
 from dcp_conformance.model.case import Variant, case
+from dcp_conformance.test_steps.services import taught
 from dcp_conformance.test_steps.variable_queries import ask, own_id
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.peers import Peer
-from dcp_conformance.test_system.services import taught
+from dcp_conformance.test_system.sending.peers import Peer
 
 _Bad = Callable[[Bench, Peer, int], bytes]
 
@@ -103,8 +103,8 @@ _UNCLEAR = {name for name in _BAD if "count" in name and name not in ("count-0",
 def bad_container(bench: Bench, what: tuple[_Bad, str]) -> None:
     bad, name = what
     peer = bench.peer()
-    before, behind, first, last, *spoilt = bench.unknown_ids(8)
-    bench.created.update(spoilt)
+    before, behind, first, last, *spoilt = bench.identifiers.unknown_ids(8)
+    bench.identifiers.created.update(spoilt)
 
     def good(var_id: int) -> bytes:
         return bench.builder.container(peer.summary(var_id, 1))
@@ -145,7 +145,7 @@ def _works(bench: Bench) -> None:
     """Check that VarDis works: teach it a variable, an update and a deletion."""
     # Must not be a variable that a damaged record may have created with another creationTime.
     peer, var_id = bench.peer(), bench.unknown_id()
-    bench.created.add(var_id)
+    bench.identifiers.created.add(var_id)
     for record, kind in (
         (peer.create(var_id), ICType.CREATE_VARIABLES),
         (peer.update(var_id, 1), ICType.UPDATES),
@@ -178,8 +178,8 @@ def _works(bench: Bench) -> None:
 )
 def cut_off(bench: Bench) -> None:
     peer = bench.peer()
-    first, created, *others = bench.unknown_ids(6)
-    bench.created.add(created)
+    first, created, *others = bench.identifiers.unknown_ids(6)
+    bench.identifiers.created.add(created)
     containers = [
         bench.builder.container(peer.summary(first, 1)),
         bench.builder.container(peer.request_update(others[0], 1)),
@@ -258,7 +258,7 @@ def random_errors(bench: Bench, seed: int) -> None:
     rng = random.Random(f"{bench.session.seed}/{seed}")  # noqa: S311 - no secret
     peer, known = bench.peer(), taught(bench, bench.peer())
     own_id(bench)
-    unknown = bench.unknown_ids(2)
+    unknown = bench.identifiers.unknown_ids(2)
     for count in range(160):
         var_id = rng.choice((known, *unknown))
         records = [

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dcp_spec.constants import ICType, SpecVersion
 
 from dcp_conformance.model.case import Needs, case
+from dcp_conformance.test_steps.services import taught
 from dcp_conformance.test_steps.variable_queries import named, traces
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.services import taught
 
 _RC, _RU = ICType.REQUEST_VARCREATES, ICType.REQUEST_VARUPDATES
 
@@ -103,7 +103,7 @@ _SINCE_1_1 = Needs(since=SpecVersion.V1_1)
     needs=_SINCE_1_1,
 )
 def asks_too(bench: Bench) -> None:
-    peer, (one, two) = bench.peer(), bench.unknown_ids(2)
+    peer, (one, two) = bench.peer(), bench.identifiers.unknown_ids(2)
     since = bench.mark()
     peer.send(peer.request_create(one), peer.request_create(one))
     peer.send(peer.request_update(two, 3))

@@ -13,10 +13,10 @@ from dcp_spec.constants import ICType
 
 from dcp_codec.values import VarCreate, VardisRecord
 from dcp_conformance.model.case import Needs, Variant, case
+from dcp_conformance.test_steps.services import holds_two_octets, produced
 from dcp_conformance.test_steps.variable_queries import INSTRUCTIONS, modulus, named, stepped, taught_all, traces
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.peers import Peer
-from dcp_conformance.test_system.services import holds_two_octets, produced
+from dcp_conformance.test_system.sending.peers import Peer
 
 #: A distance as a number of halves of the number space, plus a number of steps.
 Distance = tuple[int, int]
@@ -82,7 +82,7 @@ def _ask(bench: Bench, question: Question, distance: Distance) -> tuple[list[Var
     peer, starts = bench.peer(), _starts(bench)
     creates = [
         peer.create(var_id, value=b"value", seqno=seqno)
-        for var_id, seqno in zip(bench.var_ids(len(starts)), starts, strict=True)
+        for var_id, seqno in zip(bench.identifiers.var_ids(len(starts)), starts, strict=True)
     ]
     taught_all(bench, peer, creates)
     since, step = bench.mark(), _steps(bench, distance)
@@ -98,7 +98,7 @@ def _decide(bench: Bench, what: tuple[Question, Distance, int]) -> None:
     kind, step = question.answers[which], _steps(bench, distance)
     if kind is not None:
         wanted = {each.spec.var_id for each in creates}
-        bench.until(lambda heard: wanted <= {each.var_id for each in heard.instructions(kind)}, bench.reaction)
+        bench.until(lambda heard: wanted <= {each.var_id for each in heard.instructions(kind)}, bench.sut.reaction)
     bench.require_alive("the records")
     bench.beacons(1, 1.5)
     for create in creates:

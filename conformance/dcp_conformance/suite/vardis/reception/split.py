@@ -16,7 +16,7 @@ from dcp_spec.constants import ICType, SpecVersion
 from dcp_codec.values import VardisRecord
 from dcp_conformance.model.case import Needs, Variant, case
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.peers import Peer
+from dcp_conformance.test_system.sending.peers import Peer
 
 _SEVERAL = Needs(since=SpecVersion.V1_1)
 #: Number of payloads sent before the tester waits for the reactions to their first containers.
@@ -62,7 +62,7 @@ def play(bench: Bench, peer: Peer, splits: Sequence[Split], kinds: Iterable[ICTy
         if missing():
             # The answers may need many payloads.
             count = sum(len(each.first + each.second) for each in left)
-            bench.until(lambda _: not missing(), max(bench.reaction + count / 4, bench.sending(2 * count)))
+            bench.until(lambda _: not missing(), max(bench.sut.reaction + count / 4, bench.teaching.periods(2 * count)))
         if not missing():
             break
     names = "/".join(sorted(kind.label for kind in wanted))
@@ -103,8 +103,8 @@ def _update(bench: Bench, peer: Peer, var_id: int, length: int) -> bytes:
     needs=_SEVERAL,
 )
 def every_octet(bench: Bench) -> None:
-    peer, longest = bench.peer(), min(max(2, bench.parameter("VARDISPAR_MAX_VALUE_LENGTH")), 40)
-    ids = bench.unknown_ids(2 * longest)
+    peer, longest = bench.peer(), min(max(2, bench.sut.parameter("VARDISPAR_MAX_VALUE_LENGTH")), 40)
+    ids = bench.identifiers.unknown_ids(2 * longest)
     splits = []
     for length in range(1, longest + 1):
         one, two = ids[2 * length - 2 : 2 * length]
@@ -176,7 +176,7 @@ def every_record(bench: Bench, pair: tuple[ICType, ICType]) -> None:
 
 
 def _ids(bench: Bench, kind: ICType, count: int) -> list[int]:
-    return bench.var_ids(count) if kind is ICType.CREATE_VARIABLES else bench.unknown_ids(count)
+    return bench.identifiers.var_ids(count) if kind is ICType.CREATE_VARIABLES else bench.identifiers.unknown_ids(count)
 
 
 # -- long payloads -----------------------------------------------------------------------------------------------------
@@ -186,7 +186,7 @@ def _filled(bench: Bench, peer: Peer, octets: int, filler: int, last: int) -> by
     """Return an UPDATES container of exactly ``octets`` octets, with one variable in all records but the last."""
     builder = bench.builder
     least = builder.record_size(peer.update(last, 1, b"v"))
-    most = least - 1 + max(1, min(bench.parameter("VARDISPAR_MAX_VALUE_LENGTH"), 200))
+    most = least - 1 + max(1, min(bench.sut.parameter("VARDISPAR_MAX_VALUE_LENGTH"), 200))
     rest = octets - builder.container_header_size
     count = max(1, -(-rest // most))
     sizes = [rest // count + (index < rest % count) for index in range(count)]
@@ -222,7 +222,7 @@ def long_payloads(bench: Bench) -> None:
     total = largest_payload(bench, peer)
     least = len(_update(bench, peer, 0, 1))
     borders = _borders(total, least)
-    filler, *ids = bench.unknown_ids(1 + 2 * len(borders))
+    filler, *ids = bench.identifiers.unknown_ids(1 + 2 * len(borders))
     splits = []
     for index, border in enumerate(borders):
         one, two = ids[2 * index : 2 * index + 2]
@@ -236,8 +236,8 @@ def largest_payload(bench: Bench, peer: Peer) -> int:
     frame of the tester.
     """
     empty = len(peer.beacon(bench.builder.vardis(peer.request_create(0))))
-    room = min(bench.bound("BPPAR_MAXIMUM_PACKET_SIZE") or 1000, 1400) - empty
-    return min(bench.bound("VARDISPAR_MAX_PAYLOAD_SIZE") or 1000, room)
+    room = min(bench.sut.bound("BPPAR_MAXIMUM_PACKET_SIZE") or 1000, 1400) - empty
+    return min(bench.sut.bound("VARDISPAR_MAX_PAYLOAD_SIZE") or 1000, room)
 
 
 @case(
@@ -254,7 +254,7 @@ def largest_payload(bench: Bench, peer: Peer) -> int:
 )
 def many_containers(bench: Bench) -> None:
     peer = bench.peer()
-    filler, one, two, *ids = bench.unknown_ids(43)
+    filler, one, two, *ids = bench.identifiers.unknown_ids(43)
     short = bench.builder.container(peer.summary(two, 1))
     long = _filled(bench, peer, largest_payload(bench, peer) - len(short), filler, one)
     split = Split(f"{len(long)} + {len(short)} octets", (long, short), (one,), (two,))
@@ -288,7 +288,7 @@ def many_containers(bench: Bench) -> None:
 )
 def many_records(bench: Bench, count: int) -> None:
     peer = bench.peer()
-    filler, first, last = bench.unknown_ids(3)
+    filler, first, last = bench.identifiers.unknown_ids(3)
     container = bench.builder.container(*(peer.summary(each, 1) for each in (first, *[filler] * (count - 2), last)))
     if len(container) > largest_payload(bench, peer):
         bench.info("Can a container have many records?", f"unknown: {count} summaries do not fit into a payload")

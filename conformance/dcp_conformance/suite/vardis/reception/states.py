@@ -14,6 +14,7 @@ from dcp_spec.constants import ICType, SpecVersion
 
 from dcp_codec.values import VardisRecord
 from dcp_conformance.model.case import Needs, Variant, case
+from dcp_conformance.test_steps.services import taught
 from dcp_conformance.test_steps.variable_queries import own_id
 from dcp_conformance.test_steps.variable_states import (
     VariableState,
@@ -29,7 +30,6 @@ from dcp_conformance.test_steps.variable_states import (
     taken_over,
 )
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.services import taught
 
 _OWN = ("RTDB-Create", "RTDB-Update", "RTDB-Delete")
 _V2_0, _V1_3, _V1_1 = SpecVersion.V2_0, SpecVersion.V1_3, SpecVersion.V1_1
@@ -85,7 +85,7 @@ _ONLY_1_0 = Needs(until=SpecVersion.V1_0)
 
 
 def _one_repetition(bench: Bench) -> str | None:
-    if bench.bound("VARDISPAR_MAX_REPETITIONS") < 2:
+    if bench.sut.bound("VARDISPAR_MAX_REPETITIONS") < 2:
         return "a test during the deletion of a variable needs at least two repetitions"
     return None
 

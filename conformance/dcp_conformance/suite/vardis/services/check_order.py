@@ -12,8 +12,7 @@ from typing import Any
 from dcp_spec.constants import SpecVersion
 
 from dcp_conformance.model.case import Needs, Variant, case
-from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.services import (
+from dcp_conformance.test_steps.services import (
     INACTIVE,
     NOT_EXPRESSIBLE,
     NOT_PRODUCER,
@@ -28,12 +27,13 @@ from dcp_conformance.test_system.services import (
     taught,
     untaught,
 )
+from dcp_conformance.test_system.bench import Bench
 
 _MANAGE = ("VD-MGMT-Activate", "VD-MGMT-Deactivate")
 
 
 def _too_long(bench: Bench) -> str:
-    return (b"v" * (bench.bound("VARDISPAR_MAX_VALUE_LENGTH") + 1)).hex()
+    return (b"v" * (bench.sut.bound("VARDISPAR_MAX_VALUE_LENGTH") + 1)).hex()
 
 
 def _several(bench: Bench) -> int:
@@ -55,6 +55,10 @@ def _foreign_deleted(bench: Bench) -> int:
     return var_id
 
 
+def _unknown(bench: Bench) -> int:
+    return bench.unknown_id()
+
+
 def _foreign(bench: Bench) -> int:
     return taught(bench, bench.peer())
 
@@ -70,7 +74,7 @@ def _asked(bench: Bench, statuses: tuple[str, ...], method: str, *requirements: 
     if answer.code == NOT_EXPRESSIBLE:
         bench.info("Can the profile express the request?", str(answer))
         return
-    bench.check_status(answer, statuses, method, *requirements)
+    bench.services.check_status(answer, statuses, method, *requirements)
 
 
 _Two = tuple[str, Callable[[Bench], int], Callable[[Bench], str] | str]
@@ -85,8 +89,8 @@ _DELETED = Needs(ut=("RTDB-Update", "RTDB-Create", "RTDB-Delete"))
     expect="the status of the first failing check",
     needs=Needs(ut=("RTDB-Update",)),
     variants={
-        "unknown+long": (UNKNOWN, Bench.unknown_id, _too_long),
-        "unknown+empty": (UNKNOWN, Bench.unknown_id, ""),
+        "unknown+long": (UNKNOWN, _unknown, _too_long),
+        "unknown+empty": (UNKNOWN, _unknown, ""),
         "foreign+long": (NOT_PRODUCER, _foreign, _too_long),
         "foreign+empty": (NOT_PRODUCER, _foreign, ""),
         "foreign+deleted": (NOT_PRODUCER, _foreign_deleted, "00"),
@@ -100,7 +104,7 @@ def update(bench: Bench, mistakes: _Two) -> None:
     status = status or deleted_status(bench)
     statuses = _or_gone(bench, status) if variable in (_own_deleted, _foreign_deleted) else (status,)
     # The first mistake is not about a length, so assumed maxima do not matter.
-    bench.assumptions.clear()
+    bench.assumptions.discard()
     _asked(bench, statuses, "RTDB-Update", varId=variable(bench), value=octets)
 
 
@@ -190,7 +194,7 @@ def _needs(method: str) -> Needs:
 def inactive_first(bench: Bench, variant: tuple[str, Callable[[Bench], list[dict[str, Any]]]]) -> None:
     method, mistakes = variant
     requests = mistakes(bench)
-    bench.assumptions.clear()
-    with bench.deactivated("VD"):
+    bench.assumptions.discard()
+    with bench.services.deactivated("VD"):
         for request in requests:
             _asked(bench, (INACTIVE,), method, **request)

@@ -8,9 +8,7 @@ from typing import Any
 from dcp_spec.constants import ICType, SpecVersion
 
 from dcp_conformance.model.case import Needs, case
-from dcp_conformance.test_steps.time_stamps import Stamps, check_apart, check_now
-from dcp_conformance.test_system.bench import MS, Bench
-from dcp_conformance.test_system.services import (
+from dcp_conformance.test_steps.services import (
     DESCRIPTION_TOO_LONG,
     EXISTS,
     ILLEGAL_REPCOUNT,
@@ -31,6 +29,8 @@ from dcp_conformance.test_system.services import (
     taught,
     timed,
 )
+from dcp_conformance.test_steps.time_stamps import Stamps, check_apart, check_now
+from dcp_conformance.test_system.bench import MS, Bench
 
 _CREATE = Needs(ut=("RTDB-Create",))
 _CREATE_READ = Needs(ut=("RTDB-Create", "RTDB-Read"))
@@ -46,8 +46,8 @@ _V = ICType.CREATE_VARIABLES
     needs=_CREATE,
 )
 def announced(bench: Bench) -> None:
-    var_id = bench.own_var_id()
-    timeout = min(60_000, bench.longest_timeout) if bench.features.creation_time else 0
+    var_id = bench.identifiers.own_var_id()
+    timeout = min(60_000, bench.sut.longest_timeout) if bench.features.creation_time else 0
     request = create_request(
         bench, var_id, rep_cnt=1, descr="speed of wind", value=b"\x00\x01\xfe\xff", timeout=timeout
     )
@@ -60,9 +60,9 @@ def announced(bench: Bench) -> None:
     spec, upd = record.spec, record.upd
     for name, expected, observed, requirement in (
         ("seqno", 0, upd.seqno, "VD-CRE-10"),
-        ("value", bench.value(b"\x00\x01\xfe\xff"), upd.value, "VD-CRE-10"),
+        ("value", bench.records.value(b"\x00\x01\xfe\xff"), upd.value, "VD-CRE-10"),
         ("repCnt", 1, spec.rep_cnt, "VD-CRE-10"),
-        ("descr", bench.descr(b"speed of wind"), spec.descr.removesuffix(b"\0"), "VD-CRE-10"),
+        ("descr", bench.records.descr(b"speed of wind"), spec.descr.removesuffix(b"\0"), "VD-CRE-10"),
         ("varId of the update", var_id, upd.var_id, "VD-CRE-10"),
     ):
         bench.check(
@@ -86,7 +86,7 @@ def announced(bench: Bench) -> None:
 
 def record_sender(bench: Bench) -> bytes:
     """Return the senderId in the beacons of the implementation."""
-    return (bench.heard[-1].sender if bench.heard else None) or bench.sut_id
+    return (bench.heard[-1].sender if bench.heard else None) or bench.identifiers.sut_id
 
 
 @case(
@@ -101,10 +101,10 @@ def record_sender(bench: Bench) -> bytes:
     needs=Needs(since=SpecVersion.V2_0, ut=("RTDB-Create",)),
 )
 def creation_time(bench: Bench) -> None:
-    bench.relies_on("creationTime")
+    bench.excuses.relies_on("creationTime")
 
     def created() -> tuple[int, Moment]:
-        var_id = bench.own_var_id()
+        var_id = bench.identifiers.own_var_id()
         request = timed(bench, "RTDB-Create", **create_request(bench, var_id))
         record = bench.until_instruction(_V, var_id)
         if record is None:
@@ -162,14 +162,14 @@ def repetitions(bench: Bench, name: str) -> None:
         ut=("RTDB-Create",),
         when=lambda bench: (
             None
-            if bench.bound("VARDISPAR_MAX_SUMMARIES")
+            if bench.sut.bound("VARDISPAR_MAX_SUMMARIES")
             else "the implementation sends no summaries (VARDISPAR_MAX_SUMMARIES is 0)"
         ),
     ),
 )
 def summarized(bench: Bench) -> None:
     var_id = produced(bench)
-    record = bench.until_instruction(ICType.SUMMARIES, var_id, 2 * bench.reaction)
+    record = bench.until_instruction(ICType.SUMMARIES, var_id, 2 * bench.sut.reaction)
     if record is None:
         bench.fail("a summary of the variable", "none in time")
     bench.check(record.seqno == 0, "seqno 0 in the summary", f"{record.seqno}", shown=True)
@@ -204,7 +204,7 @@ def entry(bench: Bench) -> None:
             observed = found[name]
             expected = f"{values[0]} to {values[-1]}" if len(values) > 1 else f"{values[0]}"
             bench.check(observed in values, f"{name} {expected}", f"{observed}", "VD-CRE-10", shown=True)
-    stamp, slack = found.get("tStamp"), bench.pixit.clock_tolerance_ms * MS
+    stamp, slack = found.get("tStamp"), bench.sut.pixit.clock_tolerance_ms * MS
     near = stamp is None or before - slack <= stamp <= bench.lower.wall() + slack
     bench.check(near, f"tStamp within {slack / 1e6:.0f} ms of the tester's clock", f"{stamp}", "VD-CRE-10", shown=True)
 
@@ -218,12 +218,12 @@ def entry(bench: Bench) -> None:
     needs=Needs(since=SpecVersion.V1_2, ut=("RTDB-Create",)),
 )
 def producer(bench: Bench) -> None:
-    var_id, other = bench.own_var_id(), bench.node_id()
+    var_id, other = bench.identifiers.own_var_id(), bench.identifiers.node_id()
     answer = bench.call("RTDB-Create", **create_request(bench, var_id), prodId=other.hex(":"))
     if answer.code is not None:
         bench.info("Does RTDB-Create accept prodId as a parameter?", f"no: {answer}")
         return
-    bench.check_status(answer, (OK,), "RTDB-Create")
+    bench.services.check_status(answer, (OK,), "RTDB-Create")
     record = bench.until_instruction(_V, var_id)
     if record is None:
         bench.fail("a VarCreate of the variable", "none in time")
@@ -245,13 +245,13 @@ def refused(bench: Bench, status: str, requirement: str, **request: Any) -> None
         # VarDis cannot be asked for a value that its field cannot hold.
         bench.info(f"Can the profile express a request that leads to {status}?", str(answer), requirement)
     else:
-        bench.check_status(answer, (status,), "RTDB-Create", requirement)
+        bench.services.check_status(answer, (status,), "RTDB-Create", requirement)
     bench.expect_status(UNKNOWN, "RTDB-Read", requirement, varId=var_id)
 
 
 def accepted(bench: Bench, requirement: str, **request: Any) -> None:
     """Check that RTDB-Create succeeds and the variable is announced."""
-    var_id = bench.own_var_id()
+    var_id = bench.identifiers.own_var_id()
     request = {"descr": "d", "value": b"v"} | request
     bench.expect_status(OK, "RTDB-Create", requirement, **create_request(bench, var_id, exact=True, **request))
     shown = bench.until_instruction(_V, var_id) is not None
@@ -286,7 +286,7 @@ def description(bench: Bench) -> None:
     needs=_CREATE_READ,
 )
 def value(bench: Bench) -> None:
-    longest = bench.bound("VARDISPAR_MAX_VALUE_LENGTH")
+    longest = bench.sut.bound("VARDISPAR_MAX_VALUE_LENGTH")
     accepted(bench, "VD-CRE-05", value=b"v" * longest)
     refused(bench, VALUE_TOO_LONG, "VD-CRE-05", value=b"v" * (longest + 1))
 
@@ -313,7 +313,7 @@ def empty_value(bench: Bench) -> None:
     needs=_CREATE_READ,
 )
 def repetition_count(bench: Bench) -> None:
-    most = bench.bound("VARDISPAR_MAX_REPETITIONS")
+    most = bench.sut.bound("VARDISPAR_MAX_REPETITIONS")
     refused(bench, ILLEGAL_REPCOUNT, "VD-CRE-07", rep_cnt=0)
     accepted(bench, "VD-CRE-07", rep_cnt=1)
     accepted(bench, "VD-CRE-07", rep_cnt=most)
@@ -346,7 +346,7 @@ def _long_descr(bench: Bench) -> str:
 
 
 def _long_value(bench: Bench) -> bytes:
-    return b"v" * (bench.bound("VARDISPAR_MAX_VALUE_LENGTH") + 1)
+    return b"v" * (bench.sut.bound("VARDISPAR_MAX_VALUE_LENGTH") + 1)
 
 
 @case(
@@ -362,12 +362,12 @@ def order(bench: Bench, mistakes: Callable[[Bench], tuple[str, dict[str, Any]]])
     status, request = mistakes(bench)
     if status == EXISTS:
         # The status does not depend on assumed maxima.
-        bench.assumptions.clear()
+        bench.assumptions.discard()
     answer = bench.call("RTDB-Create", **request)
     if answer.code == NOT_EXPRESSIBLE:
         bench.info("Can the profile express the request?", str(answer))
         return
-    bench.check_status(answer, (status,), "RTDB-Create")
+    bench.services.check_status(answer, (status,), "RTDB-Create")
 
 
 @case(
@@ -379,12 +379,12 @@ def order(bench: Bench, mistakes: Callable[[Bench], tuple[str, dict[str, Any]]])
     needs=_CREATE,
 )
 def empty_description(bench: Bench) -> None:
-    var_id = bench.own_var_id()
+    var_id = bench.identifiers.own_var_id()
     answer = bench.call("RTDB-Create", **create_request(bench, var_id, descr=""))
-    bench.require_asked(answer, "an answer to RTDB-Create")
+    bench.services.require_asked(answer, "an answer to RTDB-Create")
     bench.reading("X21", "accept-locally" if answer.ok else "refuse-locally")
     bench.require_alive("a variable without a description")
-    claimed = bench.pics.empty_description
+    claimed = bench.sut.pics.empty_description
     if claimed is not None:
         said = f"empty_description = {str(claimed).lower()}, as the PICS claims"
         bench.check(claimed == answer.ok, said, f"{answer}", shown=True)

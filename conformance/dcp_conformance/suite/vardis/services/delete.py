@@ -5,8 +5,7 @@ from __future__ import annotations
 from dcp_spec.constants import ICType, SpecVersion
 
 from dcp_conformance.model.case import Needs, case
-from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.services import (
+from dcp_conformance.test_steps.services import (
     NOT_PRODUCER,
     OK,
     UNKNOWN,
@@ -24,6 +23,7 @@ from dcp_conformance.test_system.services import (
     taught,
     untaught,
 )
+from dcp_conformance.test_system.bench import Bench
 
 _D = ICType.DELETE_VARIABLES
 _OTHERS = (ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.SUMMARIES)
@@ -69,7 +69,7 @@ def _check_deletion(bench: Bench, var_id: int, count: int) -> None:
     )
     # A beacon prepared before the request may still be sent.
     for kind in _OTHERS:
-        others = bench.frames_with(kind, var_id, done)
+        others = bench.receiver.frames_with(kind, var_id, done)
         late = [heard for heard in others if frames and heard.time >= frames[0].time]
         bench.check(
             len(others) <= 1 and not late,
@@ -95,7 +95,7 @@ def _check_deletion(bench: Bench, var_id: int, count: int) -> None:
 def ends_repetitions(bench: Bench) -> None:
     count = max_repetitions(bench)
     var_id = produced(bench, rep_cnt=count)
-    bench.must("RTDB-Update", varId=var_id, value=bench.value(b"newer").hex())
+    bench.must("RTDB-Update", varId=var_id, value=bench.records.value(b"newer").hex())
     if bench.until_instruction(ICType.UPDATES, var_id) is None:
         bench.inconclusive("a VarUpdate of the variable", "none in time")
     _check_deletion(bench, var_id, count)
@@ -112,7 +112,7 @@ def ends_repetitions(bench: Bench) -> None:
 def entry(bench: Bench) -> None:
     count = max_repetitions(bench)
     var_id = produced(bench, rep_cnt=count)
-    bench.must("RTDB-Update", varId=var_id, value=bench.value(b"newer").hex())
+    bench.must("RTDB-Update", varId=var_id, value=bench.records.value(b"newer").hex())
     start = bench.mark()
     bench.must("RTDB-Delete", varId=var_id)
     found = entry_of(bench, var_id)
@@ -179,7 +179,7 @@ def unknown(bench: Bench) -> None:
     var_id = bench.unknown_id()
     bench.expect_status(UNKNOWN, "RTDB-Delete", varId=var_id)
     bench.require_alive("RTDB-Delete for an unknown variable")
-    frames = bench.frames_with(_D, var_id)
+    frames = bench.receiver.frames_with(_D, var_id)
     bench.check(not frames, "no VarDelete", f"{len(frames)} beacons with one", frames=frames, shown=True)
 
 
@@ -197,12 +197,12 @@ def foreign(bench: Bench) -> None:
     bench.require_alive("RTDB-Delete for a variable of another node")
     answer = bench.call("RTDB-Read", varId=var_id)
     bench.check(
-        answer.ok and answer.result.get("value") == bench.value(b"theirs").hex(),
+        answer.ok and answer.result.get("value") == bench.records.value(b"theirs").hex(),
         "the variable still exists",
         str(answer),
         shown=True,
     )
-    frames = bench.frames_with(_D, var_id)
+    frames = bench.receiver.frames_with(_D, var_id)
     bench.check(not frames, "no VarDelete", f"{len(frames)} beacons with one", frames=frames, shown=True)
 
 

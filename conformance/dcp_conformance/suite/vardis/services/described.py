@@ -8,21 +8,21 @@ from dcp_spec.constants import ICType, SpecVersion
 
 from dcp_codec.values import VarCreate, VarSpec
 from dcp_conformance.model.case import Needs, case
+from dcp_conformance.test_steps.services import create_request, described, listed, settled
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.services import create_request, described, listed, settled
 
 _OWN, _FOREIGN = "own", "received"
 
 
 def _made(bench: Bench, kind: str) -> VarCreate:
     """Create a variable with an unusual value in every field; return its VarCreate as the implementation sends it."""
-    count, timeout = bench.rep_cnt(2), min(60_000, bench.longest_timeout) if bench.features.creation_time else 0
+    count, timeout = bench.sut.rep_cnt(2), min(60_000, bench.sut.longest_timeout) if bench.features.creation_time else 0
     if kind == _FOREIGN:
         peer = bench.peer()
         record = peer.create(bench.var_id(), value=b"\x01\x02", seqno=7, rep_cnt=count, descr=b"field", timeout=timeout)
         bench.learn(peer, record)
         return record
-    var_id = bench.own_var_id()
+    var_id = bench.identifiers.own_var_id()
     request = create_request(bench, var_id, rep_cnt=count, descr="field", value=b"\x01\x02", timeout=timeout)
     bench.must("RTDB-Create", **request)
     found = bench.until_instruction(ICType.CREATE_VARIABLES, var_id)
@@ -112,10 +112,10 @@ def entry(bench: Bench, kind: str) -> None:
     needs=Needs(since=SpecVersion.V1_0, ut=("RTDB-Create", "RTDB-Update", "RTDB-Delete", "RTDB-Read")),
 )
 def confirms(bench: Bench) -> None:
-    var_id = bench.own_var_id()
+    var_id = bench.identifiers.own_var_id()
     bench.must("RTDB-Create", **create_request(bench, var_id))
     settled(bench, var_id)
-    value = bench.value(b"\x01\x02").hex()
+    value = bench.records.value(b"\x01\x02").hex()
     answers = [bench.must("RTDB-Update", varId=var_id, value=value)]
     read = bench.must("RTDB-Read", varId=var_id)
     told = read.result.get("value")

@@ -8,9 +8,9 @@ from dcp_spec.constants import ICType, SpecVersion
 
 from dcp_codec.values import VarCreate, VardisRecord
 from dcp_conformance.model.case import Needs, Variant, case
+from dcp_conformance.test_steps.services import longest_description, taught
 from dcp_conformance.test_steps.variable_queries import INSTRUCTIONS, ask, named, traces
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.services import longest_description, taught
 
 _ANY, _V1_1, _V1_2 = SpecVersion.V1_0, SpecVersion.V1_1, SpecVersion.V1_2
 Bound = Callable[[int], int]
@@ -29,10 +29,10 @@ def _field(bench: Bench, what: str) -> tuple[int, int]:
     """Return the largest allowed value of a field, and the largest value that it can hold."""
     types = bench.profile.types
     if what == "repCnt":
-        return bench.bound("VARDISPAR_MAX_REPETITIONS"), (1 << 8 * types.var_rep_cnt.width) - 1
+        return bench.sut.bound("VARDISPAR_MAX_REPETITIONS"), (1 << 8 * types.var_rep_cnt.width) - 1
     if what == "description":
         return longest_description(bench), 254
-    return bench.bound("VARDISPAR_MAX_VALUE_LENGTH"), 255
+    return bench.sut.bound("VARDISPAR_MAX_VALUE_LENGTH"), 255
 
 
 def _requirement(what: str) -> str:
@@ -72,9 +72,9 @@ def creations(bench: Bench, what: tuple[str, Bound, bool, SpecVersion]) -> None:
         return
     if number <= 1:
         # Accepted or rejected whatever the maximum is.
-        bench.assumptions.clear()
+        bench.assumptions.discard()
     peer, var_id = bench.peer(), bench.unknown_id()
-    bench.created.add(var_id)
+    bench.identifiers.created.add(var_id)
     record = peer.create(
         var_id,
         value=b"v" * (number if field == "value" else 1),
@@ -155,7 +155,7 @@ def updates(bench: Bench, what: tuple[Bound, bool, SpecVersion]) -> None:
     if not _expressible(bench, number, most, widest, allowed=allowed):
         return
     if number <= 1:
-        bench.assumptions.clear()
+        bench.assumptions.discard()
     peer = bench.peer()
     var_id = taught(bench, peer, value=b"value")
     record, since = peer.update(var_id, 1, b"v" * number, exact=True), bench.mark()
@@ -182,7 +182,10 @@ def updates(bench: Bench, what: tuple[Bound, bool, SpecVersion]) -> None:
         not found, f"a VarUpdate with a value of {number} octets is ignored", named(found), frames=found, shown=True
     )
     held = ask(bench, var_id)
-    stored = held.record is not None and (held.record.upd.seqno, held.record.upd.value) == (0, bench.value(b"value"))
+    stored = held.record is not None and (held.record.upd.seqno, held.record.upd.value) == (
+        0,
+        bench.records.value(b"value"),
+    )
     bench.check(stored, "the old value and sequence number in the database", str(held), shown=held.record is not None)
 
 
@@ -199,8 +202,8 @@ def updates(bench: Bench, what: tuple[Bound, bool, SpecVersion]) -> None:
     needs=Needs(since=_V1_2),
 )
 def among_others(bench: Bench) -> None:
-    peer, (one, good, two, three) = bench.peer(), bench.unknown_ids(4)
-    bench.created.update((one, good, two, three))
+    peer, (one, good, two, three) = bench.peer(), bench.identifiers.unknown_ids(4)
+    bench.identifiers.created.update((one, good, two, three))
     record = peer.create(good)
     since = bench.mark()
     peer.send(peer.create(one, value=b""), peer.create(three, rep_cnt=0), record, peer.create(two, value=b""))
@@ -258,7 +261,7 @@ def longest(bench: Bench) -> None:
     variants={name: _BOUNDS[name][0] for name in ("0", "max+1", "255")},
 )
 def unknown_variable(bench: Bench, bound: Bound) -> None:
-    most, widest = bench.parameter("VARDISPAR_MAX_VALUE_LENGTH"), 255
+    most, widest = bench.sut.parameter("VARDISPAR_MAX_VALUE_LENGTH"), 255
     if not _expressible(bench, bound(most), most, widest, allowed=True):
         return
     peer, var_id, since = bench.peer(), bench.unknown_id(), bench.mark()
@@ -283,7 +286,7 @@ def length_of_received_text(bench: Bench) -> None:
             f"impossible: the maximum of {longest} is the largest length that can be sent",
         )
     peer, var_id, since = bench.peer(), bench.unknown_id(), bench.mark()
-    bench.created.add(var_id)
+    bench.identifiers.created.add(var_id)
     peer.send(peer.create(var_id, descr=descr, value=b"v", exact=True))
     bench.require_alive("the VarCreate")
     bench.beacons(1, 1.5)

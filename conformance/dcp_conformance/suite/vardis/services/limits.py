@@ -7,9 +7,7 @@ from typing import NamedTuple
 from dcp_spec.constants import ICType, SpecVersion
 
 from dcp_conformance.model.case import Needs, Variant, case
-from dcp_conformance.test_steps.variable_queries import ask
-from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.services import (
+from dcp_conformance.test_steps.services import (
     DESCRIPTION_TOO_LONG,
     OK,
     VALUE_TOO_LONG,
@@ -17,6 +15,8 @@ from dcp_conformance.test_system.services import (
     parameters_set,
     produced,
 )
+from dcp_conformance.test_steps.variable_queries import ask
+from dcp_conformance.test_system.bench import Bench
 
 _VALUE, _DESCRIPTION = "VARDISPAR_MAX_VALUE_LENGTH", "VARDISPAR_MAX_DESCRIPTION_LENGTH"
 _SHORT, _LONG = 8, 20
@@ -60,7 +60,7 @@ def received(bench: Bench, limits: Limits) -> None:
             (1, limits.description + 1, "VD-PC-05"),
         ):
             record = peer.create(bench.unknown_id(), value=b"v" * value, descr=b"d" * description, exact=True)
-            bench.created.add(record.spec.var_id)
+            bench.identifiers.created.add(record.spec.var_id)
             peer.send(record)
             what = f"a VarCreate with a value of {value} octets and a description of {description}"
             wrong = ("VD-PC-04", "VD-PC-05") if not requirement else (requirement,)
@@ -126,5 +126,7 @@ def served(bench: Bench, limits: Limits) -> None:
             (limits.value + 1, 1, VALUE_TOO_LONG, "VD-CRE-05"),
             (1, longest + 1, DESCRIPTION_TOO_LONG, "VD-CRE-04"),
         ):
-            request = create_request(bench, bench.own_var_id(), value=b"v" * value, descr="d" * description, exact=True)
+            request = create_request(
+                bench, bench.identifiers.own_var_id(), value=b"v" * value, descr="d" * description, exact=True
+            )
             bench.expect_status(status, "RTDB-Create", *filter(None, (requirement,)), **request)

@@ -7,8 +7,7 @@ from typing import Any
 from dcp_spec.constants import ICType, SpecVersion
 
 from dcp_conformance.model.case import Needs, case
-from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.services import (
+from dcp_conformance.test_steps.services import (
     INACTIVE,
     OK,
     UNKNOWN,
@@ -17,6 +16,7 @@ from dcp_conformance.test_system.services import (
     produced,
     taught,
 )
+from dcp_conformance.test_system.bench import Bench
 
 _ON, _OFF = "VD-MGMT-Activate", "VD-MGMT-Deactivate"
 
@@ -61,7 +61,7 @@ def no_payloads(bench: Bench) -> None:
     var_id = produced(bench, rep_cnt=max_repetitions(bench))
     if bench.until_instruction(ICType.CREATE_VARIABLES, var_id) is None:
         bench.inconclusive("beacons with VarDis payloads", "none in time")
-    with bench.deactivated("VD"):
+    with bench.services.deactivated("VD"):
         mark = bench.mark()
         bench.wait(6)
         frames = [heard for heard in bench.heard[mark:] if heard.has_vardis]
@@ -76,7 +76,7 @@ def no_payloads(bench: Bench) -> None:
         )
     again = bench.until(lambda heard: heard.has_vardis and heard)
     # The repetitions may be over, and summaries may be switched off.
-    if not again and not bench.bound("VARDISPAR_MAX_SUMMARIES"):
+    if not again and not bench.sut.bound("VARDISPAR_MAX_SUMMARIES"):
         bench.require_alive("a time of inactivity", "VD-MGT-05")
     else:
         bench.check(bool(again), "VarDis payloads after activation", "none in time", "VD-MGT-05")
@@ -97,21 +97,23 @@ def no_payloads(bench: Bench) -> None:
 def discards(bench: Bench) -> None:
     peer = bench.peer()
     known = taught(bench, peer, value=b"before")
-    created, summarized = bench.unknown_ids(2)
-    with bench.deactivated("VD"):
+    created, summarized = bench.identifiers.unknown_ids(2)
+    with bench.services.deactivated("VD"):
         mark = bench.mark()
         peer.send(peer.create(created), peer.update(known, 1, b"while"), peer.summary(summarized, 1))
         bench.wait(2)
     bench.require_alive("a time of inactivity")
     bench.expect_status(UNKNOWN, "RTDB-Read", varId=created)
     value = bench.call("RTDB-Read", varId=known).result.get("value")
-    bench.check(value == bench.value(b"before").hex(), "the known variable unchanged", f"value {value}", shown=True)
+    bench.check(
+        value == bench.records.value(b"before").hex(), "the known variable unchanged", f"value {value}", shown=True
+    )
     for kind, var_id in (
         (ICType.CREATE_VARIABLES, created),
         (ICType.UPDATES, known),
         (ICType.REQUEST_VARCREATES, summarized),
     ):
-        frames = bench.frames_with(kind, var_id, mark)
+        frames = bench.receiver.frames_with(kind, var_id, mark)
         bench.check(
             not frames,
             f"no {kind.label} record as a reaction",
@@ -133,14 +135,16 @@ def discards(bench: Bench) -> None:
 def database_kept(bench: Bench) -> None:
     mine = produced(bench, value=b"mine")
     theirs = taught(bench, bench.peer(), value=b"theirs")
-    with bench.deactivated("VD"):
+    with bench.services.deactivated("VD"):
         bench.wait(2)
     mark = bench.mark()
     for var_id, value in ((mine, b"mine"), (theirs, b"theirs")):
         answer = bench.expect_status(OK, "RTDB-Read", varId=var_id)
         shown = answer.result.get("value")
-        bench.check(shown == bench.value(value).hex(), f"value {bench.value(value)!r}", f"{shown}", shown=True)
-    if bench.bound("VARDISPAR_MAX_SUMMARIES"):
+        bench.check(
+            shown == bench.records.value(value).hex(), f"value {bench.records.value(value)!r}", f"{shown}", shown=True
+        )
+    if bench.sut.bound("VARDISPAR_MAX_SUMMARIES"):
         wanted = {mine, theirs}
         bench.until(lambda _: wanted <= {each.var_id for each in bench.instructions(ICType.SUMMARIES, since=mark)}, 12)
         seen = {each.var_id for each in bench.instructions(ICType.SUMMARIES, since=mark)}
@@ -152,9 +156,9 @@ def database_kept(bench: Bench) -> None:
 
 def _inactive(bench: Bench, method: str, requirement: str, **params: Any) -> dict[str, Any]:
     """Check that a service answers INACTIVE while VarDis is inactive; return the fields of its answer."""
-    with bench.deactivated("VD"):
+    with bench.services.deactivated("VD"):
         answer = bench.call(method, **params)
-        bench.check_status(answer, (INACTIVE,), method, requirement, "VD-MGT-04")
+        bench.services.check_status(answer, (INACTIVE,), method, requirement, "VD-MGT-04")
     return answer.result
 
 
@@ -167,13 +171,13 @@ def _inactive(bench: Bench, method: str, requirement: str, **params: Any) -> dic
     needs=_needs("RTDB-Create", "RTDB-Read"),
 )
 def create(bench: Bench) -> None:
-    good, bad = bench.unknown_ids(2)
+    good, bad = bench.identifiers.unknown_ids(2)
     mark = bench.mark()
     _inactive(bench, "RTDB-Create", "VD-CRE-01", **create_request(bench, good))
     _inactive(bench, "RTDB-Create", "VD-CRE-13", **create_request(bench, bad, value=b""))
     bench.require_alive("a time of inactivity")
     bench.expect_status(UNKNOWN, "RTDB-Read", "VD-MGT-04", varId=good)
-    frames = bench.frames_with(ICType.CREATE_VARIABLES, good, mark)
+    frames = bench.receiver.frames_with(ICType.CREATE_VARIABLES, good, mark)
     bench.check(not frames, "no VarCreate", f"{len(frames)} beacons with one", "VD-MGT-04", frames=frames, shown=True)
 
 
@@ -188,11 +192,13 @@ def create(bench: Bench) -> None:
 def update(bench: Bench) -> None:
     var_id = produced(bench, value=b"before")
     mark = bench.mark()
-    _inactive(bench, "RTDB-Update", "VD-UPD-01", varId=var_id, value=bench.value(b"while").hex())
+    _inactive(bench, "RTDB-Update", "VD-UPD-01", varId=var_id, value=bench.records.value(b"while").hex())
     bench.require_alive("a time of inactivity")
     value = bench.call("RTDB-Read", varId=var_id).result.get("value")
-    bench.check(value == bench.value(b"before").hex(), "the value unchanged", f"{value}", "VD-MGT-04", shown=True)
-    frames = bench.frames_with(ICType.UPDATES, var_id, mark)
+    bench.check(
+        value == bench.records.value(b"before").hex(), "the value unchanged", f"{value}", "VD-MGT-04", shown=True
+    )
+    frames = bench.receiver.frames_with(ICType.UPDATES, var_id, mark)
     bench.check(not frames, "no VarUpdate", f"{len(frames)} beacons with one", "VD-MGT-04", frames=frames, shown=True)
 
 
@@ -210,7 +216,7 @@ def delete(bench: Bench) -> None:
     _inactive(bench, "RTDB-Delete", "VD-DEL-01", varId=var_id)
     bench.require_alive("a time of inactivity")
     bench.expect_status(OK, "RTDB-Read", "VD-MGT-04", varId=var_id)
-    frames = bench.frames_with(ICType.DELETE_VARIABLES, var_id, mark)
+    frames = bench.receiver.frames_with(ICType.DELETE_VARIABLES, var_id, mark)
     bench.check(not frames, "no VarDelete", f"{len(frames)} beacons with one", "VD-MGT-04", frames=frames, shown=True)
 
 

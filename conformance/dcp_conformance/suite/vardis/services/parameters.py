@@ -15,8 +15,7 @@ from dcp_spec.parameters import parameters
 
 from dcp_conformance.frames.builder import Block
 from dcp_conformance.model.case import Needs, case
-from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.services import (
+from dcp_conformance.test_steps.services import (
     DESCRIPTION_TOO_LONG,
     ILLEGAL_REPCOUNT,
     OK,
@@ -29,6 +28,7 @@ from dcp_conformance.test_system.services import (
     settled,
     several_repetitions,
 )
+from dcp_conformance.test_system.bench import Bench
 
 _VALUE, _DESCR = "VARDISPAR_MAX_VALUE_LENGTH", "VARDISPAR_MAX_DESCRIPTION_LENGTH"
 _REPETITIONS, _PAYLOAD = "VARDISPAR_MAX_REPETITIONS", "VARDISPAR_MAX_PAYLOAD_SIZE"
@@ -51,7 +51,7 @@ def _in_force(bench: Bench, name: str) -> Any:
 @contextmanager
 def _kept(bench: Bench, name: str) -> Iterator[None]:
     """Restore the old value of a parameter at the end of the block."""
-    old = bench.parameter(name)
+    old = bench.sut.parameter(name)
     try:
         yield
     finally:
@@ -81,7 +81,9 @@ def _check_refused(bench: Bench, name: str, *values: float) -> None:
 
 def _is_least(bench: Bench, name: str) -> str | None:
     """Return why a maximum length cannot be reduced, or None; for ``Needs.when``."""
-    return f"{name} is {bench.parameter(name)} and cannot be reduced" if bench.parameter(name) < _LOWERED else None
+    return (
+        f"{name} is {bench.sut.parameter(name)} and cannot be reduced" if bench.sut.parameter(name) < _LOWERED else None
+    )
 
 
 def _no_way_to_learn(bench: Bench) -> str | None:
@@ -99,7 +101,9 @@ def _tried(bench: Bench, name: str) -> str | int:
     nul = name == _DESCR and bench.features.string_format == "nul-terminated"
     for length in (32 - nul, 33 - nul):
         request = {"value": b"v" * length} if name == _VALUE else {"descr": "d" * length}
-        answers.append(bench.call("RTDB-Create", **create_request(bench, bench.own_var_id(), exact=True, **request)))
+        answers.append(
+            bench.call("RTDB-Create", **create_request(bench, bench.identifiers.own_var_id(), exact=True, **request))
+        )
     if answers[0].ok and not answers[1].ok:
         return 32
     return f"32 octets: {answers[0]}, 33 octets: {answers[1]}"
@@ -113,7 +117,7 @@ def _bare_create(bench: Bench) -> int:
     """Return the size in octets of a container with a VarCreate without description and value, up to their length
     fields.
     """
-    bare = len(bench.builder.container(bench.sample(descr=b"", value=b"")))
+    bare = len(bench.builder.container(bench.records.sample(descr=b"", value=b"")))
     return bare - (1 if bench.profile.types.string.terminated else 0)
 
 
@@ -132,7 +136,7 @@ def _largest_length(bench: Bench) -> int:
 )
 def defaults(bench: Bench) -> None:
     for name, requirement in ((_VALUE, "VD-PAR-02"), (_DESCR, "VD-PAR-03")):
-        shown = _in_force(bench, name) if _GET in bench.ut.methods else _tried(bench, name)
+        shown = _in_force(bench, name) if _GET in bench.services.upper.methods else _tried(bench, name)
         if shown in (None, 32):
             bench.check(shown == 32, f"{name} is 32", "not returned by VD-GetParameters", requirement, shown=True)
         else:
@@ -153,8 +157,8 @@ def defaults(bench: Bench) -> None:
 def value_length(bench: Bench) -> None:
     largest = _largest_length(bench)
     if bench.profile.spec_version >= SpecVersion.V1_1:
-        largest = min(largest, bench.parameter(_PAYLOAD) - _ic_header(bench))
-    fits = bench.parameter(_PAYLOAD) - _bare_create(bench) - bench.parameter(_DESCR)
+        largest = min(largest, bench.sut.parameter(_PAYLOAD) - _ic_header(bench))
+    fits = bench.sut.parameter(_PAYLOAD) - _bare_create(bench) - bench.sut.parameter(_DESCR)
     with _kept(bench, _VALUE):
         # Whether values may be longer than the room beside the longest description is disputed (X23).
         _check_taken(bench, _VALUE, 1, min(largest, fits))
@@ -170,7 +174,7 @@ def value_length(bench: Bench) -> None:
     needs=Needs(since=SpecVersion.V1_1, ut=(_GET, _SET)),
 )
 def value_length_and_payload(bench: Bench) -> None:
-    payload = _bare_create(bench) + bench.parameter(_DESCR) + bench.parameter(_VALUE) + 8
+    payload = _bare_create(bench) + bench.sut.parameter(_DESCR) + bench.sut.parameter(_VALUE) + 8
     bound = payload - _ic_header(bench)
     if bound + 1 > _largest_length(bench):
         bench.inconclusive("a payload size whose limit is below the largest VarLenT", f"impossible with {payload}")
@@ -184,7 +188,7 @@ def value_length_and_payload(bench: Bench) -> None:
             shown=True,
         )
         # The longest value with which a VarCreate with the longest description fits.
-        fits = bench.parameter(_VALUE) + 8
+        fits = bench.sut.parameter(_VALUE) + 8
         if taken:
             bench.reading("X23", "literal-bound")
         elif bench.call(_SET, name=_VALUE, value=fits).ok and _in_force(bench, _VALUE) == fits:
@@ -204,8 +208,8 @@ def value_length_and_payload(bench: Bench) -> None:
     needs=_PARAMETERS,
 )
 def description_length(bench: Bench) -> None:
-    bound = bench.parameter(_DESCR) + 8
-    payload = _bare_create(bench) + bench.parameter(_VALUE) + bound
+    bound = bench.sut.parameter(_DESCR) + 8
+    payload = _bare_create(bench) + bench.sut.parameter(_VALUE) + bound
     # In 1.0 the specification does not say whether the NUL counts.
     slack = 1 if bench.features.string_format == "nul-terminated" else 0
     with parameters_set(bench, "VD", **{_PAYLOAD: payload}), _kept(bench, _DESCR):
@@ -225,7 +229,7 @@ def description_length(bench: Bench) -> None:
     needs=Needs(since=SpecVersion.V1_1, ut=(_GET, _SET)),
 )
 def description_length_beside_values(bench: Bench) -> None:
-    value, bound = bench.parameter(_VALUE), bench.parameter(_DESCR) + 12
+    value, bound = bench.sut.parameter(_VALUE), bench.sut.parameter(_DESCR) + 12
     value += 8 if value + 8 <= _largest_length(bench) else -8
     payload = _bare_create(bench) + value + bound
     with parameters_set(bench, "VD", **{_PAYLOAD: payload, _VALUE: value, _REPETITIONS: 2}), _kept(bench, _DESCR):
@@ -267,7 +271,7 @@ def payload_size(bench: Bench) -> None:
         _check_refused(bench, _PAYLOAD, 0)
         if bench.profile.spec_version >= SpecVersion.V1_1:
             headers = len(bench.peer().beacon(Block(2, b"")))
-            bound = bench.parameter("BPPAR_MAXIMUM_PACKET_SIZE") - headers
+            bound = bench.sut.parameter("BPPAR_MAXIMUM_PACKET_SIZE") - headers
             _check_taken(bench, _PAYLOAD, bound)
             _check_refused(bench, _PAYLOAD, bound + 1)
 
@@ -283,7 +287,7 @@ def payload_size(bench: Bench) -> None:
 def summaries(bench: Bench) -> None:
     peer = bench.peer()
     one, two = (len(bench.builder.container(*[peer.summary(0, 0)] * count)) for count in (1, 2))
-    bound = (bench.parameter(_PAYLOAD) - _ic_header(bench)) // (two - one)
+    bound = (bench.sut.parameter(_PAYLOAD) - _ic_header(bench)) // (two - one)
     with _kept(bench, _SUMMARIES):
         _check_taken(bench, _SUMMARIES, 0)
         _check_refused(bench, _SUMMARIES, -1)
@@ -342,10 +346,10 @@ def buffer_check_period(bench: Bench) -> None:
 def description_effect(bench: Bench) -> None:
     longest = longest_description(bench)
     old = produced(bench, descr="d" * longest)
-    with parameters_set(bench, "VD", **{_DESCR: bench.parameter(_DESCR) - 1}):
+    with parameters_set(bench, "VD", **{_DESCR: bench.sut.parameter(_DESCR) - 1}):
         request = create_request(bench, bench.unknown_id(), descr="d" * longest)
         bench.expect_status(DESCRIPTION_TOO_LONG, "RTDB-Create", **request)
-        request = create_request(bench, bench.own_var_id(), descr="d" * (longest - 1))
+        request = create_request(bench, bench.identifiers.own_var_id(), descr="d" * (longest - 1))
         bench.expect_status(OK, "RTDB-Create", **request)
         answer = bench.expect_status(OK, "RTDB-DescribeVariable", varId=old)
         shown = described(answer).get("descr")
@@ -364,7 +368,7 @@ def description_effect(bench: Bench) -> None:
     needs=Needs(ut=(_SET, "RTDB-Create", "RTDB-Update", "RTDB-Read"), when=lambda bench: _is_least(bench, _VALUE)),
 )
 def value_effect(bench: Bench) -> None:
-    longest = bench.bound(_VALUE)
+    longest = bench.sut.bound(_VALUE)
     var_id = produced(bench, value=b"v" * longest)
     with parameters_set(bench, "VD", **{_VALUE: longest - 1}):
         answer = bench.expect_status(OK, "RTDB-Read", varId=var_id)
@@ -387,13 +391,13 @@ def value_effect(bench: Bench) -> None:
     needs=Needs(ut=(_SET, "RTDB-Create", "RTDB-Update"), when=several_repetitions),
 )
 def repetitions_effect(bench: Bench) -> None:
-    old = produced(bench, rep_cnt=bench.rep_cnt(3))
+    old = produced(bench, rep_cnt=bench.sut.rep_cnt(3))
     settled(bench, old)
     with parameters_set(bench, "VD", **{_REPETITIONS: 2}):
         bench.expect_status(ILLEGAL_REPCOUNT, "RTDB-Create", **create_request(bench, bench.unknown_id(), rep_cnt=3))
-        bench.expect_status(OK, "RTDB-Create", **create_request(bench, bench.own_var_id(), rep_cnt=2))
+        bench.expect_status(OK, "RTDB-Create", **create_request(bench, bench.identifiers.own_var_id(), rep_cnt=2))
         mark = bench.mark()
-        bench.must("RTDB-Update", varId=old, value=bench.value(b"newer").hex())
+        bench.must("RTDB-Update", varId=old, value=bench.records.value(b"newer").hex())
         frames = bench.until_quiet(lambda heard: heard.instructions(ICType.UPDATES, old), since=mark)
         # The parameter limits the contents of beacons, which can also be read as a limit of 2 from now on.
         bench.check(
@@ -425,7 +429,7 @@ def summaries_effect(bench: Bench, most: int) -> None:
     with parameters_set(bench, "VD", **{_SUMMARIES: most}):
         # The new variables cause beacons for a while; after that there are only summaries.
         for _ in range(2):
-            produced(bench, rep_cnt=bench.rep_cnt(3))
+            produced(bench, rep_cnt=bench.sut.rep_cnt(3))
         bench.mark()
         bench.beacons(1)
         mark = bench.mark()

@@ -11,9 +11,7 @@ from dcp_spec.constants import BP_PROTID_VARDIS, ICType, SpecVersion
 from dcp_conformance.errors import NoAnswerError
 from dcp_conformance.model.case import Needs, case
 from dcp_conformance.suite.srp.init import bring_back, no_way_back
-from dcp_conformance.test_steps.time_stamps import check_later
-from dcp_conformance.test_system.bench import MS, Bench
-from dcp_conformance.test_system.services import (
+from dcp_conformance.test_steps.services import (
     INACTIVE,
     NO_RESPONSE,
     OK,
@@ -28,6 +26,8 @@ from dcp_conformance.test_system.services import (
     taught,
     untaught,
 )
+from dcp_conformance.test_steps.time_stamps import check_later
+from dcp_conformance.test_system.bench import MS, Bench
 
 
 @case(
@@ -42,8 +42,8 @@ from dcp_conformance.test_system.services import (
 def own(bench: Bench) -> None:
     begun = bench.lower.wall()
     var_id = produced(bench, value=b"first")
-    first = _read(bench, var_id, bench.value(b"first"))
-    slack, stamp = bench.pixit.clock_tolerance_ms * MS, first.get("tStamp")
+    first = _read(bench, var_id, bench.records.value(b"first"))
+    slack, stamp = bench.sut.pixit.clock_tolerance_ms * MS, first.get("tStamp")
     near = isinstance(stamp, int) and begun - slack <= stamp <= bench.lower.wall() + slack
     bench.check(near, f"tStamp within {slack / 1e6:.0f} ms of the tester's clock", f"{stamp}", shown=True)
 
@@ -62,8 +62,8 @@ def _read(bench: Bench, var_id: int, value: bytes) -> dict[str, Any]:
 
 def _check_renewed(bench: Bench, var_id: int, update: Callable[[bytes], None]) -> None:
     """Check that an update renews value and time stamp of a variable whose value is ``first``."""
-    values = itertools.cycle((bench.value(b"second"), bench.value(b"first")))
-    held = bench.value(b"first")
+    values = itertools.cycle((bench.records.value(b"second"), bench.records.value(b"first")))
+    held = bench.records.value(b"first")
 
     def measure() -> int:
         nonlocal held
@@ -154,7 +154,7 @@ def database(bench: Bench) -> None:
     third = taught(bench, peer, descr=b"the third")
     bench.expect_status(OK, "RTDB-DescribeDatabase")
     table = listed(bench)
-    own = bench.sut_id
+    own = bench.identifiers.sut_id
     for var_id, producer, descr in (
         (first, own, "the first"),
         (second, own, "the second"),
@@ -166,7 +166,7 @@ def database(bench: Bench) -> None:
             continue
         shown = (str(found.get("prodId")).replace(":", ""), found.get("repCnt"), found.get("descr"))
         bench.check(
-            shown == (producer.hex(), 1, bench.descr(descr.encode()).decode()),
+            shown == (producer.hex(), 1, bench.records.descr(descr.encode()).decode()),
             f"prodId, repCnt and descr of variable {var_id} as created",
             f"{shown}",
             shown=True,
@@ -185,7 +185,7 @@ def extra_fields(bench: Bench) -> None:
     var_id = produced(bench)
     found = listed(bench).get(var_id, {})
     spec = {"varId", "prodId", "repCnt", "descr", "descrHex", "creationTime", "timeout"}
-    extra, claimed = sorted(set(found) - spec), bench.pics.describe_extra_fields
+    extra, claimed = sorted(set(found) - spec), bench.sut.pics.describe_extra_fields
     bench.info(
         "Which fields does RTDB-DescribeDatabase have in addition to those of VarSpecT?", ", ".join(extra) or "none"
     )
@@ -254,15 +254,15 @@ def describe(bench: Bench) -> None:
     mine = produced(bench, descr="mine", value=b"own")
     theirs = taught(bench, peer, descr=b"theirs", value=b"foreign", seqno=7)
     for var_id, producer, descr, value, seqno in (
-        (mine, bench.sut_id, "mine", bench.value(b"own"), 0),
-        (theirs, peer.node_id, "theirs", bench.value(b"foreign"), 7),
+        (mine, bench.identifiers.sut_id, "mine", bench.records.value(b"own"), 0),
+        (theirs, peer.node_id, "theirs", bench.records.value(b"foreign"), 7),
     ):
         answer = bench.expect_status(OK, "RTDB-DescribeVariable", varId=var_id)
         found = described(answer)
         wanted = {
             "varId": var_id,
             "repCnt": 1,
-            "descr": bench.descr(descr.encode()).decode(),
+            "descr": bench.records.descr(descr.encode()).decode(),
             "value": value.hex(),
             "seqno": seqno,
         }
@@ -317,26 +317,28 @@ def _single_client(bench: Bench) -> str | None:
     needs=Needs(ut=("RTDB-Create", "RTDB-Update", "RTDB-Read"), when=_single_client),
 )
 def two_clients(bench: Bench) -> None:
-    second = bench.ut.another()
+    second = bench.services.upper.another()
     if second is None:
         bench.inconclusive("a second connection", "none available")
     try:
-        clients = (bench.ut, second)
-        mine = bench.own_var_id(), bench.own_var_id()
+        clients = (bench.services.upper, second)
+        mine = bench.identifiers.own_var_id(), bench.identifiers.own_var_id()
         missing = bench.unknown_id()
         for client, var_id in zip(clients, mine, strict=True):
-            answer = bench.call_on(client, "RTDB-Create", **create_request(bench, var_id, value=b"%d" % var_id))
-            bench.check_status(answer, (OK,), "RTDB-Create")
+            answer = bench.services.call_on(
+                client, "RTDB-Create", **create_request(bench, var_id, value=b"%d" % var_id)
+            )
+            bench.services.check_status(answer, (OK,), "RTDB-Create")
         for number in range(3):
             for client, var_id in zip(clients, mine, strict=True):
-                value = bench.value(b"%d/%d" % (var_id, number))
-                answer = bench.call_on(client, "RTDB-Update", varId=var_id, value=value.hex())
-                bench.check_status(answer, (OK,), "RTDB-Update")
+                value = bench.records.value(b"%d/%d" % (var_id, number))
+                answer = bench.services.call_on(client, "RTDB-Update", varId=var_id, value=value.hex())
+                bench.services.check_status(answer, (OK,), "RTDB-Update")
                 other = clients[1] if client is clients[0] else clients[0]
-                answer = bench.call_on(other, "RTDB-Read", varId=missing)
-                bench.check_status(answer, (UNKNOWN,), "RTDB-Read")
+                answer = bench.services.call_on(other, "RTDB-Read", varId=missing)
+                bench.services.check_status(answer, (UNKNOWN,), "RTDB-Read")
                 for reader in clients:
-                    answer = bench.call_on(reader, "RTDB-Read", varId=var_id)
+                    answer = bench.services.call_on(reader, "RTDB-Read", varId=var_id)
                     bench.check(
                         answer.ok and answer.result.get("value") == value.hex(),
                         f"{OK} with {value!r} in the answer to RTDB-Read",
@@ -369,7 +371,7 @@ def two_clients(bench: Bench) -> None:
     destructive=True,
 )
 def not_registered(bench: Bench) -> None:
-    var_id, unused = produced(bench), bench.own_var_id()
+    var_id, unused = produced(bench), bench.identifiers.own_var_id()
     bench.must("BP-DeregisterProtocol", protId=int(BP_PROTID_VARDIS))
     try:
         # VarDis may notice the deregistration only when it next queries its buffer in BP.
@@ -403,7 +405,7 @@ def _answers(bench: Bench, method: str, params: dict[str, Any]) -> bool:
         bench.reading("X30", "no-response")
         bench.check(may_be_silent, f"{INACTIVE} in the answer to {method}", "no answer")
     else:
-        inactive = bench.check_status(answer, (INACTIVE,), method)
+        inactive = bench.services.check_status(answer, (INACTIVE,), method)
         if inactive:
             bench.reading("X30", "answer-inactive")
     return True
@@ -426,8 +428,8 @@ def refusals_confirmed(bench: Bench) -> None:
         "RTDB-DescribeVariable": {"varId": var_id},
     }
     for method, params in requests.items():
-        if method in bench.ut.methods:
+        if method in bench.services.upper.methods:
             answer = bench.call(method, **params)
-            bench.require_asked(answer, f"a confirm of {method} with a rejection")
+            bench.services.require_asked(answer, f"a confirm of {method} with a rejection")
             confirmed = answer.code is None and bool(answer.status)
             bench.check(confirmed and not answer.ok, f"a confirm of {method} with a rejection", str(answer), shown=True)

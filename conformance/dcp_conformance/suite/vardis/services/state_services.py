@@ -14,9 +14,7 @@ from dcp_spec.constants import ICType, SpecVersion
 from dcp_codec.values import VarCreate
 from dcp_conformance.frames.received import Instruction
 from dcp_conformance.model.case import Needs, Variant, case
-from dcp_conformance.test_steps.variable_queries import INSTRUCTIONS, ask, named, stepped, traces
-from dcp_conformance.test_system.bench import MS, Bench
-from dcp_conformance.test_system.services import (
+from dcp_conformance.test_steps.services import (
     EXISTS,
     NOT_PRODUCER,
     OK,
@@ -25,6 +23,8 @@ from dcp_conformance.test_system.services import (
     deleted_status,
     same_status,
 )
+from dcp_conformance.test_steps.variable_queries import INSTRUCTIONS, ask, named, stepped, traces
+from dcp_conformance.test_system.bench import MS, Bench
 
 METHODS = ("RTDB-Create", "RTDB-Update", "RTDB-Delete", "RTDB-Read")
 STATES = {
@@ -62,10 +62,10 @@ def place(bench: Bench, state: str, *, timeout: int = 0) -> Place:
     """Create a variable and bring it into a state."""
     own = state.endswith("producer")
     if state == "unknown":
-        return Place(bench.own_var_id(), state, None)
-    var_id = bench.own_var_id() if own else bench.var_id()
+        return Place(bench.identifiers.own_var_id(), state, None)
+    var_id = bench.identifiers.own_var_id() if own else bench.var_id()
     removed = bench.features.removed_after_deletion
-    rep_cnt = bench.rep_cnt(_LASTING) if state.startswith("deleted") and removed else 1
+    rep_cnt = bench.sut.rep_cnt(_LASTING) if state.startswith("deleted") and removed else 1
     peer, since = bench.peer(), bench.mark()
     if own:
         bench.must("RTDB-Create", **create_request(bench, var_id, rep_cnt=rep_cnt, timeout=timeout))
@@ -92,7 +92,7 @@ def _may_be_over(bench: Bench, where: Place) -> bool:
     if not where.state.startswith("deleted") or not bench.features.removed_after_deletion:
         return False
     bench.mark()
-    return len(bench.frames_with(ICType.DELETE_VARIABLES, where.var_id)) >= where.rep_cnt - 1
+    return len(bench.receiver.frames_with(ICType.DELETE_VARIABLES, where.var_id)) >= where.rep_cnt - 1
 
 
 def _statuses(bench: Bench, method: str, where: Place) -> list[str]:
@@ -140,7 +140,7 @@ def _created(bench: Bench, where: Place, since: int) -> None:
         return
     spec, upd = found.record.spec, found.record.upd
     bench.check(
-        (spec.prod_id, upd.seqno, upd.value) == (bench.sut_id, 0, bench.value(_VALUE)),
+        (spec.prod_id, upd.seqno, upd.value) == (bench.identifiers.sut_id, 0, bench.records.value(_VALUE)),
         "a VarCreate with the node as producer, sequence number 0 and the given value",
         f"producer {spec.prod_id.hex(':')}, sequence number {upd.seqno}, value {upd.value.hex()}",
         frames=[found],
@@ -149,7 +149,7 @@ def _created(bench: Bench, where: Place, since: int) -> None:
     before = where.stored.spec.creation_time if where.stored is not None else None
     if spec.creation_time is not None and before is not None:
         later = f"{spec.creation_time}, before it {before}"
-        bench.relies_on("creationTime")
+        bench.excuses.relies_on("creationTime")
         bench.check(
             spec.creation_time > before,
             "a later creationTime",
@@ -163,7 +163,7 @@ def _updated(bench: Bench, where: Place, since: int) -> None:
     found = _only(bench, where, ICType.UPDATES, since)
     if found is None or where.stored is None:
         return
-    expected = (stepped(bench, where.stored.upd.seqno, 1), bench.value(_VALUE))
+    expected = (stepped(bench, where.stored.upd.seqno, 1), bench.records.value(_VALUE))
     came = (found.record.seqno, found.record.value)
     bench.check(came == expected, f"sequence number and value {expected}", f"{came}", frames=[found], shown=True)
 
@@ -247,12 +247,12 @@ def service(bench: Bench, cell: tuple[str, str]) -> None:
     since = bench.mark()
     params = {
         "RTDB-Create": create_request(bench, where.var_id, value=_VALUE),
-        "RTDB-Update": {"varId": where.var_id, "value": bench.value(_VALUE).hex()},
+        "RTDB-Update": {"varId": where.var_id, "value": bench.records.value(_VALUE).hex()},
     }.get(method, {"varId": where.var_id})
     answer = bench.call(method, **params)
     where.fleeting = where.fleeting or _may_be_over(bench, where)
     usual, disputed = _statuses(bench, method, where), _disputed(bench, where) if method == "RTDB-Create" else ""
-    bench.check_status(answer, [*usual, disputed] if disputed else usual, method)
+    bench.services.check_status(answer, [*usual, disputed] if disputed else usual, method)
     if disputed and any(map(answer.is_status, (*usual, disputed))):
         bench.reading("X20", "by-description" if answer.is_status(disputed) else "by-steps")
     if method == "RTDB-Read" and same_status(answer, OK) and where.stored is not None:
@@ -302,8 +302,8 @@ def timeout(bench: Bench, state: str) -> None:
     begun = bench.now()
     where = place(bench, state, timeout=lapse)
     var_id, since = where.var_id, bench.mark()
-    scrubbing = bench.parameter("VARDISPAR_SCRUBBING_PERIOD")
-    window = (lapse + scrubbing + bench.pixit.timer_tolerance_ms) * MS / bench.period + bench.reaction
+    scrubbing = bench.sut.parameter("VARDISPAR_SCRUBBING_PERIOD")
+    window = (lapse + scrubbing + bench.sut.pixit.timer_tolerance_ms) * MS / bench.period + bench.sut.reaction
     if state.startswith("deleted"):
         bench.wait(window)
         found = traces(bench, var_id, since)
@@ -311,7 +311,7 @@ def timeout(bench: Bench, state: str) -> None:
         return
     came = bench.until(lambda heard: heard.instructions(ICType.DELETE_VARIABLES, var_id), window) or []
     if not came:
-        bench.bound("VARDISPAR_SCRUBBING_PERIOD")
+        bench.sut.bound("VARDISPAR_SCRUBBING_PERIOD")
     if not came and state.endswith("consumer"):
         held = ask(bench, var_id)
         if bench.check(

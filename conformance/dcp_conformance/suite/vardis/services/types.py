@@ -11,10 +11,10 @@ from dcp_codec.errors import Problem
 from dcp_codec.values import VarCreate
 from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.model.case import Needs, case
+from dcp_conformance.test_steps.services import create_request, entry_of, listed, longest_description, produced, taught
 from dcp_conformance.test_steps.variable_queries import ask, taught_all
 from dcp_conformance.test_system.bench import MS, Bench
-from dcp_conformance.test_system.peers import Peer
-from dcp_conformance.test_system.services import create_request, entry_of, listed, longest_description, produced, taught
+from dcp_conformance.test_system.sending.peers import Peer
 
 _DESCRIBE = Needs(ut=("RTDB-DescribeVariable",))
 _SINCE_1_1 = SpecVersion.V1_1
@@ -22,7 +22,7 @@ _SINCE_1_1 = SpecVersion.V1_1
 
 def _everything(bench: Bench, peer: Peer) -> int:
     """Make the implementation send containers of all six types; return the mark before them."""
-    known = [peer.create(var_id, seqno=5) for var_id in bench.var_ids(3)]
+    known = [peer.create(var_id, seqno=5) for var_id in bench.identifiers.var_ids(3)]
     since = bench.mark()
     taught_all(bench, peer, known)
     updated, behind, doomed = (create.spec.var_id for create in known)
@@ -41,13 +41,13 @@ def _everything(bench: Bench, peer: Peer) -> int:
         (ICType.REQUEST_VARUPDATES, behind),
         (ICType.REQUEST_VARCREATES, unknown),
     }
-    if bench.bound("VARDISPAR_MAX_SUMMARIES"):
+    if bench.sut.bound("VARDISPAR_MAX_SUMMARIES"):
         wanted.add((ICType.SUMMARIES, behind))
 
     def complete() -> bool:
         return all(bench.instructions(kind, var_id, since) for kind, var_id in wanted)
 
-    bench.until(lambda _: complete(), 2 * bench.reaction)
+    bench.until(lambda _: complete(), 2 * bench.sut.reaction)
     missing = ", ".join(sorted({kind.label for kind, var_id in wanted if not bench.instructions(kind, var_id, since)}))
     bench.check(not missing, "records of all six types", f"none of {missing}", "VD-TYP-07", "VD-IC-02")
     return since
@@ -111,7 +111,7 @@ def layout(bench: Bench) -> None:
     window=12,
 )
 def lengths(bench: Bench) -> None:
-    peer, most = bench.peer(), min(bench.bound("VARDISPAR_MAX_VALUE_LENGTH"), 255)
+    peer, most = bench.peer(), min(bench.sut.bound("VARDISPAR_MAX_VALUE_LENGTH"), 255)
     var_id = taught(bench, peer)
     value = b""
     for seqno, length in enumerate((1, most, min(2, most), max(1, most - 1), 1), 1):
@@ -144,8 +144,12 @@ def lengths(bench: Bench) -> None:
 )
 def timeouts(bench: Bench) -> None:
     # The variable must not time out before its VarCreate is sent.
-    medium = max(1000, round(2 * bench.reaction * bench.period / MS))
-    for timeout in (0, *([medium] if medium < bench.longest_timeout else []), min(bench.longest_timeout, 0xFFFFFFFF)):
+    medium = max(1000, round(2 * bench.sut.reaction * bench.period / MS))
+    for timeout in (
+        0,
+        *([medium] if medium < bench.sut.longest_timeout else []),
+        min(bench.sut.longest_timeout, 0xFFFFFFFF),
+    ):
         var_id = produced(bench, timeout=timeout)
         came = bench.until_instruction(ICType.CREATE_VARIABLES, var_id)
         observed = came.spec.timeout if isinstance(came, VarCreate) else None
@@ -161,26 +165,28 @@ def timeouts(bench: Bench) -> None:
     window=12,
 )
 def payload_size(bench: Bench) -> None:
-    peer, limit = bench.peer(), bench.parameter("VARDISPAR_MAX_PAYLOAD_SIZE")
-    value = b"v" * min(bench.bound("VARDISPAR_MAX_VALUE_LENGTH"), 200)
+    peer, limit = bench.peer(), bench.sut.parameter("VARDISPAR_MAX_PAYLOAD_SIZE")
+    value = b"v" * min(bench.sut.bound("VARDISPAR_MAX_VALUE_LENGTH"), 200)
     descr = b"d" * min(longest_description(bench), 200)
-    size = bench.builder.record_size(bench.sample(value=value, descr=descr))
+    size = bench.builder.record_size(bench.records.sample(value=value, descr=descr))
     count = min(64, 5 * limit // (2 * size) + 1)
     since = bench.mark()
-    creates = taught_all(bench, peer, (peer.create(each, value=value, descr=descr) for each in bench.var_ids(count)))
+    creates = taught_all(
+        bench, peer, (peer.create(each, value=value, descr=descr) for each in bench.identifiers.var_ids(count))
+    )
     peer.send(*(peer.request_create(each.spec.var_id) for each in creates))
     wanted = {each.spec.var_id for each in creates}
     start = bench.mark()
     bench.until(
         lambda _: wanted <= {each.var_id for each in bench.instructions(ICType.CREATE_VARIABLES, since=start)},
-        bench.reaction + 6,
+        bench.sut.reaction + 6,
     )
     came = {each.var_id for each in bench.instructions(ICType.CREATE_VARIABLES, since=start)}
     bench.check(wanted <= came, f"all {count} VarCreates", f"{len(wanted - came)} missing")
     blocks = [(heard, len(block)) for heard in bench.heard[since:] for block in _blocks(heard)]
     long = [heard for heard, octets in blocks if octets > limit]
     longest = max((octets for _, octets in blocks), default=0)
-    bench.bound("VARDISPAR_MAX_PAYLOAD_SIZE")
+    bench.sut.bound("VARDISPAR_MAX_PAYLOAD_SIZE")
     bench.check(
         not long, f"payloads of at most {limit} octets", f"a payload of {longest} octets", frames=long[:3], shown=True
     )
@@ -228,7 +234,7 @@ def _expect(bench: Bench, entry: dict[str, Any], expected: dict[str, Any], *requ
 )
 def entry_of_received(bench: Bench) -> None:
     peer, var_id = bench.peer(), bench.var_id()
-    record = peer.create(var_id, value=b"\0\xff", seqno=7, rep_cnt=bench.rep_cnt(2))
+    record = peer.create(var_id, value=b"\0\xff", seqno=7, rep_cnt=bench.sut.rep_cnt(2))
     bench.learn(peer, record)
     entry, spec = _entry(bench, var_id), record.spec
     expected: dict[str, Any] = {
@@ -286,7 +292,7 @@ def one_entry(bench: Bench) -> None:
 def stays(bench: Bench, own: bool) -> None:
     peer = bench.peer()
     if own:
-        var_id = bench.own_var_id()
+        var_id = bench.identifiers.own_var_id()
         bench.must("RTDB-Create", **create_request(bench, var_id))
         bench.until_instruction(ICType.CREATE_VARIABLES, var_id)
         bench.must("RTDB-Delete", varId=var_id)
@@ -314,7 +320,7 @@ def stays(bench: Bench, own: bool) -> None:
     needs=_DESCRIBE,
 )
 def time_stamp(bench: Bench) -> None:
-    peer, tolerance = bench.peer(), round(bench.pixit.clock_tolerance_ms * MS)
+    peer, tolerance = bench.peer(), round(bench.sut.pixit.clock_tolerance_ms * MS)
 
     def stamp(after: int) -> int:
         """Return the time stamp of the variable, after checking that it is between ``after`` and now."""
@@ -358,11 +364,11 @@ def time_stamp(bench: Bench) -> None:
 def first_words(bench: Bench) -> None:
     peer, since = bench.peer(), bench.mark()
     # Exchanged members of a record can be detected only if their values differ.
-    count = bench.rep_cnt(3)
-    var_id = next(each for each in bench.var_ids(2) if each != count)
+    count = bench.sut.rep_cnt(3)
+    var_id = next(each for each in bench.identifiers.var_ids(2) if each != count)
     record = peer.create(var_id, rep_cnt=count, value=b"value")
     peer.send(record)
-    bench.wait(bench.reaction + 2)
+    bench.wait(bench.sut.reaction + 2)
     spoke = [heard for heard in bench.heard[since:] if _blocks(heard)]
     if not spoke:
         bench.inconclusive("beacons with a VarDis block", "none in time")

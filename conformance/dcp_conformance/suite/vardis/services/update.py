@@ -10,9 +10,7 @@ from dcp_conformance.errors import StopCase
 from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.model.case import Needs, case
 from dcp_conformance.test_steps.beacon_gaps import in_a_gap, pace, pausable
-from dcp_conformance.test_steps.time_stamps import Stamps, check_apart
-from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.services import (
+from dcp_conformance.test_steps.services import (
     NOT_EXPRESSIBLE,
     NOT_PRODUCER,
     OK,
@@ -34,6 +32,8 @@ from dcp_conformance.test_system.services import (
     timed,
     untaught,
 )
+from dcp_conformance.test_steps.time_stamps import Stamps, check_apart
+from dcp_conformance.test_system.bench import Bench
 
 _U = ICType.UPDATES
 _C = ICType.CREATE_VARIABLES
@@ -53,7 +53,7 @@ _UPDATE_READ = Needs(ut=("RTDB-Create", "RTDB-Update", "RTDB-Read"))
 def updates(bench: Bench) -> None:
     var_id = produced(bench)
     for number in range(1, 5):
-        value = bench.value(b"value %d" % number)
+        value = bench.records.value(b"value %d" % number)
         mark = bench.mark()
         bench.expect_status(OK, "RTDB-Update", "VD-UPD-08", varId=var_id, value=value.hex())
         record = _until_value(bench, var_id, value)
@@ -135,7 +135,7 @@ def repetitions(bench: Bench, name: str) -> None:
     var_id = produced(bench, rep_cnt=count)
     settled(bench, var_id)
     mark = bench.mark()
-    bench.must("RTDB-Update", varId=var_id, value=bench.value(b"newer").hex())
+    bench.must("RTDB-Update", varId=var_id, value=bench.records.value(b"newer").hex())
     frames = bench.until_quiet(lambda heard: heard.instructions(_U, var_id), since=mark)
     observed = f"{len(frames)} beacons"
     bench.check(
@@ -169,12 +169,12 @@ def repetitions(bench: Bench, name: str) -> None:
 def counted_again(bench: Bench) -> None:
     count = max_repetitions(bench)
     var_id = produced(bench, rep_cnt=count)
-    bench.must("RTDB-Update", varId=var_id, value=bench.value(b"first").hex())
+    bench.must("RTDB-Update", varId=var_id, value=bench.records.value(b"first").hex())
     for _ in range(2):
         if bench.until_instruction(_U, var_id) is None:
             bench.fail("repetitions of the first VarUpdate", "none in time", "VD-UPD-08")
     mark = bench.mark()
-    bench.must("RTDB-Update", varId=var_id, value=bench.value(b"second").hex())
+    bench.must("RTDB-Update", varId=var_id, value=bench.records.value(b"second").hex())
     _check_newest(bench, var_id, mark, count)
 
 
@@ -183,7 +183,7 @@ def _check_newest(bench: Bench, var_id: int, mark: int, count: int) -> None:
 
     Of the beacons from now on, at most one has an older VarUpdate, and comes before them.
     """
-    done, value, seqno = bench.mark(), bench.value(b"second"), 2
+    done, value, seqno = bench.mark(), bench.records.value(b"second"), 2
     frames = bench.until_quiet(lambda heard: heard.instructions(_U, var_id), since=mark)
     newest = [heard for heard in frames if _newest(heard.instructions(_U, var_id)[-1].record, value, seqno)]
     observed = f"{len(newest)} of {len(frames)} beacons with VarUpdates"
@@ -204,7 +204,7 @@ def _check_newest(bench: Bench, var_id: int, mark: int, count: int) -> None:
         frames=twice,
         shown=True,
     )
-    old = [heard for heard in bench.frames_with(_U, var_id, done) if heard not in newest]
+    old = [heard for heard in bench.receiver.frames_with(_U, var_id, done) if heard not in newest]
     late = [heard for heard in old if newest and heard.time >= newest[0].time]
     bench.check(
         len(old) <= 1 and not late,
@@ -236,7 +236,7 @@ def quick(bench: Bench) -> None:
         settled(bench, var_id)
 
         def update(var_id: int = var_id) -> None:
-            for value in (bench.value(b"first"), bench.value(b"second")):
+            for value in (bench.records.value(b"first"), bench.records.value(b"second")):
                 bench.must("RTDB-Update", varId=var_id, value=value.hex())
 
         def updated(heard: ReceivedBeacon, var_id: int = var_id) -> bool:
@@ -264,16 +264,18 @@ def in_creations(bench: Bench) -> None:
     var_id = produced(bench, rep_cnt=count, value=b"first")
     if bench.until_instruction(_C, var_id) is None:
         bench.inconclusive("a VarCreate", "none in time")
-    bench.must("RTDB-Update", varId=var_id, value=bench.value(b"newer").hex())
+    bench.must("RTDB-Update", varId=var_id, value=bench.records.value(b"newer").hex())
     mark = bench.mark()
     if not least_left(bench, count, start):
         bench.inconclusive("VarCreates with repetitions left", "possibly none left after the update")
     frames = bench.until_quiet(lambda heard: heard.instructions(_C, var_id), since=mark)
     records = [heard.about(_C, var_id) for heard in frames]
     after = (
-        records[1:] if records and not _newest(getattr(records[0], "upd", None), bench.value(b"newer"), 1) else records
+        records[1:]
+        if records and not _newest(getattr(records[0], "upd", None), bench.records.value(b"newer"), 1)
+        else records
     )
-    wrong = [each for each in after if each is None or not _newest(each.upd, bench.value(b"newer"), 1)]
+    wrong = [each for each in after if each is None or not _newest(each.upd, bench.records.value(b"newer"), 1)]
     observed = f"{wrong[0].upd}" if wrong and wrong[0] is not None else f"{len(after)} VarCreates"
     bench.check(
         bool(after) and not wrong,
@@ -297,9 +299,9 @@ def in_creations(bench: Bench) -> None:
 )
 def unknown(bench: Bench) -> None:
     var_id = bench.unknown_id()
-    bench.expect_status(UNKNOWN, "RTDB-Update", varId=var_id, value=bench.value(b"value").hex())
+    bench.expect_status(UNKNOWN, "RTDB-Update", varId=var_id, value=bench.records.value(b"value").hex())
     bench.require_alive("RTDB-Update for an unknown variable")
-    frames = bench.frames_with(_U, var_id)
+    frames = bench.receiver.frames_with(_U, var_id)
     bench.check(not frames, "no VarUpdate", f"{len(frames)} beacons with one", frames=frames, shown=True)
 
 
@@ -313,10 +315,10 @@ def unknown(bench: Bench) -> None:
 )
 def foreign(bench: Bench) -> None:
     var_id = taught(bench, bench.peer(), value=b"theirs")
-    for value in (bench.value(b"ours"), b""):
+    for value in (bench.records.value(b"ours"), b""):
         bench.expect_status(NOT_PRODUCER, "RTDB-Update", varId=var_id, value=value.hex())
     shown = bench.call("RTDB-Read", varId=var_id).result.get("value")
-    bench.check(shown == bench.value(b"theirs").hex(), "the value unchanged", f"{shown}", shown=True)
+    bench.check(shown == bench.records.value(b"theirs").hex(), "the value unchanged", f"{shown}", shown=True)
 
 
 @case(
@@ -332,7 +334,7 @@ def foreign_deleted(bench: Bench) -> None:
     var_id = taught(bench, peer, rep_cnt=max_repetitions(bench))
     untaught(bench, peer, var_id)
     gone = (UNKNOWN,) if bench.features.removed_after_deletion else ()
-    expect_any(bench, (NOT_PRODUCER, *gone), "RTDB-Update", varId=var_id, value=bench.value(b"ours").hex())
+    expect_any(bench, (NOT_PRODUCER, *gone), "RTDB-Update", varId=var_id, value=bench.records.value(b"ours").hex())
 
 
 @case(
@@ -348,12 +350,12 @@ def deleted(bench: Bench) -> None:
     bench.must("RTDB-Delete", varId=var_id)
     mark = bench.mark()
     # The deletion determines the status, whatever the maximum length is.
-    for value in (bench.value(b"newer"), b"v" * (bench.parameter("VARDISPAR_MAX_VALUE_LENGTH") + 1)):
+    for value in (bench.records.value(b"newer"), b"v" * (bench.sut.parameter("VARDISPAR_MAX_VALUE_LENGTH") + 1)):
         answer = bench.call("RTDB-Update", varId=var_id, value=value.hex())
         if answer.code != NOT_EXPRESSIBLE:
-            bench.check_status(answer, statuses_after_deletion(bench), "RTDB-Update")
+            bench.services.check_status(answer, statuses_after_deletion(bench), "RTDB-Update")
     bench.beacons(2, 2.5)
-    frames = bench.frames_with(_U, var_id, mark)
+    frames = bench.receiver.frames_with(_U, var_id, mark)
     bench.check(
         not frames, "no VarUpdate of the deleted variable", f"{len(frames)} beacons with one", frames=frames, shown=True
     )
@@ -368,14 +370,14 @@ def deleted(bench: Bench) -> None:
     needs=_UPDATE_READ,
 )
 def value(bench: Bench) -> None:
-    longest = bench.bound("VARDISPAR_MAX_VALUE_LENGTH")
+    longest = bench.sut.bound("VARDISPAR_MAX_VALUE_LENGTH")
     var_id = produced(bench)
     bench.expect_status(OK, "RTDB-Update", varId=var_id, value=(b"v" * longest).hex())
     answer = bench.call("RTDB-Update", varId=var_id, value=(b"w" * (longest + 1)).hex())
     if answer.code == NOT_EXPRESSIBLE:
         bench.info("Can the profile express the value?", str(answer))
     else:
-        bench.check_status(answer, (VALUE_TOO_LONG,), "RTDB-Update")
+        bench.services.check_status(answer, (VALUE_TOO_LONG,), "RTDB-Update")
     _check_unchanged(bench, var_id, b"v" * longest)
 
 
@@ -392,7 +394,7 @@ def value(bench: Bench) -> None:
 )
 def empty_value(bench: Bench) -> None:
     var_id = produced(bench)
-    bench.expect_status(OK, "RTDB-Update", varId=var_id, value=bench.value(b"x").hex())
+    bench.expect_status(OK, "RTDB-Update", varId=var_id, value=bench.records.value(b"x").hex())
     bench.expect_status(empty_status(bench), "RTDB-Update", varId=var_id, value="")
     _check_unchanged(bench, var_id, b"x")
 
@@ -415,10 +417,10 @@ def _check_unchanged(bench: Bench, var_id: int, value: bytes) -> None:
     needs=Needs(ut=("RTDB-Create", "RTDB-Update", "RTDB-DescribeVariable")),
 )
 def entry(bench: Bench) -> None:
-    count, newer = max_repetitions(bench), bench.value(b"newer").hex()
+    count, newer = max_repetitions(bench), bench.records.value(b"newer").hex()
 
     def measure() -> Stamps:
-        var_id = bench.own_var_id()
+        var_id = bench.identifiers.own_var_id()
         created = timed(bench, "RTDB-Create", **create_request(bench, var_id, rep_cnt=count))
         before = entry_of(bench, var_id) or {}
         bench.wait(3)

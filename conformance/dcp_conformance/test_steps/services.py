@@ -1,7 +1,7 @@
 """Requests to the services of VarDis and SRP, and the statuses that a version of the specification defines.
 
-Helpers for several case modules on top of :meth:`Bench.call`: parameters that only some versions have, statuses with
-different names, and ways to create variables and state reports.
+Helpers for several case modules: parameters that only some versions have, statuses with different names, and ways to
+create variables and state reports.
 """
 
 from __future__ import annotations
@@ -17,10 +17,9 @@ from dcp_codec.values import VarCreate, VarDelete
 from dcp_conformance.errors import UpperTesterError
 from dcp_conformance.frames.received import ReceivedBeacon, var_id_of
 from dcp_conformance.model.node_id import node_id_octets
+from dcp_conformance.test_system.bench import Bench
+from dcp_conformance.test_system.sending.peers import Peer
 from dcp_conformance.upper_tester import Answer
-
-from .bench import Bench
-from .peers import Peer
 
 OK = "VARDIS-STATUS-OK"
 INACTIVE = "VARDIS-STATUS-INACTIVE"
@@ -61,9 +60,9 @@ def same_status(answer: Answer, status: str) -> bool:
 
 
 def expect_any(bench: Bench, statuses: Collection[str], method: str, /, *requirements: str, **params: Any) -> Answer:
-    """As :meth:`Bench.expect_status`, with several allowed statuses."""
+    """As :meth:`.Services.expect_status`, with several allowed statuses."""
     answer = bench.call(method, **params)
-    bench.check_status(answer, statuses, method, *requirements)
+    bench.services.check_status(answer, statuses, method, *requirements)
     return answer
 
 
@@ -98,7 +97,7 @@ class Moment(NamedTuple):
 
 
 def timed(bench: Bench, method: str, /, **params: Any) -> Moment:
-    """Call a service like :meth:`Bench.must`, and return when it was executed."""
+    """Call a service like :meth:`.Services.must`, and return when it was executed."""
     before = bench.lower.wall()
     bench.must(method, **params)
     return Moment(before, bench.lower.wall())
@@ -122,27 +121,27 @@ def create_request(
     Value and description are truncated to the implementation's maximum lengths unless ``exact``. Stops the case as not
     applicable if the profile cannot express ``timeout`` (in ms).
     """
-    bench.require_timeout(timeout)
+    bench.records.require_timeout(timeout)
     if not exact:
-        value, descr = bench.value(value), bench.descr(descr.encode()).decode(errors="ignore")
+        value, descr = bench.records.value(value), bench.records.descr(descr.encode()).decode(errors="ignore")
     request: dict[str, Any] = {"varId": var_id, "repCnt": rep_cnt, "descr": descr, "value": value.hex()}
     if timeout:
         request["timeout"] = timeout
     if not bench.features.producer_set_by_vardis:
-        request["prodId"] = bench.sut_id.hex(":")
+        request["prodId"] = bench.identifiers.sut_id.hex(":")
     return request
 
 
 def longest_description(bench: Bench) -> int:
     """Return the maximum length of a description in octets; the parameter of 1.0 includes a NUL (VD-CRE-04)."""
     name = "VARDISPAR_MAX_DESCRIPTION_LENGTH"
-    told = name in bench.session.parameters or bench.pixit.max_description_length is not None
-    return bench.bound(name) - (1 if told and bench.features.string_format == "nul-terminated" else 0)
+    told = name in bench.session.parameters or bench.sut.pixit.max_description_length is not None
+    return bench.sut.bound(name) - (1 if told and bench.features.string_format == "nul-terminated" else 0)
 
 
 def produced(bench: Bench, **request: Any) -> int:
     """Create one of the node's own variables and return its identifier; inconclusive if that fails."""
-    var_id = bench.own_var_id()
+    var_id = bench.identifiers.own_var_id()
     bench.must("RTDB-Create", **create_request(bench, var_id, **request))
     return var_id
 
@@ -153,8 +152,8 @@ def created_again(bench: Bench, var_id: int, **request: Any) -> None:
     answer = bench.call("RTDB-Create", **params)
     if answer.is_status(EXISTS):
         bench.reading("X20", "by-description")
-        bench.not_applicable("RTDB-Create rejects the identifier of an existing variable (X20)")
-    bench.require_asked(answer, "RTDB-Create succeeds, which this case needs")
+        bench.verdicts.not_applicable("RTDB-Create rejects the identifier of an existing variable (X20)")
+    bench.services.require_asked(answer, "RTDB-Create succeeds, which this case needs")
     if not answer.ok:
         bench.inconclusive("RTDB-Create succeeds, which this case needs", str(answer))
 
@@ -223,7 +222,7 @@ def _may_be_missing(bench: Bench, name: str) -> bool:
     upper = bench.session.upper
     prefixes = {"SRP": ("SRP-",), "VarDis": ("RTDB-", "VD-")}[name]
     offered = upper is not None and any(method.startswith(prefixes) for method in upper.methods)
-    return getattr(bench.pics, name.lower()) is None and not offered
+    return getattr(bench.sut.pics, name.lower()) is None and not offered
 
 
 def check_registered_name(bench: Bench, shown: object, title: str) -> None:
@@ -238,7 +237,7 @@ def check_registered_name(bench: Bench, shown: object, title: str) -> None:
 
 def max_repetitions(bench: Bench) -> int:
     """Return VARDISPAR_MAX_REPETITIONS, limited to 15 to keep cases short."""
-    return bench.rep_cnt(15)
+    return bench.sut.rep_cnt(15)
 
 
 def least_left(bench: Bench, count: int, since: int) -> int:
@@ -252,13 +251,13 @@ def least_left(bench: Bench, count: int, since: int) -> int:
 
 def several_repetitions(bench: Bench) -> str | None:
     """Return why a case that needs three repetitions does not apply, or None."""
-    most = bench.parameter("VARDISPAR_MAX_REPETITIONS")
+    most = bench.sut.parameter("VARDISPAR_MAX_REPETITIONS")
     return None if most >= 3 else f"VARDISPAR_MAX_REPETITIONS is {most}; the case needs 3"
 
 
 def holds_two_octets(bench: Bench) -> str | None:
     """Return why a case that needs values of two octets does not apply, or None."""
-    most = bench.parameter("VARDISPAR_MAX_VALUE_LENGTH")
+    most = bench.sut.parameter("VARDISPAR_MAX_VALUE_LENGTH")
     return None if most >= 2 else f"VARDISPAR_MAX_VALUE_LENGTH is {most}; the case needs 2"
 
 
@@ -273,7 +272,7 @@ def parameters_set(bench: Bench, protocol: str, **values: int) -> Iterator[None]
 
     Stops as inconclusive if a value is rejected: cases that test whether a value is accepted do not use this.
     """
-    old = {name: bench.parameter(name) for name in values}
+    old = {name: bench.sut.parameter(name) for name in values}
     try:
         for name, value in values.items():
             bench.must(f"{protocol}-SetParameter", name=name, value=value)
@@ -307,7 +306,7 @@ def told(bench: Bench, report: Any) -> dict[str, Any]:
 
 def report_octets(bench: Bench) -> int:
     """Return ssizeof(ExtendedSafetyDataT)."""
-    return len(bench.builder.srp(bench.report(bench.node_id(), 0)).octets)
+    return len(bench.builder.srp(bench.records.report(bench.identifiers.node_id(), 0)).octets)
 
 
 def srp_blocks(heard: ReceivedBeacon) -> list[bytes]:
@@ -362,7 +361,7 @@ def neighbour(bench: Bench, node_id: bytes) -> dict[str, Any] | None:
 
 def until_neighbour(bench: Bench, node_id: bytes, seqno: int | None = None) -> dict[str, Any] | None:
     """Wait for the entry of a node, with this seqno unless None; None if it does not appear in time."""
-    deadline = bench.now() + round(bench.reaction * bench.period)
+    deadline = bench.now() + round(bench.sut.reaction * bench.period)
     while True:
         entry = neighbour(bench, node_id)
         if entry is not None and seqno in (None, entry.get("seqno")):

@@ -14,8 +14,8 @@ from dcp_spec.constants import SRP_SEQNO_MODULUS
 
 from dcp_codec.values import ExtendedSafetyData
 from dcp_conformance.frames.received import ReceivedBeacon
+from dcp_conformance.test_system.bench import Bench
 
-from .bench import Bench
 from .services import Moment, safety_data, timed, told, until_report
 
 _UPDATE: Final = "SRP-UpdateSafetyData"
@@ -63,7 +63,7 @@ class Reporter:
         return values
 
     def noted(self, values: dict[str, Any], moment: Moment) -> None:
-        """Record a submission that was made without :meth:`hand_down`."""
+        """Record a submission that was made without :meth:`submit`."""
         self.count += 1
         self._handed.append(values)
         self._moments.append((moment, self.count))
@@ -153,7 +153,7 @@ class Reporter:
         start = bench.mark()
         for _ in range(_BURST):
             wanted.append(self.submit())
-            bench.wait_ns(bench.period // _PAUSE)
+            bench.waiting.wait_ns(bench.period // _PAUSE)
             for each in bench.heard[start:]:
                 if each.report is not None and told(bench, each.report) in wanted:
                     return each

@@ -1,7 +1,7 @@
-"""What the basic interconnection test found out, and which later failures follow from it.
+"""Result of the basic interconnection test, and the later failures that follow from it.
 
-An implementation that was shown not to answer a kind of stimulus at all is blamed for that once, under the requirement
-that asks for the answer. Every other case that waits in vain for such an answer is inconclusive.
+An implementation that does not answer a kind of stimulus at all fails for that once, under the requirement to answer.
+Every other case that waits for such an answer without success is inconclusive.
 """
 
 from __future__ import annotations
@@ -15,11 +15,10 @@ from dcp_spec.constants import ICType
 from dcp_codec.codec import Codec
 from dcp_conformance.frames.received import KIND_OF, ReceivedBeacon, var_id_of
 from dcp_conformance.model.results import Mark
-
-from .traffic import Event
+from dcp_conformance.test_system.traffic import Event
 
 Stimulus = Literal["summary", "create", "request", "report", "payload", "transmit", "state", "variable"]
-"""What an implementation can be made to react to."""
+"""Kinds of stimulus to which an implementation can react."""
 Question = Literal["summary", "create", "request"]
 """Kinds of stimulus that VarDis must answer with a beacon."""
 
@@ -45,10 +44,10 @@ OWNERS: Final[Mapping[Stimulus, frozenset[str]]] = {
     "state": frozenset({"SRP-SRV-03"}),
     "variable": frozenset({"VD-CRE-12", "VD-RUN-02"}),
 }
-"""Requirements that ask for the answer to each kind, or for its form: its absence never excuses their failures."""
+"""Requirements to answer each kind, or about the form of the answer: its absence never excuses their failures."""
 
 ON_THE_AIR: Final[frozenset[Stimulus]] = frozenset({"summary", "create", "request", "transmit", "state", "variable"})
-"""Kinds whose answers are beacons."""
+"""Kinds of stimulus that are answered with beacons."""
 
 _QUESTIONS: Final[frozenset[Stimulus]] = frozenset({"summary", "create", "request"})
 _VARDIS: Final = _QUESTIONS | {"variable", "other"}
@@ -72,49 +71,50 @@ class BrokenRule:
 
 @dataclass(frozen=True, slots=True)
 class Contact:
-    """How the implementation and the tester reach each other, as found at the start of a run."""
+    """How the implementation and the tester can communicate, as found at the start of a run."""
 
     frames: int
-    """Frames that were heard from the implementation."""
+    """Number of frames received from the implementation."""
     beacons: int
-    """Those of them whose headers are those of well-formed beacons of the profile."""
+    """Number of these frames with the header of a well-formed beacon of the profile."""
     answered: frozenset[Stimulus]
+    """Kinds of stimulus that were answered."""
     unanswered: frozenset[Stimulus]
-    """Kinds that were tried in vain. Kinds that were not tried are in neither set."""
+    """Kinds of stimulus that were not answered. Kinds that were not tried are in neither set."""
     violations: tuple[BrokenRule, ...] = ()
-    """One for each requirement that its frames break."""
+    """One for each requirement that the frames violate."""
     suspicion: str = ""
-    """What is probably set up wrongly, or what to look at first; empty if nothing is wrong."""
+    """The probable mistake in the setup, or the first thing to check; empty if nothing is wrong."""
     mistaken: bool = False
-    """The suspicion is that the tester was told a wrong profile, network identifier, EtherType or node identifier: what
-    is heard cannot be judged."""
+    """Whether the tester probably has a wrong profile, network identifier, EtherType or node identifier: received
+    frames cannot be judged."""
     odd: str = ""
-    """What came in the place of the answer to a summary, if something about its variable came."""
+    """The record about the variable of a summary that was received instead of the answer; empty if none was."""
     inactive: bool = False
-    """BP was silent, and is not since BP-MGMT-Activate."""
+    """Whether BP sent no beacons before BP-MGMT-Activate, and has sent some since."""
     trouble: str = ""
-    """Why the upper tester could not be asked; empty if it could, or there is none."""
+    """Why the upper tester did not answer; empty if it did, or if there is none."""
     blamed: frozenset[str] = frozenset()
-    """The requirements that the sanity case has failed for it."""
+    """The requirements that failed in the sanity case because of it."""
 
     @property
     def readable(self) -> bool:
-        """Whether anything that the implementation sent could be read."""
+        """Whether any frame of the implementation could be read."""
         return bool(self.beacons or self.answered & ON_THE_AIR)
 
     @property
     def good(self) -> bool:
-        """Whether nothing stands between the tester and the implementation."""
+        """Whether all stimuli were answered, and answers can be judged."""
         return not (self.mistaken or self.unanswered) and self.readable
 
     @property
     def question(self) -> Question:
-        """The kind of stimulus to ask VarDis by: one that it answers, if there is one."""
+        """The kind of stimulus for probes of VarDis: one that it answers, if there is one."""
         kinds: tuple[Question, ...] = ("summary", "create", "request")
         return next((kind for kind in kinds if kind in self.answered), "summary")
 
     def answers(self) -> str:
-        """Which kinds of stimulus are answered and which are not, in words."""
+        """Describe which kinds of stimulus are answered and which are not."""
         yes, no = _listed(self.answered), _listed(self.unanswered)
         if not yes:
             heard = "it sends beacons and answers" if self.frames else "nothing was heard of it, and it answers"
@@ -129,9 +129,9 @@ class Contact:
         made: Collection[int],
         requirements: Collection[str],
     ) -> str:
-        """Why something that is missing in a case does not count against ``requirements``; empty if it counts.
+        """Return why something missing in a case does not count against ``requirements``; empty if it counts.
 
-        ``events`` and ``heard`` are those of the case; ``made``: the variables that it has created.
+        ``events`` and ``heard``: recording and beacons of the case; ``made``: the variables that it has created.
         """
         decided = set(requirements)
         if self.good or decided <= self.blamed:
@@ -150,7 +150,7 @@ class Contact:
                 return "VarDis answered nothing that could be read when the run began"
             if kind == "other" or kind not in self.unanswered or (kind == "summary" and var_id in answered):
                 continue
-            # What is broken in octets keeps every answer from being read; otherwise that there is none is the fault.
+            # Wrong octets make every answer unreadable; without them, the missing answer itself is the fault.
             if self.violations or not OWNERS[kind] & decided:
                 return f"the implementation did not answer {TOLD[kind]} when the run began"
         return ""
@@ -159,10 +159,10 @@ class Contact:
 def stimuli(
     codec: Codec, events: Iterable[Event], made: Collection[int]
 ) -> Iterator[tuple[Stimulus | Literal["other"], int | None]]:
-    """The kinds of stimulus among events, each with its variable where it is about one.
+    """Yield the kinds of stimulus among events, each with its variable; None if it is not about a variable.
 
-    ``made``: variables of which a summary is another kind of stimulus, since the implementation was told of them.
-    ``other``: any that only VarDis can answer.
+    ``made``: variables that the implementation may have learnt, so that a summary is another kind of stimulus.
+    ``other``: any further stimulus for VarDis.
     """
     for event in events:
         if event.direction == "call" and event.text in _SERVICES:
@@ -171,7 +171,7 @@ def stimuli(
             yield "other", None
         if event.direction != "sent":
             continue
-        # Also what was sent to be refused in part.
+        # Including beacons that are partly invalid.
         beacon = codec.salvage(event.frame[event.start :]).beacon
         if beacon is None:
             continue

@@ -1,8 +1,8 @@
-"""Variable identifiers: what the implementation's database may hold of each since its last reset, and which are free.
+"""Variable identifiers of a run: the state of each in the implementation's database since its last reset.
 
 Without a reset between cases, a variable of an earlier case may still be in the database: since 2.0 deleted variables
-stay there for good, up to 1.3 they leave it with their last VarDelete. A case that needs an unknown variable must not
-be given the identifier of such a variable, or it would blame the implementation for what an earlier case has done.
+remain there for good, up to 1.3 they are removed with their last VarDelete. A case that needs an unknown variable must
+not get the identifier of such a variable: it would fail because of an earlier case.
 """
 
 from __future__ import annotations
@@ -10,9 +10,9 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
 
-#: Beacons without any record of a deleted variable after which, up to 1.3, it counts as gone from the database.
+#: Number of beacons without a record of a deleted variable after which, up to 1.3, it counts as removed.
 _QUIET = 8
-#: The share of the identifiers that is kept for what must be unknown and stays so: probes, requests, summaries.
+#: One of this many identifiers is reserved for variables that remain unknown: probes, requests, summaries.
 _KEPT = 4
 
 
@@ -21,23 +21,24 @@ class _Use:
     """An identifier that the database may hold."""
 
     peers_only: bool = True
-    """Whether only peers of the tester have created it: a later creationTime of a peer replaces it for certain."""
+    """Whether only peers of the tester have created it: then a later creationTime of a peer certainly replaces it."""
     newest: int | None = None
-    """The latest creationTime that the tester has sent for it; None if there was none."""
+    """The latest creationTime in a VarCreate of the tester; None if the tester has sent none."""
     leaves: int | None = None
-    """If it was deleted: the time in ns when the last VarDelete is over, and when, up to 1.3, it has left."""
+    """The time in ns by which the last VarDelete was sent and, up to 1.3, the variable was removed; None if it was not
+    deleted."""
     confirmed: bool = False
-    """Whether the implementation has sent a VarDelete for it since."""
+    """Whether the implementation has sent a VarDelete for it since the last creation."""
     beacons: int = 0
-    """Beacons since the deletion."""
+    """Number of beacons received since the deletion."""
 
 
-class Identifiers:
+class IdentifierPool:
     """The identifiers from ``first`` to ``last``. Times are ns of any one clock.
 
-    ``leave``: deleted variables leave the database (up to 1.3). ``timed``: variables have a creationTime, with which a
-    peer can create a deleted one again (since 2.0). ``kept``: identifiers that are given to nobody, for cases that try
-    just these.
+    ``leave``: deleted variables are removed from the database (up to 1.3). ``timed``: variables have a creationTime,
+    with which a peer can create a deleted one again (since 2.0). ``kept``: identifiers that are not handed out, for
+    cases that test these values.
     """
 
     def __init__(self, first: int, last: int, *, leave: bool, timed: bool, kept: Collection[int] = frozenset()) -> None:
@@ -48,20 +49,20 @@ class Identifiers:
         self._uses: dict[int, _Use] = {}
         self._kept = frozenset(kept)
         self.in_use: Callable[[], Iterable[int]] = frozenset
-        """The identifiers of the cases that are being executed at this moment, beside the one that asks."""
+        """The identifiers used by the other cases that are being executed at this moment."""
         self._next_unknown = 0
         self._next_for_peers = 0
 
     def forget(self) -> None:
-        """The implementation was reset: its database is empty. The order in which identifiers are given goes on."""
+        """Record a reset of the implementation: its database is empty. The order of identifiers continues."""
         self._uses.clear()
 
-    # -- what happens --------------------------------------------------------------------------------------------------
+    # -- events --------------------------------------------------------------------------------------------------------
 
     def offered(self, var_id: int, creation_time: int | None = None, *, by_peer: bool = True) -> None:
-        """Note that the variable may have been created: by a VarCreate with this creationTime, or by RTDB-Create.
+        """Record that a variable may have been created, by a VarCreate with this creationTime or by RTDB-Create.
 
-        ``by_peer``: a station of the tester's, and nobody else.
+        ``by_peer``: by a peer of the tester, and by no other node.
         """
         use = self._uses.setdefault(var_id, _Use())
         use.peers_only = use.peers_only and by_peer
@@ -70,15 +71,16 @@ class Identifiers:
         use.leaves, use.confirmed = None, False
 
     def deleted(self, var_id: int, leaves: int) -> None:
-        """Note that the tester has asked for the deletion; ``leaves``: when the last VarDelete, if heard, is over."""
+        """Record that the tester has deleted a variable; ``leaves``: the time by which the last VarDelete was sent."""
         use = self._uses.get(var_id)
         if use is not None and not use.confirmed:
             use.leaves, use.beacons = leaves, 0
 
     def heard(self, alive: Iterable[int], deleted: Iterable[int], leaves: int) -> None:
-        """Note a beacon of the implementation; ``alive``: variables that its database must hold to send it.
+        """Take a beacon of the implementation into account.
 
-        ``deleted``: those with a VarDelete; ``leaves``: when the last repetition is over if this was not the last.
+        ``alive``: variables that its database must hold to send the beacon. ``deleted``: variables with a VarDelete.
+        ``leaves``: the time by which the last repetition was sent.
         """
         if self._leave:
             for use in self._uses.values():
@@ -89,25 +91,26 @@ class Identifiers:
             use = self._uses.setdefault(var_id, _Use(peers_only=False))
             use.leaves, use.confirmed, use.beacons = leaves, True, 0
 
-    # -- what is free --------------------------------------------------------------------------------------------------
+    # -- free identifiers ----------------------------------------------------------------------------------------------
 
     def is_unknown(self, var_id: int, now: int) -> bool:
-        """Whether the database cannot hold the variable."""
+        """Return whether the database cannot hold the variable."""
         use = self._uses.get(var_id)
         if use is None:
             return True
         if not self._leave or use.leaves is None or now < use.leaves:
             return False
-        # Without a VarDelete it was not there at all, or the request was lost: then its summaries go on.
+        # Without a VarDelete, it did not exist, or the request was lost: then its summaries continue.
         if not use.confirmed and use.beacons < _QUIET:
             return False
         del self._uses[var_id]
         return True
 
     def unknown(self, count: int, now: int, without: Collection[int] = ()) -> list[int]:
-        """Identifiers that the database cannot hold, those given least recently first; fewer if there are not enough.
+        """Return ``count`` identifiers that the database cannot hold, the least recently returned first; fewer if there
+        are not enough.
 
-        They stay unknown unless somebody creates them.
+        They remain unknown until a variable is created with them.
         """
         found: list[int] = []
         without = {*without, *self.in_use()}
@@ -121,15 +124,15 @@ class Identifiers:
         return found
 
     def left(self, now: int, without: Collection[int] = ()) -> int:
-        """How many identifiers are unknown to the database, but for those that are kept."""
-        # Those that nobody has used are not asked one by one: there are hundreds, and this is asked for often.
+        """Return the number of identifiers that the database cannot hold, without the kept ones."""
+        # Only used identifiers are checked one by one: there are hundreds of others, and this is called often.
         taken = {*self._kept, *without, *self.in_use()}
         taken.update([each for each in tuple(self._uses) if each not in taken and not self.is_unknown(each, now)])
         every = self._all()
         return self.size - sum(each in every for each in taken)
 
     def for_own(self, now: int, without: Collection[int] = ()) -> int | None:
-        """An unknown identifier that is going to be created; None if those left are kept for what stays unknown."""
+        """Return an unknown identifier for a new variable; None if the remaining ones are reserved."""
         if self.left(now, without) <= self.size // _KEPT:
             return None
         return next(iter(self.unknown(1, now, without)), None)
@@ -137,17 +140,18 @@ class Identifiers:
     def for_peer(
         self, now: int, creation_time: int, without: Collection[int] = (), *, reuse: bool = True
     ) -> int | None:
-        """An identifier that a peer can create with this creationTime; None if there is none.
+        """Return an identifier that a peer can create with this creationTime; None if there is none.
 
-        Since 2.0 those are used again that peers have created before, so that the unknown ones last. ``reuse`` False:
-        only identifiers that the database cannot hold, as for a variable of the implementation's own. A receiver with
-        a fault in its creation times may take a variable that is created again for an old one.
+        Since 2.0, identifiers of earlier variables of peers are used again, to save unknown ones. ``reuse`` False:
+        only identifiers that the database cannot hold, as for the node's own variables. An implementation that
+        compares creation times wrongly may mistake a variable that is created again for the old one.
         """
         if not reuse:
             return self.for_own(now, without)
         without = {*without, *self.in_use()}
         shared = self.size // 2 if self._timed and self.size >= 2 * _KEPT else self.size
-        # An earlier case may still be on the air with the last ones: those are given only if there are no others.
+        # Beacons may still have records of the last case's variables: their identifiers are used only if no others are
+        # left.
         for settled in (True, False):
             for step in range(shared):
                 var_id = self.first + (self._next_for_peers + step) % shared

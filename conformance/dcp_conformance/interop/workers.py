@@ -1,0 +1,134 @@
+"""Worker processes for cells that end in an orderly way: no namespace, link or process stays behind.
+
+A worker interrupts its job when a signal asks for it, when the command closes their pipe, and when the command has
+died. All of this is one signal handler in the worker (``Stop``). The job heeds it only where that does no harm: a cell
+while its test runs, and not while its network is built or removed.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable, Generator, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from multiprocessing.connection import Connection
+from typing import Final, TypeVar
+
+from dcp_conformance.errors import ConformanceError
+from dcp_conformance.execution.signals import Stop, deferred
+from dcp_stack.sim.testbed import namespaces
+
+#: Seconds that workers have to remove their networks: a relay and an upper tester may each take a minute to answer.
+_END: Final = 150.0
+#: Seconds in which a signal to the whole process group reaches this process as well.
+_GROUP: Final = 1.0
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+
+class _Worker:
+    """The state of a worker process."""
+
+    def __init__(self, command: Connection, life: Connection) -> None:
+        """``command``: closed by the command when it ends. ``life``: closed when this process ends."""
+        self.stop = Stop()
+        self.stop.install()
+        self.busy = False
+        self._command = command
+        self._life = life
+        threading.Thread(target=self._watch, args=(threading.get_ident(),), daemon=True).start()
+
+    def _watch(self, main_thread: int) -> None:
+        with contextlib.suppress(EOFError, OSError):
+            self._command.recv_bytes()
+        deadline = time.monotonic() + _END
+        signal.pthread_kill(main_thread, signal.SIGTERM)
+        parent = multiprocessing.parent_process()
+        while time.monotonic() < deadline:
+            if not self.busy and (parent is None or not parent.is_alive()):
+                break
+            time.sleep(0.1)
+        # The main thread waits for a command that has died, or hangs in something that no signal ends.
+        os._exit(1)
+
+    def run(self, job: Callable[[Item, Stop], Result], item: Item) -> Result:
+        """Do a job. Raises ``KeyboardInterrupt`` after a signal."""
+        self.busy = True
+        try:
+            if self.stop.wanted:
+                raise KeyboardInterrupt
+            return job(item, self.stop)
+        finally:
+            self.busy = False
+
+
+_worker: _Worker | None = None
+"""Set once at the start of a worker process; ``ProcessPoolExecutor`` has no other place for it."""
+
+
+def _begin(command: Connection, life: Connection) -> None:
+    global _worker
+    _worker = _Worker(command, life)
+
+
+def _run(job: Callable[[Item, Stop], Result], item: Item) -> Result:
+    assert _worker is not None
+    return _worker.run(job, item)
+
+
+def run_in_workers(
+    job: Callable[[Item, Stop], Result], items: Sequence[Item], jobs: int
+) -> Generator[tuple[int, Result]]:
+    """Do a job with each item, ``jobs`` at a time; yields results, with their places in ``items``, as they come.
+
+    Job, items and results are pickled. Interrupts all workers when the generator is closed or interrupted, and waits
+    until they have removed what they had built. Raises ``ConformanceError`` if a worker ends by itself.
+    """
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload([f"{__package__}.preload"])
+    command, our_command = context.Pipe(duplex=False)
+    our_life, life = context.Pipe(duplex=False)
+    pool = ProcessPoolExecutor(jobs, mp_context=context, initializer=_begin, initargs=(command, life))
+    finished = False
+    try:
+        yield from _results(pool, job, items, jobs)
+        finished = True
+    except BrokenProcessPool:
+        # A signal to the process group also ends the server that forks workers. It means an interruption then.
+        time.sleep(_GROUP)
+        raise ConformanceError("a worker process ended by itself; was it killed, or is memory short?") from None
+    finally:
+        with deferred():
+            if not finished:
+                our_command.close()
+            pool.shutdown(cancel_futures=True)
+            command.close()
+            life.close()
+            # Without that server the pool cannot wait for its workers; they hold the other end of this pipe.
+            our_life.poll(_END + 5)
+            our_life.close()
+            our_command.close()
+            if not finished:
+                with contextlib.suppress(namespaces.NamespaceError):
+                    namespaces.sweep()
+
+
+def _results(
+    pool: ProcessPoolExecutor, job: Callable[[Item, Stop], Result], items: Sequence[Item], jobs: int
+) -> Iterator[tuple[int, Result]]:
+    running: dict[Future[Result], int] = {}
+    left = iter(enumerate(items))
+    while True:
+        # As many again as there are workers: one that is ready has its next item at hand.
+        while len(running) < 2 * jobs and (following := next(left, None)) is not None:
+            running[pool.submit(_run, job, following[1])] = following[0]
+        if not running:
+            return
+        for each in wait(running, return_when=FIRST_COMPLETED).done:
+            yield running.pop(each), each.result()

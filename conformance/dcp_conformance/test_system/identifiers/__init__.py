@@ -1,0 +1,1 @@
+"""Identifiers of nodes and variables that the implementation does not know."""

@@ -1,0 +1,1 @@
+"""Verdicts: checks, losses of the tester, and excuses for failed checks."""

@@ -1,0 +1,191 @@
+"""Excuses for failed checks: reasons why a failure does not count against the requirements of a case.
+
+A failed check is one of two kinds:
+
+* *shown*: received octets prove the fault. A wrong field, a record that must not be sent, too many records, or a wrong
+  status cannot come from a conforming implementation, whatever was lost or late in either direction.
+* *missing*: something was not received, too little of it, or too late. Lost frames can explain that, and so can a
+  stimulus that was lost or sent too late.
+
+:meth:`Excuses.find` is the only place that decides whether a failure counts. A failure with an excuse is inconclusive.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Sequence
+from typing import NamedTuple, Protocol
+
+from dcp_codec.codec import Codec
+from dcp_conformance.frames.received import ReceivedBeacon
+from dcp_conformance.test_system.assumptions import Assumptions
+from dcp_conformance.test_system.steps import Clock
+from dcp_conformance.test_system.traffic import Traffic
+
+from .contact import Contact
+from .losses import Losses
+from .lost_containers import OWNERS as EXTRACTION
+from .lost_containers import sent_several
+from .misreading import (
+    CREATION_OWNERS,
+    backwards,
+    disordered,
+    sent_creation,
+    sent_report,
+)
+from .misreading import OWNERS as LAYOUTS
+from .misreading import Field as Misread
+
+
+class KnownFaults(Protocol):
+    """The faults of the implementation that were found at the start of the run."""
+
+    sut_id: bytes | None
+    contact: Contact | None
+    lost_container: str
+    misread: dict[Misread, str]
+
+
+class Excuse(NamedTuple):
+    """A reason why a failed check does not count."""
+
+    text: str
+    disturbed: bool = False
+    """Whether only faults of the tester are the reason, so that another execution may decide the check."""
+
+
+class Excuses:
+    """Finds the excuses of one case."""
+
+    def __init__(
+        self,
+        codec: Codec,
+        clock: Clock,
+        traffic: Traffic,
+        heard: Sequence[ReceivedBeacon],
+        created: Collection[int],
+        faults: KnownFaults,
+        losses: Losses,
+        assumptions: Assumptions,
+    ) -> None:
+        """``heard``: the beacons of the case. ``created``: identifiers of the variables that the case creates."""
+        self._codec = codec
+        self._clock = clock
+        self._traffic = traffic
+        self._heard = heard
+        self._created = created
+        self._faults = faults
+        self._losses = losses
+        self._assumptions = assumptions
+        self._relied: set[Misread] = set()
+        self._disturbed = False
+        """Whether a failure of this case was excused by losses or assumptions."""
+
+    def relies_on(self, field: Misread) -> None:
+        """Record that the expectations of the case, from now on, depend on how the implementation reads this field.
+
+        If it misreads the field, failures of these expectations follow from that.
+        """
+        self._relied.add(field)
+
+    def find(
+        self,
+        requirements: Collection[str],
+        *,
+        shown: bool = False,
+        numbers: bool = False,
+        field: Misread | None = None,
+    ) -> Excuse | None:
+        """Return an excuse for a failed check that decides these requirements; None if the failure counts.
+
+        ``shown``, ``numbers`` and ``field``: see :meth:`~.verdicts.Verdicts.check`. Once losses or assumptions have
+        excused a failure, they excuse failures of both kinds: later ones may follow from the same loss.
+        """
+        if fault := self.misread(requirements, shown=shown, field=field):
+            return Excuse(f"this follows from another fault: {fault}")
+        # The tester has lost nothing: later failures that are proved by received octets still count.
+        if not shown and not numbers and (fault := self.unreadable(requirements)):
+            return Excuse(fault)
+        if text := self.disturbance(shown=shown and not self._disturbed, numbers=numbers):
+            self._disturbed = True
+            return Excuse(text, self.only_disturbed(numbers=numbers))
+        if not shown and (fault := self.out_of_reach(requirements)):
+            return Excuse(fault)
+        return None
+
+    def disturbance(self, *, shown: bool = False, numbers: bool = False) -> str:
+        """Describe losses and assumptions that excuse a failure; empty if there are none.
+
+        An assumed parameter excuses both kinds of failure, because the expectation itself may be wrong. Losses and
+        lateness of the tester, and assumptions about stimuli, excuse only something missing. Effects of an impaired
+        link on stimuli, and on the order and the times of beacons, excuse both kinds.
+        """
+        if shown and (misled := self._losses.misleading()):
+            return misled
+        if not shown and (lost := self._losses.own(numbers=numbers)):
+            return f"the tester has lost something: {lost}"
+        return self._assumptions.text() or ("" if shown else "; ".join(self._assumptions.stimuli.values()))
+
+    def only_disturbed(self, *, numbers: bool = False) -> bool:
+        """Return whether only faults of the tester keep a check from being decided at this moment."""
+        return not self._assumptions.text_of_all() and self._losses.explain_all(numbers=numbers)
+
+    def faults_of_tester(self) -> list[str]:
+        """Describe the faults of the tester or its link in this case."""
+        return self._losses.of_tester()
+
+    def assumed(self) -> str:
+        """Return the texts of all assumptions of the case; empty if there are none."""
+        return self._assumptions.text_of_all()
+
+    def unreadable(self, requirements: Iterable[str]) -> str:
+        """Describe beacons of this case that cannot be read to their end, so that something in them may be missing.
+
+        Empty if all parts can be read that matter for ``requirements``: a bad state report hides only itself. Cases
+        about formats judge such beacons.
+        """
+        reports = all(each.startswith("SRP-") for each in requirements)
+        bad = [
+            heard
+            for heard in self._heard
+            if heard.problems
+            and (not heard.salvaged.clear or (heard.report_problems if reports else heard.vardis_problems))
+        ]
+        return f"{len(bad)} of its {len(self._heard)} beacons cannot be read: {bad[0].problem}" if bad else ""
+
+    def misread(self, requirements: Collection[str], *, shown: bool = False, field: Misread | None = None) -> str:
+        """Return the text about the misread field that a failed check follows from; empty if there is none.
+
+        ``shown`` and ``field``: as for :meth:`find`.
+        """
+        if LAYOUTS & set(requirements):
+            return ""
+        found, events = self._faults.misread, self._traffic.events
+        relied = self._relied if field is None else {*self._relied, field}
+        for each in relied:
+            if each in found:
+                return found[each]
+        if "creationTime" in relied and backwards(self._codec, self._heard, self._faults.sut_id, self._clock.wall()):
+            return "its own creationTimes are times of today only with their octets swapped (DATA-01)"
+        if "creationTime" in found and disordered(self._codec, events):
+            return found["creationTime"]
+        if shown:
+            return ""
+        if "VarCreate" in found and not CREATION_OWNERS & set(requirements) and sent_creation(self._codec, events):
+            return found["VarCreate"]
+        return found["report"] if "report" in found and sent_report(self._codec, events) else ""
+
+    def out_of_reach(self, requirements: Collection[str]) -> str:
+        """Return why something missing follows from the findings of the sanity case; empty if it counts.
+
+        At the start of the run the implementation did not answer stimuli of the kind that this case has sent, or lost
+        containers of payloads like those of this case. Other cases fail for that.
+        """
+        lost = self._faults.lost_container
+        if lost and not EXTRACTION & set(requirements) and sent_several(self._codec, self._traffic.events):
+            return (
+                f"it loses the {lost} of two containers in a payload (VD-RX-04), and this case has sent such payloads"
+            )
+        contact = self._faults.contact
+        if contact is None or contact.good:
+            return ""
+        return contact.excuse(self._codec, self._traffic.events, self._heard, self._created, requirements)

@@ -1,0 +1,121 @@
+"""Frames that the tester has lost in one case, and its other faults that may explain a failed check."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+from dcp_spec.constants import BP_SEQNO_MODULUS
+
+from dcp_conformance.frames.received import ReceivedBeacon
+from dcp_conformance.impairment import told
+from dcp_conformance.lower_tester import Incident, LowerTester
+from dcp_conformance.test_system.steps import Steps
+from dcp_conformance.test_system.sut_properties import MS, SutProperties
+from dcp_conformance.test_system.traffic import Traffic
+
+from .counting import Counting
+
+#: Larger gaps between sequence numbers are not losses: the implementation was restarted, or skips numbers itself.
+_LARGEST_GAP = 5
+
+
+class Losses:
+    """Frames dropped by the kernel, effects of an impaired link, late steps, and gaps between sequence numbers."""
+
+    def __init__(
+        self,
+        link: LowerTester,
+        traffic: Traffic,
+        heard: Sequence[ReceivedBeacon],
+        sut: SutProperties,
+        steps: Steps,
+        counting: Counting,
+    ) -> None:
+        """``heard``: the beacons of the case, which the listener extends. ``counting``: of the whole run."""
+        self._link = link
+        self._traffic = traffic
+        self._heard = heard
+        self._sut = sut
+        self._steps = steps
+        self._counting = counting
+        self.dropped = 0
+        """Number of frames that the kernel dropped in this case."""
+        self._incidents: list[Incident] = []
+        self._incident_frames: list[int] = []
+        """For each incident the number of its frame in the recording; 0 for a frame that is not in the recording."""
+
+    def take_incidents(self, number: int = 0) -> list[Incident]:
+        """Ask the link for losses since the last call. Return the effects of an impaired link in this case so far.
+
+        ``number``: of the frame in the recording that has just been sent.
+        """
+        health = self._link.health()
+        self.dropped += health.dropped
+        for incident in health.incidents:
+            frame = number if incident.to else 0
+            self._incidents.append(incident)
+            self._incident_frames.append(frame)
+            self._traffic.note("note", self._link.wall(), told([incident], [frame]))
+        return self._incidents
+
+    @property
+    def of_link(self) -> int:
+        """The number of beacons of the implementation that an impaired link is known to have lost in this case."""
+        return sum(not each.to for each in self.take_incidents())
+
+    def misleading(self) -> str:
+        """Describe effects of an impaired link after which even received data may be wrong; empty without any."""
+        return self._described(each for each in self.take_incidents() if each.misleads)
+
+    def own(self, *, numbers: bool = False) -> str:
+        """Describe everything that the tester has missed in this case; empty if nothing is known.
+
+        ``numbers``: only losses that can explain a gap between the sequence numbers of beacons.
+        """
+        lost = self.of_tester(numbers=numbers)
+        if not numbers and (gaps := self.gaps()):
+            lost.append(f"beacons were not heard ({gaps})")
+        return ", ".join(lost)
+
+    def of_tester(self, *, numbers: bool = False) -> list[str]:
+        """Describe the faults of the tester or its link in this case. ``numbers``: see :meth:`own`."""
+        incidents = self.take_incidents()
+        faults = []
+        # Only the loss of a beacon explains a missing sequence number, not the loss of a stimulus.
+        if link := self._described(each for each in incidents if not (numbers and each.to)):
+            faults.append(link)
+        if self.dropped:
+            faults.append(f"the kernel dropped {self.dropped} frames")
+        if not numbers and self._steps.late_ns > self._sut.period:
+            faults.append(f"it acted late by {self._steps.late_ns / MS:.0f} ms")
+        return faults
+
+    def explain_all(self, *, numbers: bool = False) -> bool:
+        """Return whether faults of the tester explain everything that is missing, so that a repetition may succeed."""
+        if not self.of_tester(numbers=numbers):
+            return False
+        # Frames that the kernel or an impaired link lost explain a gap; lateness does not.
+        return bool(self.dropped or self._incidents) or not self.gaps()
+
+    def gaps(self) -> str:
+        """Describe the first gap between the sequence numbers of received beacons; empty if there is none."""
+        before: int | None = None
+        unreadable = 0
+        for heard in self._heard:
+            after = heard.seqno
+            if after is None:
+                # Received, but without a readable number: not a loss.
+                unreadable += 1
+                continue
+            if before is not None:
+                missing = (after - before - 1) % BP_SEQNO_MODULUS
+                if unreadable < missing <= _LARGEST_GAP and not self._counting.by(missing + 1):
+                    return f"sequence number {after} follows {before}"
+            before, unreadable = after, 0
+        return ""
+
+    def _described(self, chosen: Iterable[Incident]) -> str:
+        """Return some of the incidents in words; empty for none."""
+        frames = {id(incident): number for incident, number in zip(self._incidents, self._incident_frames, strict=True)}
+        found = list(chosen)
+        return told(found, [frames[id(each)] for each in found])

@@ -1,0 +1,212 @@
+"""The checks of a case, and the verdict that follows from them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import NoReturn
+
+from dcp_spec.catalogue.readings import reading as reading_of
+from dcp_spec.catalogue.requirements import requirement
+from dcp_spec.constants import SpecVersion
+
+from dcp_codec.codec import Codec
+from dcp_codec.views.fields import Field
+from dcp_conformance.errors import NamesUsedUp, StopCase
+from dcp_conformance.frames.received import Instruction, ReceivedBeacon
+from dcp_conformance.model.case import Case
+from dcp_conformance.model.results import Check, Mark, Table
+from dcp_conformance.model.verdict import Verdict, worst
+from dcp_conformance.test_system.steps import Clock
+from dcp_conformance.test_system.traffic import Traffic
+
+from .excuses import Excuses
+from .misreading import Field as Misread
+
+
+def in_force(requirements: Sequence[str], version: SpecVersion) -> tuple[str, ...]:
+    """Return the requirements that apply to a version; all of them if none does.
+
+    A case about common behaviour of several versions names the requirements of each.
+    """
+    return tuple(each for each in requirements if requirement(each).holds_in(version)) or tuple(requirements)
+
+
+class Verdicts:
+    """Records the checks of one case; a failed check with an excuse is inconclusive (:mod:`.excuses`)."""
+
+    def __init__(self, case: Case, codec: Codec, clock: Clock, traffic: Traffic, excuses: Excuses) -> None:
+        self._case = case
+        self._codec = codec
+        self._clock = clock
+        self._traffic = traffic
+        self._excuses = excuses
+        self.checks: list[Check] = []
+        """All checks so far."""
+        self.readings: dict[str, str] = {}
+        """Observed readings of disputed text, by identifier in the catalogue."""
+        self._disturbed: set[int] = set()
+        """Indices of the checks that only faults of the tester have left undecided."""
+
+    def check(
+        self,
+        holds: object,
+        expected: str,
+        observed: str = "",
+        /,
+        *requirements: str,
+        frames: Iterable[ReceivedBeacon | Instruction | Mark] = (),
+        shown: object = False,
+        numbers: bool = False,
+        field: Misread | None = None,
+    ) -> bool:
+        """Record whether a condition holds, and return it. Does not stop the case.
+
+        ``requirements``: the decided ones, by default all of the case. ``frames``: the evidence.
+
+        ``shown``: whether received octets prove a failure of this check; false: something is missing (see
+        :mod:`.excuses`). A check that can fail in both ways gives the condition, as in ``shown=len(found) > allowed``.
+        Do not set it if a lost or late *stimulus* can be the cause, for example of an old value.
+
+        ``numbers``: the check is about sequence numbers of beacons. A gap between them is a failure and not an excuse;
+        only frames that the kernel dropped are an excuse.
+
+        ``field``: the check compares this field, see :meth:`.Excuses.relies_on`.
+        """
+        if holds:
+            self._add(Verdict.PASS, expected, "", requirements, frames)
+            return True
+        decided = requirements or self._case.requirements
+        excuse = self._excuses.find(decided, shown=bool(shown), numbers=numbers, field=field)
+        if excuse is None:
+            self._add(Verdict.FAIL, expected, observed, requirements, frames, shown=bool(shown))
+        else:
+            text = f"{observed}; but {excuse.text}"
+            self._add(Verdict.INCONCLUSIVE, expected, text, requirements, frames, disturbed=excuse.disturbed)
+        return False
+
+    def require(
+        self,
+        holds: object,
+        expected: str,
+        observed: str = "",
+        /,
+        *requirements: str,
+        frames: Iterable[ReceivedBeacon | Instruction | Mark] = (),
+        shown: object = False,
+        numbers: bool = False,
+    ) -> None:
+        """As :meth:`check`, and stop the case if the condition does not hold."""
+        if not self.check(holds, expected, observed, *requirements, frames=frames, shown=shown, numbers=numbers):
+            raise StopCase
+
+    def fail(
+        self,
+        expected: str,
+        observed: str,
+        /,
+        *requirements: str,
+        frames: Iterable[ReceivedBeacon | Instruction | Mark] = (),
+        shown: object = False,
+        numbers: bool = False,
+    ) -> NoReturn:
+        """Record a failure as :meth:`check` does, and stop the case."""
+        self.check(False, expected, observed, *requirements, frames=frames, shown=shown, numbers=numbers)
+        raise StopCase
+
+    def inconclusive(self, expected: str, observed: str, /, *requirements: str) -> NoReturn:
+        """Stop the case because it cannot be decided."""
+        if assumed := self._excuses.assumed():
+            observed = f"{observed}; {assumed}"
+        disturbed = self._excuses.only_disturbed()
+        self._add(Verdict.INCONCLUSIVE, expected, observed, requirements, (), disturbed=disturbed)
+        raise StopCase
+
+    def used_up(self, expected: str, observed: str, /) -> NoReturn:
+        """Stop the case as inconclusive because no identifiers are left. Raises ``NamesUsedUp``."""
+        self._add(Verdict.INCONCLUSIVE, expected, observed, (), ())
+        raise NamesUsedUp
+
+    def not_applicable(self, reason: str) -> NoReturn:
+        """Stop the case because it does not apply to this implementation. Earlier checks remain valid."""
+        self._add(Verdict.NOT_APPLICABLE, reason, "", (), ())
+        raise StopCase
+
+    def info(
+        self,
+        question: str,
+        observed: str,
+        /,
+        *requirements: str,
+        frames: Iterable[ReceivedBeacon | Instruction | Mark] = (),
+    ) -> None:
+        """Report a behaviour that the specification leaves open."""
+        self._add(Verdict.INFO, question, observed, requirements, frames)
+
+    def reading(self, identifier: str, observed: str) -> None:
+        """Report which reading of a disputed text (A.7) the implementation follows, by its name in the catalogue."""
+        entry = reading_of(identifier)
+        self.readings[identifier] = observed
+        self._add(Verdict.INFO, f"{identifier}: {entry.title}", observed, (), ())
+
+    def all_hold(self) -> bool:
+        """Return whether no check of this case has failed so far."""
+        return not any(each.verdict in (Verdict.FAIL, Verdict.INCONCLUSIVE) for each in self.checks)
+
+    def verdict(self) -> Verdict:
+        """Return the worst verdict of all checks; ``inconclusive`` for a case without checks."""
+        return worst(check.verdict for check in self.checks) or Verdict.INCONCLUSIVE
+
+    @property
+    def disturbed(self) -> str:
+        """The faults of the tester, if they are the only reason for undecided checks of this case; otherwise empty.
+
+        Such a case is worth another execution.
+        """
+        undecided = {place for place, each in enumerate(self.checks) if each.verdict is Verdict.INCONCLUSIVE}
+        return ", ".join(self._excuses.faults_of_tester()) if undecided and undecided <= self._disturbed else ""
+
+    def _add(
+        self,
+        verdict: Verdict,
+        expected: str,
+        observed: str,
+        requirements: Sequence[str],
+        frames: Iterable[ReceivedBeacon | Instruction | Mark],
+        *,
+        shown: bool = False,
+        disturbed: bool = False,
+    ) -> None:
+        table: Table = "robustness" if self._case.robustness else "conformance"
+        marks = tuple(self._mark(each) for each in frames)
+        decided = in_force(tuple(requirements) or self._case.requirements, self._codec.profile.spec_version)
+        if disturbed:
+            self._disturbed.add(len(self.checks))
+        self.checks.append(Check(verdict, decided, expected, observed, marks, table, shown))
+        text = f"{verdict}: {expected}" + (f": {observed}" if observed else "")
+        self._traffic.note("note", self._clock.wall(), text)
+
+    def _mark(self, what: ReceivedBeacon | Instruction | Mark) -> Mark:
+        if isinstance(what, Mark):
+            return what
+        if isinstance(what, ReceivedBeacon):
+            return Mark(what.number)
+        return self._mark_of_instruction(what)
+
+    def _mark_of_instruction(self, what: Instruction) -> Mark:
+        """Return the octets of a record in its frame."""
+        found = self._codec.dissect(what.heard.octets)
+        event = next((each for each in self._traffic.events if each.number == what.heard.number), None)
+        containers = [each for each in found.root.walk() if each.path.endswith("]") and ".vardis[" in each.path]
+        whole = [each for each in containers if each.path.count("[") == 2]
+        path = f"{whole[what.container].path}.records[{what.position}]" if what.container < len(whole) else ""
+        field = found.root.find(path) if path else None
+        if field is None or event is None or _var_id_in(field) != what.var_id:
+            # In a damaged beacon, the dissected containers may differ from those that could be read.
+            return Mark(what.heard.number)
+        return Mark(what.heard.number, event.start + field.offset, field.length, path)
+
+
+def _var_id_in(record: Field) -> object:
+    """Return the varId of a dissected record; None if it has none."""
+    found = (record.child("spec") or record).child("varId")
+    return None if found is None else found.value

@@ -1,0 +1,154 @@
+"""Stimuli that VarDis must answer, and variables that the implementation must learn."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Collection
+from typing import Final, NoReturn, Protocol
+
+from dcp_spec.constants import ICType
+
+from dcp_codec.values import VarCreate
+from dcp_conformance.frames.builder import FrameBuilder
+from dcp_conformance.frames.received import ReceivedBeacon
+
+from .identifiers.allocation import Identifiers
+from .judgement.contact import Contact, Question
+from .judgement.verdicts import Verdicts
+from .reception.receiver import Receiver
+from .reception.waiting import Waiting
+from .sending.peers import Peer, Peers
+from .sending.records import Records
+from .sut_properties import SutProperties
+
+#: Maximum number of identifiers in a message.
+_NAMES: Final = 8
+
+
+class RunContact(Protocol):
+    """The result of the basic interconnection test of a run."""
+
+    contact: Contact | None
+
+
+class Probes:
+    """Asks VarDis for a sign of life."""
+
+    def __init__(
+        self,
+        run: RunContact,
+        peers: Peers,
+        identifiers: Identifiers,
+        waiting: Waiting,
+        verdicts: Verdicts,
+    ) -> None:
+        self._run = run
+        self._peers = peers
+        self._identifiers = identifiers
+        self._waiting = waiting
+        self._verdicts = verdicts
+
+    def probe(self, periods: float | None = None) -> bool:
+        """Send a stimulus that VarDis must answer, and return whether it does.
+
+        The stimulus is a summary of an unknown variable, unless the implementation did not answer summaries at the
+        start of the run: then it is a kind that it answered. ``periods``: see :meth:`.Waiting.until`.
+        """
+        return self.ask(self._run.contact.question if self._run.contact is not None else "summary", periods)
+
+    def ask(self, kind: Question, periods: float | None = None) -> bool:
+        """Send a stimulus of this kind to VarDis, and return whether the answer comes in time.
+
+        ``summary`` of an unknown variable: a request for it (VD-PS-01). ``create`` of a variable: it is forwarded
+        (VD-PC-09); a request for an older one is not an answer. ``request``: the VarCreate of a variable that the
+        tester has created, or a request for an unknown one (VD-RC-01, VD-RC-03).
+        """
+        identifiers, peer = self._identifiers, self._peers.new()
+        if kind == "summary":
+            var_id = identifiers.unknown_id()
+            peer.send(peer.summary(var_id, 1))
+            return self._waiting.until_instruction(ICType.REQUEST_VARCREATES, var_id, periods) is not None
+        if kind == "create":
+            peer.send(peer.create(identifiers.var_id()))
+            return self._waiting.until(self._forwards, periods) is not None
+        unknown = identifiers.unknown_ids(1) if identifiers.has_unknown_ids() else ()
+        wanted = [*sorted(identifiers.created)[:1], *unknown]
+        peer.send(*map(peer.request_create, wanted))
+
+        def answered(heard: ReceivedBeacon) -> bool:
+            return self._forwards(heard) or any(heard.about(ICType.REQUEST_VARCREATES, each) for each in wanted)
+
+        return bool(wanted) and self._waiting.until(answered, periods) is not None
+
+    def _forwards(self, heard: ReceivedBeacon) -> bool:
+        """Return whether a beacon has a VarCreate of one of the case's peers."""
+        ours = [peer.node_id for peer in self._peers.made]
+        return any(each.record.spec.prod_id in ours for each in heard.instructions(ICType.CREATE_VARIABLES))
+
+    def require_alive(self, after: str, *requirements: str) -> None:
+        """Fail and stop the case unless VarDis still answers."""
+        alive = self.probe() or self.probe()
+        self._verdicts.require(alive, f"VarDis still answers after {after}", "no answer to two probes", *requirements)
+
+
+class Teaching:
+    """Teaches the implementation variables that a case needs."""
+
+    def __init__(
+        self,
+        builder: FrameBuilder,
+        records: Records,
+        sut: SutProperties,
+        receiver: Receiver,
+        waiting: Waiting,
+        verdicts: Verdicts,
+    ) -> None:
+        self._builder = builder
+        self._records = records
+        self._sut = sut
+        self._receiver = receiver
+        self._waiting = waiting
+        self._verdicts = verdicts
+
+    def learn(self, peer: Peer, *creates: VarCreate) -> None:
+        """Teach the implementation variables, and wait for the last repetition of their VarCreates.
+
+        Stops as inconclusive if it does not forward one of them.
+        """
+        start = self._waiting.mark()
+        wanted = {create.spec.var_id for create in creates}
+        peer.send_all(creates)
+
+        def present(heard: ReceivedBeacon) -> bool:
+            return any(each.var_id in wanted for each in heard.instructions(ICType.CREATE_VARIABLES))
+
+        def forwarded() -> Counter[int]:
+            return Counter(each.var_id for each in self._receiver.instructions(ICType.CREATE_VARIABLES, since=start))
+
+        def complete() -> bool:
+            seen = forwarded()
+            return all(seen[create.spec.var_id] >= create.spec.rep_cnt for create in creates)
+
+        self._waiting.until_quiet(present, since=start, complete=complete)
+        if missing := wanted - set(forwarded()):
+            self.not_learnt(missing)
+
+    def not_learnt(self, missing: Collection[int]) -> NoReturn:
+        """Stop the case as inconclusive: it needs variables that the implementation has not learnt."""
+        # Their payloads were as large as the implementation's maximum.
+        self._sut.bound("VARDISPAR_MAX_PAYLOAD_SIZE")
+        names = ", ".join(map(str, sorted(missing)[:_NAMES]))
+        more = f" and {len(missing) - _NAMES} more" if len(missing) > _NAMES else ""
+        self._verdicts.inconclusive(
+            "forwarded VarCreates of all variables, which this case needs", f"none of {names}{more}"
+        )
+
+    def periods(self, count: int) -> float:
+        """Return the maximum number of beacon periods until the implementation has forwarded ``count`` VarCreates.
+
+        They have the usual length. As :attr:`.SutProperties.reaction`, and longer if they need several payloads.
+        """
+        room = self._sut.parameter("VARDISPAR_MAX_PAYLOAD_SIZE") - self._builder.container_header_size
+        each = max(1, room // self._builder.record_size(self._records.sample()))
+        return self._sut.reaction + math.ceil(count / each) - 1

@@ -1,0 +1,1 @@
+"""Frames and notifications from the implementation, and waiting for them."""

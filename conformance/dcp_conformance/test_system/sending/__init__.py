@@ -1,0 +1,1 @@
+"""Stimuli on the link: records, peers and transmission."""

@@ -1,0 +1,165 @@
+"""Records that the tester sends: values and time stamps that the implementation accepts."""
+
+from __future__ import annotations
+
+from typing import Any, Protocol, TypedDict, Unpack
+
+from dcp_codec.codec import Codec
+from dcp_codec.plan.tree import snake
+from dcp_codec.values import ExtendedSafetyData, VarCreate, VarSpec, VarUpdate
+from dcp_conformance.test_system.identifiers.allocation import Identifiers
+from dcp_conformance.test_system.judgement.verdicts import Verdicts
+from dcp_conformance.test_system.steps import Clock
+from dcp_conformance.test_system.sut_properties import SutProperties
+
+
+class LastTimeStamp(Protocol):
+    """The last time stamp that a run has used, in ticks of the profile's clock."""
+
+    creation_time: int
+
+
+class CreationFields(TypedDict, total=False):
+    """Fields of a VarCreate that have a default value, see :meth:`Records.sample`."""
+
+    value: bytes
+    seqno: int
+    rep_cnt: int
+    descr: bytes
+    creation_time: int | None
+    timeout: int
+    exact: bool
+
+
+class Records:
+    """Makes the records of one case."""
+
+    def __init__(
+        self,
+        codec: Codec,
+        clock: Clock,
+        run: LastTimeStamp,
+        sut: SutProperties,
+        identifiers: Identifiers,
+        verdicts: Verdicts,
+    ) -> None:
+        self._codec = codec
+        self._clock = clock
+        self._run = run
+        self._sut = sut
+        self._identifiers = identifiers
+        self._verdicts = verdicts
+        self._short: dict[int, dict[bytes, bytes]] = {}
+        """By maximum length: the shortened octets for each wanted text."""
+
+    def creation_time(self) -> int:
+        """Return a time stamp for a record: the current time, and later than any returned before."""
+        stamp = self._sut.profile.types.timestamp
+        since = self._clock.now() if stamp.epoch_ns is None else self._clock.wall() - stamp.epoch_ns
+        ticks = since * stamp.per_second // 1_000_000_000
+        self._run.creation_time = max(self._run.creation_time + 1, ticks)
+        return self._run.creation_time
+
+    def value(self, wanted: bytes) -> bytes:
+        """Return ``wanted``, or shorter octets if the maximum is smaller; different values remain different."""
+        return self._shortened(wanted, self._sut.parameter("VARDISPAR_MAX_VALUE_LENGTH"))
+
+    def descr(self, wanted: bytes) -> bytes:
+        """As :meth:`value`, for a description in UTF-8."""
+        return self._shortened(wanted, self._sut.longest_description)
+
+    def _shortened(self, wanted: bytes, most: int) -> bytes:
+        """Return octets of at most this length, at least one, different for each ``wanted`` of this case."""
+        if len(wanted) <= most or most < 1:
+            return wanted
+        taken = self._short.setdefault(most, {})
+        if wanted not in taken:
+            # Printable, so that it is also valid in a description.
+            others = (wanted[: most - 1] + bytes((each,)) for each in (wanted[most - 1] & 0x7F, *range(0x21, 0x7F)))
+            free = (each for each in others if each not in taken.values())
+            taken[wanted] = next(free, wanted[:most])
+        return taken[wanted]
+
+    def require_timeout(self, timeout: int) -> None:
+        """Stop the case as not applicable if the profile cannot express a timeout (ms)."""
+        longest = self._sut.longest_timeout
+        if timeout > longest:
+            self._verdicts.not_applicable(f"VarTimeoutT holds at most {longest} ms, and the case needs {timeout} ms")
+
+    def spec(
+        self,
+        var_id: int,
+        producer: bytes,
+        *,
+        rep_cnt: int = 1,
+        descr: bytes = b"tester",
+        creation_time: int | None = None,
+        timeout: int = 0,
+        exact: bool = False,
+    ) -> VarSpec:
+        """Return a VarSpec with the fields of the profile's layout; ``creation_time`` is new by default.
+
+        ``exact``: use the description as given, otherwise as :meth:`descr` returns it. Stops the case as not applicable
+        if the profile cannot express ``timeout`` (in ms).
+        """
+        names = self._sut.profile.vardis.var_spec
+        self.require_timeout(timeout)
+        return self._codec.var_spec_type(
+            var_id,
+            producer,
+            rep_cnt,
+            descr if exact else self.descr(descr),
+            (self.creation_time() if creation_time is None else creation_time) if "creationTime" in names else None,
+            timeout if "timeout" in names else None,
+        )
+
+    def create(self, var_id: int, producer: bytes, **fields: Unpack[CreationFields]) -> VarCreate:
+        """Return a VarCreate like :meth:`sample`. From now on the implementation may know the variable."""
+        made = self.sample(var_id, producer, **fields)
+        self._identifiers.offered(var_id, made.spec.creation_time)
+        return made
+
+    def sample(
+        self,
+        var_id: int = 0,
+        producer: bytes | None = None,
+        *,
+        value: bytes = b"value",
+        seqno: int = 0,
+        rep_cnt: int = 1,
+        descr: bytes = b"tester",
+        creation_time: int | None = None,
+        timeout: int = 0,
+        exact: bool = False,
+    ) -> VarCreate:
+        """Return a VarCreate that is measured but not sent. ``creation_time`` and ``producer`` are new by default.
+
+        Value and description are truncated to the implementation's maximum (:meth:`value`, :meth:`descr`) unless
+        ``exact``.
+        """
+        producer = self._identifiers.node_id() if producer is None else producer
+        spec = self.spec(
+            var_id,
+            producer,
+            rep_cnt=rep_cnt,
+            descr=descr,
+            creation_time=creation_time,
+            timeout=timeout,
+            exact=exact,
+        )
+        return VarCreate(spec, VarUpdate(var_id, seqno, value if exact else self.value(value)))
+
+    def report(self, node_id: bytes, seqno: int, *, t_stamp: int | None = None, **fields: float) -> ExtendedSafetyData:
+        """Return a state report; fields of the safety data that are not given are zero."""
+        kind = self._codec.safety_data_type
+        zeros: dict[str, Any] = {
+            each.name: b"\0" * each.octets if each.type == "opaque" else 0.0 if each.type.startswith("f") else 0
+            for each in self._sut.profile.srp.safety_data
+        }
+        data = kind(**{_attribute(kind, name): value for name, value in {**zeros, **fields}.items()})
+        return ExtendedSafetyData(data, node_id, self.creation_time() if t_stamp is None else t_stamp, seqno)
+
+
+def _attribute(kind: type[Any], name: str) -> str:
+    """Return the attribute of a safety data class for a field's name."""
+    return snake(name) if snake(name) in kind.__struct_fields__ else name

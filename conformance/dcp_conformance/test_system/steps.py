@@ -1,0 +1,69 @@
+"""The times of the tester's steps in one case."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+
+class Clock(Protocol):
+    """The clock of a lower tester."""
+
+    def now(self) -> int:
+        """Return the monotonic time in ns."""
+        ...
+
+    def wall(self) -> int:
+        """Return the time in ns since 1970."""
+        ...
+
+
+class Steps:
+    """How late the tester took its steps, and whether the implementation has reacted to the last one.
+
+    A step is a transmission, a call or a wait. Times are ns of the lower tester's monotonic clock.
+    """
+
+    def __init__(self, clock: Clock) -> None:
+        self._clock = clock
+        self._ended: int | None = None
+        """When the last step ended; None before the first one."""
+        self._stimulus: int | None = None
+        """When the tester sent the last stimulus; None if a frame of the implementation was received since."""
+        self.late_ns = 0
+        """The longest delay of the tester before one of its steps, in ns; see :meth:`begin`."""
+
+    def begin(self) -> int:
+        """Record that a step begins now, and return the time.
+
+        Between two steps the tester should only compute. The longest time between two steps is its lateness
+        (``late_ns``). A lateness of more than one beacon period is an excuse, because a stimulus may have been sent too
+        late. The moment at which the tester *reads* a frame does not matter: frames have the time stamp of the kernel,
+        and a wait ends only after all frames with a time stamp before its end have been read.
+        """
+        now = self._clock.now()
+        if self._ended is not None:
+            self.late_ns = max(self.late_ns, now - self._ended)
+        self._ended = now
+        return now
+
+    def end(self, time: int) -> None:
+        """Record that the current step ended at ``time``."""
+        self._ended = time
+
+    def forget(self) -> None:
+        """Do not count the time since the last step as lateness."""
+        self._ended = None
+
+    def stimulated(self) -> None:
+        """Record that the tester has just sent a stimulus."""
+        self._stimulus = self._clock.now()
+
+    def reacted(self, time: int) -> None:
+        """Record that a frame of the implementation was received at ``time``."""
+        if self._stimulus is not None and time >= self._stimulus:
+            self._stimulus = None
+
+    @property
+    def silent(self) -> bool:
+        """Whether no frame of the implementation was received since the last stimulus."""
+        return self._stimulus is not None
