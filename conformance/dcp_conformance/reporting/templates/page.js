@@ -35,7 +35,7 @@
     target.scrollIntoView();
   };
   addEventListener("hashchange", open); open();
-  // The table "Who holds what" at the time of the slider.
+  // The table "Values held by each node" at the time of the slider.
   const source = document.querySelector("#holds-data");
   if (source) {
     const data = JSON.parse(source.textContent), table = document.querySelector("#holds");
