@@ -73,9 +73,9 @@ class State(msgspec.Struct):
 
 @dataclass(slots=True)
 class Limits:
-    """Limits of a campaign; it ends at the first that is reached. ``rate``: maximum number of tests a second, or None.
+    """Limits of a campaign, which ends at the first that is reached; None means no limit.
 
-    None means no limit. ``seconds`` is wall-clock time.
+    ``seconds`` is wall-clock time. ``rate``: maximum number of tests a second; it delays tests and ends nothing.
     """
 
     seconds: float | None = None

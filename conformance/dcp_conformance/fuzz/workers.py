@@ -57,7 +57,7 @@ _CRASHES: Final = (signal.SIGSEGV, signal.SIGBUS, signal.SIGILL, signal.SIGFPE, 
 
 @dataclass(slots=True)
 class _Member:
-    """A worker, as seen from its campaign."""
+    """The connection of the campaign to one worker: process, messages, shared memory, and work to order."""
 
     name: str
     process: Any
