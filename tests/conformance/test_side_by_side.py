@@ -431,6 +431,23 @@ def test_an_implementation_that_dies_is_found_and_its_killer_named() -> None:
     assert any("executed side by side" in note and "alone" in note for note in runner.notes)
 
 
+def test_malformed_containers_are_executed_beside_each_other_only(monkeypatch) -> None:
+    """Their octets may be read as records of any variable: one had a request sent for the variable of another case."""
+    beside: set[str] = set()
+    account = SideBySide._account
+
+    def noted(self: SideBySide, arrival: Arrival) -> None:
+        account(self, arrival)
+        if any(name.startswith("TC_VD_ROB_BI_") for name in self._live):
+            beside.update(self._live)
+
+    monkeypatch.setattr(SideBySide, "_account", noted)
+    found = run(WIDTH, "TC_BP_RX_BI_*", "TC_BP_CRX_BI_*", "TC_VD_ROB_*")
+    assert len(beside) > 10
+    assert {name.rpartition("_")[0] for name in beside} == {"TC_VD_ROB_BI"}
+    assert found.result().readings["X02"] == ("length-field",)
+
+
 class _FasterThread:
     """Ends each call before ``submit`` returns, as a thread does if the scheduler has to wait for a processor."""
 
