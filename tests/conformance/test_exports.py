@@ -75,7 +75,7 @@ def test_the_summary_begins_with_the_sentence_that_matters() -> None:
     [
         (RUN, "DCP 2.0: 1 requirement fails"),
         (run_with(BP_HDR_01=Verdict.PASS, BP_HDR_02=Verdict.PASS), "DCP 2.0: 2 requirements pass"),
-        (run_with(), "DCP 2.0: nothing decided"),
+        (run_with(), "DCP 2.0: no requirement decided"),
         (msgspec.structs.replace(RUN, spec_version='"><script>'), 'DCP "><script>: 1 requirement fails'),
     ],
 )

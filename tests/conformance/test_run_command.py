@@ -188,7 +188,7 @@ class TestWhatIsRun:
             (["--timing-scale", "0"], "0.0 is not in the range 0<x<=1000.0"),
             (["--timing-scale", "nan"], "'nan' is not a number"),
             (["--beacon-period", "inf"], "inf is not in the range"),
-            (["--report-dir", __file__], f"{__file__}: cannot be written: is there, and is no folder"),
+            (["--report-dir", __file__], f"{__file__}: cannot be written: exists and is not a folder"),
             (["--pytest", "-k nothing_at_all", "--in-process"], "no case is left to run"),
             (["--pytest", "--no-such-option", "--in-process"], "pytest could not begin"),
         ],

@@ -26,7 +26,6 @@ from dcp_conformance.reference.inprocess import InProcess, reference_config
 from dcp_conformance.selftest.mutants import all_mutants
 from dcp_conformance.selftest.runner import cases
 from dcp_conformance.selftest.side_by_side import compare
-from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.upper_tester import Answer
 
 from dcp_codec.codec import Codec
@@ -162,22 +161,23 @@ def test_no_case_sends_records_of_a_variable_of_another_live_case(monkeypatch) -
         executors[:] = [self]
         begin(self, on_result)
 
-    transmit = Bench.transmit
+    send = SharedLink.send
 
-    def noted(bench: Bench, octets: bytes, source: bytes, payloads: int = 1) -> int:
-        if executors and bench.case.id in executors[0]._live:
-            said = ReceivedBeacon(bench.session.codec, 0, 0, 0, octets, source)
+    def noted(self: SharedLink, octets: bytes, source: bytes) -> bytes:
+        live = executors[0]._live.values() if executors else ()
+        for bench in (each for each in live if each.lower is self):
             owners = {
-                var_id: each.case.id
-                for each in executors[0]._live.values()
-                for var_id in each.created | each.called_unknown
-                if each.case.id != bench.case.id
+                var_id: other.case.id
+                for other in live
+                for var_id in other.identifiers.created | other.identifiers.called_unknown
+                if other is not bench
             }
-            sent.extend((bench.case.id, owners.get(each.var_id, ""), each.var_id) for each in said.instructions())
-        return transmit(bench, octets, source, payloads)
+            said = ReceivedBeacon(bench.codec, 0, 0, 0, octets, source).instructions()
+            sent.extend((bench.case.id, owners.get(each.var_id, ""), each.var_id) for each in said)
+        return send(self, octets, source)
 
     monkeypatch.setattr(SideBySide, "_wave", wave)
-    monkeypatch.setattr(Bench, "transmit", noted)
+    monkeypatch.setattr(SharedLink, "send", noted)
     run(WIDTH, "TC_BP_RX_BI_*", "TC_BP_CRX_BI_*", "TC_VD_ROB_*", "TC_VD_SEQ_*")
     assert len(sent) > 100
     assert [each for each in sent if each[1]] == []
@@ -429,6 +429,23 @@ def test_an_implementation_that_dies_is_found_and_its_killer_named() -> None:
     assert not set(killers) & set(passed)
     assert len(passed) + len(alone) == len(chosen)
     assert any("executed side by side" in note and "alone" in note for note in runner.notes)
+
+
+def test_malformed_containers_are_executed_beside_each_other_only(monkeypatch) -> None:
+    """Their octets may be read as records of any variable: one had a request sent for the variable of another case."""
+    beside: set[str] = set()
+    account = SideBySide._account
+
+    def noted(self: SideBySide, arrival: Arrival) -> None:
+        account(self, arrival)
+        if any(name.startswith("TC_VD_ROB_BI_") for name in self._live):
+            beside.update(self._live)
+
+    monkeypatch.setattr(SideBySide, "_account", noted)
+    found = run(WIDTH, "TC_BP_RX_BI_*", "TC_BP_CRX_BI_*", "TC_VD_ROB_*")
+    assert len(beside) > 10
+    assert {name.rpartition("_")[0] for name in beside} == {"TC_VD_ROB_BI"}
+    assert found.result().readings["X02"] == ("length-field",)
 
 
 class _FasterThread:

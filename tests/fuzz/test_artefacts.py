@@ -68,9 +68,9 @@ def test_a_profile_of_ones_own_is_inside(tmp_path):
 @pytest.mark.parametrize(
     ("content", "says"),
     [
-        (b"nonsense", "is no artefact"),
-        (b"{}", "is no artefact"),
-        (b"\xff\xfe", "is no artefact"),
+        (b"nonsense", "not an artefact"),
+        (b"{}", "not an artefact"),
+        (b"\xff\xfe", "not an artefact"),
     ],
 )
 def test_a_file_that_is_no_artefact_is_refused(tmp_path, content, says):

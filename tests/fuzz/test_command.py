@@ -36,7 +36,7 @@ def test_nothing_is_sent_on_an_interface_that_was_not_named(mode):
         (("stack", "--resume", "--artefacts", "/nonexistent"), "no campaign"),
         (("stack", "--recording", "/nonexistent.mcap"), "/nonexistent.mcap"),
         (("stack", "--artefacts", "/dev/null/x"), "/dev/null/x: cannot be written"),
-        (("codec", "--artefacts", "/dev/null"), "is there, and is no folder"),
+        (("codec", "--artefacts", "/dev/null"), "exists and is not a folder"),
         (("replay", "/nonexistent"), "/nonexistent"),
     ],
 )

@@ -32,6 +32,9 @@ DONE = (
     f"{_SUITE}/oracle",
     f"{_SUITE}/lower_tester",
     f"{_SUITE}/upper_tester",
+    f"{_SUITE}/reporting",
+    f"{_SUITE}/diagnosis",
+    f"{_SUITE}/fuzz",
     "spec/dcp_spec",
     "dcp_codec",
     f"{_SUITE}/suite",
@@ -70,9 +73,6 @@ DONE = (
 #: Folders that still have to be revised; their hits are counted.
 TO_DO = (
     _SUITE,
-    f"{_SUITE}/diagnosis",
-    f"{_SUITE}/fuzz",
-    f"{_SUITE}/reporting",
     "dcp_stack",
 )
 

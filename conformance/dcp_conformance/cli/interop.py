@@ -212,11 +212,13 @@ def _replay(path: Path, file: Path | None, report_dir: Path | None) -> int:
 def _selftest(
     tests: tuple[str, ...], names: tuple[str, ...], jobs: int | None, document: Path | None, *, seeds: int, quiet: bool
 ) -> int:
+    from dcp_conformance.execution.signals import ending_like_interrupts
     from dcp_conformance.interop.selftest import run_selftest, write_document
 
-    result = run_selftest(
-        tests=tests, names=names, seeds=seeds, jobs=jobs, on_line=None if quiet else lambda line: say(line)
-    )
+    with ending_like_interrupts():
+        result = run_selftest(
+            tests=tests, names=names, seeds=seeds, jobs=jobs, on_line=None if quiet else lambda line: say(line)
+        )
     for line in result.lines():
         say(line)
     if document is not None:

@@ -1,8 +1,8 @@
 """Explain a set of failed cases by the fewest faults.
 
-The suite runs against nodes with one known fault each. The cases that fail are the signature of the fault. All
-signatures together are a fault dictionary (:mod:`.dictionary`; ``selftest/diagnosis/`` makes it). :mod:`.explain` finds
-the few faults whose signatures together account for the failures of a run.
+The self-test runs the suite against nodes with one known fault each. The cases that fail are the signature of the
+fault. All signatures together are the fault dictionary (:mod:`.dictionary`; made by ``selftest/diagnosis/``).
+:mod:`.explain` finds the smallest set of faults whose signatures together account for the failures of a run.
 """
 
 from .dictionary import Dictionary, Fault, load

@@ -12,28 +12,28 @@ FILE: Final = "fault-dictionary.json"
 
 
 class Fault(msgspec.Struct, frozen=True, kw_only=True):
-    """A fault with its signature."""
+    """A fault with its signature: the cases whose verdicts it changes."""
 
     id: str
     """The identifier of the mutant with this fault."""
     requirements: tuple[str, ...]
-    """The requirement that it violates, and those that may be named instead."""
+    """The requirement that the fault violates, and those that a failed check may name instead."""
     what: str
-    """What a node with this fault does wrong: a sentence without its subject."""
+    """The wrong behaviour of a node with this fault: a sentence without its subject."""
     fails: frozenset[str]
-    """The cases that fail."""
+    """Identifiers of the cases that fail with this fault."""
     undecided: frozenset[str]
-    """The cases that become inconclusive."""
+    """Identifiers of the cases that become inconclusive with this fault."""
 
 
 class Dictionary(msgspec.Struct, frozen=True):
-    """All faults whose signatures are known."""
+    """The fault dictionary: all faults whose signatures are known."""
 
     faults: tuple[Fault, ...]
 
 
 class _Entry(msgspec.Struct, frozen=True, array_like=True):
-    """A fault as it is stored: cases are places in the list of the file."""
+    """A fault in the file. ``fails`` and ``undecided`` are indices into the file's list of cases."""
 
     id: str
     requirements: list[str]
@@ -52,7 +52,7 @@ _ABOUT: Final = "Made by `dcp-conformance selftest --dictionary`; do not edit."
 
 
 def encode(dictionary: Dictionary) -> bytes:
-    """The dictionary as the octets of its file, one fault in a line: the same for the same faults."""
+    """Encode the dictionary as its JSON file, one fault on each line. The same faults give the same octets."""
     cases = sorted({case for fault in dictionary.faults for case in fault.fails | fault.undecided})
     place = {case: number for number, case in enumerate(cases)}
     faults = [
@@ -72,7 +72,10 @@ def encode(dictionary: Dictionary) -> bytes:
 
 
 def decode(octets: bytes) -> Dictionary:
-    """The dictionary in a file. Raises ``msgspec.ValidationError`` or ``msgspec.DecodeError`` for other octets."""
+    """Decode the JSON file of a dictionary.
+
+    Raises ``msgspec.DecodeError`` for octets that are not JSON, ``msgspec.ValidationError`` for JSON of another form.
+    """
     stored = msgspec.json.decode(octets, type=_Stored)
     return Dictionary(
         tuple(
@@ -90,5 +93,5 @@ def decode(octets: bytes) -> Dictionary:
 
 @cache
 def load() -> Dictionary:
-    """The dictionary that comes with this version."""
+    """Return the dictionary of this version of the test kit."""
     return decode(files("dcp_conformance").joinpath("data", FILE).read_bytes())

@@ -1,9 +1,10 @@
 """Find the fewest faults that explain a set of failed cases.
 
-Each fault of the dictionary predicts failures. A case fails with the probability that at least one of the assumed
-faults makes it fail, or, rarely, for a reason that no fault of the dictionary has. The search adds the fault that makes
-what was observed most likely, and takes back one that later ones have made superfluous. Every further fault must pay a
-price, so that few faults are preferred to many (a minimum description length, searched greedily).
+Each fault of the dictionary predicts failures. The model of a case is a noisy OR: it fails if at least one of the
+assumed faults makes it fail or, rarely, for a reason outside the dictionary. The greedy search adds the fault that
+raises the likelihood of the observed verdicts most, and removes a fault that later ones have made superfluous. Each
+further fault must raise the log likelihood by a minimum, so that few faults are preferred to many (minimum description
+length).
 """
 
 from __future__ import annotations
@@ -17,21 +18,24 @@ from dcp_conformance.model.verdict import Verdict
 
 from .dictionary import Dictionary, Fault
 
-#: Probability that a case fails, if an assumed fault has made it fail before; if it has made it inconclusive; and if no
-#: assumed fault has to do with it.
+#: Probability that a case fails if it failed in the self-test with an assumed fault, if it was inconclusive there, and
+#: if no assumed fault concerns it.
 _FAILS, _UNDECIDED, _NOISE = 0.93, 0.03, 0.003
-#: Probability that a case does not pass, if an assumed fault has made it inconclusive before.
+#: Probability that a case does not pass, if it was inconclusive in the self-test with an assumed fault.
 _PREVENTED = 0.5
-#: Log likelihood that a further fault must add, and that explanations may differ by and still count as equal.
+#: Log likelihood that a further fault must add; difference of log likelihoods below which explanations are equal.
 _PRICE, _EQUAL = 5.0, 0.7
-#: Faults that are named at most, and alternatives to each.
+#: Maximum number of faults in a diagnosis, and of alternatives to each.
 _MOST, _ALTERNATIVES = 12, 4
-#: The share of its expected failures that a fault must have caused.
+#: Minimum share of the failures expected with a fault that must have been observed.
 _LEAST = 0.5
 
 
 def explain(results: Iterable[CaseResult], dictionary: Dictionary) -> Diagnosis:
-    """Diagnose the results of a run. Cases that were not decided, or did not apply, are no evidence."""
+    """Return the probable faults that explain the failed cases of a run.
+
+    Only the verdicts fail, pass and info are evidence; cases with another verdict are ignored.
+    """
     failed: dict[str, CaseResult] = {}
     passed: set[str] = set()
     for result in results:
@@ -53,29 +57,29 @@ def explain(results: Iterable[CaseResult], dictionary: Dictionary) -> Diagnosis:
 
 
 class _Search:
-    """The search for the faults of one run."""
+    """Greedy search for the most likely set of faults of one run."""
 
     def __init__(self, dictionary: Dictionary, failed: Mapping[str, CaseResult], passed: set[str]) -> None:
         self._failed, self._passed = failed, passed
         decided = failed.keys() | passed
         self._chances: dict[str, dict[str, float]] = {}
-        """By fault: the probability that a case fails because of it, if it failed, or does not pass, if it passed."""
+        """By fault, by decided case: probability that the fault makes it fail (failed cases), or not pass (passed)."""
         self._faults: dict[str, Fault] = {}
         for fault in dictionary.faults:
             chances = dict.fromkeys(fault.fails & decided, _FAILS)
             chances.update((case, _UNDECIDED) for case in fault.undecided & failed.keys())
             chances.update((case, _PREVENTED) for case in fault.undecided & passed)
-            # Without a single failure it explains nothing.
+            # A fault none of whose expected failures was observed cannot explain anything.
             if failed.keys() & fault.fails:
                 self._faults[fault.id] = fault
                 self._chances[fault.id] = chances
         self._common = Counter(case for fault in dictionary.faults for case in fault.fails)
         """By case: how many faults of the dictionary make it fail."""
         self._survives: dict[str, float] = {}
-        """By case: the probability that it does not fail with the chosen faults, where that is not that of noise."""
+        """By case: the probability that it does not fail with the chosen faults; 1 - _NOISE for cases without entry."""
 
     def run(self) -> list[Fault]:
-        """The most likely set of faults."""
+        """Return the most likely set of faults, in the order in which they were chosen."""
         chosen: list[str] = []
         while len(chosen) < _MOST:
             rest = (name for name in self._chances if name not in chosen and self._plausible(name))
@@ -88,13 +92,13 @@ class _Search:
         return [self._faults[name] for name in chosen]
 
     def _plausible(self, name: str) -> bool:
-        """Whether enough of what the fault makes fail has failed."""
+        """Return whether at least the share ``_LEAST`` of the decided cases that the fault makes fail did fail."""
         fails = self._faults[name].fails
         hits, misses = len(fails & self._failed.keys()), len(fails & self._passed)
         return hits >= _LEAST * (hits + misses)
 
     def _gain(self, name: str) -> float:
-        """How much more likely the observed verdicts become with this fault, as a logarithm."""
+        """Return by how much this fault raises the log likelihood of the observed verdicts."""
         gain = 0.0
         for case, chance in self._chances[name].items():
             before = self._survives.get(case, 1 - _NOISE)
@@ -103,13 +107,14 @@ class _Search:
         return gain
 
     def _assume(self, chosen: Iterable[str]) -> None:
+        """Compute the probabilities of survival for these faults."""
         self._survives = {}
         for name in chosen:
             for case, chance in self._chances[name].items():
                 self._survives[case] = self._survives.get(case, 1 - _NOISE) * (1 - chance)
 
     def _without_superfluous(self, chosen: list[str]) -> list[str]:
-        """Take back faults that those chosen later explain as well."""
+        """Return the chosen faults without those whose failures the faults chosen later explain as well."""
         for name in chosen[:-1]:
             others = [each for each in chosen if each != name]
             self._assume(others)
@@ -119,11 +124,11 @@ class _Search:
         return chosen
 
     def explained_by(self, fault: Fault) -> list[str]:
-        """The failed cases that the fault accounts for."""
+        """Return the failed cases that are in the signature of the fault."""
         return [case for case in self._failed if case in fault.fails or case in fault.undecided]
 
     def probable(self, fault: Fault, chosen: list[Fault]) -> Probable:
-        """Describe a chosen fault."""
+        """Describe a chosen fault: its cases, equally likely alternatives, and the case that shows it best."""
         explains = self.explained_by(fault)
         others = [each for each in chosen if each is not fault]
         elsewhere = {case for each in others for case in self.explained_by(each)}
@@ -154,9 +159,10 @@ class _Search:
         )
 
     def _best(self, fault: Fault, explains: Iterable[str]) -> str:
-        """Return the case whose failure shows the fault best.
+        """Return the case that shows the fault best, or an empty string.
 
-        It names the requirement, few other faults make it fail, it has a frame, and is a short one.
+        Preferred is a case whose failed check names a requirement of the fault, which few other faults make fail, whose
+        check cites a frame, and which is short.
         """
 
         def rank(name: str) -> tuple[bool, bool, int, bool, int, str]:
@@ -171,7 +177,7 @@ class _Search:
 
 
 def _decisive(result: CaseResult, fault: Fault) -> Check | None:
-    """The failed check that names a requirement of the fault, or else the first one."""
+    """Return the failed check that names a requirement of the fault, preferably with a frame; else the first one."""
     bad = [check for check in result.checks if check.verdict is Verdict.FAIL]
     named = [check for check in bad if not set(check.requirements).isdisjoint(fault.requirements)]
     return next(iter([*(check for check in named if check.frames), *named, *bad]), None)

@@ -1,4 +1,4 @@
-"""One campaign: generate, execute, and hand what was found to the minimiser. Bounded by time, cases or findings."""
+"""One campaign: generate tests, execute them, and minimise findings, up to a limit of time, tests or findings."""
 
 from __future__ import annotations
 
@@ -24,19 +24,19 @@ from .reduce.reduction import Finding, Reduction
 from .steps import Effect, Frame, Generator, Step, Target
 
 STATE_FILE = "campaign.json"
-"""In the folder of artefacts: what ``--resume`` goes on from."""
-#: Effects that look alike whatever has caused them.
+"""File in the folder of artefacts with the state from which ``--resume`` continues."""
+#: Kinds of effect that look alike whatever their cause is.
 _SILENT = ("dead", "mute")
-#: Between anomalies that show a finding only together.
+#: Separator of anomalies that cause a finding only in combination.
 _JOINED = " and "
-#: Findings of one cause after which nothing that is like it is sent any more.
+#: Number of findings of one cause after which no frames with its group of anomalies are sent.
 _ENOUGH = 3
-#: Steps before those of a finding that are remembered, for those that they have a part in.
+#: Number of earlier steps that are stored, because a finding may need some of them.
 _HISTORY = 4000
 
 
 class CauseCount(msgspec.Struct):
-    """What has the same probable cause."""
+    """Findings with the same probable cause."""
 
     title: str
     reaction: str
@@ -49,7 +49,7 @@ class CauseCount(msgspec.Struct):
 
 
 class State(msgspec.Struct):
-    """How far a campaign is."""
+    """The state of a campaign, as stored in ``campaign.json``."""
 
     profile: str
     mode: str
@@ -58,22 +58,25 @@ class State(msgspec.Struct):
     frames: int = 0
     seconds: float = 0.0
     findings: dict[str, str] = {}
-    """Signature of the effect, with its cause where effects look alike -> artefact."""
+    """Artefact by signature of the effect; the signature includes the cause where effects look alike."""
     again: int = 0
-    """How often known findings have shown again."""
+    """Number of times that known findings occurred again."""
     causes: dict[str, CauseCount] = {}
     """Findings by probable cause."""
     avoided: list[str] = []
-    """Anomalies that show a finding in a frame by themselves: such frames are not sent any more."""
+    """Anomalies that cause a finding in a single frame: frames with them are no longer sent."""
     left_out: int = 0
-    """Frames that were not sent for that."""
+    """Number of frames that were not sent because of ``avoided``."""
     kinds: dict[str, int] = {}
     coverage: Coverage = msgspec.field(default_factory=Coverage)
 
 
 @dataclass(slots=True)
 class Limits:
-    """When a campaign ends, whatever comes first. ``rate``: cases in a second at most, None for no bound."""
+    """Limits of a campaign, which ends at the first that is reached; None means no limit.
+
+    ``seconds`` is wall-clock time. ``rate``: maximum number of tests a second; it delays tests and ends nothing.
+    """
 
     seconds: float | None = None
     cases: int | None = None
@@ -83,7 +86,7 @@ class Limits:
 
 @dataclass(slots=True)
 class Progress:
-    """What is told once in a second."""
+    """Progress of a campaign, reported once a second."""
 
     cases: int
     per_second: float
@@ -101,28 +104,28 @@ class Campaign:
     saved_target: SavedTarget
     seed: int
     directory: Path | None = None
-    """Where artefacts go, None for nowhere."""
+    """Folder for artefacts; None: artefacts are not saved."""
     mutator: Mutator | None = None
     states: Callable[[], Iterable[tuple[str, str]]] | None = None
-    """Pairs of state and message of the last case."""
+    """Function that returns the pairs of state and message of the last test."""
     model: Target | None = None
-    """Something fast, on which a finding that shows there too is minimised; it is confirmed on the target."""
+    """A fast target. A finding that occurs on it too is minimised there, and then confirmed on ``target``."""
     after_case: Callable[[list[Step]], None] | None = None
-    """For guidance: what is done with each case behind its execution."""
+    """Function that is called with each test after its execution, for guidance by coverage."""
     lines: Callable[[], int] | None = None
     profile_text: str = ""
     budget: int = 600
-    """How often steps of a finding may be carried out to minimise it."""
+    """Maximum number of executions to minimise one finding."""
     seconds: float | None = None
-    """The same in seconds."""
+    """Maximum time to minimise one finding, in seconds."""
     fresh: Run | None = None
-    """Carries steps out on a target that was just restarted, where it is not always: what was sent before counts."""
+    """Function that executes steps after a restart, for a target that keeps its state between tests."""
     by_cause: bool = False
-    """Whether findings of a silent death are told apart by their frames, and such frames are not sent again."""
+    """Whether crashes and silences are distinguished by their frames, and such frames are not sent again."""
     aside: Callable[[list[Step], Effect], None] | None = None
-    """Takes effects, which otherwise are made small and kept at once."""
+    """Function that receives each effect. Without it, effects are minimised and kept at once."""
     own_id: bytes = b""
-    """The identifier of the node."""
+    """Node identifier of the implementation."""
     on_effect: Callable[[Effect], None] | None = None
     on_progress: Callable[[Progress], None] | None = None
     on_finding: Callable[[Artefact], None] | None = None
@@ -130,15 +133,18 @@ class Campaign:
     artefacts: list[Artefact] = field(default_factory=list)
     reached_states: Counter[tuple[str, str]] = field(default_factory=Counter)
     _history: deque[Step] = field(default_factory=lambda: deque(maxlen=_HISTORY))
-    """What was sent since the last effect."""
+    """The steps since the last effect."""
     _left: list[Step] | None = None
-    """A test that was not carried out to its end."""
+    """A test that was interrupted by an effect and has to be repeated without the avoided frames."""
 
     def __post_init__(self) -> None:
         self.state = State(self.codec.profile.name, self.saved_target.mode, self.seed)
 
     def resume(self) -> None:
-        """Go on from the state in the folder. Raises :class:`UsageError` if there is none, or another campaign's."""
+        """Continue from the state in the folder.
+
+        Raises :class:`UsageError` if there is none, or if it is of a campaign with another profile or mode.
+        """
         if self.directory is None:
             raise UsageError("--resume needs the folder of the campaign: --artefacts DIR")
         self.state = read_state(self.directory)
@@ -148,13 +154,13 @@ class Campaign:
         self.has_reached(self.state.coverage)
 
     def has_reached(self, coverage: Coverage) -> None:
-        """Add what others, or this campaign before, have reached."""
+        """Add the coverage of other campaigns, or of earlier parts of this one."""
         self.reached_states.update(counter_of(coverage.states))
         if self.mutator is not None:
             self.mutator.reached.update(counter_of(coverage.fields))
 
     def run(self, limits: Limits) -> State:
-        """Run until a limit is reached. Ctrl-C ends it, with everything saved. Raises what the target raises."""
+        """Run until a limit is reached, and save the state, also after Ctrl-C. Forwards exceptions of the target."""
         begun, done_before = time.monotonic(), self.state.seconds
         try:
             self.carry_out(limits)
@@ -164,7 +170,7 @@ class Campaign:
         return self.state
 
     def carry_out(self, limits: Limits) -> None:
-        """The tests of :meth:`run`, until a limit is reached."""
+        """Execute tests until a limit is reached, without saving the state."""
         begun = told = time.monotonic()
         state, first = self.state, self.state.cases
         while not self._over(limits, begun, first):
@@ -182,7 +188,7 @@ class Campaign:
                 avoided = len(state.avoided)
                 self._seen(steps, effect)
                 self._history.clear()
-                # What came after the effect was not sent, or not heard.
+                # The steps after the effect were not sent, or not received.
                 self._left = steps if len(state.avoided) > avoided else None
             elif self.fresh is not None:
                 self._history.extend(steps)
@@ -198,13 +204,13 @@ class Campaign:
                 self.on_progress(Progress(state.cases, per_second, len(state.findings), seconds))
 
     def close(self) -> None:
-        """Put together what was reached, and keep the state. Raises :class:`UsageError`."""
+        """Compute the coverage and save the state. Raises :class:`UsageError` if it cannot be written."""
         self.state.coverage = self.coverage()
         if self.directory is not None:
             write_state(self.state, self.directory)
 
     def coverage(self) -> Coverage:
-        """What was reached so far."""
+        """Return the coverage so far."""
         fields: Counter[Touch] = self.mutator.reached if self.mutator is not None else Counter()
         possible = self.mutator.possible if self.mutator is not None else frozenset[Touch]()
         states = possible_states(self.codec) if self.states is not None else frozenset[Touch]()
@@ -218,7 +224,7 @@ class Campaign:
         return limits.findings is not None and len(self.artefacts) >= limits.findings
 
     def _seen(self, steps: list[Step], effect: Effect) -> None:
-        """An effect: one of those that are known, or a finding."""
+        """Process an effect: count a known one, minimise and keep a new one."""
         if self.aside is not None:
             self.aside(steps, effect)
         elif effect.signature in self.state.findings:
@@ -227,14 +233,14 @@ class Campaign:
             self._found(steps, effect)
 
     def _found(self, steps: list[Step], effect: Effect) -> None:
-        """Make it small, and keep it. Whatever happens meanwhile, what is known of it is kept."""
+        """Minimise and keep a finding. If the minimisation is interrupted, keep its best result so far."""
         reduction = self.reduction(effect)
         try:
             if self.on_effect is not None:
                 self.on_effect(effect)
             reduction.reduce(steps, effect, [*self._history])
         finally:
-            # Also when the implementation is gone for good, or nobody wants to wait.
+            # Also if the implementation cannot be restarted, or the user presses Ctrl-C.
             found = reduction.outcome(steps, effect)
             if found.minimised and self._is_known(found.steps, found.effect):
                 self.state.again += 1
@@ -242,7 +248,7 @@ class Campaign:
                 self.keep(found)
 
     def reduction(self, effect: Effect) -> Reduction:
-        """What makes an effect of this target small."""
+        """Return the minimiser for an effect of this target."""
         return Reduction(
             self.target.run,
             None if self.saved_target.mode == "codec" else self.codec,
@@ -255,7 +261,7 @@ class Campaign:
         )
 
     def keep(self, found: Finding) -> None:
-        """Keep a finding: as an artefact, and as known from now on. Raises :class:`UsageError`."""
+        """Save a finding as an artefact and register it as known. Raises :class:`UsageError` if it cannot be saved."""
         artefact = make_artefact(
             self.codec,
             found,
@@ -284,7 +290,7 @@ class Campaign:
             counted.smallest, (counted.frames, counted.octets), counted.title = artefact.id, size, cause.title
 
     def _avoid(self, found: Finding, cause: Cause) -> None:
-        """Send no frames any more that show by themselves what was found."""
+        """Register the anomalies of a finding of a single frame, so that such frames are no longer sent."""
         frames = [step for step in found.steps if isinstance(step, Frame)]
         alone = len(frames) == len(found.steps) == 1
         if not (self.by_cause and found.confirmed and alone and found.effect.kind in _SILENT):
@@ -295,10 +301,10 @@ class Campaign:
         if len({each.group for each in odd}) == 1 and self.state.causes[cause.group].findings == _ENOUGH:
             self.state.avoided.append(odd[0].group)
 
-    # -- telling findings apart --------------------------------------------------------------------------------
+    # -- distinguishing findings -------------------------------------------------------------------------------
 
     def _key(self, steps: list[Step], effect: Effect) -> str:
-        """What tells this finding apart. Deaths from outside look all alike; their causes do not."""
+        """Return the key of a finding: the signature, and the cause for crashes and silences, which look alike."""
         if not (self.by_cause and effect.kind in _SILENT):
             return effect.signature
         return f"{effect.signature} by {cause_of(self.codec, steps)}"
@@ -307,7 +313,7 @@ class Campaign:
         return self._key(steps, effect) in self.state.findings
 
     def _drawn(self) -> list[Step]:
-        """The next test, without the frames that show what is known already."""
+        """Return the next test, without frames that would cause a known finding."""
         steps, self._left = self._left or self.generator.draw(), None
         if not self.state.avoided:
             return steps
@@ -317,25 +323,25 @@ class Campaign:
         return kept
 
     def _has(self, octets: bytes, avoided: list[set[str]]) -> bool:
-        """Whether a frame has all anomalies of a finding."""
+        """Return whether a frame has all anomalies of one of the findings."""
         found = anomalies(self.codec, octets)
         names = {each.kind for each in found} | {each.group for each in found}
         return any(each <= names for each in avoided)
 
 
 def read_state(directory: Path) -> State:
-    """The state of the campaign in a folder. Raises :class:`UsageError`."""
+    """Read the state of the campaign in a folder. Raises :class:`UsageError` if there is none or it is damaged."""
     path = directory / STATE_FILE
     try:
         return msgspec.json.decode(path.read_bytes(), type=State)
     except OSError as error:
-        raise UsageError(f"{path}: there is no campaign to go on with: {error.strerror or error}") from None
+        raise UsageError(f"{path}: there is no campaign to resume: {error.strerror or error}") from None
     except msgspec.DecodeError as error:
         raise UsageError(f"{path}: {error}") from None
 
 
 def write_state(state: State, directory: Path) -> None:
-    """Keep the state of a campaign. Raises :class:`UsageError`."""
+    """Write the state of a campaign into its folder. Raises :class:`UsageError` if that fails."""
     path = directory / STATE_FILE
     try:
         directory.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""What a test consists of, and what it can show: the words that generators, executors and the minimiser share."""
+"""Steps and effects: the common types of generators, executors and the minimiser."""
 
 from __future__ import annotations
 
@@ -8,39 +8,39 @@ from typing import Any, Final, Literal, NamedTuple, Protocol
 import msgspec
 
 EffectKind = Literal["raised", "hang", "dead", "mute", "bad-beacon", "said", "state", "unbounded", "disagrees"]
-"""What can be wrong:
+"""Kind of effect:
 
-``raised``: an exception got out; ``hang``: it did not come back in time; ``dead``: the process is gone; ``mute``: it
-lives and answers nothing; ``bad-beacon``: it sends what is no beacon of its profile; ``said``: it says what the model
-does not cover; ``state``: it holds what the model does not hold; ``unbounded``: something grows
-without end; ``disagrees``: two views of the same octets differ.
+``raised``: an exception was raised; ``hang``: no return within the time limit; ``dead``: the process has ended;
+``mute``: the process runs but does not answer; ``bad-beacon``: it sends a beacon that its profile does not allow;
+``said``: it sends records that the model does not expect; ``state``: its state differs from that of the model;
+``unbounded``: a queue grows without limit; ``disagrees``: two decoders of the same octets differ.
 """
 
 ROBUSTNESS: Final = ("BP-RX-16", "VD-ROB-01")
-"""What every finding is about: nothing received may stop an implementation."""
-#: Effects of who has stopped.
+"""Requirements of every test: no received frame may stop an implementation."""
+#: Effects after which the implementation no longer works.
 STOPPED: Final = ("raised", "hang", "dead", "mute")
 
 
 class Frame(msgspec.Struct, frozen=True, gc=False, tag="frame"):
-    """A bearer payload is sent. ``valid`` is the message that it was made from, empty if it is not known."""
+    """Send a bearer payload. ``valid`` is the valid message that it was mutated from; empty if unknown."""
 
     octets: bytes
     valid: bytes = b""
     note: str = ""
     source: bytes = b"\x02\xdc\x90\x00\x00\x01"
-    """The address that it is sent from."""
+    """Link-layer source address."""
 
 
 class Call(msgspec.Struct, frozen=True, tag="call"):
-    """A service of the upper interface is called; passed over where there is none."""
+    """Call a service of the upper interface. Skipped if the upper tester does not offer it."""
 
     method: str
     params: dict[str, Any]
 
 
 class Wait(msgspec.Struct, frozen=True, gc=False, tag="wait"):
-    """Beacon periods pass."""
+    """Wait for a number of beacon periods."""
 
     periods: float
 
@@ -50,7 +50,10 @@ NUMBERS: Final = re.compile(r"0x[0-9a-f]+|\d+|'[^']*'|b\"[^\"]*\"")
 
 
 class Effect(NamedTuple):
-    """What was wrong, and after which step (counted from 0) it showed. ``place`` tells effects of a kind apart."""
+    """A wrong behaviour: its kind, its description, and the step (from 0) after which it was observed.
+
+    ``place`` distinguishes effects of one kind; without it, ``detail`` does.
+    """
 
     kind: EffectKind
     detail: str
@@ -59,32 +62,32 @@ class Effect(NamedTuple):
 
     @property
     def signature(self) -> str:
-        """Equal for effects that have most likely the same cause: numbers in the text do not count."""
+        """A text that is equal for effects with probably the same cause: numbers in ``detail`` are ignored."""
         return f"{self.kind}: {self.place or NUMBERS.sub('#', self.detail)}"
 
 
 class Generator(Protocol):
-    """Draws test after test."""
+    """Source of tests."""
 
     kinds: tuple[str, ...]
-    """What the last one consists of."""
+    """Names of the elements of the last test, for statistics."""
 
     def draw(self) -> list[Step]:
-        """The next one."""
+        """Return the next test."""
         ...
 
     def keep(self, steps: list[Step]) -> None:
-        """This one is worth going on from."""
+        """Add a test to those that are mutated, because it reached something new."""
         ...
 
 
 class Target(Protocol):
-    """Something that steps are carried out on."""
+    """An implementation, or a function, on which steps are executed."""
 
     name: str
 
     def run(self, steps: list[Step]) -> Effect | None:
-        """Carry out the steps from the initial state, and say what was wrong; None if nothing was.
+        """Execute the steps from the initial state. Returns the first effect, or None if nothing was wrong.
 
         Raises ``ConformanceError`` if the target cannot be used at all.
         """

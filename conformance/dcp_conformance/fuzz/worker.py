@@ -1,8 +1,8 @@
-"""One worker of a campaign (:mod:`.workers`): a process with a target and a generator of its own.
+"""One worker of a campaign (:mod:`.workers`): a process with its own target and generator.
 
-It does what it is ordered to, order by order, and reports after each: what it has done in all, effects that it has not
-seen before, and findings that it was told to make small. It writes no files and decides nothing. What it does depends
-on its chance and its orders alone, never on the time that things take; but for the end of a campaign by ``--max-time``.
+It executes one order after another, and reports after each: its totals, effects with a new signature, and the findings
+that the order asked to minimise. It writes no files and makes no decisions. Its behaviour depends only on its seed and
+its orders, not on durations, except that ``--max-time`` ends the campaign.
 """
 
 from __future__ import annotations
@@ -32,49 +32,49 @@ from .generate.guidance import Guide, guide
 from .reduce.reduction import Finding
 from .steps import Effect, Step, Target
 
-#: Octets for the test that a worker is at; one that is longer is not known if it ends the worker.
+#: Octets reserved for the current test of a worker. A longer test cannot be recovered if it crashes the worker.
 SLOT_SIZE: Final = 1 << 20
-#: Tests done, and octets of the one that follow.
+#: Number of completed tests, and size of the pickled current test that follows, in octets.
 _HEADER: Final = struct.Struct("=QQ")
 
 Make = Callable[[str], AbstractContextManager[Campaign]]
-"""Makes the campaign of a worker, in its process; the argument is the seed that it draws with. It has to be pickled."""
+"""Function that makes the campaign of a worker from its seed, in the worker's process. It must be picklable."""
 
 
 class Settings(NamedTuple):
-    """What a worker is told when it begins."""
+    """Settings of a worker, sent when it starts."""
 
     seed: str
     state: State
-    """Where the campaign goes on from."""
+    """State of the campaign at the start."""
     guided: bool
     rate: float | None
-    """Its tests in a second, at most."""
+    """Maximum number of tests a second."""
     parent: int
-    """The process that it works for."""
+    """Process id of the campaign."""
 
 
 class Order(NamedTuple):
-    """What to do next."""
+    """The next work of a worker."""
 
     minimise: tuple[str, ...]
-    """Signatures of effects that it has reported: they are made small, before anything else."""
+    """Signatures of effects that the worker has reported and minimises first."""
     cases: int
     until: float | None
-    """No test begins after this time: that of ``time.monotonic``, which all processes of a machine share."""
+    """Time after which no test starts (``time.monotonic``, which all processes of a machine share)."""
 
 
 class Shown(NamedTuple):
-    """An effect, the first with its signature in this worker."""
+    """The first effect with its signature in a worker."""
 
     case: int
-    """In which of its tests."""
+    """Number of the test in this worker."""
     steps: list[Step]
     effect: Effect
 
 
 class Totals(NamedTuple):
-    """What a worker has done since it began."""
+    """Totals of a worker since its start."""
 
     cases: int = 0
     frames: int = 0
@@ -82,13 +82,13 @@ class Totals(NamedTuple):
     fields: Counter[Touch] = Counter()  # noqa: RUF012
     states: Counter[Touch] = Counter()  # noqa: RUF012
     effects: Counter[str] = Counter()  # noqa: RUF012
-    """How often each signature has shown, minimising not counted."""
+    """Number of effects by signature, without those during minimisation."""
     lines: frozenset[tuple[str, int]] = frozenset()
-    """Lines of the target that were run, where they are counted."""
+    """Executed lines of the target (file, line), if the campaign is guided."""
 
 
 class Report(NamedTuple):
-    """What came of an order; the first of all says that a worker is ready."""
+    """Result of an order. The first report, without an order, indicates that the worker is ready."""
 
     totals: Totals
     shown: tuple[Shown, ...] = ()
@@ -96,23 +96,23 @@ class Report(NamedTuple):
 
 
 class Failure(NamedTuple):
-    """The last words of a worker."""
+    """Reason why a worker ends."""
 
     text: str
 
 
 class Slot:
-    """Memory that a worker shares with its campaign: how many tests it has done, and the one that it is at.
+    """Memory shared by a worker and its campaign: the number of completed tests, and the current test.
 
-    It is there also when the worker is not any more.
+    It survives a crash of the worker.
     """
 
     def __init__(self, memory: Any) -> None:
-        """``memory``: ``SLOT_SIZE`` octets, all 0, as ``multiprocessing`` shares them."""
+        """``memory``: an array of ``multiprocessing`` with ``SLOT_SIZE`` octets, all 0."""
         self._memory = memoryview(memory).cast("B")
 
     def write(self, cases: int, steps: list[Step]) -> None:
-        """Another one is about to be carried out, after so many."""
+        """Store the test that is about to be executed, and the number of tests before it."""
         octets = pickle.dumps(steps, pickle.HIGHEST_PROTOCOL)
         if len(octets) > len(self._memory) - _HEADER.size:
             octets = b""
@@ -121,25 +121,25 @@ class Slot:
 
     @property
     def cases(self) -> int:
-        """How many it has done."""
+        """Number of completed tests."""
         done: int = _HEADER.unpack_from(self._memory)[0]
         return done
 
     def steps(self) -> list[Step]:
-        """What was carried out last, or was about to be; nothing if it is not known. Only once the worker is gone."""
+        """Return the current test; empty if unknown. Call this only after the worker has ended."""
         size = _HEADER.unpack_from(self._memory)[1]
         try:
             found: list[Step] = pickle.loads(self._memory[_HEADER.size : _HEADER.size + size])  # noqa: S301 - our own
         except Exception:
-            # Nothing yet, or it was ended while it wrote.
+            # No test was stored yet, or the worker was killed while it wrote.
             return []
         return found
 
 
 class _Noted:
-    """A target whose tests are written down before they are carried out, and which a signal interrupts.
+    """A target that stores each test in the slot before its execution.
 
-    It interrupts nothing else: what a test has shown is not lost.
+    Signals interrupt the execution only, so that the effect of a completed test is not lost.
     """
 
     def __init__(self, campaign: Campaign, slot: Slot, stop: Stop) -> None:
@@ -156,14 +156,14 @@ class _Noted:
 
 
 class Worker:
-    """Carries out orders with a campaign that keeps nothing by itself."""
+    """Executes orders with a campaign that does not save findings itself."""
 
     def __init__(self, campaign: Campaign, settings: Settings, slot: Slot, stop: Stop) -> None:
         self._campaign = campaign
         self._rate = settings.rate
         self._known = set(settings.state.findings)
         coverage = settings.state.coverage
-        # What the campaign has reached is not preferred any more, and is not this worker's.
+        # Coverage from before counts as reached, but is not part of this worker's report.
         self._fields, self._states = counter_of(coverage.fields), counter_of(coverage.states)
         campaign.has_reached(coverage)
         campaign.aside = self._aside
@@ -172,12 +172,12 @@ class Worker:
         campaign.target = _Noted(campaign, slot, stop)
         self._effects: Counter[str] = Counter()
         self._waiting: dict[str, Shown] = {}
-        """Effects that the campaign has not decided about, by signature."""
+        """Reported effects, by signature, that the campaign has not yet asked to minimise."""
         self._shown: list[Shown] = []
         self._findings: list[Finding] = []
 
     def carry_out(self, order: Order) -> None:
-        """Do this, or as much of it as there is time for until a signal."""
+        """Execute an order; a signal ends it early."""
         self._shown, self._findings = [], []
         with contextlib.suppress(KeyboardInterrupt):
             for signature in order.minimise:
@@ -186,7 +186,7 @@ class Worker:
             self._campaign.carry_out(Limits(left, order.cases, rate=self._rate))
 
     def report(self) -> Report:
-        """What came of the last order."""
+        """Return the result of the last order."""
         campaign = self._campaign
         state, mutator = campaign.state, campaign.mutator
         totals = Totals(
@@ -218,17 +218,14 @@ class Worker:
 
 
 def work(make: Make, settings: Settings, connection: Connection, memory: Any) -> None:
-    """What the process of a worker does, until it is given None, or nobody is there any more.
-
-    SIGTERM ends it, with a last report.
-    """
+    """Run a worker process until it receives None or its campaign ends. SIGTERM ends it after a last report."""
     ending_with_parent()()
     if os.getppid() != settings.parent:
-        # It was gone before it could be watched.
+        # The parent ended before this process could ask to be ended with it.
         return
     stop = Stop()
     signal.signal(signal.SIGTERM, stop)
-    # Whoever it works for has closed its end.
+    # The campaign has closed its end of the connection.
     with contextlib.suppress(BrokenPipeError, ConnectionResetError, EOFError):
         try:
             with make(settings.seed) as campaign:
@@ -254,5 +251,5 @@ def _serve(worker: Worker, connection: Connection, stop: Stop) -> None:
         try:
             worker.carry_out(order)
         finally:
-            # Also what was found before something went wrong.
+            # Report the findings before an exception, too.
             connection.send(worker.report())

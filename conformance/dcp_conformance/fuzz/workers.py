@@ -1,23 +1,22 @@
-"""One campaign by several worker processes, as many tests a second as there are cores for.
+"""Run one campaign in several worker processes, to use several processor cores.
 
-Workers mutate the same pool, with seeds of their own. The campaign alone decides what is a finding, tells, and writes
-files.
+All workers mutate the same pool of messages, with different seeds. Only the campaign decides which effects are
+findings, reports them, and writes files.
 
-**The same every time.** Tests are ordered in rounds, as many for each worker, and two rounds are under way, so that
-few wait for others. When all have reported a round, its effects are looked at in the order of their tests, and each
-that is not known is made small by the worker that has seen it, before the tests of its next order. What comes of a
-campaign follows from its seed, its workers and its cases; who was faster has no part in it.
+**Reproducibility.** Tests are ordered in rounds, with the same number for each worker. Two rounds are ordered at a
+time, so that few workers wait. When all workers have reported a round, the campaign processes its effects in the order
+of their tests. Each new effect is minimised by the worker that observed it, before the tests of its next order. The
+result of a campaign depends only on its seed, the number of workers and the number of tests, not on their speed.
 
-**Each for itself.** Workers do not tell each other what they have reached; each prefers what it has not reached itself.
-Together they come as far as one process with as many tests: of 300 pairs of field and class two workers have reached
-286, 286 and 271 after 1000 sequences (seeds 1, 2, 3), eight 265, 275 and 252, one process 286, 291 and 287; after 2000
-there is no difference. Told of the others every 16 sequences, two workers have reached 278, 271 and 284.
+**Independence.** Workers do not exchange coverage; each prefers fields that it has not reached itself. Together they
+reach as much as one process with the same number of tests: of 300 pairs of field and class two workers reached 286,
+286 and 271 after 1000 sequences (seeds 1, 2, 3), eight 265, 275 and 252, one process 286, 291 and 287; after 2000
+there was no difference. With an exchange every 16 sequences, two workers reached 278, 271 and 284.
 
-**Processes are spawned** by this one: they have none of its sockets and files, and the kernel ends them with it. The
-server that the lanes of a run are forked from (:mod:`dcp_conformance.execution.parallel`) would stand between: a
-signal to the whole
-group would end it, and with it the workers, before they have told what they have found. What it would save is less than
-half a second for each.
+**Processes are spawned** by this one: they do not inherit its sockets and files, and the kernel ends them with it. The
+fork server of the workers of a run (:mod:`dcp_conformance.execution.parallel`) is not used: a signal to the whole
+process group would end the server, and with it the workers, before they have reported their findings. It would save
+less than half a second for each worker.
 """
 
 from __future__ import annotations
@@ -43,46 +42,46 @@ from .reduce.reduction import Finding, as_it_was
 from .steps import Effect, Step
 from .worker import SLOT_SIZE, Failure, Make, Order, Report, Settings, Shown, Slot, Totals, work
 
-#: Rounds that are under way at a time.
+#: Number of rounds that are ordered and not yet reported.
 _AHEAD: Final = 2
-#: Tests of a worker in the first round, and the most in any; each round has twice as many as the one before.
+#: Tests of a worker in the first round, and in the largest round; each round is twice as large as the one before.
 _FIRST_ROUND: Final = 8
 _ROUND: Final = 250
-#: The most where lines of code are traced, which makes tests slow.
+#: Largest round if lines of code are traced, which makes tests slow.
 _GUIDED_ROUND: Final = 20
-#: Seconds that workers have for their last reports, and to end.
+#: Seconds that workers have to send their last reports and to end.
 _PATIENCE: Final = 10.0
-#: How a process ends by its own fault, in code that is not Python's.
+#: Signals that end a process because of a fault in native code.
 _CRASHES: Final = (signal.SIGSEGV, signal.SIGBUS, signal.SIGILL, signal.SIGFPE, signal.SIGABRT)
 
 
 @dataclass(slots=True)
 class _Member:
-    """A worker, as seen from its campaign."""
+    """The connection of the campaign to one worker: process, messages, shared memory, and work to order."""
 
     name: str
     process: Any
     connection: Connection
     slot: Slot
     left: int | None
-    """Tests that it may still be given."""
+    """Number of tests that may still be ordered; None for no limit."""
     reports: deque[Report] = field(default_factory=deque)
     totals: Totals = field(default_factory=Totals)
     minimise: list[str] = field(default_factory=list)
-    """Effects for its next order."""
+    """Signatures of effects to minimise with the next order."""
     open: bool = True
 
     def send(self, order: Order | None) -> None:
-        # That it is not there any more is seen when it is listened to.
+        # A worker that has ended is detected when its reports are read.
         with contextlib.suppress(OSError):
             self.connection.send(order)
 
 
 def run_in_workers(campaign: Campaign, make: Make, jobs: int, limits: Limits, *, guided: bool = False) -> State:
-    """Run a campaign by ``jobs`` processes until a limit is reached. ``make`` makes the campaign of each.
+    """Run a campaign in ``jobs`` processes until a limit is reached. ``make`` makes the campaign of each process.
 
-    ``limits`` hold for all of them together. Ctrl-C and SIGTERM end it with :class:`KeyboardInterrupt` and everything
-    saved. Raises :class:`WorkerError`, with everything saved that is known, when a worker ends by itself.
+    ``limits`` apply to all processes together. Ctrl-C and SIGTERM raise :class:`KeyboardInterrupt`. Raises
+    :class:`WorkerError` if a worker ends by itself. In both cases the findings so far are saved.
     """
     return _Workers(campaign, limits, guided).run(make, jobs)
 
@@ -100,11 +99,11 @@ class _Workers:
         self._under_way = 0
         self._begun = time.monotonic()
         self._told = math.inf
-        """When progress was told last; not before all workers are ready."""
+        """Time of the last progress report; infinite until all workers are ready."""
         self._pending: dict[str, Shown] = {}
-        """Effects that are being made small, by signature."""
+        """Effects that are being minimised, by signature."""
         self._kept: set[str] = set()
-        """The signatures of what was found here."""
+        """Signatures of the findings of this run."""
 
     def run(self, make: Make, jobs: int) -> State:
         state = self._campaign.state
@@ -135,7 +134,7 @@ class _Workers:
             self._most = max(1, min(self._most, int(rate)))
         with _unheard():
             for number in range(jobs):
-                # Going on means to draw something else than before.
+                # A resumed campaign must draw other tests than before.
                 seed = f"{campaign.seed}/{self._first}/{number}"
                 settings = Settings(seed, campaign.state, self._guided, rate, os.getpid())
                 memory = context.RawArray("B", SLOT_SIZE)
@@ -151,12 +150,12 @@ class _Workers:
                 self._members.append(_Member(name, process, ours, Slot(memory), share))
 
     def _ready(self, seconds: float) -> list[_Member]:
-        """The workers that have something to say, as soon as there are any."""
+        """Wait at most ``seconds``; return the workers that have sent a message or closed their connection."""
         there = {member.connection: member for member in self._members if member.open}
         return [there[connection] for connection in wait(list(there), seconds) if isinstance(connection, Connection)]
 
     def _listen(self, member: _Member) -> None:
-        """Take what a worker has to say. Raises :class:`WorkerError` if that is its end."""
+        """Receive one message of a worker. Raises :class:`WorkerError` if the worker has ended."""
         try:
             message = member.connection.recv()
         except (EOFError, OSError):
@@ -168,7 +167,7 @@ class _Workers:
         member.totals = message.totals
 
     def _gone(self, member: _Member) -> None:
-        """A worker has ended, and nobody has told it to."""
+        """Process the end of a worker that was not ordered. Raises :class:`WorkerError`."""
         member.open = False
         member.process.join(_PATIENCE)
         status = member.process.exitcode
@@ -180,24 +179,25 @@ class _Workers:
             how = f"was ended by {by}"
             if -status in _CRASHES:
                 self._crashed(member, by)
-        again = "the same --seed and --jobs do them again"
+        again = "the same --seed and --jobs repeat them"
         raise WorkerError(f"{member.name} {how} after {member.slot.cases} tests; {again}")
 
     def _crashed(self, member: _Member, by: str) -> None:
+        """Keep the current test of a crashed worker as a finding."""
         steps = member.slot.steps()
         effect = Effect("dead", f"its process was ended by {by}", max(0, len(steps) - 1), by)
         if steps and effect.signature not in self._campaign.state.findings:
             self._campaign.keep(self._as_it_was(steps, effect))
 
     def _gather(self) -> None:
-        """Let all workers end, and take their last reports."""
+        """Terminate all workers and receive their last reports."""
         self._stop.wanted = True
         for member in self._members:
             member.process.terminate()
         deadline = time.monotonic() + _PATIENCE
         while any(member.open for member in self._members) and (left := deadline - time.monotonic()) > 0:
             for member in self._ready(left):
-                # Why the campaign ends is known already.
+                # The first error is already being raised.
                 with contextlib.suppress(WorkerError):
                     self._listen(member)
 
@@ -205,7 +205,7 @@ class _Workers:
         for member in self._members:
             member.send(None)
         for member in self._members:
-            # Those that were stopped have had their time.
+            # Terminated workers had time to end in _gather.
             member.process.join(0 if self._stop.wanted else _PATIENCE)
             if member.process.is_alive():
                 member.process.kill()
@@ -226,7 +226,7 @@ class _Workers:
             self._order()
 
     def _reports(self) -> list[Report]:
-        """The reports of a round, when all are there."""
+        """Return the reports of all workers for one round, when all have been received."""
         while not all(member.reports for member in self._members):
             with self._stop.heeded():
                 ready = self._ready(1.0)
@@ -236,7 +236,7 @@ class _Workers:
         return [member.reports.popleft() for member in self._members]
 
     def _order(self) -> None:
-        """Order the next round, if anything is left to do."""
+        """Order the next round, unless there is nothing left to do."""
         seconds, cases = self._limits.seconds, 0
         until = None if seconds is None else self._begun + seconds
         if not self._enough() and (until is None or time.monotonic() < until):
@@ -257,7 +257,7 @@ class _Workers:
         return self._limits.findings is not None and found >= self._limits.findings
 
     def _decide(self, reports: list[Report]) -> None:
-        """Keep what was found in a round, and have made small what is new."""
+        """Keep the findings of a round, and order the minimisation of new effects."""
         numbered = list(enumerate(reports))
         self._keep_findings(numbered)
         for number, shown in self._new(numbered):
@@ -271,8 +271,7 @@ class _Workers:
                 self._keep(finding)
 
     def _new(self, reports: list[tuple[int, Report]]) -> Iterator[tuple[int, Shown]]:
-        """Effects that are not known, in the order of their tests, with the numbers of their workers: from now on they
-        are pending."""
+        """Yield new effects with the numbers of their workers, in the order of their tests; mark them as pending."""
         shown = [(each.case, number, each) for number, report in reports for each in report.shown]
         for _, number, each in sorted(shown, key=lambda entry: entry[:2]):
             signature = each.effect.signature
@@ -301,7 +300,7 @@ class _Workers:
         self._campaign.on_progress(Progress(self._first + done, done / seconds, findings, seconds))
 
     def _close(self) -> None:
-        """Keep what was not made small any more, put together what all have done, and keep the state."""
+        """Keep effects whose minimisation was not completed, add up the totals, and save the state."""
         left = [(number, report) for number, member in enumerate(self._members) for report in member.reports]
         self._keep_findings(left)
         for _, shown in [*enumerate(self._pending.values()), *self._new(left)]:
@@ -325,8 +324,11 @@ class _Workers:
 
 @contextlib.contextmanager
 def _unheard() -> Iterator[None]:
-    """Processes that are started here never hear of Ctrl-C, which reaches all of a terminal: it is for the campaign."""
-    # It lets through again what it has blocked itself while it begins.
+    """Start processes in this context with SIGINT blocked.
+
+    A terminal sends SIGINT to all processes of the group, but only the campaign may handle it.
+    """
+    # The resource tracker unblocks SIGINT while it starts, so it has to run before.
     resource_tracker.ensure_running()
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:

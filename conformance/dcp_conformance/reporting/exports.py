@@ -1,4 +1,4 @@
-"""What is made of results for others: requirements as a table, a summary on one page, a badge."""
+"""Export results for other documents: requirements as CSV or Markdown, a summary on one page, a badge."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from dcp_conformance.model.verdict import Verdict
 from .overview import certainty, diagnosed, headline
 
 _COLUMNS: Final = ("requirement", "verdict", "document", "section", "step", "statement", "cases", "why")
-#: Colours of a badge: with white text, each has a contrast of at least 4.5:1.
+#: Colours of a badge. The contrast of each with white text is at least 4.5:1 (WCAG 2 AA).
 _GREEN, _RED, _GREY, _DARK = "#1b7a3d", "#b42318", "#5f6670", "#3c434c"
-#: Width of a character of a badge, in pixels: that of a wide one, since fonts differ.
+#: Width of a character of a badge in pixels: that of a wide character, because fonts differ.
 _CHARACTER: Final = 6.8
 #: Characters with which a spreadsheet begins a formula.
 _FORMULA: Final = ("=", "+", "-", "@", "\t", "\r")
 
 
 class Row(NamedTuple):
-    """A requirement with its verdict."""
+    """A requirement and its verdict: a row of the table."""
 
     requirement: str
     verdict: str
@@ -37,13 +37,13 @@ class Row(NamedTuple):
     step: str
     statement: str
     cases: str
-    """Cases that decide it, separated by spaces."""
+    """Identifiers of the cases that decide the requirement, separated by spaces."""
     why: str
-    """Why it is no pass: the first failed or undecided check."""
+    """The first check with this verdict, if the verdict is not pass or info; otherwise empty."""
 
 
 def rows(run: RunResult) -> Iterator[Row]:
-    """The requirements of a run in the order of the catalogue."""
+    """Yield the requirements of a run in the order of the catalogue."""
     known = requirements()
     order = {name: number for number, name in enumerate(known)}
     deciding: dict[str, list[CaseResult]] = {}
@@ -57,7 +57,7 @@ def rows(run: RunResult) -> Iterator[Row]:
     for name, verdict in sorted(run.requirements.items(), key=lambda each: order.get(each[0], len(order))):
         entry = known.get(name)
         place = (entry.section if entry is not None else "").replace("`", "")
-        # An anchor, or the words of a heading.
+        # A section is named by its anchor ("file#anchor") or by its heading ("file: heading").
         document, section = (*re.split("#|: ", place, maxsplit=1), "")[:2]
         cases = deciding.get(name, [])
         yield Row(
@@ -81,7 +81,10 @@ def _why(name: str, verdict: Verdict, cases: list[CaseResult]) -> str:
 
 
 def requirements_csv(run: RunResult) -> str:
-    """The requirements as CSV (RFC 4180). A cell that a spreadsheet would take for a formula begins with ``'``."""
+    """Return the requirements as CSV (RFC 4180).
+
+    A cell that a spreadsheet would evaluate as a formula is prefixed with ``'``.
+    """
     output = io.StringIO()
     writer = csv.writer(output)
     writer.writerow(_COLUMNS)
@@ -92,7 +95,7 @@ def requirements_csv(run: RunResult) -> str:
 
 
 def requirements_markdown(run: RunResult) -> str:
-    """The requirements as a table in Markdown."""
+    """Return the requirements as a Markdown table."""
     lines = ["| requirement | verdict | statement | section | cases |", "|---|---|---|---|---:|"]
     for row in rows(run):
         section = f"{row.document}: {row.section}" + (f", step {row.step}" if row.step else "")
@@ -103,7 +106,7 @@ def requirements_markdown(run: RunResult) -> str:
 
 
 def summary_markdown(run: RunResult) -> str:
-    """A run on one page: the sentence that matters, its numbers, the diagnosis, and what was tested how."""
+    """Return a summary in Markdown: headline, numbers of verdicts, diagnosis, failed requirements, and test setup."""
     name = " ".join(filter(None, (run.sut.name, run.sut.version))) or "An implementation of DCP"
     lines = [f"# {_cell(name)}: conformance to DCP {_cell(run.spec_version)}", "", f"{_cell(headline(run))}.", ""]
     counts: dict[str, Counter[str]] = {}
@@ -137,7 +140,7 @@ def summary_markdown(run: RunResult) -> str:
 
 
 def badge(run: RunResult) -> str:
-    """A badge as SVG: the version of the specification, and how many requirements pass or fail."""
+    """Return a badge in SVG: version of the specification, and number of requirements that fail, or pass if none do."""
     count = Counter(run.requirements.values())
     failed = count[Verdict.FAIL] + count[Verdict.ERROR]
     if failed:
@@ -145,7 +148,7 @@ def badge(run: RunResult) -> str:
     elif count[Verdict.PASS]:
         text, colour = f"{count[Verdict.PASS]} requirements pass", _GREEN
     else:
-        text, colour = "nothing decided", _GREY
+        text, colour = "no requirement decided", _GREY
     label = f"DCP {plain(run.spec_version)}"
     left, right = (round(_CHARACTER * len(each)) + 12 for each in (label, text))
     width, name = left + right, escape(f"{label}: {text}", {'"': "&quot;"})
@@ -162,7 +165,7 @@ def badge(run: RunResult) -> str:
 
 
 def _cell(text: str) -> str:
-    """Text that is not ours, in a cell or a line of Markdown: no HTML, links or further cells."""
+    """Escape untrusted text for a line or a table cell of Markdown: no HTML, links or further cells."""
     found = plain(text).replace("\n", " ")
     for sign in "\\`*_[]<>|":
         found = found.replace(sign, f"\\{sign}")

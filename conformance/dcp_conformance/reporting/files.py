@@ -1,4 +1,4 @@
-"""The files of a report: ``results.json``, ``junit.xml``, ``report.html`` and the recordings of the cases."""
+"""Write and read the files of a report: ``results.json``, ``junit.xml``, ``report.html``, recordings of the cases."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ RESULTS = "results.json"
 
 
 def write_report(run: RunResult, directory: Path, codec: Codec | None = None) -> Path:
-    """Write all files into ``directory``, which is made if it is not there; the path of the page.
+    """Write all files into ``directory``, which is created if necessary. Returns the path of the HTML page.
 
-    ``codec`` takes the frames apart that the page shows; by default that of the profile the run names. Files of an
-    earlier report are replaced, each at once. Raises :class:`UsageError` if that cannot be done.
+    ``codec`` dissects the frames on the page; the default is the codec of the built-in profile that the run names.
+    Each file of an earlier report is replaced atomically. Raises :class:`UsageError` if a file cannot be written.
     """
     from .junit import junit_xml
     from .page import render
@@ -38,16 +38,19 @@ def write_report(run: RunResult, directory: Path, codec: Codec | None = None) ->
 
 
 def make_folder(directory: Path) -> None:
-    """Have the folder of a report before there is anything to lose. Raises :class:`UsageError` if that cannot be."""
+    """Create the folder of a report, before the run starts. Raises :class:`UsageError` if it cannot be created."""
     try:
         directory.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        why = "is there, and is no folder" if isinstance(error, FileExistsError) else error.strerror or error
+        why = "exists and is not a folder" if isinstance(error, FileExistsError) else error.strerror or error
         raise UsageError(f"{error.filename or directory}: cannot be written: {why}") from None
 
 
 def load_results(path: Path) -> RunResult:
-    """Read a ``results.json``, or the one in a folder. Raises :class:`UsageError` that says what is wrong with it."""
+    """Read results from a file, or from ``results.json`` in a folder.
+
+    Raises :class:`UsageError` if the file cannot be read, is not a result file, or has an unknown schema version.
+    """
     file = path / RESULTS if path.is_dir() else path
     try:
         octets = file.read_bytes()
@@ -56,16 +59,16 @@ def load_results(path: Path) -> RunResult:
     try:
         run = msgspec.json.decode(octets, type=RunResult)
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
-        raise UsageError(f"{file}: no results of dcp-conformance: {error}") from None
+        raise UsageError(f"{file}: not a result file of dcp-conformance: {error}") from None
     if run.schema != SCHEMA:
-        raise UsageError(f"{file}: follows {run.schema!r}, which this version does not know; it knows {SCHEMA!r}")
+        raise UsageError(f"{file}: follows the schema {run.schema!r}; this version can read {SCHEMA!r} only")
     return run
 
 
 def codec_of(run: RunResult) -> Codec | None:
-    """The codec of the built-in profile that a run names, None if there is none.
+    """Return the codec of the built-in profile that a run names; None if it names no built-in profile.
 
-    Results are data: a path in them is not opened.
+    Profile files are not opened: results are untrusted, and could name any path.
     """
     if run.profile not in profile_names():
         return None

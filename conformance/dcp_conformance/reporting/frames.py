@@ -1,4 +1,4 @@
-"""Frames of results, taken apart for the page: octets, fields, problems."""
+"""Dissect the frames of results for the page: octets, fields, problems."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ ARROWS = {
 
 
 def octets_of(event: EventRecord) -> bytes:
-    """The frame of an event; empty where the results have something else than hexadecimal digits."""
+    """Return the frame of an event; empty if the results do not contain hexadecimal digits there."""
     try:
         return bytes.fromhex(event.octets)
     except ValueError:
@@ -36,12 +36,12 @@ def octets_of(event: EventRecord) -> bytes:
 
 
 def _start(event: EventRecord) -> int:
-    """Where the bearer payload starts, within the frame whatever the results say."""
+    """Return the offset of the bearer payload, limited to the frame: results are untrusted."""
     return min(max(event.start, 0), len(event.octets) // 2)
 
 
 class Frames:
-    """Frames taken apart, as far as there is a codec."""
+    """Formatter of frames. Without a codec it shows octets only."""
 
     def __init__(self, codec: Codec | None) -> None:
         self._codec = codec
@@ -55,7 +55,7 @@ class Frames:
         return DissectedFrame(self._codec, frame, Framing(start, len(octets)), found)
 
     def line(self, event: EventRecord) -> str:
-        """A frame in one line."""
+        """Return a frame in one line: sequence number, payloads, errors; its length if there is no codec."""
         apart = self._dissected(event)
         if apart is None:
             return f"{len(octets_of(event))} octets"
@@ -66,7 +66,10 @@ class Frames:
         return f"{number} {what}" + (f"  [{errors}]" if errors else "")
 
     def frame(self, event: EventRecord, marks: list[Mark], begin: int) -> dict[str, Any]:
-        """A frame with its octets, those of the marks marked, and its fields."""
+        """Return the octets, fields and problems of a frame for the template, with the marked octets and fields.
+
+        ``begin`` is the time that counts as 0, in ns since 1970.
+        """
         octets = octets_of(event)
         apart = self._dissected(event)
         spans = [(mark.offset, mark.offset + mark.length) for mark in marks if mark.length]
@@ -90,6 +93,7 @@ class Frames:
 
 
 def _dump(octets: bytes, start: int, spans: list[tuple[int, int]]) -> Iterator[dict[str, Any]]:
+    """Yield the rows of a hex dump; ``spans`` are the ranges (first, end) of marked octets."""
     for row in range(0, len(octets), 16):
         cells = []
         for offset in range(row, min(row + 16, len(octets))):
@@ -101,6 +105,8 @@ def _dump(octets: bytes, start: int, spans: list[tuple[int, int]]) -> Iterator[d
 
 
 def _fields(codec: Codec, apart: DissectedFrame, marked: set[str]) -> Iterator[dict[str, Any]]:
+    """Yield the fields of a frame in order, with their depth in the tree; ``marked`` are paths of fields."""
+
     def walk(field: Field, depth: int) -> Iterator[dict[str, Any]]:
         text = value_text(codec.profile, field)
         bad = field.path in marked

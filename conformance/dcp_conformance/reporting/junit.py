@@ -1,4 +1,7 @@
-"""``junit.xml``: what build servers read. A failure is the implementation's, an error the tester's."""
+"""Write ``junit.xml`` for build servers.
+
+A *failure* is a fault of the implementation, an *error* a fault of the tester.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +22,7 @@ _OUTCOMES = {
 
 
 def junit_xml(run: RunResult) -> bytes:
-    """One suite for each section; requirement ids and the verdict are properties of the case."""
+    """Return the results as JUnit XML: one test suite for each section, requirements and verdict as properties."""
     counted = [case for case in run.cases if case.counted]
     root = ET.Element("testsuites", _counts(counted) | {"name": f"dcp-conformance {run.profile}"})
     for section in dict.fromkeys(case.section for case in counted):

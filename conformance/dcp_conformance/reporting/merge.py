@@ -1,4 +1,4 @@
-"""Several runs side by side: implementations and requirements, or the same implementation before and after."""
+"""Compare several runs: requirements of different implementations, or cases of one implementation before and after."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from dcp_conformance.execution.selection import retired
 from dcp_conformance.model.results import CaseResult, RunResult
 from dcp_conformance.model.verdict import Verdict, worst
 
-#: From the best to the worst for comparisons: what was not decided is neither better nor worse than another doubt.
+#: Verdicts that count as better and as worse in comparisons. The other verdicts are neither.
 _GOOD = (Verdict.PASS, Verdict.INFO)
 _BAD = (Verdict.FAIL, Verdict.ERROR)
 
 
-#: Changes to the worse: a result that is missing may be hiding a fail.
+#: Kinds of change for the worse. A case without a result in the new run may hide a fail.
 WORSE = ("regression", "gone")
 
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """A case whose verdict differs between two runs; None where a run does not have it."""
+    """A case whose verdict differs between two runs; None for a run that does not contain the case."""
 
     id: str
     old: Verdict | None
@@ -44,7 +44,7 @@ class Change:
 
 
 def compare(old: RunResult, new: RunResult) -> list[Change]:
-    """The cases whose verdicts differ, regressions first. Of several attempts the worst counts."""
+    """Return the cases whose verdicts differ, regressions first. Of several attempts the worst verdict counts."""
     before, after = _by_case(old), _by_case(new)
     changes = []
     for identifier in dict.fromkeys((*before, *after)):
@@ -59,7 +59,7 @@ def compare(old: RunResult, new: RunResult) -> list[Change]:
 
 @dataclass(frozen=True, slots=True)
 class Contradiction:
-    """A requirement that one run fails and another passes."""
+    """A requirement that fails in one of two runs and passes in the other."""
 
     id: str
     old: Verdict
@@ -67,9 +67,10 @@ class Contradiction:
 
 
 def side_by_side(old: RunResult, new: RunResult) -> list[tuple[str, Verdict | None, Verdict | None]]:
-    """The requirements with different verdicts in two runs, in the order of the catalogue; None: not decided.
+    """Return the requirements whose verdicts differ between two runs, in the order of the catalogue.
 
-    For results of different commands (``run`` and ``check``), which have no cases in common.
+    None is the verdict of a requirement that a run did not decide. For results of different commands (``run`` and
+    ``check``), which have no cases in common.
     """
     return [
         (identifier, verdicts[0], verdicts[1])
@@ -79,7 +80,7 @@ def side_by_side(old: RunResult, new: RunResult) -> list[tuple[str, Verdict | No
 
 
 def contradictions(old: RunResult, new: RunResult) -> list[Contradiction]:
-    """The requirements that one of two runs passes and the other fails."""
+    """Return the requirements that pass in one of two runs and fail in the other."""
     return [
         Contradiction(identifier, was, is_now)
         for identifier, was, is_now in side_by_side(old, new)
@@ -96,7 +97,7 @@ def _by_case(run: RunResult) -> dict[str, CaseResult]:
 
 
 def labels(runs: Sequence[RunResult]) -> list[str]:
-    """What to call each run: name and version, with the profile or a number where these are not enough."""
+    """Return a distinct label for each run: name and version, and the profile or a number if labels would be equal."""
     names = [" ".join(filter(None, (run.sut.name or "unnamed", run.sut.version))) for run in runs]
     if len(set(names)) < len(names):
         names = [f"{name} ({run.profile})" for name, run in zip(names, runs, strict=True)]
@@ -106,7 +107,7 @@ def labels(runs: Sequence[RunResult]) -> list[str]:
 
 
 def matrix(runs: Sequence[RunResult]) -> list[tuple[str, list[Verdict | None]]]:
-    """For each requirement that any run decided, in the order of the catalogue: the verdict in each run."""
+    """Return the verdict in each run, for each requirement that a run decided, in the order of the catalogue."""
     return [
         (identifier, [run.requirements.get(identifier) for run in runs])
         for identifier in requirements()
@@ -115,7 +116,7 @@ def matrix(runs: Sequence[RunResult]) -> list[tuple[str, list[Verdict | None]]]:
 
 
 def render_matrix(runs: Sequence[RunResult]) -> str:
-    """The page of several runs."""
+    """Return the HTML page that compares several runs by requirement."""
     from .page import environment
 
     known = requirements()

@@ -1,4 +1,4 @@
-"""What a run comes to in a few words: for the page and for the terminal."""
+"""Summarise a run in a few sentences, for the page and for the terminal."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from dcp_spec.catalogue.readings import differs_from_reference, readings, told
 from dcp_conformance.model.results import CaseResult, Check, Probable, RunResult
 from dcp_conformance.model.verdict import Verdict
 
-#: How the expectation begins that an implementation lives through a case.
+#: Beginning of the expectation that an implementation still runs after a case.
 SURVIVAL = "the implementation survives"
 BAD = (Verdict.FAIL, Verdict.ERROR)
-#: Cases that a sentence names.
+#: Maximum number of cases that a sentence lists.
 _NAMED = 6
 
 
 def headline(run: RunResult) -> str:
-    """The sentence that matters: how many requirements pass, and how many do not."""
+    """Return the headline of a run: the numbers of requirements that pass, fail, and have another verdict."""
     count = Counter(run.requirements.values())
     passed, failed = count[Verdict.PASS], count[Verdict.FAIL]
     if not passed and not failed:
@@ -28,19 +28,19 @@ def headline(run: RunResult) -> str:
         one = "requirement passes" if passed == 1 else "requirements pass"
         said = f"{passed} {one}, {failed or 'none'} {'fails' if failed < 2 else 'fail'}"
         if run.diagnosis is not None and (faults := len(run.diagnosis.faults)):
-            said += f" for {faults} probable reason{'' if faults == 1 else 's'}"
+            said += f", explained by {faults} probable fault{'' if faults == 1 else 's'}"
     others = {
         Verdict.INCONCLUSIVE: "inconclusive",
         Verdict.ERROR: "in error",
         Verdict.INFO: "only reported",
-        Verdict.TOO_LITTLE: "seen too seldom to say",
+        Verdict.TOO_LITTLE: "seen too rarely to decide",
     }
     more = [f"{count[each]} {_are(count[each])} {word}" for each, word in others.items() if count[each]]
     return "; ".join(filter(None, [said, *more, undecided_deaths(run)]))
 
 
 def diagnosed(run: RunResult) -> str:
-    """How far the failures are explained, in a sentence; empty if none failed."""
+    """Return a sentence with the numbers of probable faults and of failures they explain; empty if no case failed."""
     found = run.diagnosis
     if found is None or not found.failed:
         return ""
@@ -53,7 +53,7 @@ def diagnosed(run: RunResult) -> str:
 
 
 def certainty(fault: Probable) -> str:
-    """How well the failures of a run fit a fault, in words."""
+    """Return how well the failures of a run fit a fault, as a sentence without its subject."""
     hits = fault.expected - len(fault.missing)
     text = f"explains {len(fault.explains)} failed case{'' if len(fault.explains) == 1 else 's'}"
     if fault.expected:
@@ -66,14 +66,14 @@ def _are(count: int) -> str:
 
 
 class Death(NamedTuple):
-    """Cases of which the implementation died in the same way."""
+    """Cases in which the implementation crashed in the same way."""
 
     how: str
     cases: tuple[CaseResult, ...]
 
 
 def deaths(run: RunResult) -> list[Death]:
-    """Ways to die that several cases share, the most frequent first."""
+    """Return the crashes that occurred in several cases, the most frequent first."""
     found: dict[str, list[CaseResult]] = {}
     for case in run.cases:
         if case.killed and case.death and only_died(case):
@@ -83,13 +83,13 @@ def deaths(run: RunResult) -> list[Death]:
 
 
 def only_died(case: CaseResult) -> bool:
-    """Whether a death is all that went wrong in a case."""
+    """Return whether the crash is the only thing that failed in a case."""
     bad = bad_checks(case)
     return bool(bad) and all(check.expected.startswith(SURVIVAL) for check in bad)
 
 
 def undecided_deaths(run: RunResult) -> str:
-    """The cases that ended the implementation without violating a requirement, in a sentence; empty if none did."""
+    """Return a sentence with the cases that crashed the implementation without violating a requirement, or ""."""
     cases = [
         case.id
         for case in run.cases
@@ -103,25 +103,25 @@ def undecided_deaths(run: RunResult) -> str:
 
 
 def bad_checks(case: CaseResult) -> list[Check]:
-    """What went wrong in a case."""
+    """Return the failed checks of a case, and those in error."""
     return [check for check in case.checks if check.verdict in BAD]
 
 
 class Reading(NamedTuple):
-    """A disputed text, and the readings of it that were observed."""
+    """A disputed text of the specification, and the readings of it that were observed."""
 
     id: str
     title: str
     observed: tuple[str, ...]
-    """With the reference reading beside those that differ from it."""
+    """The observed readings. One that differs from the reference reading is followed by the latter."""
     differs: bool
-    """Whether one of them is not the reading that this kit takes for the right one."""
+    """Whether an observed reading differs from the reference reading of this kit."""
     named: bool
-    """Whether readings have names; otherwise what was observed is a sentence."""
+    """Whether ``observed`` contains names of readings; otherwise it contains sentences."""
 
 
 def observed_readings(run: RunResult) -> Iterator[Reading]:
-    """The disputed texts of which a reading was observed, in the order of the results."""
+    """Yield the disputed texts of which a reading was observed, in the order of the results."""
     known = readings()
     for identifier, observed in run.readings.items():
         entry = known.get(identifier)

@@ -1,4 +1,4 @@
-"""``report.html``: one page that needs nothing else."""
+"""Render ``report.html``: one self-contained page that loads nothing from the network."""
 
 from __future__ import annotations
 
@@ -23,13 +23,14 @@ from dcp_conformance.model.results import CaseResult, Check, EventRecord, Mark, 
 from dcp_conformance.model.verdict import Verdict
 
 from .frames import Frames
+from .glossary import terms, terms_of
 from .overview import certainty, deaths, diagnosed, headline, observed_readings
 from .recordings import FOLDER
 from .references import requirement_links, section_link
-from .timeline import MOST_FRAMES, begin_of, timeline_of, told_together
+from .timeline import MOST_FRAMES, begin_of, collapse_repeats, timeline_of
 from .to_declare import keys_of, to_declare
 
-#: Findings that are open when the page is.
+#: Number of findings that are expanded when the page opens.
 _OPEN = 10
 _ORDER = (
     Verdict.FAIL,
@@ -42,12 +43,15 @@ _ORDER = (
 )
 
 
-#: Recordings that the page links to: what a report names, which is no other address.
+#: Names of recordings that the page links to. Results are untrusted: they must not make the page link elsewhere.
 _RECORDING = re.compile(rf"{FOLDER}/[A-Za-z0-9_+=-][A-Za-z0-9._+=-]*")
 
 
 def environment() -> Environment:
-    """The templates of this package. Everything in them is escaped, and no script but their own one can run."""
+    """Return the Jinja environment for the templates of this package.
+
+    Values are escaped. The content security policy permits only the script of the package, by its hash.
+    """
     script = resources.files(__package__).joinpath("templates", "page.js").read_text(encoding="utf-8")
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
     made = Environment(
@@ -58,22 +62,24 @@ def environment() -> Environment:
         lstrip_blocks=True,
         finalize=_shown,
     )
-    # Ours, and part of the package.
+    # The script is a file of this package, so it needs no escaping.
     made.globals["script"] = Markup(script)  # noqa: S704
     made.globals["policy"] = (
         f"default-src 'none'; script-src 'sha256-{digest}'; style-src 'unsafe-inline'; base-uri 'none'; "
         "form-action 'none'"
     )
+    made.globals["glossary"] = terms()
+    made.globals["terms_of"] = terms_of
     return made
 
 
 def _shown(value: Any) -> Any:
-    """Control characters in data become visible; a browser would hide them, or reorder the line."""
+    """Make control characters in a text visible: a browser would hide them, or reorder the line."""
     return plain(value, keep="\n\t") if type(value) is str else value
 
 
 def render(run: RunResult, codec: Codec | None) -> str:
-    """The page of one run."""
+    """Return the HTML page of one run. Without a codec, frames are shown as octets only."""
     apart = Frames(codec)
     known = requirements()
     cases = [_case(case, number, apart) for number, case in enumerate(run.cases)]
@@ -118,7 +124,7 @@ def render(run: RunResult, codec: Codec | None) -> str:
 
 
 def _links(run: RunResult) -> dict[str, Any] | None:
-    """Who hears whom as a matrix: listeners, speakers, and the link of each pair."""
+    """Return the nodes, and the link of each pair (listener, speaker); None if no link was inferred."""
     if not run.links:
         return None
     nodes = sorted({node for each in run.links for node in (each.listener, each.speaker)})
@@ -126,6 +132,7 @@ def _links(run: RunResult) -> dict[str, Any] | None:
 
 
 def _counts(run: RunResult) -> dict[str, int]:
+    """Return the number of requirements with each verdict that occurs."""
     counts = {str(verdict): 0 for verdict in _ORDER}
     for verdict in run.requirements.values():
         counts[str(verdict)] += 1
@@ -133,6 +140,7 @@ def _counts(run: RunResult) -> dict[str, int]:
 
 
 def _sections(run: RunResult) -> list[dict[str, Any]]:
+    """Return the numbers of verdicts in each section of each table (conformance, robustness)."""
     found: dict[tuple[str, str], dict[str, int]] = {}
     for case in run.cases:
         if not case.counted:
@@ -146,7 +154,7 @@ def _sections(run: RunResult) -> list[dict[str, Any]]:
 
 
 def _matrix(run: RunResult, cases: list[dict[str, Any]]) -> Iterator[dict[str, Any]]:
-    """A row for each requirement that any case or check is about, in the order of the catalogue."""
+    """Yield a row for each requirement that a case or a check names, in the order of the catalogue."""
     named = [
         {*case["requirements"], *(each for check in case["checks"] for each in check["requirements"])} for case in cases
     ]
@@ -165,7 +173,7 @@ def _matrix(run: RunResult, cases: list[dict[str, Any]]) -> Iterator[dict[str, A
 
 
 def _failing(cases: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """The requirements that fail, with the cases in which they do; those with the most cases first."""
+    """Return the requirements that fail and the cases in which they fail; the one with the most cases first."""
     found: dict[str, list[dict[str, Any]]] = {}
     for case in cases:
         failed = [check["requirements"] for check in case["checks"] if check["verdict"] == "fail"]
@@ -177,6 +185,7 @@ def _failing(cases: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def _case(case: CaseResult, number: int, apart: Frames) -> dict[str, Any]:
+    """Return a case for the template; ``number`` makes its anchor."""
     events = {event.frame: event for event in case.evidence if event.frame}
     return {
         "key": f"c{number}",
@@ -196,7 +205,7 @@ def _case(case: CaseResult, number: int, apart: Frames) -> dict[str, Any]:
         "executions": case.executions,
         "checks": _checks(case, events, apart),
         "to_declare": [(key, QUESTIONS[key]) for key in keys_of(case)],
-        "timeline": told_together(list(timeline_of(case, apart)), case),
+        "timeline": collapse_repeats(list(timeline_of(case, apart)), case),
         "left_out": case.left_out,
         "recording": case.recording,
         "linked": _RECORDING.fullmatch(case.recording) is not None,
@@ -211,7 +220,10 @@ def _case(case: CaseResult, number: int, apart: Frames) -> dict[str, Any]:
 
 
 def _checks(case: CaseResult, events: dict[int, EventRecord], apart: Frames) -> list[dict[str, Any]]:
-    """The checks of a case. A frame is taken apart at the first check that cites it, with the octets of all marked."""
+    """Return the checks of a case for the template.
+
+    A frame is dissected at the first check that cites it, with the marks of all checks that cite it.
+    """
     marks: dict[int, list[Mark]] = {}
     for check in filter(_notable, case.checks):
         for mark in check.frames:
@@ -221,6 +233,7 @@ def _checks(case: CaseResult, events: dict[int, EventRecord], apart: Frames) -> 
 
 
 def _notable(check: Check) -> bool:
+    """Return whether the page shows the frames of a check: it did not pass, or reports a behaviour with frames."""
     return check.verdict.rank > Verdict.PASS.rank or (check.verdict is Verdict.INFO and bool(check.frames))
 
 
@@ -232,7 +245,7 @@ def _check(
     case: CaseResult,
     shown: set[int],
 ) -> dict[str, Any]:
-    """``shown``: the frames that earlier checks of the case show, to which those of this one are added."""
+    """Return a check for the template. Adds the frames that it shows to ``shown``, those of earlier checks."""
     notable = _notable(check)
     cited = [number for number in dict.fromkeys(mark.frame for mark in check.frames) if number in events]
     here = cited[:MOST_FRAMES] if notable else []

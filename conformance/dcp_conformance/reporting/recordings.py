@@ -1,4 +1,4 @@
-"""The traffic of each case as MCAP and pcapng, with the command that runs it again."""
+"""Write the frames of each case as MCAP and pcapng, with the command that runs the case again."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ FOLDER = "cases"
 
 
 def write_recordings(run: RunResult, directory: Path) -> RunResult:
-    """Write the frames of every case that has any, beside the report; the run with the names of the files.
+    """Write the frames of each case into the subfolder ``cases``. Returns the run with the file names added.
 
-    Raises ``OSError``, or :class:`UsageError` for frames that no capture can hold.
+    Raises ``OSError`` if a file cannot be written, and :class:`UsageError` for frames that the formats cannot store.
     """
     cases = []
     for case in run.cases:
@@ -35,7 +35,8 @@ def write_recordings(run: RunResult, directory: Path) -> RunResult:
 
 def _frames(case: CaseResult) -> list[Frame]:
     events = [event for event in case.evidence if event.octets]
-    # A recording is in the order of time; the kernel's stamps of what came can lie before our own of what went.
+    # Events keep their order: a received frame has the time stamp of the kernel, which can be earlier than that of a
+    # frame sent before.
     frames = [(event.frame, event.time, bytes.fromhex(event.octets)) for event in events]
     return [Frame(number, time, octets, len(octets)) for number, time, octets in frames]
 

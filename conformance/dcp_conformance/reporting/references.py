@@ -1,4 +1,4 @@
-"""Links from a page to the places of the specification: of requirements, and of disputed text."""
+"""Links from a page into the specification: for requirements, and for disputed text."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from dcp_spec.constants import SpecVersion
 
 @cache
 def requirement_links(version: str) -> Mapping[str, str]:
-    """By requirement: the address of the first sentence it stands on, in this version of the specification.
+    """Return for each requirement the URL of its first sentence in this version of the specification.
 
-    For a requirement without one in this version, that of the newest version that has one.
+    For a requirement without a sentence in this version, the URL is that in the newest version that has one.
     """
     found: dict[str, str] = {}
     for identifier, entry in origins().items():
@@ -24,14 +24,14 @@ def requirement_links(version: str) -> Mapping[str, str]:
 
 
 def _versions(first: str) -> list[SpecVersion]:
-    """All versions, this one before the others, which come newest first."""
+    """Return all versions: ``first``, then the others from the newest to the oldest."""
     known = [each.version for each in revisions()]
     return sorted(known, key=lambda each: str(each) != first)
 
 
 @cache
 def _lines() -> Mapping[tuple[str, str], int]:
-    """The first line of each section of the newest version: by its file with its anchor, and with its title."""
+    """Return the first line of each section of the newest version, by (file, anchor) and by (file, heading)."""
     file = newest_statements()
     found: dict[tuple[str, str], int] = {}
     for each in file.statements:
@@ -44,10 +44,10 @@ def _lines() -> Mapping[tuple[str, str], int]:
 
 
 def section_link(section: str) -> str:
-    """The address of a section of the newest version, as readings and requirements name it.
+    """Return the URL of a section in the newest version; empty if ``section`` names no file of the specification.
 
-    ``dcp-bp.md#anchor``, or ``dcp-bp.md: Heading``. A section that is not known is linked as its file; text that names
-    no file of the specification has no address.
+    ``section`` has the form ``dcp-bp.md#anchor`` or ``dcp-bp.md: Heading``. The URL of an unknown section is that of
+    its file.
     """
     file, _, name = section.partition("#") if "#" in section else section.partition(": ")
     if not file.endswith(".md") or not file.startswith("dcp-"):

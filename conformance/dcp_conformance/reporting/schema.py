@@ -1,4 +1,4 @@
-"""The JSON Schema of ``results.json``, made from the structs that write it.
+"""Generate the JSON Schema of ``results.json`` from the classes of :mod:`dcp_conformance.model.results`.
 
 ``python -m dcp_conformance.reporting.schema`` writes it to ``dcp_conformance/data/results.schema.json``.
 """
@@ -17,7 +17,10 @@ PATH = Path(__file__).resolve().parent.parent / "data" / "results.schema.json"
 
 
 def results_schema() -> dict[str, Any]:
-    """JSON Schema 2020-12. Further members may come within a version; readers must ignore what they do not know."""
+    """Return the schema (JSON Schema 2020-12).
+
+    A later release may add members without a new schema version; readers must ignore unknown members.
+    """
     (reference,), definitions = schema_components([RunResult])
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
@@ -29,7 +32,7 @@ def results_schema() -> dict[str, Any]:
 
 
 def text() -> str:
-    """The schema as the file has it."""
+    """Return the contents of the schema file."""
     return msgspec.json.format(msgspec.json.encode(results_schema()), indent=2).decode() + "\n"
 
 

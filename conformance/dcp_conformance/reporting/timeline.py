@@ -1,4 +1,4 @@
-"""The timeline of a case, as the page shows it."""
+"""Prepare the timeline of a case for the page: one line for each event, repeated beacons collapsed."""
 
 from __future__ import annotations
 
@@ -10,20 +10,21 @@ from dcp_conformance.model.results import CaseResult
 
 from .frames import ARROWS, Frames
 
-#: Lines of a timeline that the page shows at its beginning and at its end; recordings have all of them.
+#: Lines that the page shows at the beginning, and at the end, of a timeline. The recording contains all frames.
 _LINES = 60
-#: Beacons that say the same before the others are told together, if there are more of these than that.
+#: Number of equal beacons that are shown; further ones are collapsed into one line if there are more than this number.
 _REPEATED = 2
-#: Frames of a check that the page takes apart.
+#: Maximum number of frames of a check that the page dissects.
 MOST_FRAMES = 3
 
 
 def begin_of(case: CaseResult) -> int:
-    """The time that a case's timeline counts from, ns since 1970."""
+    """Return the time that counts as 0 in the timeline of a case, in ns since 1970."""
     return case.evidence[0].time if case.evidence else 0
 
 
 def timeline_of(case: CaseResult, apart: Frames) -> Iterator[dict[str, Any]]:
+    """Yield the lines of a timeline for the template; the middle of a long one is a single line with its length."""
     begin, events = begin_of(case), case.evidence
     skipped = len(events) - 2 * _LINES
     for index, event in enumerate(events):
@@ -48,19 +49,19 @@ def timeline_of(case: CaseResult, apart: Frames) -> Iterator[dict[str, Any]]:
         }
 
 
-def told_together(lines: list[dict[str, Any]], case: CaseResult) -> list[dict[str, Any]]:
-    """A timeline in which beacons that only say again what the last one said are one line.
+def collapse_repeats(lines: list[dict[str, Any]], case: CaseResult) -> list[dict[str, Any]]:
+    """Return a timeline in which consecutive beacons of the same content are collapsed into one line.
 
-    Frames that the page takes apart have their line, and so has everything in stretches that are short.
+    Frames that the page dissects keep their own lines, and so do the beacons of short repetitions.
     """
     frames = (dict.fromkeys(mark.frame for mark in check.frames) for check in case.checks)
     apart = {number for each in frames for number in [*each][:MOST_FRAMES]}
 
-    def what(line: dict[str, Any]) -> tuple[Any, ...]:
+    def content(line: dict[str, Any]) -> tuple[Any, ...]:
         return line["kind"], line["who"], _without_number(line), line["frame"] in apart and line["frame"]
 
     shown: list[dict[str, Any]] = []
-    for _, group in groupby(lines, key=what):
+    for _, group in groupby(lines, key=content):
         alike = list(group)
         repeated = alike[_REPEATED:]
         if alike[0]["kind"] != "heard" or len(repeated) <= _REPEATED:
@@ -73,6 +74,6 @@ def told_together(lines: list[dict[str, Any]], case: CaseResult) -> list[dict[st
 
 
 def _without_number(line: dict[str, Any]) -> str:
-    """What a beacon says, without its sequence number."""
+    """Return the text of a line; for a beacon of the implementation, without the sequence number."""
     text: str = line["text"]
     return text.partition(" ")[2] if line["kind"] == "heard" else text

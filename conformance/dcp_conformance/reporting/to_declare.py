@@ -1,4 +1,4 @@
-"""Keys of the PICS file on which verdicts of a run hang: what the implementer can state to have them decided."""
+"""Find the keys of the PICS file that the implementer can set so that undecided cases of a run are decided."""
 
 from __future__ import annotations
 
@@ -10,24 +10,25 @@ from dcp_conformance.model.pics_file import QUESTIONS
 from dcp_conformance.model.results import CaseResult
 from dcp_conformance.model.verdict import Verdict
 
-#: How checks name a key: "state its value (pixit.max_repetitions)", "[pixit] node_id".
+#: A key in the text of a check: "state its value (pixit.max_repetitions)", "[pixit] node_id".
 _KEYS: Final = re.compile(r"\b(?:(pixit|pics|sut)\.|\[(pixit|pics|sut)\] )([a-z_]+)")
-#: A key on which a pass or a verdict about another requirement hangs is not asked for.
+#: Verdicts of cases that the report asks keys for. A pass or an info needs no further declaration.
 _OPEN: Final = frozenset({Verdict.INCONCLUSIVE, Verdict.FAIL, Verdict.ERROR, Verdict.NOT_APPLICABLE})
 
 
 class ToDeclare(NamedTuple):
-    """A key, with the cases whose verdict hangs on it."""
+    """A key of the PICS file, and the cases whose verdicts depend on it."""
 
     key: str
-    """``pixit.max_repetitions``"""
+    """Section and name, such as ``pixit.max_repetitions``."""
     question: str
-    """What the key answers."""
+    """The question that the value of the key answers."""
     cases: tuple[str, ...]
+    """Identifiers of the cases."""
 
 
 def keys_of(case: CaseResult) -> Iterator[str]:
-    """The keys that a case names as the reason why it could not be decided, or failed; each once."""
+    """Yield each key that a case names as the reason why it failed or could not be decided."""
     if case.verdict not in _OPEN:
         return
     seen: set[str] = set()
@@ -41,7 +42,7 @@ def keys_of(case: CaseResult) -> Iterator[str]:
 
 
 def to_declare(cases: Iterable[CaseResult]) -> list[ToDeclare]:
-    """All keys that cases of a run name, those of the most cases first."""
+    """Return all keys that cases of a run name, the key with the most cases first."""
     found: dict[str, list[str]] = {}
     for case in cases:
         for key in keys_of(case):

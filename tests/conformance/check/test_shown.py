@@ -127,7 +127,7 @@ def test_the_page_shows_who_holds_what_and_who_hears_whom():
     assert all(0 < each.share <= 1 and each.reactions <= each.trials for each in run.links)
     page = render(run, None)
     assert _data(page) == json.loads(json.dumps(run.holdings))
-    assert "Who hears whom" in page
+    assert "Reception between nodes" in page
     hostile = msgspec.structs.replace(run, holdings=run.holdings | {"nodes": ["</div><b>", "b", "c"]})
     page = render(hostile, None)
     assert "</div><b>" not in page

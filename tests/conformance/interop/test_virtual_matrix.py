@@ -13,14 +13,16 @@ import pytest
 from dcp_conformance.errors import UsageError
 from dcp_conformance.interop.bounds import attempts
 from dcp_conformance.interop.cell import Cell, run_cell
-from dcp_conformance.interop.definition import GRID_8, LINE_5, all_tests, network_test
-from dcp_conformance.interop.implementations import BUILT_IN, built_in, load_description
+from dcp_conformance.interop.definition import GRID_8, LINE_5, PAIR, all_tests, network_test
+from dcp_conformance.interop.implementations import BUILT_IN, built_in, load_description, virtual_setup
 from dcp_conformance.interop.matrix import cells_of, parse_only, run_matrix
 from dcp_conformance.interop.reports import load_matrix, write_reports
 from dcp_conformance.interop.results import CellResult
-from dcp_conformance.interop.scene import SECOND, Scene
+from dcp_conformance.interop.scene import MS, SECOND, Scene
 from dcp_conformance.interop.selftest import FAULTS, variants_to_try
+from dcp_conformance.interop.virtual import VirtualWorld
 from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.selftest.variants.variant import all_variants
 
 from ..command import Command
 
@@ -261,3 +263,14 @@ def test_wrong_usage_says_what_to_do(words: list[str], advice: str, dcp_conforma
     status, _, told = dcp_conformance("interop", *words)
     assert status == 2
     assert advice in told
+
+
+def test_every_permitted_variant_starts() -> None:
+    for name in variants_to_try():
+        profiles = [each.partition(":")[2] for each in BUILT_IN]
+        profile = next(each for each in profiles if all_variants()[name].applies_to(each))
+        each = built_in(f"variant:{name}@{profile}")
+        world = VirtualWorld([(name, *virtual_setup(each, each.profile))] * 2, PAIR)
+        world.power(0, on=True)
+        world.run(300 * MS)
+        assert world.deaths() == {}, name

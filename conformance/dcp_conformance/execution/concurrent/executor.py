@@ -71,8 +71,7 @@ def execute(
         rest = [case for case in rest if case not in quick]
     _together(executor, rest, on_result)
     if runner.session.can_restart:
-        executor.run([case for case in applicable if case.destructive and not why_alone(case)], on_result)
-        executor.run_again(on_result)
+        _together(executor, [case for case in applicable if case.destructive], on_result)
     return executor.reasons
 
 
@@ -84,7 +83,7 @@ def _together(executor: SideBySide, cases: Sequence[Case], on_result: Callable[[
             families.setdefault(family(case), []).append(case)
     for each in families.values():
         executor.run(each, on_result)
-    executor.run_again(on_result)
+        executor.run_again(on_result)
 
 
 class _Pass(NamedTuple):

@@ -1,8 +1,8 @@
 """The process of atheris: ``python -m dcp_conformance.fuzz.execute.atheris_child SETTINGS [libFuzzer options]``.
 
-libFuzzer takes the process over: it does not come back from ``Fuzz()``, and ends the process when an input hangs. So it
-has one of its own (:mod:`dcp_conformance.fuzz.execute.atheris_engine`), which writes down inputs that show something
-and goes on.
+libFuzzer does not return from ``Fuzz()``, and ends the process when an input hangs. Therefore it runs in its own
+process (started by :mod:`dcp_conformance.fuzz.execute.atheris_engine`), which appends inputs with an effect to a file
+and continues.
 """
 
 from __future__ import annotations
@@ -14,27 +14,27 @@ from pathlib import Path
 
 import msgspec
 
-#: Corpus entries of which the layout is remembered.
+#: Number of corpus entries whose layout is cached.
 _REMEMBERED = 512
 _LOOKED_AT = ("dcp_codec", "dcp_spec", "dcp_stack", "dcp_conformance.model.pics", "dcp_conformance.model.pics_file")
 _OURS = ("dcp_codec.testing.mutation", "dcp_codec.testing.mutation_values")
 
 
 class ChildSettings(msgspec.Struct, frozen=True):
-    """What the process has to know."""
+    """Settings of the process, passed as JSON."""
 
     profile: str
     part: str
     seed: int
     findings: str
-    """A file, to which the input of each finding is added: a line in hex."""
+    """Path of the file to which the input of each finding is appended, as a line of hexadecimal digits."""
 
 
 def main(arguments: list[str]) -> None:
     """Fuzz until libFuzzer's limits end the process."""
     import atheris
 
-    # What makes inputs is not what is looked at.
+    # The code that makes inputs must not count as coverage.
     with atheris.instrument_imports(include=list(_LOOKED_AT), exclude=list(_OURS)):
         from dcp_codec.codec import Codec
         from dcp_codec.testing.mutation import Mutator
@@ -43,7 +43,7 @@ def main(arguments: list[str]) -> None:
 
     settings = msgspec.json.decode(arguments[0], type=ChildSettings)
     codec = Codec(settings.profile)
-    # Generated when it is first needed, which is not when it is imported.
+    # The decoder is generated at run time, so instrument_imports does not reach it.
     atheris.instrument_func(codec._decode_beacon)
     target = FunctionTarget(codec)
     seen: set[str] = set()
@@ -62,7 +62,7 @@ def main(arguments: list[str]) -> None:
         return Mutator(codec, rng, [octets])
 
     def mutate(octets: bytes, most: int, seed: int) -> bytes:
-        """By the layout, or as libFuzzer does: that finds what no layout knows of."""
+        """Mutate by the layout of the beacon, or as libFuzzer does, which also reaches inputs without a layout."""
         rng.seed(seed)
         if octets and seed & 1:
             return mutator_of(octets).mutate().octets[:most]

@@ -1,7 +1,7 @@
-"""atheris (libFuzzer) as another engine for functions in process: octets are changed, and lines reached decide.
+"""Use atheris (libFuzzer) as the engine for functions in process: mutation guided by code coverage.
 
-It runs in a process of its own (:mod:`dcp_conformance.fuzz.execute.atheris_child`) until the time is over; what it has
-found is then carried out here, minimised and kept like the findings of any campaign.
+It runs in its own process (:mod:`dcp_conformance.fuzz.execute.atheris_child`) until a limit is reached. The campaign
+then repeats, minimises and keeps its findings like those of its own generator.
 """
 
 from __future__ import annotations
@@ -25,17 +25,17 @@ from dcp_conformance.fuzz.steps import Effect, Frame, Step
 
 from .atheris_child import ChildSettings
 
-#: Octets of an input, as libFuzzer may make them; a beacon is at most that long.
+#: Maximum length of an input in octets; no beacon is longer.
 _LONGEST = 1500
-#: Seconds after which libFuzzer takes an input for a hang.
+#: Seconds after which libFuzzer reports a hang.
 _TIMEOUT = 10
-#: How often the process is started again after it has ended itself.
+#: Maximum number of starts of the process, which ends after each hang or crash.
 _STARTS = 20
 _RUNS = re.compile(r"stat::number_of_executed_units:\s*(\d+)")
 
 
 class _Gathered:
-    """A generator of what was gathered."""
+    """A generator that returns the given inputs in order."""
 
     def __init__(self, part: str, inputs: Sequence[bytes]) -> None:
         self.kinds: tuple[str, ...] = (part,)
@@ -45,14 +45,15 @@ class _Gathered:
         return [Frame(self._inputs.pop(0), b"", self.kinds[0])]
 
     def keep(self, steps: list[Step]) -> None:
-        """Nothing is mutated here."""
+        """Do nothing: this generator does not mutate."""
 
 
 def run_engine(campaign: Campaign, part: str, profile: str, seeds: Sequence[bytes], limits: Limits) -> None:
-    """Let atheris fuzz ``part`` in a profile (name or path), and give the campaign what it has found.
+    """Fuzz ``part`` with atheris in a profile (name or path), and add its findings to the campaign.
 
-    It begins with ``seeds``. With a folder for artefacts the corpus is kept there (``corpus-PART``), for the next time.
-    Ctrl-C ends it with what was found. Raises :class:`UsageError` without the extra.
+    The corpus starts with ``seeds``. If the campaign has a folder for artefacts, the corpus is stored there
+    (``corpus-PART``) and continued by the next campaign. After Ctrl-C the findings so far are kept. Raises
+    :class:`UsageError` if atheris is not installed.
     """
     if importlib.util.find_spec("atheris") is None:
         raise UsageError(advice("atheris"))
@@ -73,7 +74,7 @@ def run_engine(campaign: Campaign, part: str, profile: str, seeds: Sequence[byte
         inputs, hangs = gathered(folder)
     campaign.state.seconds += time.monotonic() - begun
     for octets in hangs:
-        # Doing it again here would end here.
+        # A hang cannot be repeated in this process.
         campaign.keep(as_it_was([Frame(octets, b"", part)], Effect("hang", f"{part}: it ended atheris", 0, part)))
     campaign.generator = _Gathered(part, inputs)
     campaign.run(Limits(cases=len(inputs)))
@@ -82,7 +83,7 @@ def run_engine(campaign: Campaign, part: str, profile: str, seeds: Sequence[byte
 
 
 def _children(settings: ChildSettings, folder: Path, corpus: Path, limits: Limits, begun: float) -> Iterator[int]:
-    """Processes, one after the other, until the time is over or the tests are done; the tests of each."""
+    """Run processes in succession until a limit is reached. Yields the number of tests of each."""
     done = 0
     for _ in range(_STARTS):
         left = None if limits.seconds is None else round(limits.seconds - (time.monotonic() - begun))
@@ -112,7 +113,7 @@ def _children(settings: ChildSettings, folder: Path, corpus: Path, limits: Limit
 
 
 def gathered(folder: Path) -> tuple[list[bytes], list[bytes]]:
-    """The inputs that have shown something, and those that libFuzzer has ended itself for."""
+    """Return the inputs that had an effect, and the inputs at which libFuzzer ended the process."""
     path = folder / "findings"
     lines = path.read_text().splitlines() if path.exists() else []
     ended = [each for kind in ("timeout", "oom", "crash") for each in sorted(folder.glob(f"{kind}-*"))]

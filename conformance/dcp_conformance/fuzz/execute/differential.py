@@ -1,7 +1,7 @@
-"""What an implementation shows of its state, against the model: summaries, values, services, neighbour table.
+"""Compare the observable state of an implementation with the model: summaries, values, services, neighbour table.
 
-Only what the specification decides is compared: of variables about which a damaged or disputed message has spoken, and
-of the order in which things are said, nothing is expected.
+Only behaviour that the specification defines is compared: not the state of variables that a damaged or disputed message
+has named, and not the order of records.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from dcp_conformance.upper_tester import Answer
 
 from .model_monitor import Observer
 
-#: Neighbours whose reports may have expired are not expected any more after this part of the timeout.
+#: Part of the neighbour timeout during which a neighbour must be in the table; after it, the entry may have expired.
 _FRESH = 0.5
 
 
@@ -31,17 +31,17 @@ class Comparison:
         self._bench = bench
         self._observer = observer
         self._reports: dict[bytes, int] = {}
-        """Who reported to the implementation, and when last."""
+        """Time of the last safety data report to the implementation, by node identifier."""
         self._judged = len(bench.heard)
         self._followed = bench.traffic.frames
-        """The last frame that the model knows of."""
+        """Number of the last frame that was passed to the model."""
         upper = bench.session.upper
         self._methods = upper.methods if upper is not None else frozenset[str]()
 
-    # -- while steps are carried out ---------------------------------------------------------------------------
+    # -- while steps are executed ------------------------------------------------------------------------------
 
     def follow(self) -> None:
-        """Let the model hear everything that was sent since the last time, markers too."""
+        """Pass to the model all frames that were sent since the last call, including markers."""
         bench = self._bench
         new: list[Event] = []
         for event in reversed(bench.traffic.events):
@@ -62,7 +62,7 @@ class Comparison:
         try:
             beacon = self._bench.codec.decode(octets)
         except DecodeError:
-            # Whether a report in front of the damage was taken is open; who else it was about is not asked.
+            # The specification leaves open whether a report before the damage is processed: expect no neighbour.
             return
         if not self._observer.is_for_node(beacon):
             return
@@ -72,10 +72,10 @@ class Comparison:
                 self._reports[report.node_id] = time
 
     def _is_large(self, octets: bytes) -> bool:
-        """Whether a payload is longer than those that the implementation makes itself.
+        """Return whether a payload is longer than VARDISPAR_MAX_PAYLOAD_SIZE.
 
-        VARDISPAR_MAX_PAYLOAD_SIZE is about payloads that a node makes; how long those are that it must take, the
-        specification does not say.
+        The parameter limits the payloads that a node sends. The specification does not define the maximum length of
+        payloads that a node must accept.
         """
         most = self._bench.sut.parameter("VARDISPAR_MAX_PAYLOAD_SIZE")
         if not most or len(octets) <= most:
@@ -85,7 +85,7 @@ class Comparison:
         return any(length is not None and (length.value or 0) > most for length in lengths)
 
     def called(self, step: Call, answer: Answer, at: int) -> Effect | None:
-        """A service was called: whether success is what the model expects; if so, the model follows."""
+        """Compare the answer to a service call with the model, and update the model after a success."""
         self.follow()
         var_id = step.params.get("varId")
         if type(var_id) is not int:
@@ -122,11 +122,11 @@ class Comparison:
         )
         self._observer.created(spec, bytes.fromhex(params["value"]), bench.now())
         if creation is None and self._observer.compares_creations:
-            # Which creations of others are later is not known.
+            # Without the creation time the model cannot order this creation and those of other nodes.
             self._observer.oracle.doubt(var_id)
 
     def said(self, at: int) -> Effect | None:
-        """Judge what was heard since the last time."""
+        """Judge the beacons received since the last call."""
         bench = self._bench
         self.follow()
         heard, self._judged = bench.heard[self._judged :], len(bench.heard)
@@ -140,7 +140,7 @@ class Comparison:
     # -- at the end of a round ---------------------------------------------------------------------------------
 
     def round(self, at: int) -> Effect | None:
-        """Wait until everything had its time, and compare all that can be seen from outside."""
+        """Wait for the time of all reactions, then compare everything that is observable from outside."""
         bench = self._bench
         bench.wait(bench.sut.reaction + 2)
         effect = self.said(at) or self._observer.missing(bench.now(), at, busy=self._busy())
@@ -179,7 +179,7 @@ class Comparison:
         return Effect("state", f"variable {var_id}: {method} says {shown}; the model has it {expected}", at, method)
 
     def _summaries(self, at: int) -> Effect | None:
-        """The last summary of each variable has the number that it should have; deleted ones have none any more."""
+        """Compare the last summary of each variable with the model; a deleted variable must not have one."""
         bench = self._bench
         if bench.sut.parameter("VARDISPAR_MAX_SUMMARIES") <= 0:
             return None
@@ -190,7 +190,7 @@ class Comparison:
         for var_id, version in self._observer.certain(list(last)):
             expected = version.seqno if version.state == "alive" else None
             number, time = last[var_id]
-            # What it was when the payload was composed counts, too.
+            # The number at the time when the payload was composed is correct, too.
             if number != expected and time - version.since > 3 * bench.period:
                 detail = f"variable {var_id} is summarised with {number}, where the model has {expected}"
                 return Effect("state", detail, at, "summary")
@@ -207,7 +207,7 @@ class Comparison:
         fresh = bench.now() - round(bench.sut.parameter("SRPPAR_NEIGHBOUR_TABLE_TIMEOUT") * 1_000_000 * _FRESH)
         most = bench.profile.limits.max_neighbours
         for node_id, time in self._reports.items():
-            # Identifiers that are text may be told as they are, or as octets.
+            # An identifier that is text may be in the answer as text, or as octets.
             name = node_id.hex(":")
             there = node_id.hex() in table or node_id.decode(errors="replace").replace(":", "").lower() in table
             if time >= fresh and not there and (most is None or len(self._reports) < most):

@@ -1,4 +1,4 @@
-"""Functions in this process as targets: the codec, the capture readers, the control interface, the loaders."""
+"""Fuzz functions in this process: the codec, the capture readers, the control interface, the file loaders."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ from dcp_conformance.reference.inprocess import InProcess, reference_config
 from .time_limit import TIME_LIMIT, Overtime, TimeLimit
 
 PARTS: Final = ("beacon", "capture", "control", "profile", "pics")
-"""What can be fuzzed in process, beside the stack."""
-#: How often each is taken when all are: a beacon costs a hundredth of a file.
+"""The parts that can be fuzzed in process, besides the stack."""
+#: Relative frequency of each part; a test of a beacon takes a hundredth of the time of a file.
 _SHARES: Final = (60, 10, 20, 2, 8)
-#: Lines for the control interface; what is between them is made by mutation.
+#: Requests to the control interface, from which mutation makes others.
 _LINES: Final = (
     b'{"jsonrpc":"2.0","id":1,"method":"UT-Hello","params":{}}\n',
     b'{"jsonrpc":"2.0","id":2,"method":"RTDB-Create","params":{"varId":1,"repCnt":1,"descr":"x","value":"00"}}\n',
@@ -61,12 +61,12 @@ _PICS: Final = (
 
 
 class FunctionTarget:
-    """Functions that are given octets; each step is the octets for one part, whose name is the note of the frame."""
+    """Calls functions with octets. Each step is the input of one part; the note of the frame names the part."""
 
     name = "functions in this process"
 
     def __init__(self, codec: Codec, *, time_limit: float = TIME_LIMIT) -> None:
-        """``time_limit``: seconds of CPU time for one call."""
+        """``time_limit``: maximum CPU time of one call in seconds."""
         self.codec = codec
         self._limit = TimeLimit(time_limit)
         self._parts: dict[str, Callable[[bytes], str]] = {
@@ -79,11 +79,11 @@ class FunctionTarget:
         self._folder = tempfile.TemporaryDirectory(prefix="dcp-fuzz-")
         self._file = Path(self._folder.name) / "input.toml"
         self._sut: InProcess | None = None
-        # Each refused call would be a line.
+        # The server would log each refused request.
         logging.getLogger("dcp_stack.control.server").setLevel(logging.CRITICAL)
 
     def close(self) -> None:
-        """Remove the folder for files."""
+        """Remove the temporary folder."""
         self._folder.cleanup()
 
     def run(self, steps: list[Step]) -> Effect | None:
@@ -95,7 +95,7 @@ class FunctionTarget:
         return None
 
     def once(self, part: str, octets: bytes, at: int = 0) -> Effect | None:
-        """Give octets to one part."""
+        """Call one part with these octets. Returns the effect, or None."""
         function = self._parts[part]
         try:
             with self._limit:
@@ -109,10 +109,10 @@ class FunctionTarget:
         kind: EffectKind = "disagrees"
         return Effect(kind, f"{part}: {wrong}", at, f"{part}: {wrong.partition(':')[0]}") if wrong else None
 
-    # -- parts: what is wrong, in words; empty if nothing is --------------------------------------------------------
+    # -- parts: each returns a description of the fault, or an empty string ------------------------------------
 
     def _beacon(self, octets: bytes) -> str:
-        """Dissect and decode agree; what was decoded can be encoded, and is the same again."""
+        """Check that dissector and decoder agree, and that encoding is the reverse of decoding."""
         codec = self.codec
         found = codec.dissect(octets)
         first = next((problem for problem in found.problems if problem.severity == "error"), None)
@@ -126,7 +126,7 @@ class FunctionTarget:
             return f"the decoder takes what the dissector does not: {first}"
         again = codec.encode(beacon)
         if again != octets[:end]:
-            # Values that have several encodings must at least stay the same; NaN is equal to nothing.
+            # A value with several encodings must at least stay the same. repr() is compared because NaN != NaN.
             try:
                 same = repr(codec.decode(again)) == repr(beacon)
             except DecodeError:
@@ -136,7 +136,7 @@ class FunctionTarget:
         return ""
 
     def _capture(self, octets: bytes) -> str:
-        """Readers of any octets end, with frames, problems or a CaptureError."""
+        """Check that reading a capture ends with frames, problems or a CaptureError."""
         with contextlib.suppress(CaptureError), open_capture(io.BytesIO(octets)) as reader:
             for frame in reader:
                 if len(frame.data) > frame.orig_len:
@@ -144,7 +144,7 @@ class FunctionTarget:
         return ""
 
     def _control(self, octets: bytes) -> str:
-        """Lines are answered, and the node serves the next client."""
+        """Check that the control interface answers requests, and serves the next client."""
         if self._sut is None:
             self._sut = InProcess(reference_config(self.codec))
         sut = self._sut
@@ -164,11 +164,11 @@ class FunctionTarget:
         sut.arrivals.clear()
         if sut.died:
             self._sut = None
-            raise RuntimeError(f"the node died of what it was asked to do: {sut.died}")
+            raise RuntimeError(f"the node crashed on a request: {sut.died}")
         return "" if b'"result"' in answer else "the next client gets no answer"
 
     def _profile(self, octets: bytes) -> str:
-        """A profile is loaded, with a codec of it, or refused with a reason."""
+        """Check that a profile is loaded and has a codec, or is rejected with a ProfileError."""
         self._file.write_bytes(octets)
         with contextlib.suppress(ProfileError):
             profile = load_profile(self._file)
@@ -179,6 +179,7 @@ class FunctionTarget:
         return ""
 
     def _pics(self, octets: bytes) -> str:
+        """Check that a PICS file is loaded, or rejected with a UsageError."""
         self._file.write_bytes(octets)
         with contextlib.suppress(UsageError):
             load_pics(self._file)
@@ -186,7 +187,7 @@ class FunctionTarget:
 
 
 class FunctionInputs:
-    """Draws inputs for :class:`FunctionTarget`."""
+    """Generator of inputs for :class:`FunctionTarget`."""
 
     def __init__(self, codec: Codec, rng: random.Random, mutator: Mutator, parts: Sequence[str] = PARTS) -> None:
         self._rng = rng
@@ -205,13 +206,13 @@ class FunctionInputs:
         self._codec = codec
 
     def seeds(self, part: str) -> list[bytes]:
-        """The inputs of a part that are mutated."""
+        """Return the inputs of a part that are mutated."""
         if part == "beacon":
             return [source.octets for source in self._mutator.sources]
         return self._havoc[part].pool
 
     def draw(self) -> list[Step]:
-        """The next input: one step."""
+        """Return the next input as one step."""
         part = self._rng.choices(self._parts, self._weights)[0]
         self.kinds = (part,)
         if part == "beacon":
@@ -220,7 +221,7 @@ class FunctionInputs:
         return [Frame(self._havoc[part].mutate(), b"", part)]
 
     def keep(self, steps: list[Step]) -> None:
-        """Mutate this input, too, from now on."""
+        """Add these inputs to those that are mutated."""
         for step in steps:
             if isinstance(step, Frame):
                 if step.note in self._havoc:

@@ -1,7 +1,7 @@
-"""An implementation on the air, or in process behind the same bench, as a target.
+"""Fuzz an implementation on a link, or in process through the same bench.
 
-Before steps it is reset or restarted, and has to be healthy (:mod:`dcp_conformance.fuzz.execute.liveness`); after them
-it has to be alive.
+The target is reset or restarted before the steps, and has to be alive before and after them
+(:mod:`dcp_conformance.fuzz.execute.liveness`).
 """
 
 from __future__ import annotations
@@ -24,27 +24,27 @@ from .differential import Comparison
 from .liveness import PROBES, ailing, begun_again, dead, last_number
 from .model_monitor import Observer, bad_beacon
 
-#: Frames in a second unless a rate is given: more than peers of a crowd send, less than what makes links drop.
+#: Default number of frames a second: more than the nodes of a dense network send, and too few for a link to drop any.
 RATE: Final = 500.0
-#: Seconds that an implementation may take until it answers after its restart.
+#: Seconds that an implementation may take to answer after its restart.
 PATIENCE: Final = 30.0
-#: Seconds that one may take which may have been started a moment ago, before it is restarted.
+#: Seconds that an implementation may take to answer at the beginning: it may have just been started.
 _FIRST: Final = 10.0
-#: Seconds that an upper tester may stay away which nobody is known to have restarted.
+#: Seconds to try to reconnect to an upper tester if the tester did not restart the implementation.
 _RECONNECT: Final = 10.0
 _PAUSE: Final = 0.1
-#: Damaged frames of a test in which variables are looked for.
+#: Maximum number of damaged frames of a test that are searched for variables.
 _LOOKED_INTO: Final = 200
-#: Frames that may be sent without a look at what came.
+#: Maximum number of frames that are sent without reading received frames.
 _UNHEARD: Final = 64
 
 
 class UnhealthyError(ConformanceError):
-    """The implementation did not live before anything was sent to it, or does not live any more."""
+    """The implementation was not alive before the first frame, or cannot be brought back after an effect."""
 
 
 class LiveTarget:
-    """Carries out steps on an implementation that was opened with ``open_target``."""
+    """Executes steps on an implementation that was opened with ``open_target``."""
 
     def __init__(
         self,
@@ -54,7 +54,7 @@ class LiveTarget:
         differential: bool = False,
         probes: int = PROBES,
     ) -> None:
-        """``rate``: frames in a second. ``differential``: compare with the model after the steps."""
+        """``rate``: frames a second. ``differential``: compare with the model. ``probes``: markers to check life."""
         self._runner = opened.runner
         self.session: Session = opened.runner.session
         self.control: SutControl | None = opened.runner.control
@@ -65,11 +65,11 @@ class LiveTarget:
         self._checked = False
         self._was_well = False
         self._number: int | None = None
-        """The sequence number of the last beacon that was heard."""
+        """Sequence number of the last received beacon; None if unknown."""
         self._spoilt = False
-        """Whether the last steps have left an effect behind."""
+        """Whether the last steps had an effect, so that the state of the implementation is unknown."""
         self.observer: Observer | None = None
-        """What watched the last steps, in differential mode."""
+        """The model of the last steps, in differential mode."""
         self.frames = 0
         self.restarts = 0
 
@@ -79,26 +79,26 @@ class LiveTarget:
         self.session.lower.health()
         comparison = self._comparison(bench)
         effect = carry_out(bench, steps, self.control, self._interval, self._probes, comparison)
-        # The bench has the numbers of this test only; in between nothing has begun anew that is known of.
+        # The bench has the sequence numbers of this test only; compare them with the last one before it, too.
         effect = effect or begun_again(bench, self._number)
         number = last_number(bench)
-        # What comes after an effect may have begun anew without being another one.
+        # After an effect the implementation may restart; that restart is not another effect.
         self._number = None if effect is not None else self._number if number is None else number
         self.frames += sum(isinstance(step, Frame) for step in steps)
-        # The next steps need a healthy implementation; after an effect that has to be shown first.
+        # The next steps need a healthy implementation; after an effect its health has to be checked again.
         self._checked = effect is None
         self._spoilt = effect is not None
         return effect
 
     def run_afresh(self, steps: list[Step]) -> Effect | None:
-        """As :meth:`run`, after a restart: nothing that was sent before has a part in it."""
+        """Execute the steps after a restart, so that earlier frames have no influence. See :meth:`run`."""
         self._spoilt = True
         return self.run(steps)
 
     def prepare(self) -> Bench:
-        """Bring the implementation to where it begins, alive and answering; the bench for what comes next.
+        """Bring the implementation into its initial state and check that it answers. Returns the bench of the test.
 
-        Raises :class:`UnhealthyError`, ``LowerTesterError``.
+        Raises :class:`UnhealthyError` if it does not answer, ``LowerTesterError`` if the link cannot be used.
         """
         bench = Bench(self.session, _case("a sequence of the fuzzer"))
         if self._needs_restart():
@@ -122,8 +122,7 @@ class LiveTarget:
             raise UnhealthyError(
                 f"the implementation is dead, and there is no command to restart it: {control.why_dead()}"
             )
-        # After an effect without death nothing else surely brings it back to where it began; and the model knows
-        # nothing of what rounds before have left.
+        # Only a restart surely restores the initial state after an effect. The model needs the initial state, too.
         return control.can_restart and (self._spoilt or (self._differential and not self._can_reset))
 
     @property
@@ -132,7 +131,7 @@ class LiveTarget:
         return upper is not None and "UT-Reset" in upper.methods
 
     def _restart(self) -> None:
-        """Restart it; its upper tester may need some time to be there again."""
+        """Restart the implementation, and wait for its upper tester. Raises :class:`UnhealthyError`."""
         assert self.control is not None
         self.restarts += 1
         self._checked = False
@@ -145,13 +144,13 @@ class LiveTarget:
         self._forget()
 
     def _reset(self) -> None:
-        """Reset it by its upper tester, which may have gone away with an implementation that somebody restarts."""
+        """Reset the implementation by its upper tester; reconnect first if it was restarted from outside."""
         upper = self.session.upper
         if upper is None or not self._can_reset:
             if self._differential:
                 raise UsageError(
-                    "each comparison begins at an implementation that knows nothing: give an upper tester with "
-                    "UT-Reset (--ut), or a command that restarts it (--restart, or --start)"
+                    "each comparison needs an implementation in its initial state: give an upper tester with "
+                    "UT-Reset (--ut), or a command that restarts the implementation (--restart, or --start)"
                 )
             return
         try:
@@ -168,7 +167,7 @@ class LiveTarget:
         self._forget()
 
     def _reconnect(self, patience: float) -> None:
-        """Open the connection to the upper tester again. Raises ``UpperTesterError`` when it stays away."""
+        """Reconnect to the upper tester within ``patience`` seconds. Raises :class:`UnhealthyError` if that fails."""
         again = getattr(self.session.upper, "reconnect", None)
         deadline = time.monotonic() + patience
         while again is not None:
@@ -182,15 +181,15 @@ class LiveTarget:
                 return
 
     def _forget(self) -> None:
-        """What was known of an implementation before it began anew."""
+        """Forget the observations of the implementation before its restart or reset."""
         self.session.forget()
         self._number = None
 
     def _require_health(self, bench: Bench) -> None:
-        """Raise :class:`UnhealthyError` unless it is well; one that was just restarted gets time to begin."""
+        """Check that the implementation answers. Raises :class:`UnhealthyError` if not, also after a restart."""
         why = self._ailing(bench)
         if why is not None and not self.restarts and self.control is not None and self.control.can_restart:
-            # It may be what an earlier campaign has left.
+            # An earlier campaign may have left it in this state.
             self._restart()
             why = self._ailing(bench)
         if why is None:
@@ -205,13 +204,13 @@ class LiveTarget:
         else:
             raise UnhealthyError(
                 f"the implementation does not come back by itself: {why.detail}; give a command that restarts it "
-                "(--restart, or --start) to go on, and to have findings made small"
+                "(--restart, or --start) to continue, and to minimise findings"
             )
 
     def _ailing(self, bench: Bench) -> Effect | None:
         can_restart = self.control is not None and self.control.can_restart
         if self.restarts or (self._was_well and not can_restart):
-            # It begins anew, whoever has started it again.
+            # It is starting: the tester or its own supervisor has restarted it.
             patience = PATIENCE
         else:
             patience = _FIRST if can_restart and not self._was_well else 0
@@ -230,7 +229,7 @@ class LiveTarget:
 
 
 def observer_of(bench: Bench) -> Observer:
-    """A model of the implementation as it is known to be. Stops the case if its identifier is not known."""
+    """Return a model with the known parameters of the implementation. Stops the case if its identifier is unknown."""
     limits = Limits(
         bench.sut.parameter("VARDISPAR_MAX_VALUE_LENGTH"),
         bench.sut.parameter("VARDISPAR_MAX_DESCRIPTION_LENGTH"),
@@ -254,12 +253,13 @@ def carry_out(
     probes: int = PROBES,
     comparison: Comparison | None = None,
 ) -> Effect | None:
-    """Carry out steps on the implementation of a bench, ``interval`` ns between frames, and see how it is then.
+    """Execute steps on the implementation of a bench, ``interval`` ns between frames, then check that it is alive.
 
-    Raises ``LowerTesterError`` when the link cannot be used.
+    Returns the first effect, or None. ``comparison`` compares with a model as well. Raises ``LowerTesterError`` if the
+    link cannot be used.
     """
     at = 0
-    # A marker must not be about a variable of the steps.
+    # A marker must not use a variable of the steps.
     bench.identifiers.created.update(_variables_of(bench, steps))
     pace = _Pace(bench, interval)
     try:
@@ -282,7 +282,10 @@ def carry_out(
 
 
 def _without_upper_tester(control: SutControl | None, at: int, error: UpperTesterError) -> Effect:
-    """What it means that the upper tester is gone; a process closes its connections before it is gone itself."""
+    """Return the effect of a lost upper tester: ``dead`` if the process ends within ``DEATH_PATIENCE``, else ``mute``.
+
+    A process that is ending closes its connections first, so its end has to be awaited.
+    """
     deadline = time.monotonic() + DEATH_PATIENCE
     while control is not None and control.alive() and time.monotonic() < deadline:
         time.sleep(0.02)
@@ -290,7 +293,7 @@ def _without_upper_tester(control: SutControl | None, at: int, error: UpperTeste
 
 
 class _Pace:
-    """When the next frame is due. Who is late does not wait, so that the rate is kept on the whole."""
+    """Keeps the average rate of frames: a frame that is late is sent without waiting."""
 
     def __init__(self, bench: Bench, interval: int) -> None:
         self._bench = bench
@@ -299,7 +302,7 @@ class _Pace:
         self._unheard = 0
 
     def keep(self) -> None:
-        """Wait until the next frame may be sent, and hear what comes meanwhile."""
+        """Wait until the next frame is due, and receive frames during this time."""
         self._due += self._interval
         self._unheard += 1
         left = self._due - self._bench.now()
@@ -308,14 +311,14 @@ class _Pace:
             self._unheard = 0
 
     def after_a_break(self) -> None:
-        """Time has passed that is not to be made up for."""
+        """Continue from now after a wait or a call, without catching up."""
         self._due = max(self._due, self._bench.now())
 
 
 def _step(bench: Bench, step: Step, pace: _Pace, at: int, comparison: Comparison | None) -> Effect | None:
     match step:
         case Frame():
-            # The link carries no more; what a flood of elements says is the same without its end.
+            # Truncate to the maximum frame size of the link; the rest of a long list of elements has no other effect.
             octets = step.octets[: bench.profile.limits.uwb_max_packet]
             bench.transmission.send(octets, step.source)
             if comparison is not None:
@@ -336,7 +339,7 @@ def _step(bench: Bench, step: Step, pace: _Pace, at: int, comparison: Comparison
 
 
 def _variables_of(bench: Bench, steps: list[Step]) -> set[int]:
-    """The variables that frames mention; damaged ones only while they are few, since looking into them takes long."""
+    """Return the variables that frames name. Only the first damaged frames are dissected, because it is slow."""
     found: set[int] = set()
     damaged = 0
     for step in steps:

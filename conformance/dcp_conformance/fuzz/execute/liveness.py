@@ -1,7 +1,7 @@
-"""Whether an implementation is alive, asked in four ways.
+"""Check in four ways whether an implementation is alive.
 
-Is its process there, do beacons come, is a marker answered (a summary of a variable that nobody has must bring a
-request), does the upper tester answer. Silence alone is no death: of several markers one is enough.
+The checks are: its process runs; it sends beacons; it answers a marker (a summary of an unknown variable, which must
+cause a request); its upper tester answers. Frames can be lost, so one answered marker of several is enough.
 """
 
 from __future__ import annotations
@@ -15,18 +15,18 @@ from dcp_conformance.fuzz.steps import Effect
 from dcp_conformance.sut.control import SutControl
 from dcp_conformance.test_system.bench import Bench
 
-#: Markers of which one must be answered.
+#: Number of markers, one of which must be answered.
 PROBES: Final = 4
-#: Beacon periods that an answer may take of one who has much to say.
+#: Beacon periods that an answer may take if the implementation has many records to send.
 _LONG: Final = 100.0
-#: Beacon periods without a beacon, for those who have nothing else to show.
+#: Beacon periods to wait for a beacon of an implementation that cannot answer markers.
 _SILENCE: Final = 10.0
-#: Sequence numbers of beacons count as begun again below this: late frames of others are never that far off.
+#: A beacon sequence number below this, after a larger one, indicates a restart; reordering changes it by less.
 _BEGINNING: Final = 1000
 
 
 def ailing(bench: Bench, control: SutControl | None, probes: int = PROBES) -> Effect | None:
-    """What is wrong with an implementation; None if it lives and answers."""
+    """Return the effect if an implementation is dead or mute; None if it is alive and answers."""
     if (gone := dead(control)) is not None:
         return gone
     begun = bench.mark()
@@ -40,20 +40,22 @@ def ailing(bench: Bench, control: SutControl | None, probes: int = PROBES) -> Ef
         return None
     came = f"{beacons} beacons came" if beacons else "no beacon came"
     detail = f"none of {probes} markers was answered; {came}{_upper_tester(bench)}"
-    # Who has nothing to say sends no beacons either, so that their absence is no effect of its own.
+    # Without payloads no beacons are sent, so missing beacons alone are not an effect.
     return Effect("mute", detail, 0, "mute")
 
 
 def dead(control: SutControl | None, at: int = 0) -> Effect | None:
-    """The effect of a process that is gone; None if it is there, or nobody knows."""
+    """Return the effect of a process that has ended; None if it runs, or its process id is unknown."""
     if control is None or control.alive() is not False:
         return None
     return Effect("dead", control.why_dead() or "the process is gone", at, "dead")
 
 
 def begun_again(bench: Bench, before: int | None = None) -> Effect | None:
-    """The effect of an implementation that somebody else starts again: its sequence numbers begin anew, or its upper
-    tester has hung up. ``before``: the last number before this bench.
+    """Return the effect of a restart that the tester did not cause; None if there was none.
+
+    Signs are beacon sequence numbers that start again, and a closed connection to the upper tester. ``before``: the
+    last sequence number before this bench; None if unknown.
     """
     half = seqno_modulus(bench.profile.types.bp_seqno.width) // 2
     for heard in bench.heard:
@@ -61,35 +63,36 @@ def begun_again(bench: Bench, before: int | None = None) -> Effect | None:
         if number is None:
             continue
         if before is not None and number < min(before, _BEGINNING) and before - number < half:
-            return Effect("dead", f"it has begun anew: sequence number {number} follows {before}", 0, "begun anew")
+            return Effect("dead", f"it has restarted: sequence number {number} follows {before}", 0, "restarted")
         before = number
     if bench.session.upper is not None:
         try:
             bench.session.upper.poll()
         except UpperTesterError as error:
-            return Effect("dead", f"it answers, but has begun anew or hung up: {error}", 0, "begun anew")
+            detail = f"it answers, but has restarted or closed the connection: {error}"
+            return Effect("dead", detail, 0, "restarted")
     return None
 
 
 def last_number(bench: Bench) -> int | None:
-    """The sequence number of the last beacon that was heard; None if there was none."""
+    """Return the sequence number of the last received beacon; None if there was none."""
     return next((heard.seqno for heard in reversed(bench.heard) if heard.seqno is not None), None)
 
 
 def _is_busy(bench: Bench, since: int) -> bool:
-    """Whether it has so much to say that an answer stands at the end of a long row."""
+    """Return whether beacons are more than half full, so that an answer may be queued after many other records."""
     most = bench.sut.parameter("VARDISPAR_MAX_PAYLOAD_SIZE")
     return any(len(heard.octets) > most // 2 for heard in bench.heard[since:])
 
 
 def _answers(bench: Bench, periods: float | None = None) -> bool:
     if bench.sut.pics.vardis is False:
-        # Nobody there who could answer.
+        # Without VarDis no marker is answered.
         return _signs_of_life(bench)
     try:
         return bench.probes.probe(periods)
     except StopCase:
-        # Every identifier was spoken of. One that it does not know may be among them; else any sign of life has to do.
+        # No unused identifier is left. Try used ones, one of which may be unknown to it; then accept any sign of life.
         bench.identifiers.created.clear()
     try:
         return bench.probes.probe(periods) or _signs_of_life(bench)
@@ -102,7 +105,7 @@ def _signs_of_life(bench: Bench) -> bool:
 
 
 def _upper_tester(bench: Bench) -> str:
-    """What the upper tester has to say to that, as the end of a sentence; empty without one."""
+    """Return whether the upper tester answers, as the end of a sentence; empty if there is no upper tester."""
     upper = bench.session.upper
     if upper is None or "UT-Hello" not in upper.methods:
         return ""

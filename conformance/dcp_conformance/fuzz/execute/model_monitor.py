@@ -1,4 +1,4 @@
-"""Comparing an implementation with the independent model while steps are carried out."""
+"""Compare an implementation with the independent model while steps are executed."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ from dcp_conformance.model.circular import Circle
 from dcp_conformance.oracle import Limits, Oracle, Version, Waiting
 from dcp_conformance.oracle.knowledge import NEVER, NO_CREATION
 
-#: How old a payload may be when it is seen on the air, and how long a reaction may take, in beacon periods.
+#: Maximum age of a payload when it is received, and maximum delay of a reaction, in beacon periods.
 LATENCY, WINDOW = 1.6, 8.0
 
-#: Records, by what they are called in what was reached.
+#: Names of the records in the reached pairs of state and message.
 _NAMES: Final = {
     VarCreate: "create",
     VarDelete: "delete",
@@ -42,14 +42,14 @@ _NAMES: Final = {
     VarReqUpdate: "request-update",
     VarReqCreate: "request-create",
 }
-#: What octets break that no node may take anything of.
+#: Requirements whose violation makes a receiver discard the whole beacon.
 _IGNORED = frozenset({"BP-RX-01", "BP-RX-02"})
 
 
 class Observer:
-    """The model of one node, fed with what the node hears and says.
+    """The model of one node. It receives the frames that the node receives, and judges those that the node sends.
 
-    ``reached`` lists the pairs of (state of the variable, kind of message) that the node was brought into.
+    ``reached`` lists the pairs (state of the variable, kind of message) that occurred.
     """
 
     def __init__(
@@ -64,22 +64,22 @@ class Observer:
         scrubbing: int | None = None,
         room: int | None = None,
     ) -> None:
-        """``period``: of beacons, ns. ``network``: of the node, None where beacons name none.
+        """``period``: beacon period in ns. ``network``: network identifier of the node; None if beacons have none.
 
-        ``window``: beacon periods until something that is owed must have been said. ``scrubbing``: the node's period
-        of scrubbing in ns, None leaves variables with a timeout in doubt. ``room``: octets of its largest VarDis
-        payload; None if that is not known, and it is not known either when all has been said.
+        ``window``: beacon periods until the node must have sent a record that is due. ``scrubbing``: scrubbing period
+        of the node in ns; None if unknown, variables with a timeout are then uncertain. ``room``: maximum VarDis
+        payload of the node in octets; None if unknown, free room then does not prove that nothing is queued.
         """
         self.codec = codec
         self.own_id = own_id
         self.reached: list[tuple[str, str]] = []
         self._damaged = b""
         self._named: tuple[set[int], int] = set(), NO_CREATION
-        """What the last damaged beacon was, which often comes again and again, and what it named."""
+        """The variables and the latest creation time in ``_damaged``, cached because damaged beacons are repeated."""
         self.requested: set[int] = set()
-        """Variables that the node has requested."""
+        """Identifiers of the variables that the node has requested."""
         self.busy = False
-        """Whether the node has filled half of a payload: then it may be late with what it has to say."""
+        """Whether a payload of the node was more than half full: then its records may be delayed."""
         profile = codec.profile
         self._skips = profile.behaviour.vardis_receive_error == "skip-element"
         self._id_width, self._id_order = profile.types.var_id.width, profile.types.var_id.byte_order
@@ -100,19 +100,19 @@ class Observer:
         )
         self._judges_timeouts = scrubbing is not None
         self._waiting: Waiting | None = None
-        # In half of a payload there is room for any record.
+        # Any record fits into half of a payload.
         self._roomy = 0 if room is None else room // 2
 
-    # -- what the node hears -----------------------------------------------------------------------------------
+    # -- frames that the node receives -------------------------------------------------------------------------
 
     def hears(self, octets: bytes, time: int, number: int) -> list[int]:
-        """The node has received this bearer payload; the variables that it is about."""
+        """Process a bearer payload that the node receives. Returns the variables of its records."""
         if octets == self._damaged:
             return self.doubts(octets)
         try:
             beacon = self.codec.decode(octets)
         except DecodeError as error:
-            # A beacon of another protocol, or of another version of it, is ignored as a whole.
+            # A beacon with another magic number or version is ignored as a whole.
             return [] if error.problem.requirement in _IGNORED else self.doubts(octets)
         if not self.is_for_node(beacon):
             return []
@@ -125,18 +125,21 @@ class Observer:
 
     @property
     def compares_creations(self) -> bool:
-        """Whether creation times decide which creation counts."""
+        """Whether creation times decide which of several creations is valid."""
         return self._features.creation_time
 
     def is_for_node(self, beacon: Beacon) -> bool:
-        """Whether the node has to look at a beacon."""
+        """Return whether the node has to process a beacon: it is from another node of the same network."""
         header = beacon.bp
         if header is None:
             return True
         return header.sender_id != self.own_id and (self._network is None or header.network_id == self._network)
 
     def doubts(self, octets: bytes) -> list[int]:
-        """The node has received this bearer payload, and what it takes of it is open (X34): about no variable."""
+        """Process a damaged bearer payload. The variables that it names become uncertain; returns an empty list.
+
+        Reading X34 leaves open which of its records the node processes.
+        """
         if octets != self._damaged:
             self._damaged, self._named = octets, self._names_in(octets)
         ids, latest = self._named
@@ -144,13 +147,13 @@ class Observer:
             self.oracle.doubt(var_id, latest)
             self.reached.append(("any", "damaged"))
         if self._skips:
-            # Who goes on behind what is wrong may find a record anywhere.
+            # A node that skips a bad element and continues may find a record at any offset.
             for start in range(len(octets) - self._id_width + 1):
                 self.oracle.doubt(int.from_bytes(octets[start : start + self._id_width], self._id_order))
         return []
 
     def _names_in(self, octets: bytes) -> tuple[set[int], int]:
-        """The variables that a damaged beacon is about, and the latest creation that a node may take of it."""
+        """Return the variables that a damaged beacon names, and the latest creation time in it."""
         ids, latest = set[int](), NO_CREATION
         for each in dissect(self.codec.beacon_plan, octets).root.walk():
             if isinstance(each.value, int):
@@ -176,13 +179,13 @@ class Observer:
             if isinstance(record, VarCreate):
                 self._open_questions(record)
             if removes and self._was_deleted(var_id):
-                # When a deleted variable leaves the database shows only when something is said to the node about it.
+                # The time at which a deleted variable leaves the database is observable only by later reactions.
                 self.oracle.doubt(var_id)
         self.oracle.hear(records, time, number)
         if removes:
             for record in records:
                 if isinstance(record, VarDelete) and touched.count(record.var_id) > 1:
-                    # Nor does it show what is still there for the records behind it.
+                    # It is also unknown whether the variable still exists for later records of this payload.
                     self.oracle.doubt(record.var_id)
         return touched
 
@@ -191,7 +194,7 @@ class Observer:
         return known is not None and any(version.state == "deleted" for version in known.versions)
 
     def _open_questions(self, record: VarCreate) -> None:
-        """What a node makes of these is left open, or depends on its clock."""
+        """Mark variables as uncertain for which the reaction to this record is undefined or depends on a clock."""
         spec = record.spec
         creation = spec.creation_time or 0
         if record.upd.var_id != spec.var_id:
@@ -228,14 +231,14 @@ class Observer:
             return "equal"
         return "later" if record.spec.creation_time > before else "earlier"
 
-    # -- what its applications ask -----------------------------------------------------------------------------
+    # -- services that its applications call -------------------------------------------------------------------
 
     def created(self, spec: VarSpec, value: bytes, time: int) -> None:
-        """RTDB-Create was confirmed with OK."""
+        """Process a RTDB-Create that was confirmed with OK."""
         self.oracle.created(msgspec.structs.replace(spec, prod_id=self.own_id), value, time)
 
     def expects(self, method: str, var_id: int) -> bool | None:
-        """Whether a service must succeed now; None where the specification or the model leaves it open."""
+        """Return whether a service must succeed now; None if the specification or the model does not decide it."""
         known = self.oracle.variables.get(var_id)
         if known is not None and (known.uncertain or known.due != NEVER):
             return None
@@ -253,10 +256,10 @@ class Observer:
                 return alive
         return None
 
-    # -- what the node says and holds --------------------------------------------------------------------------
+    # -- beacons and state of the node -------------------------------------------------------------------------
 
     def says(self, octets: bytes, most: int, time: int, number: int, step: int) -> Effect | None:
-        """Judge a beacon of the node, which must not be larger than ``most`` octets."""
+        """Judge a beacon of the node with a maximum size of ``most`` octets. Returns its first fault, or None."""
         if len(octets) > most:
             return Effect("bad-beacon", f"a beacon of {len(octets)} octets, where {most} are allowed", step)
         try:
@@ -283,7 +286,7 @@ class Observer:
     ) -> Effect | None:
         said: list[tuple[ICType, VardisRecord]] = []
         for container in containers:
-            # One type of records each.
+            # All records of a container have the same type.
             if (kind := KIND_OF.get(type(container.records[0]))) is None:
                 continue
             said += [(kind, record) for record in container.records]
@@ -295,12 +298,15 @@ class Observer:
         return None
 
     def certain(self, var_ids: Iterable[int], time: int | None = None) -> list[tuple[int, Version]]:
-        """What the model says of these variables at a time (None: now), as far as it is sure."""
+        """Return the versions of these variables that the model is certain of, at a time in ns (None: now)."""
         certain = self.oracle.certain
         return [(var_id, version) for var_id in var_ids if (version := certain(var_id, time)) is not None]
 
     def missing(self, time: int, step: int, *, busy: bool) -> Effect | None:
-        """What the node should have said by then and has not, told once; who is ``busy`` is late with good reason."""
+        """Return the effect of a record that the node should have sent by ``time`` (ns), or None.
+
+        Each missing record is reported once. A ``busy`` node may be late, so nothing is reported.
+        """
         overdue = self.oracle.overdue(time)
         if busy or not overdue:
             return None
@@ -310,7 +316,7 @@ class Observer:
 
 
 def bad_beacon(codec: Codec, octets: bytes, problem: Problem, step: int) -> Effect:
-    """The effect of a beacon that cannot be decoded, with the rule of senders that it breaks."""
+    """Return the effect of a beacon that cannot be decoded, with the requirement for senders that it violates."""
     broken = judge(octets, codec)
     rules = broken[0].requirements if broken else ()
-    return Effect("bad-beacon", f"a beacon that is none: {problem}", step, " ".join((problem.reason, *rules)))
+    return Effect("bad-beacon", f"an invalid beacon: {problem}", step, " ".join((problem.reason, *rules)))

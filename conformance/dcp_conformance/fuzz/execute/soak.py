@@ -1,9 +1,9 @@
-"""One node in this process for as long as one likes: what it holds is compared with a model now and then.
+"""Run one node in this process for a long time, and periodically compare its database with a model.
 
-A model that is told millions of damaged beacons is soon in doubt about everything. Here it begins anew with each epoch:
-it adopts what the node has, hears what the node hears, and in the end both have to hold the same of every variable that
-no damaged beacon has named meanwhile. What the node says is not judged: what it had to say at the beginning of an epoch
-is not known.
+A model that processes millions of damaged beacons becomes uncertain about every variable. Therefore a new model is made
+for each epoch: it adopts the database of the node and receives the same frames. At the end of the epoch both must agree
+on every variable that no damaged beacon of the epoch named. The beacons of the node are not judged, because the model
+does not know the queues of the node at the beginning of the epoch.
 """
 
 from __future__ import annotations
@@ -17,32 +17,32 @@ from dcp_conformance.reference.inprocess import EPOCH, InProcess, MakeNode, plai
 from .model_monitor import Observer
 from .stack import difference, observer_of
 
-#: Frames of an epoch; and of this many epochs one is compared, or the model would take more time than the node.
+#: Frames in an epoch; one of this many epochs is compared, because the model takes more time than the node.
 FRAMES, ONE_OF = 50, 10
-#: ns that pass between two epochs: a second of 5,000 frames has as many beacons as always.
+#: Virtual time between two epochs in ns, so that 5,000 frames take one second and beacons are sent at the normal rate.
 _PAUSE = 10_000_000
 
 
 class Soak:
-    """A node, and what was compared of it."""
+    """A node that receives frames, and the comparisons with its model."""
 
     def __init__(
         self, codec: Codec, *, make: MakeNode = plain_node, seed: int = 1, frames: int = FRAMES, one_of: int = ONE_OF
     ) -> None:
-        """``frames``: of an epoch; ``one_of``: so many epochs one is compared."""
+        """``frames``: number of frames in an epoch; ``one_of``: every n-th epoch is compared."""
         self.config = reference_config(codec)
         self.sut = InProcess(self.config, seed=seed, make=make)
         self.number = 0
-        """Frames so far."""
+        """Number of frames so far."""
         self.epochs = self.compared = 0
-        """Epochs that were compared, and variables in them, each as often as it was."""
+        """Number of compared epochs, and of compared variables in all of them."""
         self._frames, self._one_of = frames, one_of
         top = 1 << (8 * min(codec.profile.types.var_id.width, 2))
         self._ids = range(min(top, 256))
         self._observer: Observer | None = None
 
     def hears(self, octets: bytes) -> Effect | None:
-        """The node receives a frame; what was wrong by then, None if nothing was."""
+        """Deliver a frame to the node. Returns an effect that was detected after it, or None."""
         sut = self.sut
         if not self.number % (self._frames * self._one_of):
             self._observer = self._adopted()

@@ -1,7 +1,7 @@
-"""A sans-IO stack in this process as a target: thousands of sequences a second, held against the model at each step.
+"""Fuzz a sans-IO stack in this process: thousands of sequences a second, compared with the model after each step.
 
-Time is virtual and nothing is lost, so that every finding happens again. ``make`` builds the node, so that another one,
-or a mutant, can be put in its place.
+Time is virtual and no frame is lost, so every finding is reproducible. ``make`` builds the node, so that a mutant or
+another node can be tested.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from .time_limit import TIME_LIMIT, Overtime, TimeLimit
 
 #: ns in a millisecond.
 _MS = 1_000_000
-#: Beacon periods until a probe must be answered, behind everything else that a full database has to say.
+#: Beacon periods until a probe must be answered, after all other records of a full database.
 _PATIENCE = 300
-#: Beacons of a node that may have no place for a probe's answer.
+#: Node identifier of the sender of probes.
 _PROBER = b"\x02\xdc\x91\x00\x00\x01"
 
 
 def observer_of(config: Any) -> Observer:
-    """A model of a node with this configuration."""
+    """Return a model of a node with this configuration."""
     profile, vardis = config.profile, config.vardis
     return Observer(
         config.codec,
@@ -43,7 +43,7 @@ def observer_of(config: Any) -> Observer:
 
 
 def difference(vardis: Any, certain: Iterable[tuple[int, Version]], own_id: bytes) -> str | None:
-    """In what a VarDis entity differs from what a model is certain of; None if in nothing."""
+    """Return the first difference between a VarDis entity and the versions that a model is certain of, or None."""
     for var_id, version in certain:
         entry = vardis.entry(var_id)
         alive = entry is not None and not entry.is_deleted
@@ -63,7 +63,7 @@ def difference(vardis: Any, certain: Iterable[tuple[int, Version]], own_id: byte
 
 
 class _Watched(InProcess):
-    """Keeps what the node raised, and where."""
+    """A node that stores where it raised an exception."""
 
     place = ""
 
@@ -74,7 +74,7 @@ class _Watched(InProcess):
 
 
 class StackTarget:
-    """A node that is made anew for every sequence."""
+    """A target that makes a new node for each sequence."""
 
     def __init__(
         self,
@@ -85,7 +85,7 @@ class StackTarget:
         time_limit: float = TIME_LIMIT,
         name: str = "our own node in this process",
     ) -> None:
-        """``time_limit``: seconds of CPU time for one sequence, after which the node counts as hanging."""
+        """``time_limit``: maximum CPU time of one sequence in seconds; longer ones have the effect ``hang``."""
         self.name = name
         self.codec = codec
         self.config = reference_config(codec)
@@ -97,14 +97,14 @@ class StackTarget:
         self._period = self.config.bp.beacon_period_ms * _MS
         self._network = codec.profile.bp.network_id
         self._most = codec.profile.limits.max_beacon_size
-        # No queue holds more than there are variables.
+        # A queue contains each variable at most once.
         self._longest = min(1 << (8 * min(codec.profile.types.var_id.width, 2)), 4096)
         self.observer = self._observer()
-        """What watched the last sequence."""
+        """The model of the last sequence."""
         self.frames = 0
-        """Frames that were delivered in all."""
+        """Number of frames delivered in all sequences."""
         self._probes: dict[int, bytes] = {}
-        """The beacons that probe it, by variable."""
+        """Encoded probes, by variable."""
 
     def _observer(self) -> Observer:
         return observer_of(self.config)
@@ -126,7 +126,7 @@ class StackTarget:
         except Overtime:
             return Effect("hang", f"no end after {self._limit.seconds:g} s of CPU time", max(at, 0))
         except Exception as error:
-            # Not through the guard: while the node was made, or when it was asked for its deadline or its state.
+            # Raised outside of InProcess: while the node was made, or by a query of its deadline or state.
             last = traceback.extract_tb(error.__traceback__)[-1]
             place = f"{type(error).__name__} in {last.name}"
             return Effect("raised", f"{type(error).__name__}: {error}", max(at, 0), place)
@@ -137,7 +137,7 @@ class StackTarget:
         if type(step) is Frame:
             self._number += 1
             self.frames += 1
-            # What the node has said before is judged by what it knew then.
+            # Earlier beacons of the node have been judged before the model receives the frame.
             touched = self.observer.hears(step.octets, sut.now, self._number)
             sut.deliver(step.octets)
         elif type(step) is Wait:
@@ -152,7 +152,7 @@ class StackTarget:
         return Effect("raised", self._sut.died, at, self._sut.place) if self._sut.died else None
 
     def _drained(self, at: int) -> Effect | None:
-        """Judge the beacons that have come."""
+        """Judge the beacons that the node has sent."""
         sut = self._sut
         while sut.arrivals:
             arrival = sut.arrivals.popleft()
@@ -176,7 +176,7 @@ class StackTarget:
         return self.observer.missing(self._sut.now, at, busy=self.observer.busy)
 
     def _compare(self, var_ids: list[int], at: int) -> Effect | None:
-        """What the node holds of these variables, against the model."""
+        """Compare these variables in the database of the node with the model."""
         certain = self.observer.certain(dict.fromkeys(var_ids), self._sut.now)
         different = difference(self._sut.node.vardis, certain, self.own_id) if certain else None
         return None if different is None else Effect("state", different, at)
@@ -218,7 +218,7 @@ class StackTarget:
                         return Effect("state", detail, at, "RTDB-Read"), []
         return None, [var_id]
 
-    # -- in the end --------------------------------------------------------------------------------------------
+    # -- after the last step -----------------------------------------------------------------------------------
 
     def _final(self, sut: InProcess, at: int) -> Effect | None:
         at = max(at, 0)
@@ -226,14 +226,14 @@ class StackTarget:
         return held or self._unbounded(sut.node, at) or self._probed(sut, at) or self._missing(at)
 
     def _unbounded(self, node: Any, at: int) -> Effect | None:
-        """Whether queues hold more than there are variables."""
+        """Return the effect of a queue with more entries than there are variables, or None."""
         for name, length in node.vardis.queue_lengths().items():
             if length > self._longest:
                 return Effect("unbounded", f"{name} has {length} entries", at, name)
         return None
 
     def _probed(self, sut: InProcess, at: int) -> Effect | None:
-        """A summary of a variable that it cannot know must bring a request for it."""
+        """Send a summary of a variable that the node cannot know, and expect a request for it."""
         top = min(255, (1 << (8 * self.codec.profile.types.var_id.width)) - 1)
         known = self.observer.oracle.variables
         var_id = next((number for number in range(top, -1, -1) if number not in known), None)

@@ -1,4 +1,4 @@
-"""Ending what does not come back, in this process."""
+"""Limit the CPU time of a call in this process."""
 
 from __future__ import annotations
 
@@ -6,20 +6,20 @@ import signal
 import threading
 from types import FrameType, TracebackType
 
-#: Seconds of CPU time for one test; sequences that are thousands of frames long take the most.
+#: Maximum CPU time of one test in seconds; sequences of thousands of frames take the longest.
 TIME_LIMIT = 8.0
 
 
 class Overtime(BaseException):
-    """Raised inside of code that does not come back: no ``except Exception`` of it keeps it."""
+    """Raised in code that exceeds its time limit. A BaseException, so that ``except Exception`` does not catch it."""
 
 
 class TimeLimit:
-    """Ends what is inside of ``with`` by :class:`Overtime`, after so much CPU time; to be entered again and again.
+    """Context manager that raises :class:`Overtime` in its block after ``seconds`` of CPU time. It is reusable.
 
-    Outside of the main thread it does nothing: Python handles signals in that one only. The handler of SIGVTALRM stays
-    where it was put: putting it there for each test would take longer than the test's clock. Not
-    to be entered inside of another one: a process has one such clock.
+    It has no effect outside of the main thread, because Python handles signals only there. It must not be nested: a
+    process has one virtual timer. The handler of SIGVTALRM is not restored, because installing it for each test would
+    take longer than setting the timer.
     """
 
     def __init__(self, seconds: float) -> None:
@@ -34,7 +34,7 @@ class TimeLimit:
             signal.signal(signal.SIGVTALRM, _overtime)
             self._thread = main.ident
         if threading.get_ident() == self._thread:
-            # Again and again: what is raised in a finaliser goes nowhere.
+            # The timer repeats, because an exception that is raised in a finaliser is lost.
             signal.setitimer(signal.ITIMER_VIRTUAL, self.seconds, self.seconds)
 
     def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, at: TracebackType | None) -> None:

@@ -1,6 +1,6 @@
-"""Findings as files that say everything by themselves: ``ID.json`` with the steps, ``ID.mcap`` with the frames.
+"""Save findings as self-contained files: ``ID.json`` with the steps, ``ID.mcap`` with the frames.
 
-The JSON file alone is enough to do it again; the recording is for looking at it with the usual tools.
+The JSON file is enough to replay the finding; the recording is for analysis with other tools.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ _EPOCH = 1_767_225_600 * 1_000_000_000
 
 
 class SavedStep(msgspec.Struct, frozen=True, omit_defaults=True):
-    """One step: ``frame`` (octets of a bearer payload, hex), ``call`` (a method) or ``wait`` (beacon periods)."""
+    """One step: ``frame`` (bearer payload in hex), ``call`` (a service) or ``wait`` (beacon periods)."""
 
     frame: str | None = None
     valid: str = ""
-    """The valid message that the frame was made from, hex."""
+    """The valid message that the frame was mutated from, in hex; empty if unknown."""
     note: str = ""
     source: str = ""
     call: str | None = None
@@ -42,31 +42,31 @@ class SavedStep(msgspec.Struct, frozen=True, omit_defaults=True):
 
 
 class SavedEffect(msgspec.Struct, frozen=True, omit_defaults=True):
-    """What was observed, after which step."""
+    """An effect, and the step (from 0) after which it was observed."""
 
     kind: EffectKind
     detail: str
     step: int
     signature: str
     requirements: tuple[str, ...] = ()
-    """What the specification says about it; none where that is not known, and in older files."""
+    """Requirements that decide the effect; empty if unknown, and in older files."""
 
 
 class SavedTarget(msgspec.Struct, frozen=True, omit_defaults=True):
-    """On what: the mode of the command, and what it takes to reach the same again."""
+    """The target: the mode of the command, and the options to use the same target again."""
 
     mode: Literal["codec", "stack", "live", "differential"]
     name: str = ""
     mutant: str = ""
     options: str = ""
-    """Of the command, as they were given."""
+    """Options of the original command, unchanged."""
 
 
 class Artefact(msgspec.Struct, frozen=True, omit_defaults=True):
-    """A finding."""
+    """A finding, with everything that its file contains."""
 
     id: str
-    """``<kind>-<8 hex digits>``, from the profile, the effect and the steps: the same finding has the same."""
+    """``<kind>-<8 hex digits>``, a hash of profile, effect and steps: equal findings have equal identifiers."""
     tool: str
     profile: str
     seed: int
@@ -74,28 +74,28 @@ class Artefact(msgspec.Struct, frozen=True, omit_defaults=True):
     effect: SavedEffect
     steps: tuple[SavedStep, ...]
     command: str
-    """Does it again."""
+    """Command that replays the artefact."""
     schema: int = SCHEMA
     profile_text: str = ""
-    """The file of the profile, if it is none of the built-in ones."""
+    """Contents of the profile file; empty for a built-in profile."""
     minimised: bool = True
     confirmed: bool = True
-    """Whether it was seen again when it was done again."""
+    """Whether the minimised steps showed the effect again from the initial state."""
     cause: Cause | None = None
-    """Why it shows, as far as experiments can tell; None in older files, and for functions in process."""
+    """The probable cause; None in older files, and for functions in process."""
 
     def as_steps(self) -> list[Step]:
-        """The steps. Raises :class:`UsageError` for one that is none."""
+        """Return the steps. Raises :class:`UsageError` for an invalid step."""
         return [_step(saved, f"step {number}") for number, saved in enumerate(self.steps)]
 
     @property
     def frames(self) -> int:
-        """How many of the steps are frames."""
+        """Number of frames among the steps."""
         return sum(step.frame is not None for step in self.steps)
 
     @property
     def octets(self) -> int:
-        """How many octets the frames have together."""
+        """Total number of octets of the frames."""
         return sum(len(step.frame) // 2 for step in self.steps if step.frame is not None)
 
 
@@ -108,7 +108,7 @@ def make_artefact(
     directory: Path,
     profile_text: str = "",
 ) -> Artefact:
-    """The artefact of a finding that will be saved in ``directory``."""
+    """Return the artefact of a finding that will be saved in ``directory``."""
     effect, cause = found.effect, found.cause
     saved = tuple(_saved(step) for step in found.steps)
     digest = hashlib.sha256(codec.profile.name.encode() + effect.signature.encode() + msgspec.json.encode(saved))
@@ -132,7 +132,7 @@ def make_artefact(
 
 
 def save(artefact: Artefact, directory: Path) -> Path:
-    """Write both files; the path of the JSON file. Raises :class:`UsageError` if they cannot be written."""
+    """Write both files. Returns the path of the JSON file. Raises :class:`UsageError` if a file cannot be written."""
     path = directory / f"{artefact.id}.json"
     try:
         directory.mkdir(parents=True, exist_ok=True)
@@ -145,7 +145,7 @@ def save(artefact: Artefact, directory: Path) -> Path:
 
 
 def save_frames(artefact: Artefact, path: Path) -> None:
-    """The frames alone, as a recording. Raises ``CaptureError`` or ``OSError``."""
+    """Write the frames of an artefact as a recording. Raises ``CaptureError`` or ``OSError``."""
     about = {
         "dcp.fuzz": {
             "id": artefact.id,
@@ -160,7 +160,7 @@ def save_frames(artefact: Artefact, path: Path) -> None:
 
 
 def write_frames(path: Path, codec: Codec, steps: list[Step], about: dict[str, dict[str, str]]) -> int:
-    """The frames of steps as a recording; how many. Raises ``CaptureError`` or ``OSError``."""
+    """Write the frames of steps as a recording. Returns their number. Raises ``CaptureError`` or ``OSError``."""
     envelope, now, number = Envelope(codec.profile.link), 0.0, 0
     period = 100_000_000
     with create_capture(path, metadata=about) as writer:
@@ -175,13 +175,13 @@ def write_frames(path: Path, codec: Codec, steps: list[Step], about: dict[str, d
 
 
 def load(path: Path) -> Artefact:
-    """Read an artefact. Raises :class:`UsageError` that says what is wrong with the file."""
+    """Read an artefact. Raises :class:`UsageError` if the file cannot be read or is not a valid artefact."""
     try:
         artefact = msgspec.json.decode(path.read_bytes(), type=Artefact)
     except OSError as error:
         raise UsageError(f"{path}: cannot be read: {error.strerror or error}") from None
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
-        raise UsageError(f"{path}: is no artefact of dcp-conformance fuzz: {error}") from None
+        raise UsageError(f"{path}: not an artefact of dcp-conformance fuzz: {error}") from None
     if artefact.schema != SCHEMA:
         raise UsageError(f"{path}: has schema {artefact.schema}, this version reads {SCHEMA}")
     try:
@@ -192,18 +192,21 @@ def load(path: Path) -> Artefact:
 
 
 def found_in(places: list[Path]) -> list[Path]:
-    """The artefacts in files and folders, sorted within each folder. Raises :class:`UsageError` where none are."""
+    """Return the artefact files at these places (files or folders), sorted within each folder.
+
+    Raises :class:`UsageError` for a folder without artefacts.
+    """
     found: list[Path] = []
     for place in places:
         inside = sorted(set(place.glob("*-*.json"))) if place.is_dir() else [place]
         if not inside:
-            raise UsageError(f"{place}: there are no artefacts (KIND-XXXXXXXX.json) in it")
+            raise UsageError(f"{place}: the folder contains no artefacts (KIND-XXXXXXXX.json)")
         found += inside
     return found
 
 
 def codec_of(artefact: Artefact) -> Codec:
-    """The codec of the artefact's profile. Raises :class:`UsageError`."""
+    """Return the codec of the artefact's profile. Raises :class:`UsageError` if the profile is invalid."""
     import tempfile
 
     from dcp_spec.profile.loading import ProfileError

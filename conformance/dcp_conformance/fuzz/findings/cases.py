@@ -1,7 +1,7 @@
-"""Artefacts as conformance cases: what once broke an implementation is tested again in every run.
+"""Make conformance cases of artefacts, so that earlier findings are tested again in each run.
 
-The identifier of a case is ``TC_DCP_FUZZ_BI_01-`` and that of its artefact, which follows from what is in it: it stays
-the same whatever else lies in the folder.
+The identifier of a case is ``TC_DCP_FUZZ_BI_01-`` and the identifier of its artefact, which depends only on the
+contents of the artefact.
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ BASE = "TC_DCP_FUZZ_BI_01"
 
 
 def artefact_cases(folder: Path) -> list[Case]:
-    """The cases of a folder; artefacts of functions in process are left out. Raises ``UsageError``."""
+    """Return the cases of a folder, without artefacts of functions in process. Raises ``UsageError``."""
     artefacts = [(path, load(path)) for path in found_in([folder])]
     return [case_of(artefact, path, folder) for path, artefact in artefacts if artefact.target.mode != "codec"]
 
 
 def case_of(artefact: Artefact, path: Path, folder: Path) -> Case:
-    """The case of one artefact in a folder. Whatever it is about, the implementation has to survive it."""
+    """Return the case of one artefact in a folder. Its implicit requirement is that the implementation survives."""
     stops = artefact.effect.kind in STOPPED
     return Case(
         id=f"{BASE}-{artefact.id}",
-        purpose=f"What the fuzzer once found does not show: {artefact.effect.detail}"[:160],
-        # Older artefacts of a death name no requirement.
+        purpose=f"An earlier finding of the fuzzer does not occur again: {artefact.effect.detail}"[:160],
+        # Older artefacts of a crash name no requirement.
         requirements=artefact.effect.requirements or ROBUSTNESS,
         kind=Kind.INVALID,
         stimulus=f"the {len(artefact.steps)} steps of {path.name}, {artefact.frames} of them frames",
@@ -50,7 +50,7 @@ def case_of(artefact: Artefact, path: Path, folder: Path) -> Case:
 
 
 def run(artefact: Artefact, bench: Bench) -> None:
-    """Carry out the steps of an artefact as a case."""
+    """Execute the steps of an artefact as a case, and check that no effect occurs."""
     if artefact.profile != bench.profile.name:
         bench.inconclusive(
             f"the profile of the artefact, {artefact.profile}", f"the implementation speaks {bench.profile.name}"
@@ -63,6 +63,6 @@ def run(artefact: Artefact, bench: Bench) -> None:
     if effect is None:
         bench.check(True, "nothing is wrong after these steps", "", *artefact.effect.requirements)
         return
-    # The cause of this effect was looked for when it was found; another effect speaks for itself.
+    # The artefact names the requirements of its own effect; another effect is decided by its own signature.
     known = effect.signature == artefact.effect.signature and artefact.effect.requirements
     bench.check(False, "nothing is wrong after these steps", effect.detail, *(known or decided_by(effect)))

@@ -1,4 +1,4 @@
-"""Findings as people read them: what was sent, why it shows, and what the specification says about it."""
+"""Describe findings as text: the steps, the probable cause, and the requirements that decide."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ from .artefact import Artefact, load
 if TYPE_CHECKING:
     from dcp_conformance.fuzz.campaign import Campaign, CauseCount
 
-#: Steps that are shown; all of them are in the file.
+#: Maximum number of steps that are shown; the file contains all of them.
 _STEPS: Final = 5
-#: Characters of a step that are shown.
+#: Maximum number of characters of a step that are shown.
 _WIDTH: Final = 200
 
 
 def headline(artefact: Artefact) -> str:
-    """A finding in one line."""
+    """Return a finding in one line: identifier, effect, size, and whether it was minimised and confirmed."""
     kept = ", not made smaller" if not artefact.minimised else "" if artefact.confirmed else ", not seen again"
     return f"{artefact.id}: {printable(artefact.effect.detail)} ({_size(artefact.frames, artefact.octets)}{kept})"
 
 
 def evidence_lines(codec: Codec, artefact: Artefact) -> Iterator[str]:
-    """What was done, one line for each of the first steps, why it shows, and which requirements decide."""
-    # Inputs of functions are of any form.
+    """Yield one line for each of the first steps, then the cause, then the requirements that decide."""
+    # Inputs of functions are not frames.
     steps = [] if artefact.target.mode == "codec" else artefact.as_steps()
     for step in steps[:_STEPS]:
         yield _step_line(codec, step)
@@ -47,7 +47,7 @@ def evidence_lines(codec: Codec, artefact: Artefact) -> Iterator[str]:
 
 
 def summary_lines(campaign: Campaign) -> Iterator[str]:
-    """The findings of a campaign by probable cause, the smallest artefact of each with its evidence."""
+    """Yield the findings of a campaign by probable cause, with the smallest artefact of each and its evidence."""
     state = campaign.state
     known = {each.id: each for each in campaign.artefacts}
     if len(state.findings) > 1 and state.causes:
@@ -58,7 +58,7 @@ def summary_lines(campaign: Campaign) -> Iterator[str]:
         told.add(counted.smallest)
         yield from _one_cause(campaign, counted, known.get(counted.smallest))
     for artefact in campaign.artefacts:
-        # Functions in process have no frames, and so no causes.
+        # Findings of functions in process have no cause.
         if artefact.cause is None:
             yield from _one_artefact(campaign, artefact)
 
@@ -68,7 +68,7 @@ def _one_cause(campaign: Campaign, counted: CauseCount, artefact: Artefact | Non
     yield ""
     yield f"{printable(counted.title)}: {printable(counted.reaction)}"
     if artefact is None and campaign.directory is not None:
-        # Found by the campaign that this one goes on with.
+        # A finding from before the campaign was resumed.
         try:
             artefact = load(campaign.directory / f"{counted.smallest}.json")
         except UsageError:
@@ -112,7 +112,7 @@ def _step_line(codec: Codec, step: Step) -> str:
 
 
 def _frame_text(codec: Codec, octets: bytes) -> str:
-    """The messages of a beacon, and its first problem."""
+    """Return the messages of a beacon, and its first problem, in one line."""
     dissection = codec.dissect(octets)
     payloads = dissection.root.child("payloads")
     text = "  ".join(payload_line(payload) for payload in payloads.children) if payloads is not None else ""

@@ -1,4 +1,4 @@
-"""Doing findings again: is it fixed, does it still fail, now and then, or can it not be said."""
+"""Replay findings, and classify each as fixed, failed, flaky or error."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from dcp_conformance.fuzz.steps import Effect, Target
 from .artefact import Artefact, codec_of, load
 
 Status = Literal["fixed", "failed", "flaky", "error"]
-#: How often an artefact is done again.
+#: Default number of executions of an artefact.
 ATTEMPTS = 3
 
 
 class Replayed(NamedTuple):
-    """What came of an artefact."""
+    """Result of the replay of an artefact."""
 
     path: Path
     status: Status
@@ -28,10 +28,10 @@ class Replayed(NamedTuple):
 
 
 def replay(path: Path, target_of: Callable[[Artefact], Target], *, attempts: int = ATTEMPTS) -> Replayed:
-    """Do one artefact again, ``attempts`` times, on the target that ``target_of`` opens for it.
+    """Execute one artefact ``attempts`` times on the target that ``target_of`` opens for it.
 
-    ``failed``: the same effect each time; ``fixed``: no effect at all; ``flaky``: anything between, also another
-    effect; ``error``: it could not be done.
+    ``failed``: the same effect each time; ``fixed``: no effect at all; ``flaky``: the effect in some executions, or
+    another effect; ``error``: it could not be executed.
     """
     try:
         artefact = load(path)
@@ -44,7 +44,7 @@ def replay(path: Path, target_of: Callable[[Artefact], Target], *, attempts: int
 
 
 def judged(artefact: Artefact, effects: list[Effect | None]) -> tuple[Status, str]:
-    """The status of an artefact after these attempts."""
+    """Return the status of an artefact after these executions, and its description."""
     seen = [effect for effect in effects if effect is not None]
     if not seen:
         return "fixed", f"no effect in {len(effects)} attempts"
@@ -56,9 +56,9 @@ def judged(artefact: Artefact, effects: list[Effect | None]) -> tuple[Status, st
 
 
 def target_in_process(artefact: Artefact) -> Target:
-    """The target of an artefact of the codec or of a stack in process.
+    """Return the target of an artefact of the codec or of a stack in process.
 
-    Raises :class:`UsageError` for other artefacts, which need to be told where the implementation is.
+    Raises :class:`UsageError` for other artefacts: they need the address of an implementation.
     """
     codec = codec_of(artefact)
     if artefact.target.mode == "codec":
@@ -71,7 +71,7 @@ def target_in_process(artefact: Artefact) -> Target:
 
 
 def stack_target(codec: Codec, mutant: str = "") -> StackTarget:
-    """Our node in process, or a mutant of it. Raises :class:`UsageError` for a mutant that does not exist."""
+    """Return the reference node in process, or a mutant of it. Raises :class:`UsageError` for an unknown mutant."""
     if not mutant:
         return StackTarget(codec)
     from dcp_conformance.selftest.mutants import all_mutants

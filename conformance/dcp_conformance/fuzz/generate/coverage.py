@@ -1,4 +1,4 @@
-"""What a campaign has reached: fields by class of value, and states of variables by kind of message."""
+"""Coverage of a campaign: fields by class of value, and states of variables by kind of message."""
 
 from __future__ import annotations
 
@@ -9,23 +9,23 @@ import msgspec
 
 from dcp_codec.testing.mutation import FIELD_CLASSES
 
-#: Row and column of a table -> how often.
+#: Count by row and column of a table.
 Cells = dict[tuple[str, str], int]
 _ELEMENTS = ("twice", "drop", "reorder", "splice")
 _VALUES = (*FIELD_CLASSES, "cut")
-#: Classes as the heads of columns and in lines name them.
+#: Names of the classes of values in the tables.
 _WORDS = {
     "0": "zero", "1": "one", "max-1": "below top", "max": "top", "+1": "plus one", "-1": "minus one",
     "swapped": "bytes swapped", "bit": "bit flip", "cut": "cut off",
     "twice": "repeated", "drop": "left out", "reorder": "moved", "splice": "from another",
     "trail": "octets added", "bomb": "all counts raised",
 }  # fmt: skip
-#: States of a variable, as they are told apart.
+#: States of a variable, the columns of the second table.
 STATES = ("unknown", "alive own", "alive foreign", "deleted own", "deleted foreign")
 
 
 class Pair(msgspec.Struct, frozen=True):
-    """A row of a table: what, in which class, how often."""
+    """A cell of a table: field or state (``what``), class or message (``how``), and count."""
 
     what: str
     how: str
@@ -33,18 +33,18 @@ class Pair(msgspec.Struct, frozen=True):
 
 
 class Coverage(msgspec.Struct):
-    """Both tables. ``possible``: how many pairs of field and class the pool allows."""
+    """Both tables. ``possible``: number of pairs of field and class that the pool of messages allows."""
 
     fields: list[Pair] = []
     states: list[Pair] = []
     possible: int = 0
     missing: list[str] = []
-    """Those that were not reached."""
+    """Pairs of field and class that were not reached."""
     possible_states: int = 0
-    """How many pairs of state and message there are; 0 if they were not counted."""
+    """Number of possible pairs of state and message; 0 if they were not counted."""
     missing_states: list[str] = []
     lines: int = 0
-    """Lines of the target that were run, if they were counted."""
+    """Number of executed lines of the target; 0 if they were not counted."""
 
 
 def tables(
@@ -54,7 +54,7 @@ def tables(
     lines: int = 0,
     possible_states: Collection[tuple[str, str]] = (),
 ) -> Coverage:
-    """The tables of counters."""
+    """Return the tables of these counters."""
     return Coverage(
         list(_pairs(fields)),
         list(_pairs(states)),
@@ -73,12 +73,12 @@ def _pairs(counter: Counter[tuple[str, str]]) -> Iterable[Pair]:
 
 
 def counter_of(pairs: Iterable[Pair]) -> Counter[tuple[str, str]]:
-    """The counter that a table was made from."""
+    """Return the counter from which a table was made."""
     return Counter({(pair.what, pair.how): pair.count for pair in pairs})
 
 
 def shown(coverage: Coverage) -> list[str]:
-    """The tables as lines of text, at most 80 columns wide; 0: not reached, blank: there is no such pair."""
+    """Return the tables as lines of at most 80 columns. A 0 means not reached, a blank cell an impossible pair."""
     lines: list[str] = []
     if coverage.possible:
         reached = coverage.possible - len(coverage.missing)
@@ -101,7 +101,7 @@ def shown(coverage: Coverage) -> list[str]:
 
 
 def _fields(cells: Cells) -> list[str]:
-    """A table for fields by structure, one for the elements of lists, a line for the whole message."""
+    """Return a table for fields by structure, one for list elements, and a line for the whole message."""
     groups: dict[str, Cells] = {}
     for (path, how), count in cells.items():
         if how in _VALUES:
@@ -130,7 +130,7 @@ def _states(cells: Cells) -> list[str]:
 
 
 def _heading(columns: tuple[str, ...], first: int) -> list[str]:
-    """The names of columns; those of two words take two lines."""
+    """Return the heading of a table; names of two words take two lines."""
     words = [(_worded(column).rpartition(" "), _width(column)) for column in columns]
     upper = " " * (first + 2) + "".join(word.rjust(wide) for (word, _, _), wide in words)
     lower = " " * (first + 2) + "".join(word.rjust(wide) for (_, _, word), wide in words)
@@ -157,7 +157,7 @@ def _worded(how: str) -> str:
 
 
 def _short(count: int) -> str:
-    """A count in at most four characters."""
+    """Format a count in at most four characters."""
     for unit, size in (("", 1), ("k", 1_000), ("M", 1_000_000)):
         if count < 1000 * size or (not unit and count < 10_000):
             return f"{count // size}{unit}"

@@ -1,4 +1,4 @@
-"""Sequences that aim at what was not reached yet: one kind of message for a variable in one state."""
+"""Generate sequences for pairs that were not reached yet: a kind of message for a variable in a certain state."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from dcp_conformance.fuzz.steps import Call, Step, Wait
 from .elements import CREATION
 from .sequences import Sequences
 
-#: How often a sequence is aimed while something is missing.
+#: Probability of a directed sequence while pairs are missing.
 _CHANCE: Final = 0.25
-#: The sequence number of a variable of somebody else; that of an own one begins at 0.
+#: Sequence number of a variable of another producer; that of a variable of the node starts at 0.
 _NUMBER: Final = 5
 _NUMBERED: Final = ("update", "summary", "request-update")
 
@@ -32,17 +32,17 @@ def possible_states(codec: Codec) -> frozenset[Touch]:
         if not has_times:
             found.add((state, "create"))
             continue
-        # Nobody knows the very time at which the node itself has created one.
+        # The exact creation time of a variable of the node is unknown to the generator.
         hows = ("earlier", "later") if state.endswith("own") else ("earlier", "equal", "later")
         found |= {(state, f"create {how}") for how in hows}
     return frozenset(found)
 
 
 class Directed:
-    """Sequences, of which some aim at pairs that are missing in ``reached``."""
+    """Generator of sequences, some of them for pairs that are missing in ``reached``."""
 
     def __init__(self, sequences: Sequences, reached: Counter[Touch]) -> None:
-        """``reached`` is looked at before each sequence; somebody else counts."""
+        """``reached``: number of times that each pair was reached; the caller updates it."""
         self._sequences = sequences
         self._reached = reached
         self._possible = sorted(possible_states(sequences.codec))
@@ -52,7 +52,7 @@ class Directed:
         self.kinds: tuple[str, ...] = ()
 
     def draw(self) -> list[Step]:
-        """The next sequence."""
+        """Return the next sequence."""
         sequences = self._sequences
         if sequences.rng.random() < _CHANCE:
             missing = [pair for pair in self._possible if not self._reached[pair]]
@@ -68,7 +68,7 @@ class Directed:
         self._sequences.keep(steps)
 
     def towards(self, state: str, message: str) -> list[Step]:
-        """A variable is brought into a state, and gets a message."""
+        """Return a sequence that brings a variable into a state and sends a message about it."""
         sequences, var_id = self._sequences, self._sequences.var_id()
         life, _, whose = state.partition(" ")
         found: list[Step] = []
@@ -84,7 +84,7 @@ class Directed:
             found = [sequences.frame(sequences.good_create(var_id, seqno=number, creation=CREATION))]
             if life == "deleted":
                 found.append(sequences.frame(VarDelete(var_id)))
-        # Who says it is somebody who may.
+        # The sender is allowed to send this message.
         return [*found, sequences.frame(self._record(message, var_id, number))]
 
     def _record(self, message: str, var_id: int, number: int) -> VardisRecord:

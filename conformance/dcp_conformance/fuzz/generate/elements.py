@@ -1,4 +1,4 @@
-"""What sequences consist of: beacons of stations that do not exist, and numbers that are worth a try."""
+"""Make the elements of sequences: beacons of simulated stations, and boundary values."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ from dcp_codec.values import (
 from dcp_conformance.frames.received import KIND_OF
 from dcp_conformance.fuzz.steps import Frame, Step, Wait
 
-#: Ticks of a profile's clock that creation times are drawn around; anything later than 0 and far from the end.
+#: Base of creation times, in ticks of the profile's clock; far from both ends of the range.
 CREATION: Final = 1_000_000
 
 
 class Parts:
-    """Draws records, and makes beacons of them, for a profile."""
+    """Factory of random records, and of beacons with them, for a profile."""
 
     def __init__(self, codec: Codec, rng: random.Random) -> None:
         self.codec = codec
@@ -59,7 +59,7 @@ class Parts:
         self._repetitions = (1, 1, 2, most, min(most + 1, 255), 0)
 
     def node(self, number: int) -> bytes:
-        """The identifier of a station."""
+        """Return the node identifier of a station."""
         found = self._nodes.get(number)
         if found is None:
             found = self._nodes[number] = self._identifier(number)
@@ -72,13 +72,13 @@ class Parts:
         return octets[-layout.width :].rjust(layout.width, b"\2") if layout.width else b""
 
     def frame(self, *records: VardisRecord, sender: bytes | None = None, peer: int = 1) -> Frame:
-        """A beacon of a station; records of one kind that follow each other share a container."""
+        """Return a beacon of a station; consecutive records of one kind share a container."""
         ic_types = self._ic_types
         containers = tuple([Container(ic_types[kind], tuple(run)) for kind, run in itertools.groupby(records, type)])
         return self._beacon(Payload(BP_PROTID_VARDIS, containers), sender, peer)
 
     def report_frame(self, report: ExtendedSafetyData, *, sender: bytes | None = None, peer: int = 1) -> Frame:
-        """A beacon of a station with a state report."""
+        """Return a beacon of a station with a state report."""
         return self._beacon(Payload(BP_PROTID_SRP, report), sender, peer)
 
     def _beacon(self, payload: Payload, sender: bytes | None, peer: int) -> Frame:
@@ -93,18 +93,18 @@ class Parts:
         return b"\x02\xdc\x90" + peer.to_bytes(3, "big")
 
     def var_id(self) -> int:
-        """One of a few variables."""
+        """Return one of a few variable identifiers."""
         return self._chance.one_of((0, 1, 1, 2, 2, 3, self._top_var))
 
     def value(self) -> bytes:
-        """A value; lengths around the limit are favoured."""
+        """Return a random value; lengths near the limit are more likely."""
         octets = self.rng.randbytes(self._chance.one_of(self._value_sizes))
         return octets.replace(b"\0", b"\1") if self.codec.profile.types.value.terminated else octets
 
     def create(
         self, var_id: int, *, peer: int = 1, seqno: int = 0, creation: int = CREATION, producer: bytes | None = None
     ) -> VarCreate:
-        """A VarCreate that is most often acceptable."""
+        """Return a VarCreate with attributes that are mostly valid."""
         rep_cnt, descr, value = self._attributes()
         spec = self.codec.var_spec_type(
             var_id,
@@ -117,7 +117,7 @@ class Parts:
         return VarCreate(spec, VarUpdate(var_id, seqno, value))
 
     def _attributes(self) -> tuple[int, bytes, bytes]:
-        """Repetitions, description and value."""
+        """Return random repetitions, description and value."""
         rep_cnt = self._chance.one_of(self._repetitions)
         descr = self._chance.one_of(self._texts)
         return rep_cnt, descr if self.rng.random() < 0.9 else b"\xff\xfe", self.value()
@@ -132,8 +132,8 @@ class Parts:
         creation: int = CREATION,
         producer: bytes | None = None,
     ) -> VarCreate:
-        """A VarCreate that every node has to take; ``timeout`` in ms."""
-        # Draws as much as create() does: what a seed has shown is still what it shows.
+        """Return a valid VarCreate; ``timeout`` in ms."""
+        # Draw as many random numbers as create(), so that seeds keep producing the same sequences.
         self._attributes()
         spec = self.codec.var_spec_type(
             var_id,
@@ -146,11 +146,11 @@ class Parts:
         return VarCreate(spec, VarUpdate(var_id, seqno, b"good"))
 
     def seqno(self, around: int = 0) -> int:
-        """A number that is interesting as seen from another: near it, half the circle away, or at the ends."""
+        """Return a sequence number near ``around``, half of the number range away from it, or anywhere."""
         anywhere = self._chance.below(self._modulus)
         step = self._chance.one_of((*self._near, anywhere))
         return (around + step) % self._modulus
 
     def pause(self) -> list[Step]:
-        """Sometimes some time."""
+        """Return a wait with a probability of 30 %."""
         return [Wait(self._chance.one_of((0.5, 1.0, 2.0)))] if self.rng.random() < 0.3 else []

@@ -1,7 +1,7 @@
-"""Coverage of the target's own code as a guide: what reaches lines that nothing reached before is mutated further.
+"""Guide a campaign by code coverage: tests that reach new lines of the target are mutated further.
 
-For targets in Python, in this process. From Python 3.12 on the interpreter tells each line once, which costs next to
-nothing; before, every line of a guided case is traced, which makes cases about ten times slower.
+For Python targets in this process. From Python 3.12 on, the interpreter reports each line once, which costs almost no
+time. Earlier versions trace every line, which makes tests about ten times slower.
 """
 
 from __future__ import annotations
@@ -15,27 +15,27 @@ from dcp_conformance.errors import UsageError
 from dcp_conformance.fuzz.campaign import Campaign
 from dcp_conformance.fuzz.steps import Effect, Step, Target
 
-#: Packages whose lines count. Generated decoders name themselves like the package that makes them.
+#: Packages whose lines are counted. The file names of generated decoders contain the name of their package.
 _COUNTED: Final = ("dcp_codec", "dcp_stack")
 _TOOL: Final = "dcp-fuzz"
 
 
 class Guide:
-    """Runs a target and knows which lines it has reached."""
+    """A target that records the lines it has executed."""
 
     def __init__(self, target: Target) -> None:
         self.name = target.name
         self._target = target
         self.lines: set[tuple[str, int]] = set()
-        """File and line of everything reached."""
+        """File and number of all executed lines."""
         self.fresh = False
-        """Whether the last run has reached a line for the first time."""
+        """Whether the last run executed a new line."""
         self._monitoring: Any = getattr(sys, "monitoring", None)
         if self._monitoring is not None:
             self._monitor()
 
     def run(self, steps: list[Step]) -> Effect | None:
-        """As the target does."""
+        """Execute the steps on the wrapped target."""
         self.fresh = False
         if self._monitoring is not None:
             return self._target.run(steps)
@@ -47,7 +47,7 @@ class Guide:
             sys.settrace(before)
 
     def close(self) -> None:
-        """Stop counting."""
+        """Stop recording lines."""
         if self._monitoring is not None:
             self._monitoring.free_tool_id(self._monitoring.COVERAGE_ID)
             self._monitoring = None
@@ -57,7 +57,7 @@ class Guide:
             self.lines.add((file, line))
             self.fresh = True
 
-    # -- since 3.12 --------------------------------------------------------------------------------------------
+    # -- Python 3.12 and later ---------------------------------------------------------------------------------
 
     def _monitor(self) -> None:
         monitoring = self._monitoring
@@ -76,7 +76,7 @@ class Guide:
         monitoring.register_callback(tool, monitoring.events.LINE, line)
         monitoring.set_events(tool, monitoring.events.LINE)
 
-    # -- before ------------------------------------------------------------------------------------------------
+    # -- earlier versions --------------------------------------------------------------------------------------
 
     def _called(self, frame: FrameType, event: str, argument: Any) -> Callable[..., Any] | None:  # noqa: ARG002 - as asked
         return self._traced if _is_counted(frame.f_code.co_filename) else None
@@ -88,7 +88,7 @@ class Guide:
 
 
 def guide(campaign: Campaign) -> Guide:
-    """Let the lines of the target guide a campaign; close what is returned when it is done."""
+    """Guide a campaign by the executed lines of its target. The caller must close the returned guide at the end."""
     guided = Guide(campaign.target)
     campaign.target = guided
     campaign.lines = lambda: len(guided.lines)

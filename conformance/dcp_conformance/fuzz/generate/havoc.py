@@ -1,4 +1,4 @@
-"""Mutations of octets of which no layout is known: files, lines of text."""
+"""Mutate octets without a known layout: files, lines of text."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from collections.abc import Sequence
 
 _EDGES = (b"\0", b"\xff", b"\x7f", b"\x80", b"\0\0\0\0", b"\xff\xff\xff\xff", b"\x7f\xff\xff\xff", b"\0\0\0\x80")
 
-#: Inputs that are mutated at most.
+#: Maximum number of inputs in the pool.
 _MOST = 2048
 
 
 class Havoc:
-    """Draws mutations of a pool. ``words``: what means something in the format, put in now and then."""
+    """Mutates inputs of a pool. ``words``: tokens of the format, which are inserted at random."""
 
     def __init__(self, rng: random.Random, pool: Sequence[bytes], words: Sequence[bytes] = ()) -> None:
         """Raises ValueError for an empty pool."""
@@ -20,18 +20,18 @@ class Havoc:
             raise ValueError("there is nothing to mutate: the pool is empty")
         self._rng = rng
         self.pool = list(pool)
-        """What is mutated."""
+        """The inputs that are mutated."""
         self._words = (*words, *_EDGES)
 
     def add(self, octets: bytes) -> None:
-        """Mutate this, too."""
+        """Add an input to the pool; replace a random one if the pool is full."""
         if len(self.pool) < _MOST:
             self.pool.append(octets)
         else:
             self.pool[self._rng.randrange(_MOST)] = octets
 
     def mutate(self) -> bytes:
-        """The next octets: one of the pool, changed in one to six places; now and then only chance."""
+        """Return an input of the pool, changed in one to six places; with a probability of 2 % random octets."""
         rng = self._rng
         if rng.random() < 0.02:
             return rng.randbytes(rng.randrange(80))

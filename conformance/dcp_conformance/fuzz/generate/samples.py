@@ -1,4 +1,4 @@
-"""Ordinary messages of a profile, as small as they can be: what repairs put in, and what a sweep damages."""
+"""Make the smallest ordinary messages of a profile, for repairs and for the sweep."""
 
 from __future__ import annotations
 
@@ -23,23 +23,23 @@ from dcp_codec.values import (
     VarUpdate,
 )
 
-#: A protocol that no node has.
+#: Protocol identifier that no node implements.
 OTHER_PROTOCOL: Final = 0x77
-#: The station that sends them.
+#: Address of the sender.
 _STATION: Final = b"\x02\xdc\x90\x00\x00\x01"
-#: Descriptions and values.
+#: Description and value of variables.
 TEXT: Final = b"a"
 
 
 class Samples:
-    """Records, blocks and beacons with the smallest ordinary content. Variables are 0 unless told."""
+    """Factory of records, blocks and beacons with the smallest ordinary contents. The default variable is 0."""
 
     def __init__(self, codec: Codec) -> None:
         self.codec = codec
         self._numbers = codec.profile.vardis.container_types.by_name()
 
     def node(self, number: int = 1) -> bytes:
-        """The identifier of a station."""
+        """Return the node identifier of a station."""
         layout = self.codec.profile.types.node_id
         octets = _STATION[:-2] + number.to_bytes(2, "big")
         if layout.representation == "text":
@@ -47,7 +47,7 @@ class Samples:
         return octets[-layout.width :].rjust(layout.width, b"\2") if layout.width else b""
 
     def record(self, kind: ICType, var_id: int = 0) -> VardisRecord:
-        """A record of a kind."""
+        """Return a record of a kind."""
         match kind:
             case ICType.SUMMARIES:
                 return VarSumm(var_id, 0)
@@ -65,17 +65,17 @@ class Samples:
         return VarCreate(spec, VarUpdate(var_id, 0, TEXT))
 
     def container(self, kind: ICType, count: int = 1) -> Container:
-        """A container of ``count`` records of a kind, about different variables as long as there are any."""
+        """Return a container of ``count`` records of a kind, about different variables as far as possible."""
         top = 1 << (8 * min(2, self.codec.profile.types.var_id.width))
         records = tuple(self.record(kind, number % top) for number in range(count))
         return Container(self._numbers[kind.label], records)
 
     def vardis(self, *containers: Container) -> Payload:
-        """A VarDis block."""
+        """Return a VarDis block."""
         return Payload(BP_PROTID_VARDIS, containers)
 
     def report(self, number: int = 1, seqno: int = 0) -> Payload:
-        """An SRP block with the state report of a station. Only for profiles that have one."""
+        """Return an SRP block with the state report of a station. Only for profiles with SRP."""
         codec = self.codec
         known = codec.safety_data_type.__struct_fields__
         data = {}
@@ -85,11 +85,11 @@ class Samples:
         return Payload(BP_PROTID_SRP, ExtendedSafetyData(codec.safety_data_type(**data), self.node(number), 0, seqno))
 
     def other(self, octets: bytes = b"\0") -> Payload:
-        """A block of a protocol that no node has."""
+        """Return a block of an unknown protocol."""
         return Payload(OTHER_PROTOCOL, octets)
 
     def beacon(self, *blocks: Payload, station: int = 1) -> bytes:
-        """A beacon of a station. Raises ``EncodeError`` for what a field of the profile cannot hold."""
+        """Return a beacon of a station. Raises ``EncodeError`` if a value does not fit into a field of the profile."""
         profile = self.codec.profile
         header = None
         if profile.bp.header:
@@ -98,7 +98,7 @@ class Samples:
         return self.codec.encode(Beacon(header, blocks))
 
     def each(self) -> list[bytes]:
-        """A beacon for each kind of container, one with a state report and one of another protocol."""
+        """Return a beacon for each kind of container, one with a state report and one of an unknown protocol."""
         kinds = sorted(ICType, key=lambda kind: kind is not ICType.REQUEST_VARCREATES)
         found = [self.beacon(self.vardis(self.container(kind))) for kind in kinds]
         if self.codec.report_plan is not None:

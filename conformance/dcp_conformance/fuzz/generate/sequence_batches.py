@@ -1,4 +1,4 @@
-"""Several sequences as one test: what is done around a sequence takes longer than the sequence."""
+"""Join several sequences into one test, because preparing and checking a node takes longer than a sequence."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ from typing import Final
 from dcp_conformance.fuzz.execute.model_monitor import WINDOW
 from dcp_conformance.fuzz.steps import Generator, Step, Wait
 
-#: Sequences in the life of a node in this process. Making one and looking whether it lives take as long as half of a
-#: sequence; seeded faults are found soonest with three to eight (docs/fuzzing.md).
+#: Sequences for one node in this process. Making a node and checking that it is alive take half of the time of a
+#: sequence; seeded faults are found fastest with three to eight sequences (docs/fuzzing.md).
 IN_PROCESS: Final = 4
-#: One test in so many waits: between its frames on the air, in the end in process.
+#: Every n-th test waits: between its frames on a link, at its end in process.
 _UNHURRIED: Final = 8
 
 
 class Joined:
-    """Draws tests of ``size`` sequences: the first meets a node that knows nothing, the others one that has a past."""
+    """Generator of tests of ``size`` sequences. The first starts in the initial state, the others in a later state."""
 
     def __init__(self, sequences: Generator, size: int) -> None:
         self._sequences = sequences
@@ -24,7 +24,7 @@ class Joined:
         self.kinds: tuple[str, ...] = ()
 
     def draw(self) -> list[Step]:
-        """The next ``size`` sequences."""
+        """Return the next ``size`` sequences as one test."""
         self._drawn += 1
         steps: list[Step] = []
         kinds: list[str] = []
@@ -40,22 +40,22 @@ class Joined:
 
 
 class Lifetimes(Joined):
-    """The same for a stack in this process: now and then it is given the time to say all that it has to."""
+    """Generator for a stack in this process: some tests end with a wait, so that the node can send all its records."""
 
     def __init__(self, sequences: Generator, size: int = IN_PROCESS) -> None:
         super().__init__(sequences, size)
 
     def draw(self) -> list[Step]:
-        """The next test: the life of one node."""
+        """Return the next test, for one new node."""
         steps = super().draw()
         return [*steps, Wait(WINDOW + 1)] if self._drawn % _UNHURRIED == 0 else steps
 
 
 class Batches(Joined):
-    """The same for implementations on the air. Most is sent without pauses: they are most of the time of a sequence."""
+    """Generator for implementations on a link: most tests have no waits, which take most of the time of a sequence."""
 
     def draw(self) -> list[Step]:
-        """The next test."""
+        """Return the next test."""
         steps = super().draw()
         if self._drawn % _UNHURRIED == 0:
             return steps

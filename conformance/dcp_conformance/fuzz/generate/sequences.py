@@ -1,6 +1,6 @@
-"""Sequences that mean something: what one damaged beacon cannot show, because it takes a history.
+"""Generate meaningful sequences, for faults that need several messages.
 
-Every sequence is drawn by a seeded generator and stands for itself: it begins at a node that knows nothing.
+Each sequence is drawn by a seeded generator and is independent of others: it starts in the initial state of a node.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ from dcp_conformance.fuzz.steps import Call, Frame, Step, Wait
 
 from .elements import CREATION, Parts
 
-#: Neighbours of a flood.
+#: Number of neighbours of a flood.
 _FLOOD: Final = 3000
-#: Sequence numbers are counted all the way round where there are no more than these.
+#: Maximum size of the number range for which sequences go through all sequence numbers.
 _SHORT_WAY: Final = 256
-#: Services that change nothing for good, with parameters that need not make sense.
+#: Service calls, most with invalid parameters, that do not change the state of the node permanently.
 _ODD_CALLS: Final[tuple[tuple[str, dict[str, Any]], ...]] = (
     ("RTDB-Read", {"varId": -1}),
     ("RTDB-Read", {"varId": "0"}),
@@ -51,7 +51,7 @@ _ODD_CALLS: Final[tuple[tuple[str, dict[str, Any]], ...]] = (
 
 
 class Sequences(Parts):
-    """Draws sequences. ``own_id`` is the identifier of the node that they are for."""
+    """Generator of sequences. ``own_id``: identifier of the tested node. ``recorded``: frames of recordings."""
 
     def __init__(
         self, codec: Codec, rng: random.Random, own_id: bytes, mutator: Mutator, recorded: Sequence[bytes] = ()
@@ -90,7 +90,7 @@ class Sequences(Parts):
         """The kind of the last sequence."""
 
     def draw(self) -> list[Step]:
-        """The next sequence. A flood of neighbours, which takes seconds, comes once in several thousand."""
+        """Return the next sequence. A flood of neighbours, which takes seconds, is one in 5000 sequences."""
         if self.codec.report_plan is not None and self.rng.random() < 0.0002:
             self.kinds = ("neighbour-flood",)
             return self.neighbour_flood()
@@ -99,7 +99,7 @@ class Sequences(Parts):
         return kind()
 
     def keep(self, steps: list[Step]) -> None:
-        """Mutate the frames of this sequence, too, from now on."""
+        """Add the frames of this sequence to those that are mutated."""
         for step in steps:
             if isinstance(step, Frame):
                 self.mutator.add(step.octets)
@@ -107,7 +107,7 @@ class Sequences(Parts):
     # -- kinds of sequences ------------------------------------------------------------------------------------
 
     def mixed(self) -> list[Step]:
-        """Valid beacons, drawn one by one."""
+        """Send random valid beacons."""
         found: list[Step] = []
         for _ in range(1 + self._chance.below(5)):
             octets = self._chance.one_of(self.mutator.sources).octets
@@ -116,7 +116,7 @@ class Sequences(Parts):
         return found
 
     def mutated(self) -> list[Step]:
-        """A variable, and mutations that may damage it."""
+        """Create a variable, and send mutated frames."""
         found: list[Step] = [self.frame(self.good_create(self.var_id()))] if self.rng.random() < 0.5 else []
         for _ in range(1 + self._chance.below(5)):
             made = self.mutator.mutate()
@@ -125,11 +125,11 @@ class Sequences(Parts):
         return found
 
     def creation_times(self) -> list[Step]:
-        """One variable created again and again, earlier, equally and later, by this and that producer."""
+        """Create one variable repeatedly, with earlier, equal and later creation times, by different producers."""
         var_id, found = self.var_id(), list[Step]()
         time = CREATION
         for _ in range(2 + self._chance.below(4)):
-            # The last of them is later, with a lower half that is earlier.
+            # The last value is later, but its lower 32 bits are smaller.
             time += self._chance.one_of((0, 1, 1, -1, -1000, 256, 1000, 65_536, (1 << 32) - 500))
             time = max(0, min(time, self._latest))
             producer = self.own_id if self.rng.random() < 0.1 else None
@@ -142,7 +142,7 @@ class Sequences(Parts):
         return found
 
     def sequence_wrap(self) -> list[Step]:
-        """Updates, summaries and requests around the circle."""
+        """Send updates, summaries and requests with sequence numbers near wrap-around."""
         var_id, number = self.var_id(), self.seqno()
         found: list[Step] = [self.frame(self.good_create(var_id, seqno=number))]
         for _ in range(2 + self._chance.below(5)):
@@ -157,7 +157,7 @@ class Sequences(Parts):
         return found
 
     def delete_and_create(self) -> list[Step]:
-        """A variable that comes and goes, now and then in one beacon."""
+        """Create and delete a variable repeatedly, sometimes in one beacon."""
         var_id, time, found = self.var_id(), CREATION, list[Step]()
         for _ in range(1 + self._chance.below(4)):
             time += self._chance.one_of((1, 1, 1, 0))
@@ -178,7 +178,7 @@ class Sequences(Parts):
         return found
 
     def requests(self) -> list[Step]:
-        """Requests for what is there and what is not."""
+        """Send requests for existing and unknown variables."""
         var_id = self.var_id()
         found: list[Step] = [self.frame(self.good_create(var_id, seqno=5))] if self.rng.random() < 0.7 else []
         for _ in range(1 + self._chance.below(5)):
@@ -198,7 +198,7 @@ class Sequences(Parts):
         return found
 
     def soft_state(self) -> list[Step]:
-        """A variable that lives as long as there are updates of it, and other things to be heard."""
+        """Create a variable with a timeout, and send updates and other records about it."""
         var_id, number, time = self.var_id(), self.seqno(), CREATION
         timeout = self._chance.one_of((100, 300, 700, 1200))
         found: list[Step] = [self.frame(self.good_create(var_id, seqno=number, timeout=timeout))]
@@ -219,7 +219,7 @@ class Sequences(Parts):
         return [*found, Wait(self._chance.one_of((2.0, 25.0)))]
 
     def two_producers(self) -> list[Step]:
-        """Two stations that both think a variable is theirs."""
+        """Let two stations act as the producer of one variable."""
         var_id, found = self.var_id(), list[Step]()
         for turn in range(2 + self._chance.below(4)):
             peer = 1 + turn % 2
@@ -232,7 +232,7 @@ class Sequences(Parts):
         return found
 
     def spoofed_sender(self) -> list[Step]:
-        """Beacons in the name of the node itself, of everybody and of nobody."""
+        """Send beacons with the identifier of the node itself, the broadcast address, or zeros."""
         found: list[Step] = []
         width = len(self.own_id)
         for _ in range(1 + self._chance.below(4)):
@@ -249,7 +249,7 @@ class Sequences(Parts):
         return found
 
     def reports(self) -> list[Step]:
-        """State reports of a few stations, of which numbers and stamps make no sense."""
+        """Send state reports of a few stations with random sequence numbers and time stamps."""
         found: list[Step] = []
         for _ in range(1 + self._chance.below(5)):
             found.append(self.report_frame(self._values.report(), peer=1 + self._chance.below(3)))
@@ -257,14 +257,14 @@ class Sequences(Parts):
         return found
 
     def services(self) -> list[Step]:
-        """Variables of the node's own application, while others talk about them."""
+        """Call services about a variable while other stations send records about it."""
         var_id, found = self.var_id(), list[Step]()
         create = {"varId": var_id, "repCnt": self._chance.one_of((1, 2, 15)), "descr": "own", "value": "6f776e"}
         whose = self.rng.random()
         if whose < 0.7:
             found.append(Call("RTDB-Create", create))
         elif whose < 0.9:
-            # Somebody else's: the application must not have its way.
+            # A variable of another producer: the services that change it must be refused.
             found.append(self.frame(self.good_create(var_id)))
         for _ in range(2 + self._chance.below(4)):
             step: Step
@@ -280,7 +280,7 @@ class Sequences(Parts):
                 case 5:
                     step = self.frame(self.good_create(var_id, creation=self._chance.one_of((1, CREATION))))
                 case 6 if self.codec.report_plan is not None:
-                    # A node with a report and variables sends beacons of two blocks.
+                    # A node with safety data and variables sends beacons of two blocks.
                     step = Call("SRP-UpdateSafetyData", {"sData": self._safety_data()})
                 case 7:
                     other = self._chance.one_of((VarDelete(var_id), VarUpdate(var_id, self.seqno(), b"other")))
@@ -294,7 +294,7 @@ class Sequences(Parts):
         return found
 
     def once_around(self) -> list[Step]:
-        """So many updates of a variable of the node's own that its numbers begin anew."""
+        """Update a variable of the node until its sequence number wraps around."""
         var_id = self.var_id()
         found: list[Step] = [Call("RTDB-Create", {"varId": var_id, "repCnt": 1, "descr": "own", "value": "00"})]
         for number in range(self._modulus + 2):
@@ -306,7 +306,7 @@ class Sequences(Parts):
         return {field.name: 1.5 if field.type.startswith("f") else 1 for field in fields if field.type != "opaque"}
 
     def one_payload(self) -> list[Step]:
-        """Several records about one variable in one payload, which are not processed in the order of the payload."""
+        """Send several records about one variable in one payload; the processing order differs from the wire order."""
         var_id, number = self.var_id(), self.seqno()
         found: list[Step] = []
         if self.rng.random() < 0.4:
@@ -327,15 +327,15 @@ class Sequences(Parts):
         return found
 
     def garbage(self) -> list[Step]:
-        """Dozens of mutations in a row: what counts errors, or loses something with each of them, shows it."""
+        """Send 60 mutated frames in succession, for faults of error counters and for leaks."""
         made = [self.mutator.mutate() for _ in range(60)]
         if self.rng.random() < 0.7:
-            # The same again and again.
+            # Repeat one frame.
             made = [made[0]] * 60
         return [Frame(each.octets, each.source) for each in made]
 
     def all_variables(self) -> list[Step]:
-        """Every variable that there can be, up to 256; then each is talked about."""
+        """Create all possible variables, up to 256, then send a record about each."""
         found: list[Step] = []
         ids = range(self._top_var + 1)
         records = [self.good_create(each) for each in ids]
@@ -351,7 +351,7 @@ class Sequences(Parts):
         return [*found, Wait(2.0)]
 
     def largest(self) -> list[Step]:
-        """Containers and values as large as they can be."""
+        """Send containers and values of maximum size."""
         found: list[Step] = []
         for kind in self.rng.sample(tuple(ICType), 3):
             octets = self._values.full(kind)
@@ -360,12 +360,12 @@ class Sequences(Parts):
         try:
             found.append(self.frame(*with_most))
         except EncodeError:
-            # An area of a fixed size, or a length of one octet.
+            # The profile has an area of fixed size, or a length field of one octet.
             found.append(self.frame(*with_most[:20]))
         return [*found, *self.pause()]
 
     def recording(self) -> list[Step]:
-        """A piece of a recording, with a mutation in it."""
+        """Send a part of a recording with one mutated frame inserted."""
         start = self._chance.below(len(self.recorded))
         found: list[Step] = [
             Frame(octets, octets) for octets in self.recorded[start : start + 2 + self._chance.below(6)]
@@ -375,7 +375,7 @@ class Sequences(Parts):
         return found
 
     def neighbour_flood(self) -> list[Step]:
-        """A state report of each of thousands of stations."""
+        """Send a state report of each of 3000 stations."""
         found: list[Step] = []
         for number in range(1, _FLOOD + 1):
             report = self._values.report()

@@ -1,8 +1,8 @@
-"""The beginning of every campaign: each kind of structural damage once, in the smallest frame that has it.
+"""The sweep at the beginning of a campaign: each kind of structural damage once, in the smallest frame that has it.
 
-Draws takes long to find an empty block or a container without records. A sweep tries every kind within the first few
-hundred frames, one anomaly to a frame, so that what kills is small and named from the start. Kinds take turns: cuts at
-every octet of every record come when the first of all others have been sent.
+Random mutation takes long to produce an empty block or a container without records. The sweep tries each kind within
+the first few hundred frames, with one anomaly in each frame, so that crashes have small and named causes from the
+start. The kinds alternate, so that the many truncated records do not delay the other kinds.
 """
 
 from __future__ import annotations
@@ -23,21 +23,21 @@ from dcp_conformance.fuzz.steps import Frame, Generator, Step, Wait
 
 from .samples import OTHER_PROTOCOL, Samples
 
-#: Container types that no version has.
+#: Container types that no version of the specification defines.
 _UNKNOWN: Final = (0, 7, 255)
-#: Octets behind a beacon: what bearers pad with, and more.
+#: Numbers of octets after a beacon: the padding of links, and more.
 _TRAILING: Final = (1, 46, 400)
-#: Neighbours, so that tables of 256 and of 1000 overflow.
+#: Number of neighbours, more than tables of 256 and of 1000 entries can hold.
 _NEIGHBOURS: Final = 1100
-#: Creations in one frame of a flood of variables, and identifiers that are left for markers.
+#: Creations in one frame of a flood of variables, and number of unused variable identifiers for markers.
 _SHARE: Final = 20
 _LEFT: Final = 16
-#: The kind of its sequences.
+#: Name of the sequences of the sweep in statistics.
 NAME: Final = "sweep"
 
 
 class Sweep:
-    """Frames for a profile, in an order that brings every kind of damage early."""
+    """The frames of a sweep for a profile, in an order in which each kind of damage is early."""
 
     def __init__(self, codec: Codec) -> None:
         self.codec = codec
@@ -46,7 +46,7 @@ class Sweep:
         self._sound = self._each[0]
 
     def sequences(self) -> list[list[Step]]:
-        """The sequences of a sweep: most are one frame."""
+        """Return the sequences of the sweep; most have a single frame."""
         kinds = (
             self._emptiness, self._blocks, self._containers, self._announcements, self._lengths, self._header,
             self._cuts, self._extremes, self._strangers,
@@ -59,7 +59,7 @@ class Sweep:
     # -- kinds ---------------------------------------------------------------------------------------------------
 
     def _emptiness(self) -> Iterator[bytes]:
-        """Nothing at all, a header alone, headers that are cut off."""
+        """Yield an empty frame, a header without payload, and truncated headers."""
         yield b""
         anatomy = Anatomy(self.codec, self._sound)
         payloads = anatomy.at("payloads")
@@ -67,7 +67,7 @@ class Sweep:
             return
         bare = anatomy.without([payloads.children[0]])
         yield bare
-        # Alone, but announcing more.
+        # A header without payload, but with the length of one.
         yield self._sound[: payloads.offset]
         yield self._sound[:1]
         for field in anatomy.root.walk():
@@ -76,7 +76,7 @@ class Sweep:
                 yield self._sound[: field.offset + field.length - 1]
 
     def _blocks(self) -> Iterator[bytes]:
-        """Blocks without octets, cut off, and among good ones."""
+        """Yield empty and truncated blocks, alone and next to valid ones."""
         good = self._samples.vardis(self._samples.container(ICType.SUMMARIES))
         protocols = (int(BP_PROTID_VARDIS), int(BP_PROTID_SRP), OTHER_PROTOCOL)
         for protocol in protocols:
@@ -94,7 +94,7 @@ class Sweep:
                 yield self._fitting(self._sound[:stop])
 
     def _containers(self) -> Iterator[bytes]:
-        """Containers without records, of unknown types, with wrong counts; alone, before and after a good one."""
+        """Yield containers without records, of unknown types, and with wrong counts; alone and next to a valid one."""
         good = self.codec.encode_containers((self._samples.container(ICType.SUMMARIES),))
         for kind in ICType:
             one = self.codec.encode_containers((self._samples.container(kind),))
@@ -111,7 +111,7 @@ class Sweep:
             yield from self._vardis(unknown + good)
 
     def _announcements(self) -> Iterator[bytes]:
-        """Lengths and counts that are 0, one too low or too high, and as high as can be."""
+        """Yield frames with a length or a count of 0, one too low, one too high, or near its maximum."""
         for octets in self._each:
             anatomy = Anatomy(self.codec, octets)
             for announced in anatomy.announced:
@@ -119,7 +119,7 @@ class Sweep:
                     yield anatomy.replaced(announced.field, value)
 
     def _lengths(self) -> Iterator[bytes]:
-        """Payloads of a fixed size that are longer or shorter."""
+        """Yield payloads of fixed size that are too long or too short."""
         if self.codec.report_plan is None:
             return
         report = self._samples.report()
@@ -130,7 +130,7 @@ class Sweep:
                 yield from self._encoded([Payload(BP_PROTID_SRP, (field.raw * 2)[:size])])
 
     def _header(self) -> Iterator[bytes]:
-        """Every field of the header 0, one more and as high as can be."""
+        """Yield frames with a header field set to 0, increased by one, or set to its maximum."""
         anatomy = Anatomy(self.codec, self._sound)
         for field in anatomy.root.walk():
             if isinstance(field.layout, Scalar) and field.path.startswith(("bp.", "payloads[0].protocolId")):
@@ -141,7 +141,7 @@ class Sweep:
                         yield self._sound[: field.offset] + octets + self._sound[field.offset + size :]
 
     def _cuts(self) -> Iterator[bytes]:
-        """Payloads that end in the middle of each field of each record, with lengths of beacon and block that fit."""
+        """Yield payloads truncated in each field of each record, with correct lengths of beacon and block."""
         cuts: list[list[bytes]] = []
         for octets in self._each:
             anatomy = Anatomy(self.codec, octets)
@@ -158,7 +158,7 @@ class Sweep:
             yield from (octets for octets in turn if octets is not None)
 
     def _extremes(self) -> Iterator[bytes]:
-        """Many records, containers and blocks, and octets behind a beacon."""
+        """Yield many records, containers and blocks, and octets after a beacon."""
         samples = self._samples
         for kind in (ICType.SUMMARIES, ICType.REQUEST_VARCREATES, ICType.DELETE_VARIABLES, ICType.UPDATES):
             yield from self._encoded([samples.vardis(samples.container(kind, IC_MAX_RECORDS))])
@@ -172,13 +172,13 @@ class Sweep:
             yield self._sound + b"\xff" * count
 
     def _strangers(self) -> Iterator[bytes]:
-        """Ordinary beacons of each kind, and noise."""
+        """Yield ordinary beacons of each kind, and frames of a repeated octet."""
         yield from self._each
         for octet in (0x00, 0xFF, 0x01):
             yield bytes((octet,)) * 40
 
     def _floods(self) -> list[list[Step]]:
-        """Nearly all variables, and more neighbours than tables hold."""
+        """Return sequences with nearly all variables, and with more neighbours than tables can hold."""
         samples, found = self._samples, list[list[Step]]()
         top = 1 << (8 * min(1, self.codec.profile.types.var_id.width))
         kind = ICType.CREATE_VARIABLES
@@ -201,11 +201,11 @@ class Sweep:
     # -- building ------------------------------------------------------------------------------------------------
 
     def _encoded(self, blocks: list[Payload]) -> Iterator[bytes]:
-        """A beacon of blocks, unless it is larger than any frame or than a field of the profile can say."""
+        """Yield a beacon of these blocks, unless it exceeds the size of a frame or the range of a length field."""
         try:
             octets = self._samples.beacon(*blocks)
         except EncodeError:
-            # Also contents that are octets where the profile has values.
+            # Some blocks contain octets instead of values of the profile.
             try:
                 octets = self._envelope(blocks)
             except EncodeError:
@@ -231,7 +231,7 @@ class Sweep:
         return self._encoded([Payload(BP_PROTID_VARDIS, octets)])
 
     def _fitting(self, octets: bytes) -> bytes:
-        """Octets of one block that end early, with the lengths of beacon and block set right."""
+        """Return a truncated frame of one block with the lengths of beacon and block corrected."""
         for _ in range(2):
             anatomy = Anatomy(self.codec, octets)
             for announced in anatomy.announced:
@@ -248,7 +248,7 @@ class Sweep:
         return content[0].offset - first.offset if content else first.length
 
     def _header_size(self, container: bytes) -> int:
-        """Octets of the header of a container that holds one record."""
+        """Return the size in octets of the header of a container with one record."""
         anatomy = Anatomy(self.codec, self._envelope([Payload(BP_PROTID_VARDIS, container)]))
         outer, records = anatomy.at("payloads[0].vardis[0]"), anatomy.at("payloads[0].vardis[0].records")
         assert outer is not None
@@ -264,9 +264,9 @@ class Sweep:
 
 
 class Swept:
-    """A generator that begins with a sweep, ``size`` sequences of it at a time.
+    """A generator that starts with the sweep, ``size`` sequences in each test.
 
-    ``done`` tests of it were drawn in an earlier campaign.
+    ``done``: number of its tests that were executed before the campaign was resumed.
     """
 
     def __init__(self, sequences: Generator, codec: Codec, *, done: int = 0, size: int = 1) -> None:
@@ -277,7 +277,7 @@ class Swept:
         self.kinds: tuple[str, ...] = ()
 
     def draw(self) -> list[Step]:
-        """The next test."""
+        """Return the next test."""
         if self._left:
             self.kinds = (NAME,)
             return self._left.pop()

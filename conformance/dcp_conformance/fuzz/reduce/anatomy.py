@@ -1,8 +1,8 @@
-"""A frame taken apart so that parts can be cut out or replaced while everything else stays as it is, lies included.
+"""Edit parts of a frame without changing anything else, including wrong lengths and counts.
 
-Lengths and counts around a changed part are moved by as much as the part changed: a right length stays right, and one
-that was 494 too high stays 494 too high. This works on octets and their dissection, for any profile, and on damaged
-frames as far as the dissector understands them.
+Lengths and counts around a changed part change by the same difference: a correct length stays correct, and a length
+that was too high by 494 stays too high by 494. This works on the octets and their dissection, for any profile, and for
+damaged frames as far as the dissector can read them.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from dcp_codec.views.fields import Dissection, Field
 
 
 class Edit(NamedTuple):
-    """Replace the octets ``start`` to ``stop`` of ``within`` by ``new``, which then has ``elements`` more elements."""
+    """Replace the octets from ``start`` to ``stop`` by ``new``; the field ``within`` gains ``elements`` elements."""
 
     start: int
     stop: int
@@ -35,12 +35,12 @@ class Announced(NamedTuple):
 
     @property
     def truth(self) -> int:
-        """What the field would have to say."""
+        """The correct value of the field."""
         return self.of.length if self.kind == "size" else len(self.of.children)
 
 
 class Anatomy:
-    """The octets of a frame and their dissection."""
+    """The octets of a frame, their dissection, and operations that edit them."""
 
     def __init__(self, codec: Codec, octets: bytes) -> None:
         self.octets = octets
@@ -57,17 +57,17 @@ class Anatomy:
 
     @functools.cached_property
     def announced(self) -> list[Announced]:
-        """Fields that announce others, in wire order."""
+        """The length and count fields, in wire order."""
         return [each for field in self.root.walk() for each in self._announced_in(field)]
 
-    # -- looking around ------------------------------------------------------------------------------------------
+    # -- navigation ----------------------------------------------------------------------------------------------
 
     def at(self, path: str) -> Field | None:
-        """The field of that path."""
+        """Return the field with this path, or None."""
         return self._fields.get(path)
 
     def nearest(self, path: str) -> Field:
-        """The innermost field that is there on the way to a path; the whole message at the latest."""
+        """Return the innermost existing field on a path; the whole message if there is no other."""
         while path:
             field = self._fields.get(path)
             if field is not None:
@@ -76,29 +76,29 @@ class Anatomy:
         return self.root
 
     def around(self, field: Field) -> Iterator[Field]:
-        """The field, what it is part of, and so on up to the message."""
+        """Yield the field and its ancestors up to the message."""
         at: Field | None = field
         while at is not None:
             yield at
             at = self._parents.get(id(at))
 
     def parent(self, field: Field) -> Field | None:
-        """What a field is part of; None for the message."""
+        """Return the parent of a field; None for the message."""
         return self._parents.get(id(field))
 
     def lists(self) -> list[Field]:
-        """The lists of a message, outer ones first: blocks, then containers, then records."""
+        """Return the lists of a message, outer ones first: blocks, then containers, then records."""
         found = [field for field in self.root.walk() if isinstance(field.layout, Many)]
         return sorted(found, key=lambda field: field.path.count("."))
 
     def announcement(self, field: Field) -> Announced | None:
-        """What a field announces; None if it announces nothing."""
+        """Return the size or count that a field announces; None for other fields."""
         return next((each for each in self.announced if each.field is field), None)
 
-    # -- cutting -------------------------------------------------------------------------------------------------
+    # -- editing -------------------------------------------------------------------------------------------------
 
     def without(self, elements: Sequence[Field]) -> bytes:
-        """The frame without these elements of lists, none of which is inside of another."""
+        """Return the frame without these list elements, none of which may contain another."""
         edits = []
         for each in elements:
             inside = self._parents[id(each)]
@@ -106,16 +106,16 @@ class Anatomy:
         return self.edited(edits)
 
     def replaced(self, field: Field, octets: bytes) -> bytes:
-        """The frame with other octets in the place of a field."""
+        """Return the frame with a field replaced by other octets."""
         return self.edited([Edit(field.offset, field.offset + field.length, octets, field)])
 
     def set_right(self, announced: Announced) -> bytes:
-        """The frame with a length or a count that tells the truth."""
+        """Return the frame with a length or a count corrected."""
         field = announced.field
         return self.replaced(field, _number(field, announced.truth))
 
     def edited(self, edits: Sequence[Edit]) -> bytes:
-        """The frame after these edits, which do not overlap."""
+        """Return the frame after these edits, which must not overlap."""
         sizes: dict[int, int] = {}
         counts: dict[int, int] = {}
         for edit in edits:
@@ -138,7 +138,7 @@ class Anatomy:
         return octets
 
     def _fill_beside(self, announced: Announced) -> Field | None:
-        """The unused rest of a fixed area, which shrinks as what it follows grows."""
+        """Return the padding of an area of fixed size, which shrinks when the contents grow; None if there is none."""
         group = self._parents.get(id(announced.field))
         for child in group.children if group is not None else ():
             if isinstance(child.layout, Fill) and child.layout.used == announced.field.name:
@@ -162,7 +162,10 @@ class Anatomy:
                     yield Announced(child, of, layout.derived.kind)
 
     def _named(self, group: Field, name: str) -> Field | None:
-        """What a derived field follows from; contents of which there are several kinds stand last in their group."""
+        """Return the field from which a derived field is computed, or None.
+
+        Contents with several alternatives have different names; they are the last field of their group.
+        """
         if name.startswith("_."):
             outer = self._parents.get(id(group))
             return None if outer is None else outer.child(name[2:])
@@ -174,7 +177,7 @@ class Anatomy:
 
 
 def _number(field: Field, value: int) -> bytes:
-    """A number as the octets of a field, at the nearest end of its range where it does not fit."""
+    """Return a number encoded as a field, limited to the range of the field."""
     assert isinstance(field.layout, Scalar)
     size = field.layout.size
     return max(0, min(value, (1 << (8 * size)) - 1)).to_bytes(size, field.layout.order)

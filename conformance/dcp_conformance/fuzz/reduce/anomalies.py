@@ -1,6 +1,6 @@
-"""What is odd about a frame: every problem and warning of the dissector, and extremes that are legal.
+"""Find the anomalies of a frame: problems and warnings of the dissector, and extreme but valid sizes.
 
-A finding is named after anomalies, findings are grouped by them, and frames that have a deadly one are not sent again.
+Findings are named after anomalies and grouped by them. Frames with an anomaly that causes crashes are not sent again.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from dcp_codec.views.fields import Field
 
 from .anatomy import Anatomy
 
-#: More elements in a list than this are an anomaly. Senders may do so; no table of a small node expects it.
+#: Number of elements of a list above which it is an anomaly: valid, but more than a small node may expect.
 _MANY: Final = {"payloads": 8, "vardis": 16, "records": 63}
 _LEVELS: Final = {"payloads": "many-blocks", "vardis": "many-containers", "records": "many-records"}
 #: Anomalies beyond those of ``dcp_spec.reasons``.
@@ -38,37 +38,37 @@ Kinds = Counter[str]
 
 
 class Anomaly(msgspec.Struct, frozen=True):
-    """One oddity of one frame."""
+    """One anomaly of one frame."""
 
     reason: str
-    """Of ``dcp_spec.reasons``, or an extreme of this module."""
+    """Reason of ``dcp_spec.reasons``, or a key of ``_EXTREMES``."""
     path: str
-    """The field, with indices."""
+    """Path of the field, with indices."""
     kind: str
-    """Reason and field without indices: equal for what an implementation most likely treats alike."""
+    """Reason and path without indices: equal for anomalies that an implementation probably treats alike."""
     group: str
-    """As ``kind``, but the same for all fields of a record that is cut off."""
+    """As ``kind``, but equal for all fields of a truncated record."""
     requirements: tuple[str, ...]
-    """What a receiver violates that does not survive it."""
+    """Requirements that a receiver violates if it does not survive the anomaly."""
 
     @property
     def is_damage(self) -> bool:
-        """Whether a frame with it is no message of the profile."""
+        """Whether a frame with this anomaly is invalid in the profile."""
         return self.reason in REASONS or self.reason == "empty-frame"
 
     @property
     def meaning(self) -> str:
-        """What the reason stands for."""
+        """Description of the reason."""
         return REASONS.get(self.reason) or WARNINGS.get(self.reason) or _EXTREMES[self.reason]
 
 
 def anomalies(codec: Codec, octets: bytes) -> list[Anomaly]:
-    """Everything that is odd about a frame, errors first; nothing for an ordinary beacon."""
+    """Return the anomalies of a frame, errors first; none for an ordinary beacon."""
     return anomalies_of(Anatomy(codec, octets))
 
 
 def anomalies_of(anatomy: Anatomy) -> list[Anomaly]:
-    """The same for a frame that was taken apart."""
+    """Return the anomalies of a dissected frame, errors first."""
     if not anatomy.octets:
         return [Anomaly("empty-frame", "", "empty-frame", "empty-frame", ("BP-RX-16",))]
     found = [_anomaly(anatomy, problem) for problem in _once(anatomy.dissection.problems)]
@@ -79,12 +79,12 @@ def anomalies_of(anatomy: Anatomy) -> list[Anomaly]:
 
 
 def kinds_of(found: list[Anomaly]) -> Kinds:
-    """How often each kind is there."""
+    """Return the number of anomalies of each kind."""
     return Counter(each.kind for each in found)
 
 
 def _once(problems: list[Problem]) -> Iterator[Problem]:
-    """The first problem of each field; of variables that come again and again in a container, the first one."""
+    """Yield the first problem of each field, and only the first repeated variable of each container."""
     seen: set[str] = set()
     for problem in problems:
         place = problem.path
@@ -113,13 +113,13 @@ def _is_long(field: Field) -> bool:
 
 
 def _region(where: str) -> str:
-    """The record, container or block that a field is in; the header for what is in none."""
+    """Return the path of the record, container or block of a field; the header for a field outside of them."""
     inside, found, _ = where.rpartition(_LIST)
     return inside + found if found else where.partition(".")[0]
 
 
 def _protocol(anatomy: Anatomy, path: str) -> str:
-    """Whose block a problem is about, where the path does not tell."""
+    """Return the protocol of the block with a problem, if the path does not contain it, as the end of a text."""
     block = path.partition(".")[0]
     if not block.startswith("payloads[") or ".vardis" in path or ".srp" in path:
         return ""
@@ -130,12 +130,15 @@ def _protocol(anatomy: Anatomy, path: str) -> str:
 
 
 def _violated(anatomy: Anatomy, reason: str, path: str) -> tuple[str, ...]:
-    """What is violated by a receiver that does not survive an anomaly; how it reacts otherwise is most often open."""
+    """Return the requirements that a receiver violates if it does not survive an anomaly.
+
+    Other reactions to an anomaly are mostly undefined.
+    """
     if reason == "beacon-overrun":
         return ("BP-RX-15",)
     if ".vardis" in path:
         return ("VD-ROB-01",)
-    # BP delivers an empty payload, and either of the two may die of it.
+    # BP delivers an empty payload to VarDis, and either of them may crash on it.
     in_vardis = reason == "empty-payload" and _protocol(anatomy, path) == f" of {PROTOCOLS[int(BP_PROTID_VARDIS)]}"
     return ("BP-RX-16", "VD-ROB-01") if in_vardis else ("BP-RX-16",)
 

@@ -1,8 +1,8 @@
-"""The probable cause of a finding: what its steps cannot do without, and how the implementation reacts to it.
+"""Determine the probable cause of a finding: the necessary part of its steps, and the reaction of the implementation.
 
-A crash leaves no message from which its cause could be read. But after minimising, a frame has only anomalies whose
-repair makes the implementation survive: they are the cause. Findings without an anomaly are named after the messages
-in them, and findings about the state of variables after the message that was treated wrongly.
+A crash leaves no message with its cause, so crashes are grouped by their probable cause. After minimising, a frame has
+only anomalies whose repair makes the implementation survive: they are the cause. A finding without an anomaly is named
+after its messages, and a finding about the state of variables after the message that was processed wrongly.
 """
 
 from __future__ import annotations
@@ -20,45 +20,45 @@ from dcp_conformance.fuzz.steps import NUMBERS, ROBUSTNESS, STOPPED, Call, Effec
 
 from .anomalies import Anomaly, anomalies
 
-#: Parts of one cause that are named.
+#: Maximum number of anomalies in the title of a cause.
 _MOST: Final = 3
-#: Requirements that say that something is said too often or again, whatever has caused it.
+#: Requirements about records that are sent too often; they do not identify the cause.
 GENERAL: Final = frozenset({"VD-SCP-01", "VD-SCP-02", "VD-SCP-03", "VD-UPD-10", "VD-CMP-04", "VD-CMP-05"})
-#: Lines in which programs say why they end.
+#: Pattern of lines in which a program reports why it ends.
 _WHY: Final = re.compile(
     r"error|exception|fatal|abort|assert|panic|terminate|overflow|violation|corrupt|invalid|fault|traceback", re.I
 )
-#: Words of :class:`~dcp_conformance.sut.process.ProcessControl` about an end.
+#: Texts in the report of :class:`~dcp_conformance.sut.process.ProcessControl` about the end of a process.
 _ENDED: Final = "it ended with "
 _SAID: Final = "; it said: "
 
 
 class Cause(msgspec.Struct, frozen=True, omit_defaults=True):
-    """Why a finding shows, as far as experiments can tell."""
+    """The probable cause of a finding."""
 
     title: str
-    """``unknown-type at payloads[].vardis[].icType``, or what an ordinary beacon speaks of."""
+    """Anomalies such as ``unknown-type at payloads[].vardis[].icType``, or the messages of a valid beacon."""
     reaction: str
-    """How the implementation reacts: how it ends, or which requirements it breaks."""
+    """The reaction of the implementation: how it ends, or which requirements it violates."""
     group: str
-    """Equal for findings that most likely have one cause: what provokes them, and the reaction."""
+    """Text that is equal for findings with probably the same cause: the anomalies and the reaction."""
     proven: bool = False
-    """Whether without each of the anomalies the finding does not show."""
+    """Whether the effect disappears if any one of the anomalies is repaired."""
     places: tuple[str, ...] = ()
-    """The anomalies with their paths and what they mean."""
+    """The anomalies with their paths and meanings."""
     also: tuple[str, ...] = ()
-    """Anomalies that were in the first frame, and without which the finding shows all the same."""
+    """Anomalies of the original frame that are not necessary for the effect."""
     requirements: tuple[str, ...] = ()
-    """What decides."""
+    """The requirements that decide the effect."""
 
 
 def kinds_in(codec: Codec, octets: bytes) -> list[str]:
-    """The kinds of anomalies of a frame, each once."""
+    """Return the kinds of anomalies of a frame, each once."""
     return list(dict.fromkeys(each.kind for each in anomalies(codec, octets)))
 
 
 def cause_of(codec: Codec, steps: Iterable[Step]) -> str:
-    """What is in steps that may be at fault, in words: the anomalies, or else what the messages speak of."""
+    """Return the possible cause in these steps as text: the anomalies, or the messages if there are none."""
     return _named(list(dict.fromkeys(each.kind for each in _anomalies_in(codec, steps))), codec, steps)
 
 
@@ -71,10 +71,10 @@ def explained(
     proven: bool = False,
     culprit: str = "",
 ) -> Cause:
-    """The cause of a finding of which ``steps`` are left.
+    """Return the cause of a finding with these minimised steps.
 
-    ``first``: the same steps before their frames were made small; ``proven``: whether each anomaly is needed;
-    ``culprit``: the requirement that an experiment has found to be violated.
+    ``first``: the same steps before their frames were minimised; ``proven``: whether each anomaly is necessary;
+    ``culprit``: the requirement that is violated according to an experiment.
     """
     found = _anomalies_in(codec, steps)
     left = {each.kind for each in found}
@@ -87,7 +87,7 @@ def explained(
         group = f"{reaction}: {about}"
     else:
         reaction = f"breaks {', '.join(decides)}" if decides else effect.signature
-        # The rule that an experiment finds to be broken is the cause, whatever shows it.
+        # The requirement found by an experiment is the cause, whichever messages show it.
         group = reaction if culprit or effect.kind == "bad-beacon" else f"{reaction}: {about}"
     return Cause(
         title,
@@ -101,24 +101,24 @@ def explained(
 
 
 def decided_by(effect: Effect, found: Sequence[Anomaly] = (), culprit: str = "") -> tuple[str, ...]:
-    """The requirements that decide an effect: of what was not survived, or of what was done wrong."""
+    """Return the requirements that decide an effect: those of the anomalies after a crash, else those it names."""
     if culprit:
         return (culprit,)
     damaged = effect.kind in ("said", "state") and any(each.is_damage for each in found)
     if effect.kind in STOPPED or damaged:
-        # What damage does beside stopping an entity is to corrupt its state.
+        # Damaged frames can stop an entity, or corrupt its state.
         return tuple(dict.fromkeys(each for anomaly in found for each in anomaly.requirements)) or ROBUSTNESS
     known = requirements()
     return tuple(dict.fromkeys(word for word in effect.signature.split() if word in known))
 
 
 def death_of(effect: Effect) -> str:
-    """How an implementation has stopped, without what differs from death to death."""
+    """Return how an implementation stopped, without details that differ between crashes of the same kind."""
     if effect.kind != "dead":
         return effect.signature if effect.kind == "raised" else effect.kind
     how, _, words = effect.detail.partition(_SAID)
     lines = [line for line in words.split(" | ") if _WHY.search(line)]
-    # An exit status is no accident; other numbers (processes, addresses, times) are.
+    # Keep the exit status. Replace other numbers (process ids, addresses, times), which vary.
     how = how if how.startswith(_ENDED) else NUMBERS.sub("#", how)
     said = NUMBERS.sub("#", lines[-1].strip()) if lines else ""
     return ", ".join(filter(None, (effect.kind, how, said)))
@@ -147,7 +147,7 @@ def _contents(codec: Codec, steps: Iterable[Step]) -> Iterable[str]:
 
 
 def _content(beacon: Beacon) -> str:
-    """The kinds of messages in a beacon."""
+    """Return the kinds of messages in a valid beacon as text."""
     kinds = {
         type(record).__name__ for payload in beacon.payloads for each in payload.vardis or () for record in each.records
     }

@@ -1,7 +1,7 @@
-"""Experiments with a finding that is small already: which rule is it that the implementation breaks?
+"""Determine by experiments with a minimised finding which requirement the implementation violates.
 
-The model tells what was said or held wrongly, not why: a container that was skipped shows as a request that did not
-come. So the message that was treated wrongly is sent in another form. If all is well then, it was the form.
+The model detects a wrong record or state, not its cause: a skipped container shows as a missing request. Therefore the
+same records are sent in another form. If no effect occurs then, the implementation processes the original form wrongly.
 """
 
 from __future__ import annotations
@@ -25,51 +25,51 @@ from .minimise import Run
 
 #: Nominal beacon period for the model that names messages, in ns.
 _PERIOD: Final = 100_000_000
-#: Exclusive or with an identifier gives one that is not near it.
+#: Exclusive or of a variable identifier with this value gives an unrelated identifier.
 _FAR: Final = 0x40
 
 
 class Form(NamedTuple):
-    """Steps that say the same in another form, and what is broken if they show nothing."""
+    """Steps with the same records in another form, and the requirement that is violated if they show no effect."""
 
     requirement: str
     steps: list[Step]
     moved: tuple[list[Step], ...] = ()
-    """Further forms, for containers that may have been skipped: with other variables beside one of them, and in the
-    other order."""
+    """Further forms, to detect skipped containers: all containers but one with other variables; then the reverse
+    order."""
     ordered: bool = False
-    """Whether the containers stand in the order in which they have to be processed."""
+    """Whether the containers have the order in which they must be processed."""
 
 
 def broken_rule(codec: Codec, steps: list[Step], effect: Effect, run: Run, own_id: bytes) -> str:
-    """The requirement that an implementation breaks with these steps; empty if the effect's own says it.
+    """Return the requirement that an implementation violates with these steps; empty if the effect itself names it.
 
-    Raises what ``run`` raises.
+    Forwards exceptions of ``run``.
     """
     for form in forms(codec, steps):
         shown = run(form.steps)
         if shown is None:
             return _order_or_extraction(form, run) if form.moved else form.requirement
         if shown.kind == effect.kind:
-            # The same with fewer messages in a frame: which of them is treated wrongly shows better.
+            # Continue with fewer messages in each frame, which isolates the message that is processed wrongly.
             steps, effect = form.steps[: shown.step + 1], shown
     return culprit_by_message(codec, steps, effect, own_id)
 
 
 def _order_or_extraction(form: Form, run: Run) -> str:
-    """Whether containers about one variable are processed in the wrong order, or one of them is not extracted."""
+    """Return the requirement for a wrong processing order of containers, or for a container that is not extracted."""
     *unrelated, reversed_form = form.moved
     if any(run(other) is not None for other in unrelated):
-        # Whatever the other containers are about, this one has no effect.
+        # This container has no effect, even if the other containers are about other variables.
         return "VD-RX-04"
     if run(reversed_form) is None and form.ordered:
-        # Who processes containers as they come is right in this order; who extracts the first ones only is not.
+        # The reverse order is correct for processing in order of reception, but not if only the first are extracted.
         return "VD-RX-04"
     return form.requirement
 
 
 def forms(codec: Codec, steps: Sequence[Step]) -> Iterator[Form]:
-    """Other forms of the last frame that says several things, the coarse ones first."""
+    """Yield other forms of the last frame with several records, the coarse ones first."""
     for at in range(len(steps) - 1, -1, -1):
         step = steps[at]
         if isinstance(step, Frame):
@@ -90,7 +90,7 @@ def _put(
 
 
 def _split(codec: Codec, frame: Frame) -> Iterator[Form]:
-    """A frame as several: by blocks, by containers, by records."""
+    """Yield the frame split into several: by blocks, by containers, by records."""
     try:
         beacon = codec.decode(frame.octets)
     except DecodeError:
@@ -111,7 +111,7 @@ def _split(codec: Codec, frame: Frame) -> Iterator[Form]:
         if len(blocks) > 1:
             yield Form("BP-RX-07", sent(beacon.payloads))
         if any(len(block.vardis or ()) > 1 for block in blocks):
-            # In the order in which they have to be processed: that what is left is no matter of order.
+            # Use the required processing order, so that an effect of this form does not depend on the order.
             apart = [replace(block, content=(each,)) for block in blocks for each in block.vardis or ()]
             if _share_a_variable(containers):
                 unrelated = [[_about_others(block, kept) for block in beacon.payloads] for kept in containers]
@@ -136,7 +136,7 @@ def _split(codec: Codec, frame: Frame) -> Iterator[Form]:
 
 
 def _processing_order(codec: Codec) -> Callable[[Container], int]:
-    """Sorts containers as they have to be processed: creations, deletions, updates, then everything else."""
+    """Return the sort key for the required processing order: creations, deletions, updates, then all others."""
     numbers = codec.profile.vardis.container_types.by_name()
     first = [numbers[kind.label] for kind in (ICType.CREATE_VARIABLES, ICType.DELETE_VARIABLES, ICType.UPDATES)]
     return lambda container: first.index(container.ic_type) if container.ic_type in first else len(first)
@@ -148,7 +148,7 @@ def _share_a_variable(containers: Sequence[Container]) -> bool:
 
 
 def _about_others(block: Payload, kept: Container) -> Payload:
-    """A block of which all containers but one speak of variables far from those that they speak of."""
+    """Return a block in which all containers except ``kept`` are about other variables."""
     if block.vardis is None:
         return block
     replace = msgspec.structs.replace
@@ -167,7 +167,7 @@ def _about_others(block: Payload, kept: Container) -> Payload:
     )
 
 
-#: State of a variable and message -> the requirement about it. A word of a message is left out where it does not count.
+#: Requirement by state of a variable and message. A key without qualifier ("update") is for all others of its kind.
 _RULES: Final = {
     "unknown": {
         "update": "VD-PU-01", "summary": "VD-PS-01", "request-update": "VD-RU-01", "request-create": "VD-RC-01",
@@ -190,7 +190,7 @@ _RULES: Final = {
 }  # fmt: skip
 
 
-#: Requirements that have a message ignored.
+#: Requirements to ignore a message.
 _IGNORED: Final = frozenset(
     {"VD-PC-01", "VD-PD-01", "VD-PD-02", "VD-PD-03", "VD-PU-02", "VD-PU-03", "VD-PU-05", "VD-PS-02", "VD-RU-02",
      "VD-RU-03", "VD-RC-02"}
@@ -198,13 +198,13 @@ _IGNORED: Final = frozenset(
 
 
 def rule_about(state: str, message: str) -> str:
-    """The requirement about a message for a variable in a state, both as :class:`Observer` names them; or nothing."""
+    """Return the requirement about a message in a state of its variable, both as named by :class:`Observer`, or ""."""
     rules = _RULES.get(state) or _RULES.get(state.partition(" ")[0], {})
     return rules.get(message) or rules.get(message.partition(" ")[0], "")
 
 
 def rule_about_record(codec: Codec, record: VardisRecord, own_id: bytes) -> str:
-    """The requirement that has a record ignored whatever the state of its variable; empty if there is none."""
+    """Return the requirement to ignore a record in any state of its variable; empty if there is none."""
     limits = codec.profile.limits
     update = record.upd if isinstance(record, VarCreate) else record
     if isinstance(update, VarUpdate) and not 0 < len(update.value) <= limits.max_value_length:
@@ -220,7 +220,7 @@ def rule_about_record(codec: Codec, record: VardisRecord, own_id: bytes) -> str:
 
 
 def _last_record(codec: Codec, steps: Sequence[Step]) -> VardisRecord | None:
-    """The last record of the last frame that can be decoded and has any."""
+    """Return the last record of the last valid frame with records, or None."""
     for step in reversed(steps):
         if isinstance(step, Frame):
             try:
@@ -237,7 +237,7 @@ def _last_record(codec: Codec, steps: Sequence[Step]) -> VardisRecord | None:
 
 
 def last_message(codec: Codec, steps: Sequence[Step], own_id: bytes) -> tuple[str, str] | None:
-    """State and message of the last record that the node heard, by the model; None if it heard none."""
+    """Return state and message of the last record that the node received, from the model; None if there was none."""
     profile = codec.profile
     observer = Observer(codec, own_id, _PERIOD, network=profile.bp.network_id)
     now = 1
@@ -254,7 +254,7 @@ def last_message(codec: Codec, steps: Sequence[Step], own_id: bytes) -> tuple[st
 
 
 def _follow(observer: Observer, call: Call, now: int) -> None:
-    """A service that has succeeded, as far as the model thinks it could."""
+    """Update the model by a service call, unless the model expects that it is refused."""
     var_id, value = call.params.get("varId"), _octets(call.params.get("value"))
     if type(var_id) is not int or observer.expects(call.method, var_id) is False:
         return
@@ -279,12 +279,12 @@ def _octets(text: object) -> bytes | None:
 
 
 def culprit_by_message(codec: Codec, steps: Sequence[Step], effect: Effect, own_id: bytes) -> str:
-    """The requirement about the last message, where the effect itself names none or a general one."""
+    """Return the requirement about the last message if the effect names none, or only a general one; else ""."""
     named = decided_by(effect)
     if effect.step < len(steps) and isinstance(steps[effect.step], Call):
         return ""
     if any(each.is_damage for step in steps if isinstance(step, Frame) for each in anomalies(codec, step.octets)):
-        # Not the last message, but what came before it has done that.
+        # The damaged frame before the last message is the cause.
         return ""
     if (named and not GENERAL.intersection(named)) or effect.kind not in ("said", "state"):
         return ""
@@ -295,7 +295,7 @@ def culprit_by_message(codec: Codec, steps: Sequence[Step], effect: Effect, own_
     if rule := rule_about_record(codec, record, own_id):
         return rule
     rule = rule_about(*last)
-    # What is said too often after a message that is a reason to say it is no fault of how the message was taken.
+    # Sending too often after a message that is a reason to send is not a fault in the processing of that message.
     ignored = rule in _IGNORED and last[1] != "create later"
     return rule if ignored or effect.kind == "state" else ""
 

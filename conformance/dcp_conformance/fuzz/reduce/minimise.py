@@ -1,7 +1,7 @@
-"""Making findings small: fewer steps first, then less in each of them.
+"""Minimise findings: first the number of steps, then the contents of each step.
 
-The minimiser knows nothing of how steps are carried out; it is given a function that does, and tries again and again
-with less. What it returns has shown the same effect (by its signature) when it was last tried.
+The minimiser executes smaller and smaller variants of the steps by a function that it receives. Its result showed the
+effect with the same signature in its last execution.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from dcp_conformance.fuzz.steps import STOPPED, Effect, Frame, Step, Wait
 
 from .shrinking import shrinker_of
 
-#: What does not come back counts for as many attempts more: it takes all the time that a test may have.
+#: Number of attempts that a hang counts as, in addition: it takes the whole time limit of a test.
 _HANGING: Final = 20
-#: Damaged frames that are tried alone.
+#: Maximum number of damaged frames that are tried alone.
 _ALONE: Final = 20
 
 Run = Callable[[list[Step]], Effect | None]
@@ -28,7 +28,7 @@ Known = Callable[[list[Step], Effect], bool]
 
 
 class Minimised(NamedTuple):
-    """What is left, the effect that it shows, and how often steps were carried out to find it."""
+    """Minimised steps, their effect, and the number of executions."""
 
     steps: list[Step]
     effect: Effect
@@ -40,7 +40,7 @@ class _Spent(Exception):  # noqa: N818 - not an error
 
 
 class Minimiser:
-    """Minimises one finding."""
+    """Minimiser of one finding."""
 
     def __init__(
         self,
@@ -52,9 +52,9 @@ class Minimiser:
         seconds: float | None = None,
         known: Known | None = None,
     ) -> None:
-        """``budget``, ``seconds``: how often steps may be carried out, and how long. ``codec``: of frames that are
-        beacons; without it, octets have no structure. ``known``: whether what is left after leaving out steps is worth
-        no more work.
+        """``budget``: maximum number of executions. ``seconds``: maximum time. ``codec``: decodes frames; without it,
+        octets have no structure. ``known``: returns whether steps and effect are a known finding, whose frames need not
+        be minimised.
         """
         self._run = run
         self._first = effect
@@ -64,17 +64,17 @@ class Minimiser:
         self._deadline = None if seconds is None else time.monotonic() + seconds
         self._known = known
         self._tries = self._hangs = 0
-        """Attempts, and those of them that did not come back."""
+        """Number of executions, and of those that hung."""
         self._in_vain: set[int] = set()
-        """Steps that have not shown the effect."""
+        """Hashes of the steps that did not show the effect."""
         self._best: tuple[list[Step], Effect] | None = None
         self.whole: list[Step] = []
-        """The steps that are left, with their frames as they were; empty before that is known."""
+        """The minimised list of steps with unchanged frames; empty until it is known."""
 
     def minimise(self, steps: list[Step], least: int = 1) -> Minimised | None:
-        """The smallest that was found; None if the steps do not show the effect at all.
+        """Return the smallest steps that show the effect; None if the effect does not occur again.
 
-        ``least``: how many of the last steps may be enough.
+        ``least``: number of last steps that are tried first.
         """
         try:
             shown = steps[: self._first.step + 1]
@@ -87,7 +87,7 @@ class Minimiser:
                 return None
             frames: list[Step] = [step for step in self._steps if isinstance(step, Frame)]
             if 0 < len(frames) < len(self._steps):
-                # Without waiting everything else goes faster.
+                # Without waits the following attempts are faster.
                 self._shows(frames)
             before = -1
             while before != len(self._steps):
@@ -105,16 +105,16 @@ class Minimiser:
 
     @property
     def found(self) -> Minimised | None:
-        """The best so far, also when :meth:`minimise` was interrupted; None if nothing has shown the effect again."""
+        """The best result so far, also after an interruption; None if the effect did not occur again."""
         return None if self._best is None else Minimised(self._steps, self._effect, self._tries)
 
     def is_proven(self) -> bool:
-        """Whether no anomaly of what was found can be repaired without the effect being gone."""
+        """Return whether the repair of any one anomaly makes the effect disappear."""
         repaired = self._repaired()
         return bool(repaired) and all(hash(repr(steps)) in self._in_vain for steps in repaired)
 
     def _repaired(self) -> list[list[Step]]:
-        """The steps with one anomaly repaired, for each that can be."""
+        """Return the steps with one anomaly repaired, for each anomaly that can be repaired."""
         if self._shrinker is None or self._best is None:
             return []
         return [
@@ -124,7 +124,7 @@ class Minimiser:
         ]
 
     def _prove(self) -> None:
-        """Try every anomaly that is left once more without it: frames that were made small later may have changed."""
+        """Try again to repair each anomaly: other frames may have changed since the last attempt."""
         while any(self._shows(steps) for steps in self._repaired()):
             pass
 
@@ -139,7 +139,7 @@ class Minimiser:
         return self._best[1]
 
     def _shows(self, steps: list[Step]) -> bool:
-        """Whether these steps show the effect; if so they are the best so far."""
+        """Return whether these steps show the effect, and store them as the best result if they do."""
         spent = self._tries + _HANGING * self._hangs
         if spent >= self._budget or (self._deadline is not None and time.monotonic() > self._deadline):
             raise _Spent
@@ -158,7 +158,7 @@ class Minimiser:
     # -- fewer steps -------------------------------------------------------------------------------------------
 
     def _alone(self, steps: list[Step]) -> bool:
-        """Most deaths are shown by one damaged frame. One that is survived costs a look, and no restart."""
+        """Try single damaged frames, which cause most crashes. A frame that is survived needs no restart."""
         if self._shrinker is None or self._first.kind not in STOPPED:
             return False
         frames = [step for step in dict.fromkeys(reversed(steps)) if isinstance(step, Frame)]
@@ -166,7 +166,7 @@ class Minimiser:
         return any(self._shows([frame]) for frame in itertools.islice(damaged, _ALONE))
 
     def _last(self, steps: list[Step], least: int) -> bool:
-        """What is at fault has most often come last: one step, two, four, as long as nothing is seen of it."""
+        """Try the last steps, doubling their number until the effect occurs: the cause is most often near the end."""
         size = least
         while size < len(steps) // 2:
             if self._shows(steps[-size:]):
@@ -175,7 +175,7 @@ class Minimiser:
         return False
 
     def _fewer(self) -> None:
-        """Delta debugging: leave out parts, from halves down to single steps."""
+        """Remove parts by delta debugging, from halves down to single steps."""
         parts = 2
         while len(self._steps) > 1:
             steps = self._steps
@@ -191,7 +191,7 @@ class Minimiser:
                 parts *= 2
 
     def _single(self) -> None:
-        """Leave out single steps, from the end."""
+        """Remove single steps, from the end."""
         at = len(self._steps) - 1
         while at >= 0 and len(self._steps) > 1:
             self._shows(self._steps[:at] + self._steps[at + 1 :])
@@ -208,12 +208,12 @@ class Minimiser:
                 self._smaller_frame(at)
 
     def _replaced(self, at: int, step: Step) -> bool:
-        """Try another step instead of this one and of all that are like it."""
+        """Try to replace a step, and all steps that are equal to it, by another step."""
         before = self._steps[at]
         return self._shows([step if each == before else each for each in self._steps])
 
     def _with(self, at: int, octets: bytes) -> bool:
-        """Try other octets in a frame."""
+        """Try to replace the octets of a frame."""
         frame = self._steps[at]
         assert isinstance(frame, Frame)
         return octets != frame.octets and self._replaced(at, msgspec.structs.replace(frame, octets=octets))
@@ -232,7 +232,7 @@ class Minimiser:
             self._shrinker.shrink(frame.octets, lambda octets: self._with(at, octets), frame.valid)
 
     def _shorter(self, at: int) -> None:
-        """Leave out octets, from half of them down to single ones; in short messages also from the middle."""
+        """Remove octets, from half of them down to single ones; in short messages also in the middle."""
         size = max(1, len(self._octets(at)) // 2)
         while size:
             octets = self._octets(at)

@@ -1,4 +1,4 @@
-"""The ways in which a finding is made small, confirmed and explained, the cheap ones first."""
+"""Minimise, confirm and explain a finding by several strategies, the fastest first."""
 
 from __future__ import annotations
 
@@ -16,32 +16,32 @@ from .minimise import Known, Minimised, Minimiser, Run
 
 
 class Finding(NamedTuple):
-    """What is left of an effect."""
+    """A minimised effect, or one that could not be minimised."""
 
     steps: list[Step]
     effect: Effect
     minimised: bool
     confirmed: bool
-    """Whether it was seen again from the beginning."""
+    """Whether the effect occurred again from the initial state."""
     cause: Cause | None = None
-    """Why it shows; None for what is no sequence of frames."""
+    """The probable cause; None for inputs of functions."""
 
 
 def as_it_was(steps: list[Step], effect: Effect, codec: Codec | None = None) -> Finding:
-    """An effect that was not made small. With a codec, its cause is told as far as the steps show it."""
-    # What came after it cannot have been it.
+    """Return a finding that was not minimised. With a codec, its cause is determined from the steps alone."""
+    # Steps after the effect cannot have caused it.
     shown = steps[: effect.step + 1]
     cause = explained(codec, shown, effect) if codec is not None else None
     return Finding(shown, effect, minimised=False, confirmed=False, cause=cause)
 
 
 class Reduction:
-    """One finding on its way to its smallest form. What it has come to is there also after an interruption.
+    """Minimisation of one finding. Its best result is available also after an interruption.
 
-    ``run`` carries steps out on the target. ``fresh`` does so on a target that was just restarted, where ``run`` does
-    not always; ``model`` on something fast, on which findings may show, too. ``budget`` (attempts) and ``seconds`` are
-    for one way; ways that restart before each attempt have four times the seconds. ``codec`` is None for octets that
-    are no beacons. ``own_id`` is the identifier of the node.
+    ``run`` executes steps on the target. ``fresh`` does so after a restart, if ``run`` does not always restart.
+    ``model`` executes steps on a fast target that may show the same effect. ``budget`` (executions) and ``seconds``
+    limit each strategy; strategies that restart before each execution have four times the seconds. ``codec`` is None
+    for inputs that are not beacons. ``own_id`` is the identifier of the node.
     """
 
     def __init__(
@@ -67,18 +67,18 @@ class Reduction:
         self._minimiser: Minimiser | None = None
         self._found: Minimised | None = None
         self._judge: Minimiser | None = None
-        """What has made it small in the end."""
+        """The minimiser that produced the final result."""
         self._culprit = ""
         self.confirmed = False
-        """Whether what is left was seen again from the beginning."""
+        """Whether the result showed the effect again from the initial state."""
 
     @property
     def found(self) -> Minimised | None:
-        """The smallest so far; None if the effect was not seen again."""
+        """The best result so far; None if the effect did not occur again."""
         return (self._minimiser.found if self._minimiser is not None else None) or self._found
 
     def outcome(self, steps: list[Step], effect: Effect) -> Finding:
-        """What there is to keep of an effect of ``steps``, however far it has come."""
+        """Return the finding with the best result so far; with the original ``steps`` if there is none."""
         found = self.found
         if found is None:
             return as_it_was(steps, effect, self._codec)
@@ -91,9 +91,9 @@ class Reduction:
         return Finding(found.steps, found.effect, minimised=True, confirmed=self.confirmed, cause=cause)
 
     def reduce(self, steps: list[Step], effect: Effect, history: Sequence[Step] = ()) -> None:
-        """Try one way after the other until one is confirmed, and find out which rule is broken.
+        """Try the strategies until one is confirmed, then determine the violated requirement by experiments.
 
-        ``history``: what was sent before the steps. Raises what the target raises.
+        ``history``: the steps before. Forwards exceptions of the target.
         """
         self._make_small(steps, effect, history)
         found = self.found
@@ -105,7 +105,7 @@ class Reduction:
             return
         if self._by_itself(self._run, steps, effect, self._seconds) or self._fresh is None:
             return
-        # What was sent before had a part in it: each attempt needs a beginning of its own, which takes its time.
+        # Earlier frames may be part of the cause, so each execution needs a restart, which takes time.
         seconds = None if self._seconds is None else 4 * self._seconds
         if self.found is not None and self._by_itself(self._fresh, steps, effect, seconds):
             return
@@ -122,7 +122,7 @@ class Reduction:
         return self.confirmed
 
     def _in_process(self, model: Run, steps: list[Step], effect: Effect) -> bool:
-        """Minimised on the model, if it shows there and the result shows on the target itself."""
+        """Minimise on the model. Returns whether the model and the target show the effect with the result."""
         like = model(steps)
         if like is None:
             return False
@@ -137,18 +137,18 @@ class Reduction:
         return True
 
     def _shows_again(self, found: Minimised) -> bool:
-        """Once more, from the beginning; not for what is known."""
+        """Return whether the effect occurs again after a restart. Known findings are not repeated."""
         if self._fresh is None or (self._known is not None and self._known(found.steps, found.effect)):
             return True
         again = self._fresh(found.steps)
         return again is not None and again.signature == found.effect.signature
 
     def _broken_rule(self, codec: Codec, found: Minimised) -> str:
-        """The requirement that an experiment finds to be broken; empty if the effect's own stands."""
+        """Return the requirement that is violated according to experiments; empty if the effect itself names it."""
         try:
             return broken_rule(codec, found.steps, found.effect, self._fresh or self._run, self._own_id)
         except (ConformanceError, CodecError):
-            # The finding stays what it is.
+            # The experiment failed; the finding keeps the requirements of its effect.
             return ""
 
 

@@ -1,4 +1,4 @@
-"""The sound form of one anomaly of a frame, everything else left as it is: what a cause is proved with."""
+"""Repair one anomaly of a frame without changing anything else, to prove that the anomaly is the cause."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from dcp_conformance.fuzz.generate.samples import Samples
 from .anatomy import Anatomy, Edit
 from .anomalies import Anomaly, Kinds, anomalies_of, kinds_of
 
-#: The records that take the place of those whose type is not known.
+#: Type of the records that replace records of unknown type.
 _SMALLEST: Final = ICType.REQUEST_VARCREATES.label
-#: Lies that another one may hide.
+#: Maximum number of wrong lengths or counts that a repair may reveal and that are then corrected.
 _HIDDEN: Final = 3
-#: Shares of a long list that are tried as a short one.
+#: Divisors of the length of a long list for shorter forms of it.
 _SHARES: Final = (2, 4, 8, 16)
 
 
 class Repairs:
-    """Repairs frames of a profile with parts of ordinary beacons."""
+    """Repairs frames of a profile, using parts of ordinary beacons."""
 
     def __init__(self, codec: Codec) -> None:
         self.codec = codec
@@ -33,16 +33,16 @@ class Repairs:
         self.sound = beacons[0]
         """The smallest ordinary beacon."""
         self._parts: dict[tuple[str, str], bytes] = {}
-        """Octets of ordinary beacons, by path without indices and by the type of container or protocol around."""
+        """Octets of fields of ordinary beacons, by path without indices and enclosing container type or protocol."""
         for octets in beacons:
             anatomy = Anatomy(codec, octets)
             for field in anatomy.root.walk():
                 self._parts.setdefault((generic(field.path), _type_around(anatomy, field)), field.raw)
 
     def repaired(self, octets: bytes, anomaly: Anomaly) -> bytes | None:
-        """The frame without this anomaly and with no new one; None if no such form is known.
+        """Return the frame without this anomaly and without a new one; None if no such form is known.
 
-        As much of the frame as possible stays as it is, other anomalies included.
+        As much of the frame as possible stays unchanged, including other anomalies.
         """
         anatomy = Anatomy(self.codec, octets)
         before = kinds_of(anomalies_of(anatomy))
@@ -57,12 +57,12 @@ class Repairs:
         return best
 
     def part(self, anatomy: Anatomy, field: Field) -> bytes | None:
-        """The octets of the same field in an ordinary beacon; None if there is no such field."""
+        """Return the octets of the same field in an ordinary beacon; None if there is no such field."""
         path = generic(field.path)
         return self._parts.get((path, _type_around(anatomy, field))) or self._parts.get((path, _SMALLEST))
 
     def _settled(self, octets: bytes, before: Kinds) -> tuple[bytes, Kinds]:
-        """A repaired frame, with lengths and counts set right whose lies were hidden by what was repaired."""
+        """Correct the wrong lengths and counts that a repair has revealed. Returns the frame and its anomalies."""
         for _ in range(_HIDDEN):
             anatomy = Anatomy(self.codec, octets)
             found = anomalies_of(anatomy)
@@ -75,7 +75,7 @@ class Repairs:
         return octets, kinds_of(anomalies_of(Anatomy(self.codec, octets)))
 
     def _candidates(self, anatomy: Anatomy, anomaly: Anomaly) -> Iterator[bytes]:
-        """Sound forms, those that change the least first."""
+        """Yield possible repairs, those that change the least first."""
         if anomaly.reason == "trailing-octets":
             yield anatomy.octets[: -len(anatomy.dissection.padding)]
             return
@@ -89,7 +89,7 @@ class Repairs:
             yield anatomy.set_right(announced)
             element = self._parts.get((f"{generic(announced.of.path)}[]", _SMALLEST))
             if announced.kind == "count" and field.value == announced.truth + 1 and element is not None:
-                # The element that was counted, and is not there.
+                # Add the element that is counted but missing.
                 end = announced.of.offset + announced.of.length
                 yield anatomy.edited([Edit(end, end, element, announced.of)])
         if anomaly.reason == "id-mismatch":
@@ -104,14 +104,14 @@ class Repairs:
         yield self.sound
 
     def _counted(self, anatomy: Anatomy, field: Field) -> Iterator[bytes]:
-        """The frame without the last element of a list, whose count then is right."""
+        """Yield the frame without the last element of a list, and with the count of the list corrected."""
         shorter = Anatomy(self.codec, anatomy.without([field.children[-1]]))
         for announced in shorter.announced:
             if announced.kind == "count" and announced.of.path == field.path:
                 yield shorter.set_right(announced)
 
     def _instead_of(self, anatomy: Anatomy, field: Field) -> Iterator[bytes]:
-        """The frame with the part of an ordinary beacon instead, or, of several elements of a list, without this."""
+        """Yield the frame with a field replaced by that of an ordinary beacon, or, in a longer list, removed."""
         sound = self.part(anatomy, field)
         if sound is not None and sound != field.raw and anatomy.announcement(field) is None:
             yield anatomy.replaced(field, sound)
@@ -121,7 +121,7 @@ class Repairs:
 
 
 def _type_around(anatomy: Anatomy, field: Field) -> str:
-    """The type of the container that a field is in, or the protocol of its block; empty for neither."""
+    """Return the type of the container of a field, or the protocol of its block; empty for a field outside of both."""
     for each in anatomy.around(field):
         kind = each.child("icType")
         if kind is not None:

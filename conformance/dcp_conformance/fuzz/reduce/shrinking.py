@@ -1,9 +1,9 @@
-"""Making one frame of a finding small: the steps with the greatest gain first, since each trial may cost a restart.
+"""Minimise one frame of a finding; operations with the greatest gain are first, since each attempt may need a restart.
 
-First every anomaly is tried alone in the smallest frame that has it. What no anomaly shows alone is reduced bit by bit:
-elements of lists are left out (delta debugging), anomalies are repaired one at a time, long octets are shortened, and
-what is left of values becomes ordinary. No attempt has an anomaly that the frame before it did not have, so that one
-cause does not turn into another on the way.
+First each anomaly is tried alone in the smallest frame that has it. If no anomaly alone is enough, the frame is reduced
+gradually: list elements are removed (delta debugging), anomalies are repaired one at a time, long octet strings are
+shortened, and remaining values are replaced by ordinary ones. No attempt adds an anomaly, so that the cause of the
+effect does not change during the minimisation.
 """
 
 from __future__ import annotations
@@ -22,32 +22,32 @@ from .anomalies import Anomaly, Kinds, anomalies, kinds_of
 from .repairs import Repairs
 
 Attempt = Callable[[bytes], bool]
-"""Tries a frame: whether it still shows the effect."""
+"""Function that returns whether a frame still shows the effect."""
 Change = tuple[str, bytes]
-"""A field, by its path, and the octets that it gets."""
+"""Path of a field, and its new octets."""
 
-#: Rounds of leaving out, repairing and shortening; the second one most often finds nothing.
+#: Maximum number of rounds of removing, repairing and shortening; the second one rarely changes anything.
 _ROUNDS: Final = 3
-#: Repairs of other anomalies on the way to a frame that has one alone.
+#: Maximum number of repairs to get a frame with a single anomaly.
 _MOST_REPAIRS: Final = 12
-#: Fields that say who sends, and to whom: another value is another situation.
+#: Address fields: another value would change how the frame is processed.
 _ADDRESSES: Final = ("senderId", "networkId", "nodeId", "prodId")
-#: Fields that are left as they are.
+#: Fields that are not changed.
 _KEPT: Final = (*_ADDRESSES, "protocolId", "icType")
 
 
 class Shrinker:
-    """Shrinks frames of a profile."""
+    """Minimiser of frames of a profile."""
 
     def __init__(self, codec: Codec) -> None:
         self.codec = codec
         self.repairs = Repairs(codec)
 
     def shrink(self, octets: bytes, attempt: Attempt, valid: bytes = b"") -> bytes:
-        """The smallest form found of a frame for which ``attempt`` succeeds.
+        """Return the smallest form of a frame for which ``attempt`` returns True.
 
-        ``valid``: the message that the frame was made from. What ``attempt`` raises ends it; the last octets for which
-        it has succeeded are known to the caller.
+        ``valid``: the valid message that the frame was mutated from, or empty. Forwards exceptions of ``attempt``,
+        which has to store the last frame for which it returned True.
         """
         work = _Work(self, octets, attempt)
         if not work.isolate() and valid:
@@ -63,16 +63,16 @@ class Shrinker:
         return work.octets
 
     def is_damaged(self, octets: bytes) -> bool:
-        """Whether a frame has any anomaly."""
+        """Return whether a frame has an anomaly."""
         return bool(anomalies(self.codec, octets))
 
     def sound_forms(self, octets: bytes) -> list[bytes]:
-        """The frame with one of its anomalies repaired, for each of them that can be."""
+        """Return the frame with one anomaly repaired, for each anomaly that can be repaired."""
         found = (self.repairs.repaired(octets, anomaly) for anomaly in anomalies(self.codec, octets))
         return [repaired for repaired in found if repaired is not None]
 
     def isolated(self, octets: bytes, anomaly: Anomaly) -> bytes | None:
-        """The smallest frame that has this anomaly and no other, made from a frame that has it; None if that fails."""
+        """Reduce a frame to the smallest one that has only this anomaly. Returns None if that fails."""
         candidate = self._bare(octets, anomaly)
         for _ in range(_MOST_REPAIRS):
             found = anomalies(self.codec, candidate)
@@ -98,14 +98,14 @@ class Shrinker:
         return candidate
 
     def plainer(self, octets: bytes) -> Iterator[bytes]:
-        """The frame with ordinary values and short strings, and with short strings alone."""
+        """Yield the frame with ordinary values and short strings, then the frame with short strings only."""
         anatomy = Anatomy(self.codec, octets)
         strings, values = self.strings(anatomy), self.values(anatomy)
         yield _changed(anatomy, [*strings, *values])
         yield _changed(anatomy, strings)
 
     def strings(self, anatomy: Anatomy) -> list[Change]:
-        """What shortens strings and other octets without a structure, the longest first."""
+        """Return the changes that shorten strings and other unstructured octets, the longest first."""
         found: list[tuple[int, Change]] = []
         for field in anatomy.root.walk():
             if not isinstance(field.layout, Text | Rest) or field.name in _ADDRESSES:
@@ -119,12 +119,12 @@ class Shrinker:
                 if short is not None and len(short) < field.length:
                     found.append((len(short) - field.length, (field.path, short)))
             elif (data := field.child("data")) is not None and data.length > 1:
-                # It is cut off, and stays so: what announces its octets is lowered, too.
+                # The string is truncated and stays so, because its announced length is reduced, too.
                 found.append((1 - data.length, (data.path, data.raw[:1])))
         return [change for _, change in sorted(found)]
 
     def values(self, anatomy: Anatomy) -> list[Change]:
-        """What gives fields the values of an ordinary beacon, but for those that decide what a frame is."""
+        """Return the changes that set fields to ordinary values, except fields that determine the structure."""
         special = {id(each.field) for each in anatomy.announced}
         found: list[Change] = []
         for field in anatomy.root.walk():
@@ -141,7 +141,7 @@ class Shrinker:
         return found
 
     def _bare(self, octets: bytes, anomaly: Anomaly) -> bytes:
-        """The frame without elements that the anomaly is not in; one of each list stays."""
+        """Return the frame without list elements that do not contain the anomaly; one element of each list stays."""
         anatomy = Anatomy(self.codec, octets)
         around = {id(each) for each in anatomy.around(anatomy.nearest(anomaly.path))}
         cut: list[Field] = []
@@ -163,7 +163,7 @@ class Shrinker:
 
 
 class _Work:
-    """One frame on its way."""
+    """State of the minimisation of one frame."""
 
     def __init__(self, shrinker: Shrinker, octets: bytes, attempt: Attempt) -> None:
         self._shrinker = shrinker
@@ -173,7 +173,7 @@ class _Work:
         self._kinds = kinds_of(anomalies(self._codec, octets))
 
     def _accept(self, candidate: bytes | None) -> bool:
-        """Try a frame unless it is no simpler; the next steps begin with it if it still shows the effect."""
+        """Try a frame if it is simpler than the current one, and make it the current one if it shows the effect."""
         if candidate is None or candidate == self.octets:
             return False
         kinds = kinds_of(anomalies(self._codec, candidate))
@@ -185,11 +185,11 @@ class _Work:
         return True
 
     def take(self, octets: bytes) -> None:
-        """Go on from another frame if it shows the effect, too."""
+        """Continue with another frame if it shows the effect, too."""
         self._accept(octets)
 
     def isolate(self) -> bool:
-        """Try each anomaly alone; whether one of them is enough."""
+        """Try each anomaly alone. Returns whether one of them is enough."""
         tried: set[str] = set()
         for anomaly in anomalies(self._codec, self.octets):
             if anomaly.kind in tried:
@@ -201,7 +201,7 @@ class _Work:
         return False
 
     def fewer_elements(self) -> None:
-        """Leave out elements of lists: of the outermost first, halves first."""
+        """Remove list elements: from outer lists first, halves first."""
         for name in ("payloads", "vardis", "records"):
             place = 0
             while True:
@@ -233,7 +233,7 @@ class _Work:
                 size //= 2
 
     def repair(self) -> None:
-        """Repair anomalies that the effect does not need, one at a time."""
+        """Repair unnecessary anomalies, one at a time."""
         going = True
         while going:
             going = False
@@ -250,11 +250,11 @@ class _Work:
         self._at_once_or_apart(self._shrinker.strings(Anatomy(self._codec, self.octets)))
 
     def calm(self) -> None:
-        """Give fields ordinary values."""
+        """Set fields to ordinary values."""
         self._at_once_or_apart(self._shrinker.values(Anatomy(self._codec, self.octets)))
 
     def _at_once_or_apart(self, changes: Sequence[Change]) -> None:
-        """Make changes together, or halves of them down to single ones."""
+        """Try all changes together, then halves of them, down to single ones."""
         if not changes or self._accept(_changed(Anatomy(self._codec, self.octets), changes)) or len(changes) == 1:
             return
         half = len(changes) // 2
@@ -264,7 +264,7 @@ class _Work:
 
 @functools.lru_cache(maxsize=8)
 def shrinker_of(codec: Codec) -> Shrinker:
-    """The shrinker of a codec; later calls return the same one."""
+    """Return the shrinker of a codec (cached)."""
     return Shrinker(codec)
 
 

@@ -1,4 +1,4 @@
-"""The steps that lead to a failure: frames that the tester sent, and services that it called."""
+"""Extract from a case the steps that lead to a failure: frames that the tester sent, and services that it called."""
 
 from __future__ import annotations
 
@@ -7,33 +7,36 @@ from typing import NamedTuple
 
 from dcp_conformance.model.results import CaseResult, Check
 
-#: Services that only find something out, and change nothing.
+#: Parts of the names of services that only query the implementation and do not change its state.
 _QUERIES = ("Describe", "Read", "Get", "List", "Query", "Table", "Hello", "Status")
 
 
 class Step(NamedTuple):
-    """Something that the tester did."""
+    """A frame that the tester sent, or a service that it called."""
 
     time: float
     """Seconds since the first step."""
     octets: bytes
     """The whole link-layer frame that was sent; empty for a call."""
     start: int
-    """Where the bearer payload begins in the frame."""
+    """Offset of the bearer payload (the BP packet) in the frame, in octets."""
     text: str
-    """For a call: the service and its parameters."""
+    """For a call: the service and its parameters; empty for a frame."""
     frame: int = 0
-    """For a frame: its place among all frames that the tester sent in the case, from 0."""
+    """For a frame: its index among all frames that the tester sent in the case, from 0."""
 
 
 def stimulus(case: CaseResult, check: Check) -> list[Step]:
-    """The steps of a case until the failure was seen, without calls that only find something out at the end."""
+    """Return the steps of a case up to the failure of this check, with times from the first step.
+
+    The failure is at the last frame that the check cites, or at the finding itself, whichever is later.
+    """
     marked = {mark.frame for mark in check.frames}
     events = list(case.evidence)
     seen = [place for place, event in enumerate(events) if event.frame in marked and event.frame]
     failed = next((place for place, event in enumerate(events) if _is_finding(event.text, check)), len(events))
     last = max(seen, default=failed)
-    # A failure that is seen in what was sent is seen after it.
+    # A frame cited by a check is recorded before the finding about it.
     end = max(last, min(failed, len(events))) if seen else failed
     found: list[Step] = []
     sent = 0
@@ -46,7 +49,7 @@ def stimulus(case: CaseResult, check: Check) -> list[Step]:
 
 
 def only(steps: Sequence[Step], frames: Collection[int]) -> list[Step]:
-    """The calls, and of the frames those at these places."""
+    """Return all calls, and those frames whose indices are given."""
     return _from_zero([step for step in steps if not step.octets or step.frame in frames])
 
 
@@ -56,7 +59,7 @@ def _from_zero(steps: list[Step]) -> list[Step]:
 
 
 def needs_calls(steps: Sequence[Step]) -> bool:
-    """Whether services of the implementation have to be called, too."""
+    """Return whether a step calls a service that changes the state of the implementation."""
     return any(step.text and not _is_query(step.text) for step in steps)
 
 

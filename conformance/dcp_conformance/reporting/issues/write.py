@@ -1,4 +1,4 @@
-"""One folder with a Markdown file, a Python program and a C array for each probable fault."""
+"""Write a Markdown file, a Python program and a C header for each probable fault into one folder."""
 
 from __future__ import annotations
 
@@ -23,21 +23,21 @@ from dcp_conformance.reporting.overview import certainty
 
 from .stimulus import Step, needs_calls, only, stimulus
 
-#: Failed checks of the best case that are shown, frames of each, and cases that are listed.
+#: Maximum numbers: failed checks of the best case, frames of each check, cases in the list of evidence.
 _CHECKS, _FRAMES, _CASES = 4, 2, 12
 
 
 Minimise = Callable[[CaseResult, Check, Sequence[int]], tuple[int, ...] | None]
-"""Returns the frames of a case, of those at the given places (from 0, among all that the tester sent), that are needed
-for the check to fail; None if that could not be found out."""
+"""Function that returns those of the given frames that are necessary for the check to fail, or None if the reduction
+was not possible. Frames are indices from 0 among all frames that the tester sent in the case."""
 
 
 def write_issues(run: RunResult, folder: Path, codec: Codec | None, minimise: Minimise | None = None) -> list[Path]:
-    """Write the reports of a run with a diagnosis. Returns the Markdown files, the most important fault first.
+    """Write one report for each fault of the diagnosis. Returns the Markdown files, the most important fault first.
 
-    ``codec`` takes frames apart; without one, octets are shown only. ``minimise`` finds the frames of a stimulus that
-    are needed; without it, all are given. Raises ``UsageError`` if there is nothing to report, or if a file cannot be
-    written.
+    ``codec`` dissects the frames; without it the reports show octets only. ``minimise`` reduces a stimulus to the
+    necessary frames; without it the reports contain all frames. Raises ``UsageError`` if the run has no diagnosed
+    fault, or if a file cannot be written.
     """
     if run.diagnosis is None or not run.diagnosis.faults:
         raise UsageError("there is no probable fault in these results; --issues needs a run in which cases failed")
@@ -70,7 +70,8 @@ def write_issues(run: RunResult, folder: Path, codec: Codec | None, minimise: Mi
 
 
 def _environment() -> Environment:
-    # Markdown and programs, no HTML: everything that is not ours goes through the filters below.
+    # The output is Markdown, Python and C, not HTML, so autoescape would not help. Text from the implementation or the
+    # results goes through the filters below.
     found = Environment(
         loader=PackageLoader("dcp_conformance.reporting.issues"),
         undefined=StrictUndefined,
@@ -89,29 +90,29 @@ def _environment() -> Environment:
 
 
 def markdown(text: object) -> str:
-    """Text that is not ours, so that it is shown as it is: no markup, links, HTML or control characters."""
+    """Escape untrusted text for Markdown, so that it has no markup, links, HTML or control characters."""
     return re.sub(r"([\\`*_{}\[\]()#+!|<>~@&])", r"\\\1", plain(str(text)).replace("\n", " "))
 
 
 def comment(text: object) -> str:
-    """Text that is not ours, for a comment of one line in C or Python."""
+    """Escape untrusted text for a comment on one line in C or in Python."""
     return plain(str(text)).replace("\n", " ").replace("*/", "* /").replace("\\", "/").replace('"', "'")
 
 
 def code(text: object) -> str:
-    """Text that is not ours, as a code span of Markdown."""
+    """Format untrusted text as a code span in Markdown."""
     return f"`{plain(str(text)).replace(chr(10), ' ').replace('`', chr(39))}`"
 
 
 def c_octets(octets: bytes) -> str:
-    """Octets as the inside of a C initialiser."""
+    """Format octets as the elements of a C array initialiser."""
     return textwrap.fill(
         ", ".join(f"0x{octet:02x}" for octet in octets), 76, initial_indent="    ", subsequent_indent="    "
     )
 
 
 def py_octets(octets: bytes) -> str:
-    """Octets as Python string literals, several lines of them if needed."""
+    """Format octets as hexadecimal Python string literals of at most 80 digits, one on each line."""
     digits = octets.hex()
     return "\n".join(f'        "{digits[place : place + 80]}"' for place in range(0, len(digits), 80))
 
@@ -119,6 +120,7 @@ def py_octets(octets: bytes) -> str:
 def _context(
     run: RunResult, fault: Probable, case: CaseResult, steps: list[Step], frames: Frames, name: str
 ) -> dict[str, Any]:
+    """Return the variables of the templates for one fault."""
     known = requirements()
     failed = [check for check in case.checks if check.verdict is Verdict.FAIL]
     link = run.sut.link.split(":")
@@ -149,7 +151,7 @@ def _context(
 
 
 def _shown(case: CaseResult, check: Check, frames: Frames) -> list[dict[str, Any]]:
-    """The frames of a check, taken apart; octets that matter are marked."""
+    """Return the first frames that a check cites, dissected, with the octets that the check is about marked."""
     events = {event.frame: event for event in case.evidence if event.frame}
     begin = case.evidence[0].time if case.evidence else 0
     numbers = list(dict.fromkeys(mark.frame for mark in check.frames if mark.frame in events))
@@ -163,5 +165,6 @@ def _shown(case: CaseResult, check: Check, frames: Frames) -> list[dict[str, Any
 
 
 def _slug(text: str) -> str:
+    """Return the text as a file name of at most 60 lower-case letters, digits and hyphens."""
     words = re.findall(r"[a-z0-9]+", text.lower())
     return "-".join(words)[:60].strip("-") or "fault"

@@ -17,7 +17,7 @@
     none.hidden = shown > 0;
   };
   if (search) { search.addEventListener("input", apply); boxes.forEach(b => b.addEventListener("change", apply)); }
-  // What is marked should be seen, also where the list of fields is longer than its box.
+  // Scroll a list of fields that is longer than its box to the first marked field.
   const reveal = tree => {
     const bad = tree.querySelector(".bad");
     if (bad && tree.clientHeight) tree.scrollTop = bad.offsetTop - tree.offsetTop - tree.clientHeight / 2;
@@ -30,12 +30,12 @@
   const open = () => {
     const target = location.hash && document.getElementById(location.hash.slice(1));
     if (!target) return;
-    // What a link leads to may be inside of something that is closed.
+    // The target of a link may be inside closed elements: open all of them.
     for (let each = target.closest("details"); each; each = each.parentElement.closest("details")) { each.hidden = false; each.open = true; }
     target.scrollIntoView();
   };
   addEventListener("hashchange", open); open();
-  // Who holds what, at any moment.
+  // The table "Values held by each node" at the time of the slider.
   const source = document.querySelector("#holds-data");
   if (source) {
     const data = JSON.parse(source.textContent), table = document.querySelector("#holds");
@@ -43,7 +43,7 @@
     const DELETED = -1, ASKED = -2, nodes = data.nodes, variables = data.variables;
     const order = variables.map((_, i) => i).sort((a, b) => variables[a] - variables[b]);
     const columns = nodes.map((_, i) => i).sort((a, b) => nodes[a] < nodes[b] ? -1 : 1);
-    // Times of changes, as indices of intervals; each is a position of the slider.
+    // Times of changes in intervals of data.interval_ns; each is a position of the slider.
     const times = []; let clock = 0;
     for (const change of data.changes) { clock += change[0]; if (times[times.length - 1] !== clock) times.push(clock); }
     const end = Math.floor((data.end_ns - data.begin_ns) / data.interval_ns);
@@ -96,7 +96,7 @@
           cell.title = wrong ? "differs for " + seconds(t - since.get(key)) + " s" : "";
         }
         const long = [...bad].reduce((most, key) => Math.max(most, t - since.get(key)), 0);
-        when.textContent = "+" + seconds(t) + " s: " + (bad.size ? bad.size + (bad.size === 1 ? " number differs" : " numbers differ") + " from the producer's, the longest for " + seconds(long) + " s" : "nobody differs from the producers");
+        when.textContent = "+" + seconds(t) + " s: " + (bad.size ? bad.size + (bad.size === 1 ? " number differs" : " numbers differ") + " from the producer's, the longest for " + seconds(long) + " s" : "all numbers equal the producers'");
         return false;
       });
     };

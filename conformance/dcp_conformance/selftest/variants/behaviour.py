@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, ClassVar
 
 import msgspec
@@ -24,6 +24,7 @@ from dcp_stack.srp.entity import StateReporting
 from dcp_stack.vardis.compose import Composer
 from dcp_stack.vardis.core import Core
 from dcp_stack.vardis.entity import Vardis
+from dcp_stack.vardis.instructions import Instruction
 
 from .variant import Setup, Variant, has_srp, setup
 
@@ -149,8 +150,8 @@ class TwoContainers(Composer):
             ]
         return tuple(made)
 
-    def __init__(self, core: Core) -> None:
-        super().__init__(core)
+    def __init__(self, core: Core, instructions: Mapping[str, Instruction] | None = None) -> None:
+        super().__init__(core, instructions)
         self._database_codec = core.config.codec
 
 

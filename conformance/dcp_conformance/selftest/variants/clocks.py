@@ -39,6 +39,8 @@ def _set_back(now: int) -> int:
 
 #: The clock tolerance that steps of two hours need, in ms.
 _TWO_HOURS_MS: Final = 7_300_000.0
+#: The clock was set between two readings.
+_SET: Final = r"^TC_BP_PTI_TI_01: a clock that is not set during the case"
 
 VARIANTS = (
     Variant("V-CLOCK-fast", "has a clock that gains 200 ppm", _WHY, _clock(lambda now: now // 5000)),
@@ -50,17 +52,25 @@ VARIANTS = (
         _WHY,
         _clock(lambda now: -24 * _HOUR + 0 * now, 25 * 3_600_000.0),
     ),
-    Variant("V-CLOCK-steps", "has a clock that is set by 0.5 s every 7 s", _WHY, _clock(_back_and_forth)),
+    Variant(
+        "V-CLOCK-steps",
+        "has a clock that is set by 0.5 s every 7 s",
+        _WHY,
+        _clock(_back_and_forth),
+        explains=(_SET,),
+    ),
     Variant(
         "V-CLOCK-hours",
         "has a clock that is set by one or two hours every 11 s, and the PIXIT allows it",
         _WHY,
         _clock(_hours, _TWO_HOURS_MS),
+        explains=(_SET,),
     ),
     Variant(
         "V-CLOCK-set-back",
         "has a clock that is set back by 1.5 s every 4 s, and the PIXIT allows it",
         _WHY,
         _clock(_set_back, 3000.0),
+        explains=(_SET,),
     ),
 )
