@@ -14,6 +14,7 @@ from dcp_conformance.execution.concurrent.executor import WIDTH
 from dcp_conformance.model.case import SANITY, Case
 from dcp_conformance.model.results import CaseResult
 from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.reference.inprocess import plain_node
 
 from .mutants import Mutant, all_mutants
 from .runner import PROFILES, Suite, cases, process_pool
@@ -98,9 +99,9 @@ def compare(
         others = [case.id for case in suite if case.id not in named and case.id != SANITY]
         drawn = named | set(rng.sample(others, min(companions, len(others))))
         chosen = [case for case in suite if case.id in drawn]
-    make = {} if mutant is None else {"make": mutant.make}
-    alone = _verdicts(Suite(profile, **make).run(chosen))
-    beside = _verdicts(Suite(profile, **make).run_side_by_side(chosen, width))
+    make = plain_node if mutant is None else mutant.make
+    alone = _verdicts(Suite(profile, make).run(chosen))
+    beside = _verdicts(Suite(profile, make).run_side_by_side(chosen, width))
     name = mutant.id if mutant is not None else "our node"
     differences = tuple(
         Difference(name, profile, case, _text(alone.get(case)), _text(beside.get(case)))
