@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 from dcp_conformance.errors import NamesUsedUp, StopCase
+from dcp_conformance.test_system.identifiers.allocation import Identifiers
 from dcp_conformance.test_system.identifiers.pool import IdentifierPool
 
 from .parts import PERIOD, SUT, Parts
@@ -30,12 +31,15 @@ def test_an_unknown_implementation_has_no_identifier():
 
 
 def test_unknown_identifiers_do_not_become_variables_of_the_case():
-    identifiers = Parts().identifiers
-    unknown = identifiers.unknown_ids(4)
-    assert identifiers.called_unknown == {*unknown}
-    made = identifiers.var_ids(5)
-    assert identifiers.created == {*made}
-    assert not {*made} & {*unknown}
+    parts = Parts()
+    # An earlier case has used the first ones, so that the next one in turn is 6.
+    earlier = Identifiers(parts.run, parts.link, parts.sut, parts.verdicts, set())
+    assert earlier.var_ids(6) == [0, 1, 2, 3, 4, 5]
+    identifiers = parts.identifiers
+    assert identifiers.unknown_ids(10) == [15, 14, 13, 12, 11, 10, 9, 8, 7, 6]
+    assert identifiers.called_unknown == {*range(6, 16)}
+    assert identifiers.var_ids(2) == [0, 1]
+    assert identifiers.created == {0, 1}
 
 
 def test_a_created_variable_is_not_unknown_and_known_to_the_run():
