@@ -1,9 +1,7 @@
 """A check of the English in docstrings, comments and messages: expressions that a reader has to decipher.
 
-``PATTERNS`` gives each expression with the reason and the better wording. Folders and files in ``DONE`` must be free of
-them; folders in ``TO_DO`` have not been revised yet and are only counted. Move a folder from ``TO_DO`` to ``DONE``
-after its revision, or add a file of it to ``DONE``. ``python tests/meta/prose.py`` prints the number of hits in each of
-them, and ``python tests/meta/prose.py PATH...`` every hit in some.
+``PATTERNS`` gives each expression with the reason and the better wording. ``python tests/meta/prose.py`` prints the
+number of hits in each package, and ``python tests/meta/prose.py PATH...`` every hit in some folders or files.
 """
 
 from __future__ import annotations
@@ -18,63 +16,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-_SUITE = "conformance/dcp_conformance"
-
-#: Folders and files without any hit, relative to the repository.
-DONE = (
-    f"{_SUITE}/sut",
-    f"{_SUITE}/interconnection",
-    f"{_SUITE}/check",
-    f"{_SUITE}/model",
-    f"{_SUITE}/passive",
-    f"{_SUITE}/provenance",
-    f"{_SUITE}/reference",
-    f"{_SUITE}/oracle",
-    f"{_SUITE}/lower_tester",
-    f"{_SUITE}/upper_tester",
-    f"{_SUITE}/reporting",
-    f"{_SUITE}/diagnosis",
-    f"{_SUITE}/fuzz",
-    "spec/dcp_spec",
-    "dcp_codec",
-    f"{_SUITE}/suite",
-    f"{_SUITE}/selftest",
-    f"{_SUITE}/cli",
-    f"{_SUITE}/execution",
-    f"{_SUITE}/frames",
-    f"{_SUITE}/impairment",
-    f"{_SUITE}/__init__.py",
-    f"{_SUITE}/errors.py",
-    f"{_SUITE}/pytest_plugin.py",
-    f"{_SUITE}/traceability.py",
-    f"{_SUITE}/test_steps",
-    f"{_SUITE}/test_system",
-    "dcp_stack/__init__.py",
-    "dcp_stack/bp_port.py",
-    "dcp_stack/config.py",
-    "dcp_stack/drops.py",
-    "dcp_stack/effects.py",
-    "dcp_stack/node.py",
-    "dcp_stack/own_fields.py",
-    "dcp_stack/record_sizes.py",
-    "dcp_stack/timestamps.py",
-    "dcp_stack/bp",
-    "dcp_stack/srp",
-    "dcp_stack/links",
-    "dcp_stack/runtime",
-    "dcp_stack/control",
-    "dcp_stack/cli",
-    "dcp_stack/vardis",
-    "dcp_stack/sim",
-    "dcp_stack/positions",
-    "dcp_stack/relay",
-    "dcp_stack/neighbour_file",
-)
-#: Folders that still have to be revised; their hits are counted.
-TO_DO = (
-    _SUITE,
-    "dcp_stack",
-)
+#: The packages that are checked, relative to the repository.
+FOLDERS = ("spec/dcp_spec", "dcp_codec", "dcp_stack", "conformance/dcp_conformance")
 
 
 @dataclass(frozen=True)
@@ -213,24 +156,23 @@ def hits(path: Path) -> Iterator[Hit]:
 
 
 def hits_in(name: str) -> list[Hit]:
-    """Return the hits in a file, or in the Python files of a folder except those that are listed separately."""
+    """Return the hits in a file, or in the Python files of a folder."""
     root = ROOT / name
-    listed = {each for each in (ROOT / other for other in (*DONE, *TO_DO)) if root in each.parents}
     files = [root] if root.is_file() else sorted(root.rglob("*.py"))
-    return [hit for each in files if not listed.intersection((each, *each.parents)) for hit in hits(each)]
+    return [hit for each in files for hit in hits(each)]
 
 
 def main(folders: list[str]) -> int:
-    """Print hits, or their number in each folder; return 1 if a revised folder has some."""
+    """Print hits, or their number in each package; return 1 if there are any."""
     for folder in folders:
         print(*hits_in(folder), sep="\n")
     if folders:
         return 0
     bad = 0
-    for folder in (*DONE, *TO_DO):
+    for folder in FOLDERS:
         count = len(hits_in(folder))
-        bad += count if folder in DONE else 0
-        print(f"{count:5}  {folder}{'' if folder in DONE else ' (to do)'}")
+        bad += count
+        print(f"{count:5}  {folder}")
     return int(bad > 0)
 
 

@@ -29,7 +29,7 @@ WorldKind = Literal["virtual", "real"]
 
 
 class Cell(msgspec.Struct, frozen=True, kw_only=True):
-    """What is to be run."""
+    """The implementations, test and seed of a cell."""
 
     a: str
     b: str

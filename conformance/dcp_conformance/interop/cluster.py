@@ -26,13 +26,13 @@ def run_on_cluster(
     if there is no such scheduler, ``ConformanceError`` if it loses a cell.
     """
     try:
-        # By name: it says nothing of types.
+        # By name: it has no type information.
         distributed: Any = import_module("distributed")
     except ImportError:
         raise UsageError("--dask needs dask.distributed: pip install 'dcp-conformance-kit[dask]'") from None
     with ExitStack() as stack:
         client = _client(distributed, scheduler, min(jobs, len(cells)), stack)
-        # Equal cells are one to Dask unless it is told otherwise.
+        # By default Dask executes equal calls once.
         numbers = {client.submit(job, cell, Stop(), pure=False): number for number, cell in enumerate(cells)}
         try:
             for future, result in distributed.as_completed(list(numbers), with_results=True):
@@ -41,7 +41,7 @@ def run_on_cluster(
         except (distributed.KilledWorker, distributed.CancelledError) as error:
             raise ConformanceError(f"the Dask cluster lost a cell: {error}") from None
         finally:
-            # What ends now need not go on.
+            # Cells that have not ended are not needed any more.
             client.cancel(list(numbers))
 
 

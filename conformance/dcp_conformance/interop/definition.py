@@ -37,7 +37,7 @@ Wire = Literal["same", "different"]
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """A network: who is where, and who hears whom.
+    """A network: the places of the stations, and the links between them.
 
     ``roles`` has one letter for each place: ``A`` and ``B`` are the two implementations of a cell. ``links`` are the
     pairs of places that hear each other; None: all do.

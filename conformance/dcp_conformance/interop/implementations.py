@@ -48,7 +48,7 @@ class Implementation(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     upper_tester: str = ""
     """As ``--ut`` of ``run``, with placeholders; empty: none."""
     ready: Ready = "beacon"
-    """What shows that the process is ready: an answer of its upper tester; without one, its first beacon or socket."""
+    """The sign that the process is ready: an answer of its upper tester; without one, its first beacon or socket."""
     ready_s: float = 60.0
     """Seconds that this may take at most."""
     srp: bool = True
@@ -268,7 +268,7 @@ def meeting_profile(a: Implementation, b: Implementation) -> str | None:
 
 
 def _layout(each: Implementation, profile: str) -> tuple[Types, Any]:
-    """The types of the fields on the air, and the safety data; variants can have others than their profile."""
+    """Return the types of the transmitted fields, and the safety data; variants can differ from their profile."""
     found = codec_of(profile).profile
     if each.built_in.startswith("variant:"):
         found = virtual_setup(each, profile)[0].config.profile

@@ -1,4 +1,4 @@
-"""What recordings of a cell say: the rules of ``check`` on everything that was transmitted, and who died."""
+"""Judge the recordings of a cell: the rules of ``check`` for all transmitted frames, and stations that died."""
 
 from __future__ import annotations
 
@@ -52,9 +52,9 @@ def deaths(world: World, requirements: tuple[str, ...]) -> Iterator[Check]:
 def rules(
     world: World, sent: Sequence[Sent], *, strangers: Collection[bytes] = (), restarts: Sequence[tuple[int, int]] = ()
 ) -> Iterator[Check]:
-    """Yield the failed rules of ``check`` on everything that the places transmitted, for each version on the air.
+    """Yield the failed rules of ``check`` on everything that the places transmitted, for each version in use.
 
-    Findings that concern nothing but frames of the tester's own station, or one of the ``strangers`` that it plays
+    Findings that concern only frames of the tester's own station, or one of the ``strangers`` that it plays
     (node identifiers), are left out, and so are requirements that the common profile declares as not met: a layout that
     all stations share harms none of them, and the report lists it for each implementation.
     ``restarts``: times (ns) and places that were switched on again.

@@ -129,8 +129,8 @@ def run_matrix(
     ``folder``: gets recordings and logs. ``dask``: the address of a Dask scheduler whose workers run the cells, or
     ``local`` for a cluster on this machine. Raises ``UsageError`` if there is no such scheduler.
 
-    ``KeyboardInterrupt``, and the loss of a worker, end the matrix early: the result then says so, and has the cells
-    that were finished.
+    ``KeyboardInterrupt`` and the loss of a worker end the matrix early. The result then has ``ended_early``, and the
+    cells that were finished.
     """
     began, started = time.monotonic(), timestamp()
     results: list[CellResult | None] = [None] * len(cells)

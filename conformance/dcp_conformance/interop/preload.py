@@ -1,4 +1,4 @@
-"""What every process of a matrix needs: imported once, in the server that forks them."""
+"""Modules that every process of a matrix needs, imported once in the server that forks them."""
 
 from __future__ import annotations
 

@@ -153,7 +153,7 @@ class RealWorld:
         self._paused += round((time.monotonic() - begin) * 1e9)
 
     def _give_up(self, waiting: Mapping[Station, str]) -> None:
-        """Go on with stations that are silent, which the test then judges; raise for upper testers that are."""
+        """Continue with silent stations, which the test then judges; raise for silent upper testers."""
         silent = {each: missing for each, missing in waiting.items() if missing and each.methods is None}
         self._pending = []
         if silent:
@@ -240,7 +240,7 @@ class RealWorld:
         self._sent.append(Sent(self.now(), len(self.places), octets))
         frame = ether_frame(self.places[0].codec, self.tester_address, octets)
         with contextlib.suppress(OSError):
-            # A full queue loses frames, as the air does.
+            # A full queue loses frames, as a radio channel does.
             self._voice.send(frame)
 
     # -- the end -------------------------------------------------------------------------------------------------------

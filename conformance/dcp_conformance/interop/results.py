@@ -24,7 +24,7 @@ class Moment(msgspec.Struct, frozen=True, omit_defaults=True):
 
 
 class Spread(msgspec.Struct, frozen=True):
-    """How long something took to reach everybody: seconds; ``took`` None if it did not within ``limit``."""
+    """The time in seconds that a change took to reach all stations; ``took`` is None if it exceeded ``limit``."""
 
     what: str
     time: float
@@ -43,7 +43,7 @@ class StationResult(msgspec.Struct, frozen=True, kw_only=True):
     beacons: int = 0
     death: str = ""
     recording: str = ""
-    """What the station sent and received, relative to the report's folder."""
+    """The recording of the station's frames, relative to the report's folder."""
     log: str = ""
 
 

@@ -1,4 +1,4 @@
-"""What network tests do and check: services at places, time, links, and who holds what."""
+"""The steps and checks of network tests: services at places, time, links, and the values held by stations."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from .world import Limits, Sent, World
 
 MS: Final = 1_000_000
 SECOND: Final = 1_000_000_000
-#: Between two looks at the air, and between two state reports of a node (ns).
+#: Time between two checks of received frames, and between two state reports of a node (ns).
 _LOOK: Final = 20 * MS
 _REPORT: Final = 100 * MS
 #: Moments of a cell that the timeline keeps.
@@ -35,7 +35,7 @@ class NotApplicableError(Exception):
 
 
 class StopError(Exception):
-    """The test cannot go on after a failed check."""
+    """The test cannot continue after a failed check."""
 
 
 class Scene:
@@ -59,7 +59,7 @@ class Scene:
         self.outages = False
         """Whether links are down most of the time, as :func:`bounds.cycle_time` has it."""
         self.held: dict[int, Holdings] = {place: Holdings() for place in self.places}
-        """What each place has said about variables since it was switched on."""
+        """The records that each place has sent about variables since it was switched on."""
         self.heard_from: dict[int, int] = {}
         """By place: the time of its last transmission."""
         self._requirements = requirements
@@ -170,7 +170,7 @@ class Scene:
             raise StopError
 
     def report_states(self, places: Iterable[int] | None = None) -> None:
-        """Hand down safety data at places (all, unless given) every 100 ms from now on."""
+        """Submit safety data at places (default: all) every 100 ms from now on."""
         chosen = set(self.places if places is None else places)
         least = min(place.limits.neighbour_timeout_ms for place in self.world.places)
         self.require(
@@ -324,7 +324,7 @@ class Scene:
         return None if held is None else held.number
 
     def lacking(self, variables: Iterable[int], places: Iterable[int]) -> list[str]:
-        """Describe who has not said that it holds what the services called at the producer lead to."""
+        """Return the places whose records do not show the result of the services called at the producer."""
         found = []
         for variable in variables:
             wanted = self._numbers.get(variable)
@@ -346,7 +346,7 @@ class Scene:
         what: str = "",
         patience: float = 0.0,
     ) -> None:
-        """Check that all places (or ``places``) come to hold what ``producer`` holds: in time, on the air, by services.
+        """Check that all places (or ``places``) come to hold what ``producer`` holds, by beacons and services.
 
         ``among``: the number of variables in the network, which share the summaries of a beacon. ``patience``: seconds
         that are granted in addition, for what the stations still have to work off (a minute at most in real time).
@@ -465,7 +465,7 @@ class Scene:
                 if self.world.is_on(place) and self.world.now() - self.heard_from.get(place, 0) > quiet
             ]
 
-        # In real time nobody listens while services are called, and hundreds of calls take longer than that.
+        # In real time the tester does not listen while it calls services, and hundreds of calls take longer.
         self.until(lambda: not silent(), self._extended(quiet / SECOND, quiet / SECOND))
         found = silent()
         self.expect(not found, "every station that is on sends beacons", f"silent: {', '.join(found)}")

@@ -1,6 +1,6 @@
 """Known faults and permitted variants in networks: each fault must turn a cell red, and no variant may.
 
-A fault stands in the network once as implementation A (producer, ends of lines) and once as B (consumer, relays), with
+A fault is in the network once as implementation A (producer, ends of lines) and once as B (consumer, relays), with
 our node as the other one. The first red cell decides; cells that run before it are those that missed the fault.
 """
 
@@ -66,12 +66,12 @@ FAULTS: Final = (
     "M-BP-RX-16-dies-of-short",
     "M-UWB-01-gives-up",
 )
-#: Variants with the same node as another one: they differ in what the tester of a single node is told.
+#: Variants with the same node as another one: they differ in the declarations to the tester of a single node.
 _TOLD: Final = ("V-UT-*", "V-PAR-*-get", "V-PAR-*-pixit", "*-denied", "*-silent", "*-claimed")
 
 
 class Trial(msgspec.Struct, frozen=True):
-    """What came of one fault or variant."""
+    """The outcome of one fault or variant."""
 
     name: str
     what: str

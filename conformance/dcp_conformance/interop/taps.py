@@ -29,7 +29,7 @@ class Tapped(NamedTuple):
 
 @contextlib.contextmanager
 def inside(namespace: str) -> Iterator[None]:
-    """Be in a network namespace: sockets that are opened meanwhile stay in it. Raises ``LowerTesterError``."""
+    """Enter a network namespace: sockets that are opened within the block stay in it. Raises ``LowerTesterError``."""
     libc = ctypes.CDLL(None, use_errno=True)
     outside = os.open("/proc/self/ns/net", os.O_RDONLY | os.O_CLOEXEC)
     there = os.open(f"/run/netns/{namespace}", os.O_RDONLY | os.O_CLOEXEC)

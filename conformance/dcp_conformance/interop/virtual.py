@@ -240,7 +240,7 @@ class VirtualWorld:
         """Nothing: every transmission is known."""
 
     def received(self) -> Sequence[Received]:
-        """What arrived at the places."""
+        """Return the frames that arrived at the places."""
         return self._received
 
     def recordings(self) -> Mapping[int, Path]:

@@ -1,4 +1,4 @@
-"""Worker processes for cells that end in an orderly way: no namespace, link or process stays behind.
+"""Worker processes for cells that end in an orderly way: no namespace, link or process is left.
 
 A worker interrupts its job when a signal asks for it, when the command closes their pipe, and when the command has
 died. All of this is one signal handler in the worker (``Stop``). The job heeds it only where that does no harm: a cell

@@ -31,7 +31,7 @@ class Received(NamedTuple):
 
 
 class Limits(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What an implementation can keep and send: parameters, and capacities. Lengths are octets, times ms."""
+    """The limits of an implementation: parameters and capacities. Lengths are octets, times ms."""
 
     value: int = 32
     """VARDISPAR_MAX_VALUE_LENGTH."""
@@ -70,7 +70,7 @@ class Place(NamedTuple):
 
 
 class World(Protocol):
-    """What a scene does with its network. Times are ns since the start; places are numbers from 0.
+    """The interface of a scene to its network. Times are ns since the start; places are numbers from 0.
 
     The number after the last place is the tester's own station: :meth:`transmit` sends as it.
     """

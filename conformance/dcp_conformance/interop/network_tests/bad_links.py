@@ -82,7 +82,7 @@ def outages(scene: Scene) -> None:
 
 @network_test(
     "IT_VD_PARTITION",
-    "What happens on both sides of a partition reaches the other side after it has ended, and not before",
+    "Changes on both sides of a partition reach the other side after the partition has ended, and not before",
     requirements="VD-PS-01 VD-PS-04 VD-RU-04 VD-RC-03",
     shapes=(PAIR, BUS_4, LINE_5),
     services=UPDATING,
@@ -151,7 +151,7 @@ def partitioned_creation(scene: Scene) -> None:
 
 @network_test(
     "IT_VD_ONEWAY",
-    "A station that hears its neighbour without being heard learns its variables from updates, and harms nobody",
+    "A station that hears its neighbour without being heard learns its variables from updates, and harms no station",
     requirements="VD-PU-07 VD-ROB-01",
     shapes=(PAIR,),
     services=UPDATING,
@@ -173,7 +173,7 @@ def one_way(scene: Scene) -> None:
 
 @network_test(
     "IT_VD_PRODUCERGONE",
-    "A relay that has the newest value hands it on after its producer is gone",
+    "A relay that has the newest value forwards it after its producer has left",
     requirements="VD-RU-04 VD-RC-03 VD-PS-01 VD-PS-04",
     shapes=(LINE_3, LINE_5),
     services=UPDATING,

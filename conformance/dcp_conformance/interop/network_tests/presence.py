@@ -1,4 +1,4 @@
-"""Who is there: discovery, soft state of neighbour tables, late arrivals, restarts."""
+"""Presence of stations: discovery, soft state of neighbour tables, late arrivals, restarts."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def late_join(scene: Scene) -> None:
 
 @network_test(
     "IT_VD_PRODUCERRESTART",
-    "After its producer has restarted without memory a variable stays as it is, and a new one reaches everybody",
+    "After its producer has restarted without memory a variable is unchanged, and a new one reaches all stations",
     requirements="VD-PC-07 VD-CRE-12 VD-ROB-01",
     shapes=SPREAD,
     services={"A": "RTDB-Create RTDB-Update"},

@@ -1,4 +1,4 @@
-"""Variables reach everybody: create, update, delete, create again."""
+"""Variables reach all stations: create, update, delete, create again."""
 
 from __future__ import annotations
 

@@ -58,7 +58,7 @@ def mixed_versions(scene: Scene) -> None:
 
 @network_test(
     "IT_NET_BABBLER",
-    "A station that sends 500 beacons per second, with many summaries, harms nobody",
+    "A station that sends 500 beacons per second, with many summaries, harms no other station",
     requirements="BP-RX-16 VD-ROB-01",
     shapes=(PAIR, LINE_3, BUS_4),
     services=UPDATING,
@@ -89,7 +89,7 @@ def babbler(scene: Scene) -> None:
 
 @network_test(
     "IT_NET_MALFORMED",
-    "A station that sends damaged beacons harms nobody: all live, and variables go on",
+    "A station that sends damaged beacons harms no other: all stations live, and variables are still disseminated",
     requirements="BP-RX-16 BP-RX-09 VD-ROB-01",
     shapes=(PAIR, LINE_3, BUS_4),
     services=UPDATING,

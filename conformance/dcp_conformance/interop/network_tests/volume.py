@@ -112,7 +112,7 @@ def timeouts(scene: Scene) -> None:
 
 @network_test(
     "IT_VD_TWOPRODUCERS",
-    "Two stations that create one variable during a partition harm nobody: other variables go on, and nobody dies",
+    "Two stations that create one variable during a partition harm no other variable and no station",
     requirements="VD-ROB-01 VD-PC-03",
     shapes=(PAIR, LINE_3),
     services={"A": "RTDB-Create RTDB-Update", "B": "RTDB-Create"},

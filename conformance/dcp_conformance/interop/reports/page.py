@@ -1,4 +1,4 @@
-"""``interop.html``: one page that needs nothing but the recordings and logs that it links to."""
+"""``interop.html``: one self-contained page with links to recordings and logs."""
 
 from __future__ import annotations
 

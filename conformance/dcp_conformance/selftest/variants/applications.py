@@ -147,6 +147,8 @@ _SUMMARISED = (
     r"^TC_VD_RUN_TI_0.*: variables from other sources are still summarised"
     r"|^TC_VD_SUM_BV_04: .*: an application on the node has created a variable"
 )
+#: The reports and payloads of the application delay the VarCreates that would fill the payloads.
+_NOT_FULL = r"^TC_VD_SCR_TI_15: payloads full of VarCreates, which this case needs: room for a VarReqUpdate$"
 
 VARIANTS = (
     Variant(
@@ -210,6 +212,6 @@ VARIANTS = (
         f"{_SRP_WHY}; {_VD_WHY}",
         _running(Everything),
         where=has_srp,
-        explains=(_NO_PAUSE, _SUMMARISED, _REPLACED),
+        explains=(_NO_PAUSE, _SUMMARISED, _REPLACED, _NOT_FULL),
     ),
 )

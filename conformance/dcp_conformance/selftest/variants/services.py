@@ -51,7 +51,7 @@ def _slow() -> Iterator[Variant]:
             explains=(
                 TOO_SLOW_FOR_A_GAP,
                 *((_TOO_SLOW_TO_COUNT,) if delay >= 250 else ()),
-                *((_TOO_SLOW,) if delay == 500 else ()),
+                *((_TOO_SLOW,) if delay >= 250 else ()),
             ),
         )
 
@@ -196,16 +196,23 @@ def _one_container(profile: Profile) -> Profile:
 
 
 def _only_the_text(method: str, params: dict[str, Any], answer: Answer) -> Answer:
-    """Answer with the members of the specification only, and do not confirm BP-TransmitPayload."""
-    for change in (_specs_only, _no_statistics, _unconfirmed):
+    """Answer with the members of the specification only."""
+    for change in (_specs_only, _no_statistics):
         answer = change(method, params, answer)
     return answer
+
+
+def _only_the_text_unconfirmed(method: str, params: dict[str, Any], answer: Answer) -> Answer:
+    """Answer with the members of the specification only, and do not confirm BP-TransmitPayload."""
+    return _unconfirmed(method, params, _only_the_text(method, params, answer))
 
 
 def _deny_all(profile: str) -> Setup:
     version = load_profile(profile).spec_version
     # The confirm of BP-TransmitPayload is optional since 1.2.
-    names = [name for name in _CAPABILITIES if name != "transmit_payload_confirm" or version >= _V.V1_2]
+    confirm_is_optional = version >= _V.V1_2
+    names = [name for name in _CAPABILITIES if name != "transmit_payload_confirm" or confirm_is_optional]
+    answers = _only_the_text_unconfirmed if confirm_is_optional else _only_the_text
     denied = Capabilities(**dict.fromkeys(names, False))
     return setup(
         derived(profile, _one_container),
@@ -213,7 +220,7 @@ def _deny_all(profile: str) -> Setup:
         bp=BPConfig(jitter=0.0),
         readings={"X21": "refuse-locally"},
         pics=denied,
-        upper=UpperTesting(answers=_only_the_text, without=frozenset(SETTERS)),
+        upper=UpperTesting(answers=answers, without=frozenset(SETTERS)),
     )
 
 
@@ -222,8 +229,8 @@ _USED_UP = r"identifiers used up: .* A reset frees them"
 #: If a limit is unknown, cases are inconclusive and name the entry of the PIXIT that would define it.
 ASSUMED_VALUE: Final = r"was taken to be .*\(pixit\."
 #: Up to 1.2 state reports of earlier cases are repeated until a reset.
-_REPORTS_REPEATED = r"^TC_BP_HDR_BV_09: no beacon during the pause"
-#: A call takes a sixth of the timeout of neighbours.
+_REPORTS_REPEATED = r"^TC_BP_HDR_BV_(09|12): no beacon during the pause"
+#: A call takes a twelfth of the timeout of neighbours or more.
 _TOO_SLOW = r"^TC_SRP_NT_TI_0[245]: entries of the neighbours"
 #: Up to 1.1 BP cannot be deactivated while payloads are submitted.
 TOO_SLOW_FOR_A_GAP = r"between two beacons: a beacon in between in each attempt; calls take up to \d+ ms"
