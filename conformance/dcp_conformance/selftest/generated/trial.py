@@ -48,7 +48,7 @@ _PREFIXES: Final[dict[str, tuple[str, ...]]] = defaultdict(
 #: Readings that the node does not follow with the second alternative of every reading: blocks that end with the frame
 #: (X02) are not compared with numPayloads (X48).
 OVERRIDDEN: Final = frozenset({"X48"})
-#: Alternatives of X28 and X34 by the words of profiles, where these are different.
+#: Alternatives of X28 and X34 by their names in profiles, where these are different.
 _HALF_RANGE: Final = {"neither": "half-range-neither", "newer": "half-range-answered", "older": "half-range-older"}
 _RECEIVE_ERRORS: Final = {"skip-element": "skip-container"}
 #: Limits of a process: CPU time for each case in seconds (the longest takes 0.1 s), and address space in octets.
