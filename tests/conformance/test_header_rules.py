@@ -65,7 +65,7 @@ FAULTS: dict[str, tuple[Frame, str, str]] = {
     ),
     "sender-of-8": (Frame(sender=bytes(range(8))), "DATA-04", "one of 8"),
     "sender-of-4": (Frame(sender=b"abcd"), "DATA-04", "one of 4"),
-    "no-network": (Frame(network=b""), "BP-HDR-04", "there is none"),
+    "no-network": (Frame(network=b""), "BP-HDR-04", "the field is missing"),
     "network-of-1": (Frame(network=b"\x11"), "BP-HDR-05", "one of 1"),
     "network-of-4": (Frame(network=b"\0\0\x11\x11"), "DATA-03", "one of 4"),
     "seqno-of-1": (Frame(seqno=b"\7"), "BP-HDR-08", "one of 1"),

@@ -285,7 +285,7 @@ def test_as_many_senders_as_beacons(tmp_path):
         if table["time"].size:
             table["node"] = np.arange(many, dtype=np.int32)
     page = Page(render([chapter(recorded)]))
-    assert "19,980 more sent 19,980 beacons" in page.text
+    assert "19,980 more sent 19,980 received beacons" in page.text
 
 
 def test_positions_that_are_none(tmp_path):
