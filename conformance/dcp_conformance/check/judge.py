@@ -95,6 +95,33 @@ def _counted(requirements: Sequence[str], occasions: Mapping[str, int]) -> str:
     return f"{many} occasion{'' if counts == [1] else 's'}"
 
 
+class RecorderClock:
+    """The recorder's clock without steps backwards.
+
+    Rules compare times: no beacon of a node is missing since a record, for example. A clock that is set back during the
+    recording would make a later time look like an earlier one.
+    """
+
+    def __init__(self) -> None:
+        self._last: int | None = None
+        self._usual = 1
+        """Time between the last two frames without a step backwards, ns."""
+        self._shift = 0
+        """Sum of the steps backwards, ns."""
+
+    def time(self, recorded: int) -> int:
+        """Return the time of the next frame in ns since 1970, not earlier than that of the frame before."""
+        last, self._last = self._last, recorded
+        if last is None:
+            return recorded
+        step = recorded - last
+        if step > 0:
+            self._usual = step
+        elif step < 0:
+            self._shift += self._usual - step
+        return recorded + self._shift
+
+
 class Judge:
     """Judges the frames given to :meth:`feed`; :meth:`result` returns the verdicts. No frame makes it raise."""
 
@@ -123,6 +150,7 @@ class Judge:
         self._enough = enough
         self._history = History(codec.profile.types.node_id.representation)
         self._first: int | None = None
+        self._clock = RecorderClock()
         self._command = command
         self._context = Context(codec, pics, period_known=period_known)
         self._rules = [rule(self._context) for rule in RULES]
@@ -150,7 +178,8 @@ class Judge:
         if self._first is None:
             self._first = frame.time_ns
         octets = frame.data[framing.start : framing.end]
-        heard = ReceivedBeacon(self._codec, frame.number, frame.time_ns, frame.time_ns, octets, framing.src or b"")
+        time_ns = self._clock.time(frame.time_ns)
+        heard = ReceivedBeacon(self._codec, frame.number, time_ns, time_ns, octets, framing.src or b"")
         seen = Seen(self._codec, heard, frame.data, framing.start, framing.dst)
         if seen.sender in self._senders or len(self._senders) < 4096:
             self._senders[seen.sender] = self._senders.get(seen.sender, 0) + 1

@@ -1,0 +1,38 @@
+"""A recorder's clock that is set back during the recording accuses no node."""
+
+from __future__ import annotations
+
+import pytest
+from dcp_conformance.check.judge import RecorderClock
+from dcp_conformance.selftest.recordings.clean import _task
+from hypothesis import given
+from hypothesis import strategies as st
+
+TIMES = st.lists(st.integers(0, 2**62), min_size=1, max_size=50)
+
+
+@given(TIMES)
+def test_time_never_goes_back(times: list[int]) -> None:
+    clock = RecorderClock()
+    found = [clock.time(each) for each in times]
+    assert found == sorted(found)
+
+
+@given(TIMES)
+def test_a_clock_that_is_not_set_back_is_unchanged(times: list[int]) -> None:
+    clock = RecorderClock()
+    assert [clock.time(each) for each in sorted(times)] == sorted(times)
+
+
+def test_a_step_back_takes_as_long_as_the_frame_before() -> None:
+    clock = RecorderClock()
+    assert [clock.time(each) for each in (1000, 1030, 500, 540)] == [1000, 1030, 1060, 1100]
+
+
+@pytest.mark.parametrize("number", [248, 354])
+def test_a_beacon_that_was_not_recorded_stays_missing(number: int) -> None:
+    """After the step, a record from before it looked later than the gap, and so as if no beacon had been missed since:
+    correct forwarders and producers were accused.
+    """
+    _, suspicions, _, _ = _task(number)
+    assert suspicions == []
