@@ -57,7 +57,7 @@ def certainty(fault: Probable) -> str:
     hits = fault.expected - len(fault.missing)
     text = f"explains {len(fault.explains)} failed case{'' if len(fault.explains) == 1 else 's'}"
     if fault.expected:
-        text += f"; {hits} of the {fault.expected} cases that fail with this fault did"
+        text += f"; a node with only this fault fails {fault.expected} of the decided cases: {hits} of them failed"
     return text
 
 

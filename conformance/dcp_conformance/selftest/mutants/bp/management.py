@@ -105,7 +105,7 @@ class ForgetsPayloads(BeaconingProtocol):
         return super().deactivate()
 
 
-@mutant("no-resume", "BP-MGT-05", "confirms its activation, but stays inactive")
+@mutant("no-resume", "BP-MGT-05", "confirms the activation of BP, which stays inactive")
 class NeverAgain(BeaconingProtocol):
     def activate(self, now: int) -> StatusConfirm:  # noqa: ARG002 - the same call
         return OK

@@ -132,7 +132,9 @@ class SendsInactive(Vardis):
         self._core.active = active
 
 
-@mutant("ignored", "VD-MGT-01 VD-MGT-02 VD-MGT-04", "confirms its deactivation, but stays active", since=V1_2)
+@mutant(
+    "ignored", "VD-MGT-01 VD-MGT-02 VD-MGT-04", "confirms the deactivation of VarDis, which stays active", since=V1_2
+)
 class NeverInactive(Vardis):
     def deactivate(self) -> Confirm:
         return Confirm(VardisStatus.OK)
@@ -145,7 +147,7 @@ class ActivationForgets(Vardis):
         return super().activate()
 
 
-@mutant("stays", "VD-MGT-05", "confirms its activation, but stays inactive", since=V1_2)
+@mutant("stays", "VD-MGT-05", "confirms the activation of VarDis, which stays inactive", since=V1_2)
 class NeverActive(Vardis):
     def activate(self) -> Confirm:
         return Confirm(VardisStatus.OK)
