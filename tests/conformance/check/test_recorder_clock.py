@@ -36,3 +36,9 @@ def test_a_beacon_that_was_not_recorded_stays_missing(number: int) -> None:
     """
     _, suspicions, _, _ = _task(number)
     assert suspicions == []
+
+
+def test_a_node_whose_clock_is_set_now_and_then_has_no_faulty_time_stamps() -> None:
+    """Three steps back in a long recording were enough for an accusation."""
+    _, suspicions, _, _ = _task(178)
+    assert suspicions == []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from typing import ClassVar, NamedTuple
 
 from dcp_spec.constants import BP_SEQNO_MODULUS, SRP_SEQNO_MODULUS
@@ -18,8 +19,9 @@ _RESTART, _SPACING = 3, 10_000_000
 #: A restart between two beacons is excluded if their numbers differ by at most ``_BEACONS``, or (for beacons without
 #: numbers) if they are less than ``_SOON`` ns apart.
 _BEACONS, _SOON = 20, 250_000_000
-#: Number of steps back from which on time stamps are a fault, and not a clock that was set.
-_STEPS = 3
+#: Time stamps are a fault, and not a clock that is set now and then, if at least ``_STEPS`` of them decrease, and more
+#: than one of ``_RARE`` reports.
+_STEPS, _RARE = 3, 25
 #: A step between the numbers of two successive reports is suspicious if it exceeds this plus ten times the largest step
 #: so far: an application seldom submits its safety data that often.
 _LEAP = 1_000
@@ -122,6 +124,8 @@ class ReportNumbers(Invariant):
         self._last: dict[bytes, _Last] = {}
         self._lost: dict[bytes, int] = {}
         self._back: dict[bytes, int] = {}
+        """Node -> number of decreasing time stamps."""
+        self._reports: Counter[bytes] = Counter()
         self._same: dict[bytes, int] = {}
         """Node -> number of successive different reports with the same sequence number."""
         self._narrow: dict[tuple[str, int], int] = {}
@@ -186,6 +190,7 @@ class ReportNumbers(Invariant):
                 self.note("a node that restarts its reports", who, both)
             return
         self.exercised()
+        self._reports[report.node_id] += 1
         if step >= SRP_SEQNO_MODULUS // 2:
             text = f"{who}: {report.seqno} after {last.report.seqno}"
             self.violated(text, both, "SRP-SEQ-01", once=(who, "back"))
@@ -198,7 +203,7 @@ class ReportNumbers(Invariant):
         if report.t_stamp < last.report.t_stamp and step < SRP_SEQNO_MODULUS // 2:
             text = f"{who}: tStamp decreases by {last.report.t_stamp - report.t_stamp} with seqno {report.seqno}"
             steps = self._back[report.node_id] = self._back.get(report.node_id, 0) + 1
-            if steps >= _STEPS:
+            if steps >= _STEPS and steps * _RARE > self._reports[report.node_id]:
                 self.violated(f"{text}; it has decreased {steps} times", both, "SRP-TYP-05", once=(who, "time"))
             else:
                 self.note("a clock that was set back", text, both, "SRP-TYP-05")

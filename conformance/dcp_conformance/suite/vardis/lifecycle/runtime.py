@@ -136,8 +136,8 @@ def _check_wake_up(bench: Bench, period_ms: int) -> None:
     requirements="VD-RUN-03",
     stimulus="VarDis is deactivated while it repeats a VarCreate, and activated eight periods later",
     expect=(
-        "no VarDis block while VarDis is inactive, except one that BP had already buffered; the remaining "
-        "repetitions afterwards"
+        "no VarDis block while VarDis is inactive, except one that BP had already buffered; the case reports how many "
+        "of the remaining repetitions follow (X37)"
     ),
     window=40,
     needs=Needs(since=SpecVersion.V1_2, ut=("VD-MGMT-Activate", "VD-MGMT-Deactivate")),
