@@ -16,7 +16,7 @@ import click
 from dcp_codec.common.commandline import UNUSABLE, ExpectedError
 from dcp_codec.common.printable import plain
 from dcp_stack.control.client import ControlClient, ControlError, Notification, ServiceError
-from dcp_stack.control.jsonrpc import INVALID_PARAMS, INVALID_REQUEST, METHOD_NOT_FOUND, PARSE_ERROR
+from dcp_stack.control.jsonrpc import ErrorCode
 from dcp_stack.control.places import find_socket, places
 
 from . import main
@@ -28,7 +28,8 @@ EXIT_STATUS = f"Exit status: {main.exit_status}"
 F = TypeVar("F", bound=Callable[..., Any])
 #: Characters down to which a column of a table may be narrowed.
 _NARROWEST = 12
-_USAGE = frozenset({PARSE_ERROR, INVALID_REQUEST, METHOD_NOT_FOUND, INVALID_PARAMS})
+#: Errors of a request that the user can correct.
+_USAGE = (ErrorCode.PARSE_ERROR, ErrorCode.INVALID_REQUEST, ErrorCode.METHOD_NOT_FOUND, ErrorCode.INVALID_PARAMS)
 
 
 #: Write a message to stderr, apart from output that is piped.
