@@ -53,16 +53,14 @@ class News(NamedTuple):
 class Seen:
     """A frame of the recording with its decoded values, its dissection and its sender.
 
-    The dissection, the records and the trace are computed on first access. ``start`` is the offset of the bearer
+    The dissection and the list of all records are computed on first access. ``start`` is the offset of the bearer
     payload in ``frame``, in octets. ``destination`` is None if frames have no addresses.
     """
 
     __slots__ = (
         "_codec",
         "_dissection",
-        "_parts",
         "_said",
-        "_trace",
         "again",
         "destination",
         "frame",
@@ -71,9 +69,12 @@ class Seen:
         "number",
         "origin",
         "origin_frame",
+        "parts",
         "sender",
+        "sound",
         "start",
         "time",
+        "trace",
     )
 
     def __init__(
@@ -95,20 +96,20 @@ class Seen:
         self.destination = destination
         self._codec = codec
         self._dissection: Dissection | None = None
-        self._parts: list[Part] | None = None
         self._said: tuple[Statement, ...] | None = None
-        self._trace: Trace | None = None
+        # Nearly all rules need these, for each frame: properties would cost more than the rules.
+        self.sound = not heard.problems and heard.beacon is not None
+        """Whether the strict decoder accepts the frame; the dissection of such a frame has no errors."""
+        self.parts: list[Part] = parts_of(heard) if heard.containers else []
+        """The VarDis records of the frame, by container."""
+        self.trace = Trace(heard.number, heard.wall, heard.seqno, heard.octets)
+        """The part of the frame that a rule may keep."""
         self.news: Sequence[News] = ()
         """The VarDis records in their order, without the summaries counted in ``again``. Set by :meth:`Context.feed`.
         """
         self.again = 0
         """Number of summaries that repeat the sequence number which the node stated last, with no beacon missing in
         between."""
-
-    @property
-    def sound(self) -> bool:
-        """Whether the strict decoder accepts the frame; the dissection of such a frame has no errors."""
-        return self.heard.problem is None and self.heard.beacon is not None
 
     @property
     def dissection(self) -> Dissection:
@@ -119,26 +120,12 @@ class Seen:
         return self._dissection
 
     @property
-    def parts(self) -> list[Part]:
-        """The VarDis records of the frame, by container."""
-        if self._parts is None:
-            self._parts = parts_of(self.heard)
-        return self._parts
-
-    @property
     def said(self) -> tuple[Statement, ...]:
         """All VarDis records of the frame in their order. Prefer ``parts`` or ``news``, which cost less."""
         if self._said is None:
             found = [said_of(part.kind, each, self.heard, self.sender) for part in self.parts for each in part.records]
             self._said = tuple(found)
         return self._said
-
-    @property
-    def trace(self) -> Trace:
-        """The part of the frame that a rule may keep."""
-        if self._trace is None:
-            self._trace = Trace(self.number, self.time, self.heard.seqno, self.heard.octets)
-        return self._trace
 
 
 class Finding(NamedTuple):
@@ -320,7 +307,7 @@ class Context:
 class Invariant:
     """A rule that holds in every recording of nodes that follow the specification.
 
-    A subclass sets the class attributes and implements :meth:`feed`, which gets every frame in order; :meth:`finish`
+    A subclass sets the class attributes and defines :meth:`feed`, which gets every frame in order; :meth:`finish`
     follows after the last frame. It counts the occasions on which the rule could have been broken with
     :meth:`exercised` (a requirement without any occasion gets no verdict), and reports with :meth:`violated`.
     """
@@ -346,8 +333,10 @@ class Invariant:
         return ""
 
     def feed(self, seen: Seen) -> None:
-        """Process a frame. Called for every frame: implementations must be fast and use bounded memory."""
-        raise NotImplementedError
+        """Process a frame; the default does nothing.
+
+        Called for every frame if a subclass defines it: implementations must be fast and use bounded memory.
+        """
 
     def interrupted(self) -> None:
         """Forget what a restart of the nodes changes: numbers may start again, and frames may be missing."""

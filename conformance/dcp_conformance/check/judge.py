@@ -155,6 +155,8 @@ class Judge:
         self._context = Context(codec, pics, period_known=period_known)
         self._rules = [rule(self._context) for rule in RULES]
         self._active = [rule for rule in self._rules if not rule.applies()]
+        # Rules without a method of their own wait for the end.
+        self._feeds = [rule.feed for rule in self._active if type(rule).feed is not Invariant.feed]
         self._recent: OrderedDict[int, tuple[Frame, int, bytes]] = OrderedDict()
         self._cited: dict[int, EventRecord] = {}
         self._began = time.monotonic()
@@ -189,9 +191,10 @@ class Judge:
         self._context.feed(seen)
         if seen.news and heard.beacon is not None:
             self._hold(seen, heard.beacon)
-        for rule in self._active:
-            rule.feed(seen)
-        self._cite()
+        for feed in self._feeds:
+            feed(seen)
+        if self._context.changed:
+            self._cite()
 
     def _hold(self, seen: Seen, beacon: Beacon) -> None:
         """Follow the variables that the sender holds.
@@ -226,8 +229,6 @@ class Judge:
 
     def _cite(self) -> None:
         """Save the frames that new findings cite, before they leave the buffer of recent frames."""
-        if not self._context.changed:
-            return
         self._context.changed = False
         for rule in self._active:
             for finding in rule.findings:

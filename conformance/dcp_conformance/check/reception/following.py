@@ -35,8 +35,8 @@ class Interval:
     """Time of the first of them, ns of :attr:`Observer.time`."""
     cause: Statement
     """The first of them."""
-    speakers: dict[int, int]
-    """Their senders (bits), each with the number of its beacons."""
+    speakers: int
+    """Their senders, as a mask of bits."""
     late_half: bool
     """Whether each of them was in the second half of its payload."""
     length: int
@@ -45,6 +45,8 @@ class Interval:
     """Number of the last frame with one of them."""
     beacons: int = 1
     """Number of beacons with one of them."""
+    again: dict[int, int] | None = None
+    """Senders (bits) of several beacons with one of them, each with the number of its further beacons."""
 
 
 Exposure = tuple[tuple[int, int], ...]

@@ -13,8 +13,9 @@ have the same number of a variable, so that the cost depends on the changes, and
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from typing import Any
+import functools
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, Final
 
 from dcp_conformance.check.base import MOST_VARIABLES, Context, Seen
 from dcp_conformance.check.statements import ASK_CREATE, ASK_UPDATE, CREATE, DELETE, SUMMARY, UPDATE, Statement, said_of
@@ -22,6 +23,7 @@ from dcp_conformance.check.stations import Origin
 from dcp_conformance.model.circular import Circle
 
 from .following import Event, Exposure, Interval, Kind, Occasions, Station, Trial, Variable
+from .links import bits
 from .records import RecordSizes
 
 #: A reaction is missing if it is not in the first four beacons after the record. The third is the latest one due: one
@@ -43,6 +45,8 @@ MOST_OPEN = 64
 MOST_NODES = 64
 #: Payloads up to this length in octets have room: the bearer carries at least 256 octets.
 _ROOM = 180
+#: No earlier reaction.
+_NEVER: Final[tuple[int, Sequence[Interval]]] = (-_CARRIED, ())
 
 
 #: Reactions whose absence a statement of the variable's number shows.
@@ -76,9 +80,8 @@ class Observer:
         self._unsettled: set[int] = set()
         """Variables of which not all nodes have stated the same number."""
         self._times = context.features.creation_time
-        self._carried: dict[tuple[int, int, Kind], tuple[int, dict[int, int]]] = {}
-        """(bit, variable, kind) -> the node's beacon with the last reaction, and the speakers right before it, each
-        with the number of its beacons."""
+        self._carried: dict[tuple[int, int, Kind], tuple[int, Sequence[Interval]]] = {}
+        """(bit, variable, kind) -> the node's beacon with the last reaction, and its causes right before it."""
         self._asks_on = context.profile.spec_version >= "1.1"
         """Whether a node that hears a request for an unknown variable must request it, too (VD-RC-01, VD-RU-01)."""
         self._first: int | None = None
@@ -295,25 +298,26 @@ class Observer:
             return
         # The payload may have been composed one beacon earlier. Then the latest records cause the next reaction.
         key = (station.bit, var_id, kind)
-        before, earlier = self._carried.pop(key, (-_CARRIED, {}))
-        ahead = dict(earlier) if station.beacons - before < _CARRIED else {}
-        delay = 0 if ahead else station.beacons - intervals[0].begin
-        once = len(intervals) == 1 and not ahead and intervals[0].beacons == 1
-        carried: dict[int, int] = {}
-        at_once: dict[int, int] = {}
-        for each in intervals:
-            _add(at_once, each.speakers)
-            _add(carried if each.begin >= station.beacons - 1 else ahead, each.speakers)
-        speakers = dict(ahead)
-        _add(speakers, carried)
-        if carried and len(self._carried) < MOST_VARIABLES:
-            self._carried[key] = (station.beacons, carried)
+        before, earlier = self._carried.pop(key, _NEVER)
+        early = earlier if station.beacons - before < _CARRIED else ()
+        delay = 0 if early else station.beacons - intervals[0].begin
+        once = len(intervals) == 1 and not early and intervals[0].beacons == 1
+        latest = [each for each in intervals if each.begin >= station.beacons - 1]
+        at_once = speakers = _exposure(intervals)
+        ahead: Exposure = ()
+        if early or len(latest) < len(intervals):
+            ahead = _exposure([*early, *(each for each in intervals if each.begin < station.beacons - 1)])
+            speakers = _exposure([*early, *intervals])
+        if latest and len(self._carried) < MOST_VARIABLES:
+            self._carried[key] = (station.beacons, latest)
         last = intervals[-1]
+        late_half, length = last.late_half, last.length
+        for each in intervals:
+            late_half, length = late_half and each.late_half, min(length, each.length)
         self._outcome(
             Trial(
-                last.time, station, kind, var_id, _exposure(speakers), True, last.cause,
-                all(each.late_half for each in intervals), min(each.length for each in intervals), once,
-                delay, _exposure(at_once), _exposure(ahead),
+                last.time, station, kind, var_id, speakers, True, last.cause, late_half, length, once,
+                delay, at_once, ahead,
             )
         )  # fmt: skip
 
@@ -371,7 +375,7 @@ class Observer:
         intervals = opened[kind]
         while intervals and intervals[0].begin + LATE <= now:
             each = intervals.pop(0)
-            exposure = _exposure(each.speakers)
+            exposure = _exposure([each])
             self._outcome(
                 Trial(each.time, station, kind, var_id, exposure, False, each.cause, each.late_half, each.length)
             )
@@ -474,10 +478,9 @@ class Observer:
         log, bit, beacons, opened_of = self._log, station.bit, station.beacons, station.open
         said, oldest = station.said, max(station.gap, beacons - _FRESH)
         waiting = station.waiting
-        for event in log[station.cursor - self._dropped :]:
-            if not event[0] & bit:
-                continue
-            _, kind, var_id, cause, speaker, late_half, length, time = event
+        for _, kind, var_id, cause, speaker, late_half, length, time in [
+            event for event in log[station.cursor - self._dropped :] if event[0] & bit
+        ]:
             opened = opened_of.get(var_id)
             if opened is None and len(opened_of) >= MOST_OPEN:
                 continue
@@ -490,27 +493,45 @@ class Observer:
                 opened = opened_of[var_id] = {}
             intervals = opened.get(kind)
             if intervals is None:
-                opened[kind] = [Interval(beacons, time, cause, {speaker: 1}, late_half, length, cause.frame)]
+                opened[kind] = [Interval(beacons, time, cause, speaker, late_half, length, cause.frame)]
                 continue
             last = intervals[-1]
             if last.begin != beacons:
-                intervals.append(Interval(beacons, time, cause, {speaker: 1}, late_half, length, cause.frame))
+                intervals.append(Interval(beacons, time, cause, speaker, late_half, length, cause.frame))
                 if len(intervals) > _OPEN:
                     intervals.pop(0)
                 continue
-            last.late_half = last.late_half and late_half
-            last.length = min(last.length, length)
-            if cause.frame != last.frame:
-                last.speakers[speaker] = last.speakers.get(speaker, 0) + 1
+            if not late_half:
+                last.late_half = False
+            if length < last.length:
+                last.length = length
+            frame = cause.frame
+            if frame != last.frame:
+                if last.speakers & speaker:
+                    if last.again is None:
+                        last.again = {}
+                    last.again[speaker] = last.again.get(speaker, 0) + 1
+                else:
+                    last.speakers |= speaker
                 last.beacons += 1
-                last.frame = cause.frame
+                last.frame = frame
         station.cursor = self._dropped + len(log)
 
 
-def _add(speakers: dict[int, int], more: dict[int, int]) -> None:
-    for bit, beacons in more.items():
-        speakers[bit] = speakers.get(bit, 0) + beacons
+def _exposure(intervals: Sequence[Interval]) -> Exposure:
+    """Return the speakers of some intervals, each with the number of its beacons, up to ``_EXPOSED``."""
+    if len(intervals) == 1 and not intervals[0].again:
+        return _one_each(intervals[0].speakers)
+    beacons: dict[int, int] = {}
+    for each in intervals:
+        for bit in bits(each.speakers):
+            beacons[bit] = beacons.get(bit, 0) + 1
+        for bit, more in (each.again or {}).items():
+            beacons[bit] += more
+    return tuple(sorted((bit, min(count, _EXPOSED)) for bit, count in beacons.items()))
 
 
-def _exposure(speakers: dict[int, int]) -> Exposure:
-    return tuple(sorted((bit, min(beacons, _EXPOSED)) for bit, beacons in speakers.items()))
+@functools.lru_cache(maxsize=1 << 12)
+def _one_each(speakers: int) -> Exposure:
+    """Return the speakers in a mask, each with one beacon. Cached: the same few masks occur often."""
+    return tuple((bit, 1) for bit in bits(speakers))

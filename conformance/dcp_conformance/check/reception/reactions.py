@@ -434,7 +434,7 @@ def _by_delay(trials: list[Trial]) -> list[Trial]:
 
 def _due_to(trial: Trial, causes: Exposure) -> Trial:
     """Return the trial with the numbers of beacons of ``causes``; other speakers remain possible causes."""
-    if not trial.hit or not causes:
+    if not trial.hit or not causes or causes is trial.exposure:
         return trial
     counts = dict(causes)
     return trial._replace(exposure=tuple((bit, counts.get(bit, count)) for bit, count in trial.exposure))

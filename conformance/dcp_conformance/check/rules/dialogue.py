@@ -66,16 +66,13 @@ class HearsWhom(Invariant):
 
 
 class _Reaction(Invariant):
-    """Base of rules for one kind of reaction."""
+    """Base of rules for one kind of reaction. :class:`HearsWhom` processes the beacons for them."""
 
     enough = 5
     kinds: ClassVar[tuple[Kind, ...]]
     """The kinds of reaction that the rule judges."""
     by_cause: ClassVar[dict[ICType, str]] = {}
     """Kind of record -> the requirement of the reaction to it, if these differ."""
-
-    def feed(self, seen: Seen) -> None:
-        """Do nothing: :class:`HearsWhom` processes the beacon."""
 
     def finish(self) -> None:
         """Count the reactions, and report the missing ones."""
