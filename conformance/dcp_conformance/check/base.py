@@ -251,11 +251,13 @@ class Context:
                 news += [self._news(said_of(kind, each, seen.heard, node), spoken) for each in records]
                 continue
             told = [each.seqno for each in records]
-            if list(map(numbers.get, ids)) == told:
+            held = list(map(numbers.get, ids))
+            if held == told:
                 spoken.again.update(dict.fromkeys(ids, stamp))
                 count += len(ids)
                 continue
             for record, var_id, number in zip(records, ids, told, strict=True):
+                # Not the number in ``held``: the container may have several records of a variable.
                 if numbers.get(var_id) == number:
                     spoken.again[var_id] = stamp
                     count += 1
@@ -326,6 +328,8 @@ class Invariant:
         self.left_out = 0
         self._occasions: dict[str, int] = {}
         self._of_all = 0
+        """Number of occasions that concern all requirements. Rules count frequent ones here, without
+        :meth:`exercised`."""
         self._times: dict[object, int] = {}
 
     def applies(self) -> str:

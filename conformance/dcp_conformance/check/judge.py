@@ -203,14 +203,16 @@ class Judge:
         summaries count, too.
         """
         node, odd = seen.sender, self._odd.get(seen.sender)
-        asked = {
-            each.var_id
-            for each, before in seen.news
-            if before is not None
-            and (each.kind is ASK_CREATE or (each.kind is ASK_UPDATE and each.number != before.number))
-        }
+        asked = set[int]()
+        records = []
+        for each, before in seen.news:
+            records.append(each.record)
+            kind = each.kind
+            if before is not None and (
+                kind is ASK_CREATE or (kind is ASK_UPDATE and each.number != before.number)
+            ):
+                asked.add(each.var_id)
         if not odd and not asked:
-            records = [each.record for each, _ in seen.news]
             self._history.feed_records(seen.number, seen.time, node, records)
             return
         self._history.feed(seen.number, seen.time, node, beacon)

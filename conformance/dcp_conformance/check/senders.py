@@ -98,6 +98,8 @@ class Senders:
 
     def complete(self, begin: int, end: int) -> bool:
         """Whether no beacon of any sender is known to be missing between two times (ns since 1970)."""
-        if self._gaps and len(self._gaps) == _GAPS and self._gaps[0][0] > begin:
+        if not self._gaps:
+            return True
+        if len(self._gaps) == _GAPS and self._gaps[0][0] > begin:
             return False
         return not any(first <= end and last >= begin for first, last in self._gaps)

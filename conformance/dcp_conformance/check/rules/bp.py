@@ -39,7 +39,7 @@ class BeaconFormat(Invariant):
 
     def feed(self, seen: Seen) -> None:
         """Report violations of the format, by requirement."""
-        self.exercised()
+        self._of_all += 1
         if seen.sound:
             return
         for each in judge(seen.heard.octets, self.context.codec):
@@ -65,7 +65,7 @@ class RecordRules(Invariant):
     def feed(self, seen: Seen) -> None:
         """Report the dissector's warnings."""
         if seen.heard.containers:
-            self.exercised()
+            self._of_all += 1
         if seen.sound and not _doubtful(seen):
             return
         for problem in seen.dissection.warnings:
@@ -130,7 +130,7 @@ class Broadcast(Invariant):
         """Check the destination address."""
         if seen.destination is None:
             return
-        self.exercised()
+        self._of_all += 1
         if seen.destination != BROADCAST:
             text = f"{name(seen.sender)} sends to {seen.destination.hex(':')}"
             self.violated(text, [Mark(seen.number, 0, 6)], once=(seen.sender, seen.destination))
@@ -154,7 +154,7 @@ class PacketSize(Invariant):
 
     def feed(self, seen: Seen) -> None:
         """Compare the length without padding."""
-        self.exercised()
+        self._of_all += 1
         size = len(seen.heard.octets)
         if size <= self._limit:
             return
@@ -200,7 +200,7 @@ class NetworkIdentifier(Invariant):
         number = beacon.bp.network_id
         before = self._known.get(seen.sender)
         if before is not None:
-            self.exercised()
+            self._of_all += 1
             if before[0] != number:
                 changes = self._changes[seen.sender] = self._changes.get(seen.sender, 0) + 1
                 text = f"{name(seen.sender)} changes from {before[0]:#06x} to {number:#06x}"
@@ -237,16 +237,19 @@ class BeaconPeriod(Invariant):
 
     def feed(self, seen: Seen) -> None:
         """Collect the intervals between beacons with successive numbers."""
-        last = self._last.get(seen.sender)
+        sender, trace = seen.sender, seen.trace
+        last = self._last.get(sender)
         if last is None and len(self._last) >= MOST_SENDERS:
             return
-        self._last[seen.sender] = seen.trace
-        if last is None or seen.heard.seqno is None or last.seqno is None:
+        self._last[sender] = trace
+        if last is None or trace.seqno is None or last.seqno is None:
             return
-        if (seen.heard.seqno - last.seqno) % BP_SEQNO_MODULUS == 1:
-            intervals = self._intervals.setdefault(seen.sender, [])
+        if (trace.seqno - last.seqno) % BP_SEQNO_MODULUS == 1:
+            intervals = self._intervals.get(sender)
+            if intervals is None:
+                intervals = self._intervals[sender] = []
             if len(intervals) < _INTERVALS:
-                intervals.append((seen.time - last.time) / MS)
+                intervals.append((trace.time - last.time) / MS)
 
     def finish(self) -> None:
         """Compare the mean interval of each sender with the period, if there are at least 30 intervals."""
@@ -291,7 +294,7 @@ class SenderIdentifier(Invariant):
             # The first beacon of a station cannot be compared with anything.
             known = self.context.senders.get(seen.sender)
             if known is not None and known.beacons > 1:
-                self.exercised()
+                self._of_all += 1
             return
         self.exercised()
         frames: list[Evidence] = [*([Mark(seen.origin_frame)] if seen.origin_frame is not None else []), seen]

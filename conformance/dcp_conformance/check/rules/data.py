@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Literal
 
 from dcp_spec.profile.definition import own_fields
 
-from dcp_codec.values import VarCreate
 from dcp_conformance.check.base import Context, Invariant, Seen, name
+from dcp_conformance.check.statements import CREATE
 from dcp_conformance.model.results import Mark
 
-DAY = 86_400
+#: A time stamp is near the time of the recording if they differ by less than this: 30 days in ns.
+_NEAR = 30 * 86_400 * 1e9
 
 
 class ByteOrder(Invariant):
@@ -29,6 +29,7 @@ class ByteOrder(Invariant):
         self._modulus = 1 << (8 * self._stamp.width)
         self._ns = 1e9 / self._stamp.per_second
         self._epoch = self._stamp.epoch_ns or 0
+        self._width, self._byte_order = self._stamp.width, self._stamp.byte_order
 
     def applies(self) -> str:
         """Exclude profiles whose time stamps have no known epoch."""
@@ -43,7 +44,7 @@ class ByteOrder(Invariant):
             if not order:
                 # Both are far away (a wrong clock) or both are near: the order cannot be determined.
                 continue
-            self.exercised()
+            self._of_all += 1
             if order == "big":
                 continue
             key = (seen.sender, field)
@@ -52,9 +53,10 @@ class ByteOrder(Invariant):
 
     def _order(self, ticks: int, wall: int) -> Literal["big", "little", ""]:
         """Return the byte order in which a time stamp is near ``wall`` (ns since 1970); empty for none or both."""
-        octets = (ticks % self._modulus).to_bytes(self._stamp.width, self._stamp.byte_order)
-        big = self._near(int.from_bytes(octets, "big"), wall)
-        little = self._near(int.from_bytes(octets, "little"), wall)
+        octets = (ticks % self._modulus).to_bytes(self._width, self._byte_order)
+        there = wall - self._epoch
+        big = abs(int.from_bytes(octets, "big") * self._ns - there) < _NEAR
+        little = abs(int.from_bytes(octets, "little") * self._ns - there) < _NEAR
         return "" if big == little else "big" if big else "little"
 
     @staticmethod
@@ -62,10 +64,6 @@ class ByteOrder(Invariant):
         """Return the place of the first field with this name; the whole frame if there is none."""
         field = next((each for each in seen.dissection.root.walk() if each.name == name_), None)
         return Mark(seen.number) if field is None else Mark(seen.number, field.offset, field.length, field.path)
-
-    def _near(self, ticks: int, wall: int) -> bool:
-        """Whether a time stamp is less than 30 days from ``wall`` (ns since 1970)."""
-        return abs(ticks * self._ns + self._epoch - wall) < 30 * DAY * 1e9
 
 
 class Packing(Invariant):
@@ -89,7 +87,7 @@ class Packing(Invariant):
             # The fields of an invalid payload have no reliable position.
             return
         if not self._opaque:
-            self.exercised()
+            self._of_all += 1
             return
         found: list[str] = []
         marks: list[Mark] = []
@@ -121,16 +119,16 @@ def _pointer(octets: bytes) -> int | None:
     return None
 
 
-def _stamps(seen: Seen) -> Iterator[tuple[str, int]]:
-    """Yield field name and value of the nonzero time stamps in the parts of a frame that can be decoded."""
+def _stamps(seen: Seen) -> list[tuple[str, int]]:
+    """Return field name and value of the nonzero time stamps in the parts of a frame that can be decoded."""
+    stamps: list[tuple[str, int]] = []
     report = seen.heard.report
     if report is not None and report.t_stamp:
-        yield "tStamp", report.t_stamp
-    for container in seen.heard.containers:
-        if container.records and type(container.records[0]) is VarCreate:
-            for record in container.records:
-                if record.spec.creation_time:
-                    yield "creationTime", record.spec.creation_time
+        stamps.append(("tStamp", report.t_stamp))
+    for kind, records, _ in seen.parts:
+        if kind is CREATE:
+            stamps += [("creationTime", each.spec.creation_time) for each in records if each.spec.creation_time]
+    return stamps
 
 
 RULES: tuple[type[Invariant], ...] = (ByteOrder, Packing)

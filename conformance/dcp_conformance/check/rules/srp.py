@@ -6,6 +6,7 @@ import math
 from collections import Counter
 from typing import ClassVar, NamedTuple
 
+import msgspec
 from dcp_spec.constants import BP_SEQNO_MODULUS, SRP_SEQNO_MODULUS
 
 from dcp_codec.values import ExtendedSafetyData
@@ -47,7 +48,7 @@ class OwnReports(Invariant):
         report = seen.heard.report
         if report is None or seen.heard.sender is None:
             return
-        self.exercised()
+        self._of_all += 1
         if report.node_id != seen.heard.sender:
             text = f"{name(seen.sender)} sends a report of {name(report.node_id)}"
             self.violated(text, [seen], "SRP-TYP-04", "SRP-RX-06", once=(seen.sender, report.node_id))
@@ -76,13 +77,13 @@ class ReportLength(Invariant):
         """Compare the length with that of earlier reports, and report the errors of the dissector."""
         if seen.sound and seen.heard.report is None:
             return
-        for problem in () if seen.sound else seen.dissection.errors:
-            if problem.requirement == "SRP-RX-01":
-                self.violated(f"{name(seen.sender)}: {problem}", [seen], once=(seen.sender, problem.reason))
         if seen.sound and self._size is not None:
             # The strict decoder accepts only this length.
             self._compare(seen, self._size)
             return
+        for problem in () if seen.sound else seen.dissection.errors:
+            if problem.requirement == "SRP-RX-01":
+                self.violated(f"{name(seen.sender)}: {problem}", [seen], once=(seen.sender, problem.reason))
         payloads = seen.dissection.root.child("payloads")
         for payload in payloads.children if payloads is not None else ():
             report = payload.child("srp")
@@ -97,7 +98,7 @@ class ReportLength(Invariant):
             if len(self._lengths) < MOST_SENDERS:
                 self._lengths[seen.sender] = (length, seen.trace)
             return
-        self.exercised()
+        self._of_all += 1
         if before[0] != length:
             text = f"{name(seen.sender)}: {length} octets after {before[0]}"
             self.violated(text, [before[1], seen], once=(seen.sender, length))
@@ -151,13 +152,27 @@ class ReportNumbers(Invariant):
         if report is None or (seen.heard.sender is not None and report.node_id != seen.sender):
             # A report of another node is no evidence about that node; CK_SRP_OWN reports its sender.
             return
-        last = self._last.get(report.node_id)
+        node = report.node_id
+        last = self._last.get(node)
         if last is None and len(self._last) >= MOST_SENDERS:
             return
-        self._last[report.node_id] = _Last(report, seen.trace)
+        self._last[node] = _Last(report, seen.trace)
         if last is None:
             return
-        step, who = (report.seqno - last.report.seqno) % SRP_SEQNO_MODULUS, name(report.node_id)
+        step = (report.seqno - last.report.seqno) % SRP_SEQNO_MODULUS
+        if step == 1 and report.t_stamp > last.report.t_stamp and not self._odd:
+            # The regular case: the next number, and a later time stamp.
+            if self._same:
+                self._same.pop(node, None)
+            self._frozen[node] = (report.t_stamp, 1, seen.trace)
+            self._of_all += 1
+            self._reports[node] += 1
+            return
+        self._judge(report, last, seen, step)
+
+    def _judge(self, report: ExtendedSafetyData, last: _Last, seen: Seen, step: int) -> None:
+        """Compare a report with the node's previous one; ``step``: difference of their numbers."""
+        who = name(report.node_id)
         same = report.t_stamp == last.report.t_stamp and report.s_data == last.report.s_data
         both = [last.seen, seen.trace]
         self._clock(report, seen, who, step)
@@ -265,6 +280,7 @@ class ReportTime(Invariant):
     def __init__(self, context: Context) -> None:
         super().__init__(context)
         self._stamp = context.profile.types.timestamp
+        self._per_second = self._stamp.per_second
         self._tolerance = round(context.pics.pixit.clock_tolerance_ms * 1_000_000)
 
     def applies(self) -> str:
@@ -276,9 +292,9 @@ class ReportTime(Invariant):
         report = seen.heard.report
         if report is None or (seen.heard.sender is not None and report.node_id != seen.sender):
             return
-        made = self._stamp.nanoseconds(report.t_stamp)
+        made = report.t_stamp * 10**9 // self._per_second
         ahead = made - seen.time
-        self.exercised()
+        self._of_all += 1
         if ahead > self._tolerance:
             text = f"{name(report.node_id)}: generated {ahead / 1e9:.1f} s after it was recorded"
             self.violated(text, [seen], once=(report.node_id, "ahead"), verdict=Verdict.INFO)
@@ -298,8 +314,11 @@ class ReportValues(Invariant):
 
     def __init__(self, context: Context) -> None:
         super().__init__(context)
-        self._stamp = context.profile.types.timestamp
+        self._per_second = context.profile.types.timestamp.per_second
         self._last: dict[bytes, tuple[int, Trace]] = {}
+        """Node -> time stamp in ns of its last report, and the trace of its frame."""
+        self._reports = self._intervals = 0
+        """Numbers of reports, and of pairs of successive reports."""
 
     def applies(self) -> str:
         """Exclude profiles without state reports."""
@@ -310,23 +329,30 @@ class ReportValues(Invariant):
         report = seen.heard.report
         if report is None or report.node_id != seen.sender:
             return
-        self.exercised("SRP-TYP-02")
+        self._reports += 1
         data = report.s_data
-        for field in getattr(data, "__struct_fields__", ()):
-            value = getattr(data, field)
-            if isinstance(value, float) and not math.isfinite(value):
-                self._observe(f"{name(seen.sender)}: {field} is {value}", [seen], (seen.sender, field))
+        if isinstance(data, msgspec.Struct):
+            for number, value in enumerate(msgspec.structs.astuple(data)):
+                if isinstance(value, float) and not math.isfinite(value):
+                    field = data.__struct_fields__[number]
+                    self._observe(f"{name(seen.sender)}: {field} is {value}", [seen], (seen.sender, field))
         before = self._last.get(seen.sender)
         if before is None and len(self._last) >= MOST_SENDERS:
             return
-        self._last[seen.sender] = (report.t_stamp, seen.trace)
+        stamp = report.t_stamp * 10**9 // self._per_second
+        self._last[seen.sender] = (stamp, seen.trace)
         if before is None:
             return
-        made = self._stamp.nanoseconds(report.t_stamp) - self._stamp.nanoseconds(before[0])
-        self.exercised("SRP-TYP-05")
+        made = stamp - before[0]
+        self._intervals += 1
         if abs(made) > _DAY and abs(seen.time - before[1].time) < _SOON * 20:
             text = f"{name(seen.sender)}: tStamp jumps by {made / 1e9:+.1f} s between two reports"
             self._observe(text, [before[1], seen], (seen.sender, "leap"))
+
+    def finish(self) -> None:
+        """Count the reports."""
+        self.exercised("SRP-TYP-02", times=self._reports)
+        self.exercised("SRP-TYP-05", times=self._intervals)
 
     def _observe(self, text: str, frames: list[Evidence], key: object) -> None:
         """Report an implausible value as info, at most three times for each key."""
