@@ -212,7 +212,7 @@ class Observer:
         stated: set[tuple[int, int]] = set()
         for each, _ in seen.news:
             kind, var_id = each.kind, each.var_id
-            variable = self._variable(var_id)
+            variable = self.variables.get(var_id) or self._variable(var_id)
             if variable is None:
                 continue
             opened = station.open.get(var_id)
@@ -387,20 +387,30 @@ class Observer:
     def _occasions(self, speaker: Station, seen: Seen) -> None:
         """Log an event for each record of a beacon that demands a reaction from other nodes."""
         others = self._listeners & ~speaker.bit
-        unsettled, variables = self._unsettled, self.variables
+        variables, everybody = self.variables, self._everybody
         begins: list[range | list[int]] | None = None
         total = 0
         # A beacon may have several records of one variable: process all of them if one is new.
-        fresh = {each.var_id for each, _ in seen.news}
+        wanted = {each.var_id for each, _ in seen.news}
+        wanted |= self._unsettled
         for place, (kind, records, ids) in enumerate(seen.parts):
-            if unsettled.isdisjoint(ids) and fresh.isdisjoint(ids):
+            if wanted.isdisjoint(ids):
                 continue
             for index, var_id in enumerate(ids):
-                if var_id not in unsettled and var_id not in fresh:
+                if var_id not in wanted:
                     continue
                 variable = variables.get(var_id)
                 if variable is None:
                     continue
+                if kind is UPDATE or kind is SUMMARY:
+                    holders = variable.holders
+                    if (
+                        len(holders) == 1
+                        and records[index].seqno in holders
+                        and variable.known.bit_count() >= everybody
+                    ):
+                        # All nodes have this number.
+                        continue
                 said: Statement | None = None
                 for due, whom in self._due(variable, kind, records[index], others):
                     if begins is None:

@@ -49,16 +49,20 @@ class SequenceNumbers(Invariant):
         super().__init__(context)
         self._last: dict[bytes, Trace] = {}
         self._missing: dict[bytes, deque[int]] = {}
-        self._restarts: dict[bytes, tuple[int, int]] = {}
-        """Node -> number of its restarts, and number of its beacons."""
+        self._restarts: dict[bytes, int] = {}
+        """Node -> number of its restarts."""
+        self._beacons: dict[bytes, int] = {}
+        """Node -> number of its beacons."""
         self._period = context.pics.pixit.beacon_period_ms * MS
         self._begin: int | None = None
         self._same: dict[bytes, int] = {}
-        """Node -> number of successive beacons with the same sequence number."""
+        """Node -> number of successive beacons with the same sequence number, if there are several."""
         self._wraps: dict[tuple[str, int], int] = {}
         """(node, number) -> how often 0 followed this number."""
-        self._steps: dict[bytes, tuple[int, int]] = {}
-        """Node -> number of beacons within two periods after the previous one, and how many had the next number."""
+        self._soon: dict[bytes, int] = {}
+        """Node -> number of beacons within two periods after the previous one."""
+        self._next: set[bytes] = set()
+        """Nodes with at least one beacon that was in time and had the successor of the previous beacon's number."""
         self.lost: dict[bytes, int] = {}
         """Node -> number of missing beacons."""
 
@@ -66,32 +70,31 @@ class SequenceNumbers(Invariant):
         """Compare with the previous number of the sender."""
         if self._begin is None:
             self._begin = seen.time
-        number, first = seen.heard.seqno, self.context.profile.behaviour.first_beacon_seqno
+        number, sender = seen.heard.seqno, seen.sender
         if number is None:
             return
-        last = self._last.get(seen.sender)
+        last = self._last.get(sender)
         if last is None:
             if len(self._last) >= MOST_SENDERS:
                 return
-            self._last[seen.sender] = seen.trace
-            if number == first and seen.time > self._begin:
+            self._last[sender] = seen.trace
+            if number == self.context.profile.behaviour.first_beacon_seqno and seen.time > self._begin:
                 self.exercised("BP-HDR-08")
             return
         before = last.seqno or 0
         step = (number - before) % BP_SEQNO_MODULUS
-        missing = self._missing.get(seen.sender)
-        restarts, beacons = self._restarts.get(seen.sender, (0, 1))
-        self._restarts[seen.sender] = (restarts, beacons + 1)
+        self._beacons[sender] = self._beacons.get(sender, 1) + 1
+        missing = self._missing.get(sender) if self._missing else None
         if missing and number in missing:
             missing.remove(number)
             self.lost[seen.sender] -= 1
             text = f"{name(seen.sender)}: {number} after {before}"
             self.note("beacons that were recorded out of order", text, [last, seen])
             return
-        self._last[seen.sender] = seen.trace
+        self._last[sender] = seen.trace
         self._count(seen, last, step)
         if step == 1:
-            self.exercised()
+            self._of_all += 1
         else:
             self._judge(seen, last, step)
 
@@ -99,8 +102,8 @@ class SequenceNumbers(Invariant):
         """Judge a number that is not the successor of the previous one."""
         number, before = seen.heard.seqno or 0, last.seqno or 0
         text = f"{name(seen.sender)}: {number} after {before}"
-        restarts, beacons = self._restarts[seen.sender]
-        if step == 0 and seen.heard.octets == last.octets and self._same[seen.sender] < _STUCK:
+        restarts, beacons = self._restarts.get(seen.sender, 0), self._beacons[seen.sender]
+        if step == 0 and seen.heard.octets == last.octets and self._same.get(seen.sender, 1) < _STUCK:
             self.note("the same beacon twice", f"{name(seen.sender)}: seqno {number}", [last, seen])
         elif self._narrow(seen, before, seen.time - last.time):
             bits = before.bit_length()
@@ -114,7 +117,7 @@ class SequenceNumbers(Invariant):
             restarts += 1
             # Beacons from before the restart will not follow any more.
             self._missing.pop(seen.sender, None)
-            self._restarts[seen.sender] = (restarts, beacons)
+            self._restarts[seen.sender] = restarts
             if restarts >= _RESTARTS and beacons < _LIVED * restarts:
                 self.violated(
                     f"{text}; it has restarted {restarts} times",
@@ -139,11 +142,12 @@ class SequenceNumbers(Invariant):
         # A much shorter pause is a copy of the same frame in the recording.
         if step == 0 and pause >= self._period / 2:
             self._same[seen.sender] = self._same.get(seen.sender, 1) + 1
-        else:
-            self._same[seen.sender] = self._same.get(seen.sender, 1) if step == 0 else 1
+        elif step != 0 and self._same:
+            self._same.pop(seen.sender, None)
         if 0 <= pause < 2 * self._period:
-            soon, next_ones = self._steps.get(seen.sender, (0, 0))
-            self._steps[seen.sender] = (soon + 1, next_ones + (step == 1))
+            self._soon[seen.sender] = self._soon.get(seen.sender, 0) + 1
+            if step == 1:
+                self._next.add(seen.sender)
 
     def interrupted(self) -> None:
         """Forget the previous numbers: they may start again after a restart."""
@@ -159,8 +163,8 @@ class SequenceNumbers(Invariant):
 
     def finish(self) -> None:
         """Report counters that never step by one, and the missing beacons; the recorder may have lost these."""
-        for sender, (soon, next_ones) in self._steps.items():
-            if soon >= _JUMPS and not next_ones:
+        for sender, soon in self._soon.items():
+            if soon >= _JUMPS and sender not in self._next:
                 text = f"{name(sender)}: none of {soon} beacons has the successor of the previous beacon's number"
                 self.violated(text, [], "BP-HDR-08", once=(sender, "jumps"))
         for sender, count in self.lost.items():

@@ -93,9 +93,10 @@ class Backed(Invariant):
             known = self._known[seen.sender] = {}
             self._unbacked[seen.sender] = set()
         unbacked = self._unbacked[seen.sender]
-        length = len(seen.heard.octets)
-        room = length + 60 <= max(_ROOM, self._longest.get(seen.sender, 0) * 0.9)
-        self._longest[seen.sender] = max(length, self._longest.get(seen.sender, 0))
+        length, longest = len(seen.heard.octets), self._longest.get(seen.sender, 0)
+        room = length + 60 <= max(_ROOM, longest * 0.9)
+        if length > longest:
+            self._longest[seen.sender] = length
         unbroken, whole = self._whole.get(seen.sender, (0, 0))
         if unbroken != sender.unbroken:
             # The node may have sent the create of a variable in a missing beacon.
@@ -120,10 +121,9 @@ class Backed(Invariant):
             if kind is SUMMARY:
                 summaries += len(ids)
                 if not changed.isdisjoint(ids):
-                    for var_id, record in zip(ids, records, strict=True):
-                        if var_id in changed:
-                            each = said_of(kind, record, seen.heard, seen.sender)
-                            self._summary(known, each, seen, sender.unbroken, complete=whole > _PATIENCE, room=room)
+                    for record in [record for record, var_id in zip(records, ids, strict=True) if var_id in changed]:
+                        each = said_of(kind, record, seen.heard, seen.sender)
+                        self._summary(known, each, seen, sender.unbroken, complete=whole > _PATIENCE, room=room)
         self._whole[seen.sender] = (sender.unbroken, whole + 1 if summaries >= len(known) else 0)
 
     def _back(self, known: dict[int, _Backing], each: Statement, time: int) -> None:
@@ -216,38 +216,37 @@ class Agreement(Invariant):
         """Variable -> node -> number that the node states."""
         self._producers: dict[int, bytes] = {}
         """Variable -> node that sent a create with itself as the producer last."""
-        self._recreated: set[int] = set()
-        """Variables whose producer returned to an older number."""
         self._size = 0
         """Number of entries in ``_held``."""
         context.on_gap.append(self._remember)
 
     def feed(self, seen: Seen) -> None:
         """Store the numbers; when a producer changes a number, compare the other nodes with the previous one."""
+        sender, time = seen.sender, seen.time
         for each, _ in seen.news:
-            kind = each.kind
-            if kind is CREATE and each.record.spec.prod_id == seen.sender:
-                self._producers[each.var_id] = seen.sender
-            elif kind is DELETE and each.var_id in self._held:
-                self._held[each.var_id].pop(seen.sender, None)
+            kind, var_id = each.kind, each.var_id
+            if kind is CREATE and each.record.spec.prod_id == sender:
+                self._producers[var_id] = sender
+            elif kind is DELETE and var_id in self._held:
+                self._held[var_id].pop(sender, None)
             if kind is not SUMMARY and kind is not UPDATE and kind is not CREATE:
                 continue
             number = each.number
-            holders = self._held.setdefault(each.var_id, {})
-            held = holders.get(seen.sender)
+            holders = self._held.get(var_id)
+            if holders is None:
+                holders = self._held[var_id] = {}
+            held = holders.get(sender)
             if held is None:
                 if self._size < MOST_VARIABLES:
                     self._size += 1
-                    holders[seen.sender] = _Held(number, seen.time, each, seen.time)
+                    holders[sender] = _Held(number, time, each, time)
                 continue
             if held.number == number:
-                held.last = seen.time
+                held.last = time
                 continue
-            if self._producers.get(each.var_id) == seen.sender:
-                self._compare(each.var_id, seen.sender, held, seen.time)
-                if not self._circle.newer(number, held.number):
-                    self._recreated.add(each.var_id)
-            holders[seen.sender] = _Held(number, seen.time, each, seen.time)
+            if self._producers.get(var_id) == sender:
+                self._compare(var_id, sender, held, time)
+            held.number, held.since, held.said, held.last = number, time, each, time
 
     def _remember(self, node: bytes, again: Mapping[int, Stamp]) -> None:
         """Store the times of a node's last summaries before the context forgets them."""
@@ -296,6 +295,26 @@ class Agreement(Invariant):
                 self._compare(var_id, producer, own, self._last(producer, var_id, own))
 
 
+@dataclass(slots=True)
+class _Voice:
+    """How long a node has sent payloads of each protocol."""
+
+    beacons: int = 0
+    """Number of its beacons."""
+    vardis: int = 0
+    """Number of its beacons with VarDis records."""
+    until_vardis: int = 0
+    """Number of its beacons up to the last one with VarDis records."""
+    last_vardis: int = 0
+    """Frame number of the last one with VarDis records."""
+    srp: int = 0
+    """Number of its beacons with a state report."""
+    until_srp: int = 0
+    """Number of its beacons up to the last one with a state report."""
+    last_srp: int = 0
+    """Frame number of the last one with a state report."""
+
+
 class FallsSilent(Invariant):
     """Find protocols that stop sending payloads while their node continues to send beacons; reported as info."""
 
@@ -307,39 +326,44 @@ class FallsSilent(Invariant):
 
     def __init__(self, context: Context) -> None:
         super().__init__(context)
-        self._voices: dict[tuple[bytes, str], tuple[list[int], list[int]]] = {}
+        self._voices: dict[bytes, _Voice] = {}
 
     def feed(self, seen: Seen) -> None:
         """Count beacons with and without payloads of each protocol."""
         if not seen.sound:
             return
-        for protocol, there in (("VarDis", bool(seen.parts)), ("SRP", seen.heard.report is not None)):
-            key = (seen.sender, protocol)
-            entry = self._voices.get(key)
-            if entry is None:
-                if len(self._voices) >= MOST_SENDERS:
-                    continue
-                # Beacons with a payload, successive beacons without one, beacons up to the last payload; last frame.
-                entry = self._voices[key] = ([0, 0, 0], [0])
-            counts, last = entry
-            if there:
-                counts[0] += 1
-                counts[2] += 1 + counts[1]
-                counts[1] = 0
-                last[0] = seen.number
-            else:
-                counts[1] += 1
+        voice = self._voices.get(seen.sender)
+        if voice is None:
+            if len(self._voices) >= MOST_SENDERS:
+                return
+            voice = self._voices[seen.sender] = _Voice()
+        voice.beacons += 1
+        if seen.parts:
+            voice.vardis += 1
+            voice.last_vardis, voice.until_vardis = seen.number, voice.beacons
+        if seen.heard.report is not None:
+            voice.srp += 1
+            voice.last_srp, voice.until_srp = seen.number, voice.beacons
 
     def finish(self) -> None:
         """Report protocols that are silent up to the end: an application may have deactivated them."""
-        for (node, protocol), ((spoke, silent, beacons), (last,)) in self._voices.items():
-            rule = "VD-RUN-02" if protocol == "VarDis" else "SRP-SRV-04"
-            if spoke < _SPOKE:
-                continue
-            self.exercised(rule)
-            if silent >= _SILENT and spoke >= _MOSTLY * beacons:
-                text = f"{name(node)}: no {protocol} payload in its last {silent} beacons, after frame {last}"
-                self.violated(text, [], rule, expected="a protocol that falls silent", verdict=Verdict.INFO)
+        for node, voice in self._voices.items():
+            of_all = voice.beacons
+            self._judge(node, "VarDis", "VD-RUN-02", voice.vardis, voice.until_vardis, of_all, voice.last_vardis)
+            self._judge(node, "SRP", "SRP-SRV-04", voice.srp, voice.until_srp, of_all, voice.last_srp)
+
+    def _judge(self, node: bytes, protocol: str, rule: str, spoke: int, until: int, beacons: int, last: int) -> None:
+        """Judge one protocol of a node.
+
+        ``spoke``: number of its beacons with a payload. ``until``: number of its beacons up to the last payload, in
+        frame ``last``. ``beacons``: number of all its beacons.
+        """
+        if spoke < _SPOKE:
+            return
+        self.exercised(rule)
+        if beacons - until >= _SILENT and spoke >= _MOSTLY * until:
+            text = f"{name(node)}: no {protocol} payload in its last {beacons - until} beacons, after frame {last}"
+            self.violated(text, [], rule, expected="a protocol that falls silent", verdict=Verdict.INFO)
 
 
 @dataclass(slots=True)

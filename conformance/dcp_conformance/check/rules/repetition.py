@@ -127,12 +127,14 @@ class Repetitions(Invariant):
         """(node, kind, whether requests had the same number) -> numbers of runs and of excessive ones."""
         self._examples: dict[tuple[bytes, ICType, bool], str] = {}
         """The same key -> text about the first excessive run."""
+        self._ended = [0, 0]
+        """Number of runs that were counted, without and with requests that had the same number."""
         self._composed = round(_COMPOSED * context.pics.pixit.beacon_period_ms * MS)
 
     def feed(self, seen: Seen) -> None:
         """Count the beacons with each instruction; requests and older numbers from other nodes allow more of them."""
         node, now = seen.sender, seen.time
-        if self._closed:
+        if self._closed and self._closed[0][0] + _GAP_SHOWS < now:
             self._count(now)
         if seen.parts:
             self._frames.append(_Frame(seen))
@@ -239,11 +241,14 @@ class Repetitions(Invariant):
             if not self.context.senders.complete(run.begin - self._composed, run.last.time):
                 continue
             missed, told = run.beacons > run.allowed, bool(run.told) and kind is UPDATE
-            self.exercised(*(_TOLD if told else _UNTOLD))
+            self._ended[told] += 1
             key = (node, kind, told)
-            if key not in self._counters and len(self._counters) >= MOST_VARIABLES:
-                continue
-            self._counters.setdefault(key, Counter()).note(run.last, missed=missed)
+            counter = self._counters.get(key)
+            if counter is None:
+                if len(self._counters) >= MOST_VARIABLES:
+                    continue
+                counter = self._counters[key] = Counter()
+            counter.note(run.last, missed=missed)
             if missed and key not in self._examples:
                 what = f"{kind.label} of variable {var_id}" + (f", {run.what[-1]}," if kind is UPDATE else "")
                 self._examples[key] = f"{what} in {run.beacons} beacons, {run.allowed} allowed"
@@ -252,6 +257,8 @@ class Repetitions(Invariant):
         """End the open runs, and report nodes that mostly exceed the number of repetitions."""
         self._close(0, *list(self._runs))
         self._count(1 << 63)
+        for rules, count in zip((_UNTOLD, _TOLD), self._ended, strict=True):
+            self.exercised(*rules, times=count)
         for key, counter in self._counters.items():
             if not counter.convincing:
                 continue

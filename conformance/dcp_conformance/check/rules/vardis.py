@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import itertools
-from collections import Counter
 from collections.abc import Sequence
 
 from dcp_spec.constants import ICType
 
 from dcp_codec.values import VarCreate
 from dcp_conformance.check.base import Context, Invariant, Seen, name
-from dcp_conformance.check.statements import CREATE, DELETE, SUMMARY, UPDATE, Part, Statement, said_of
+from dcp_conformance.check.statements import CREATE, DELETE, SUMMARY, UPDATE, Statement, said_of
 from dcp_conformance.frames.received import Instruction
 from dcp_conformance.model.verdict import Verdict
 
@@ -51,7 +50,7 @@ class ContainerOrder(Invariant):
             return
         kinds_seen = tuple([type(each.records[0]) for each in containers if each.records])
         if kinds_seen in self._sound:
-            self.exercised(times=len(kinds_seen) - 1)
+            self._of_all += len(kinds_seen) - 1
             return
         before = self.left_out + len(self.findings)
         self._judge(seen)
@@ -89,11 +88,16 @@ class PayloadConsistency(Invariant):
     requirements = ("VD-CMP-04", "VD-UPD-10", "VD-CMP-05")
     expect = "one sequence number for each variable in a payload, and no summary of a deleted one"
 
+    def __init__(self, context: Context) -> None:
+        super().__init__(context)
+        self._pairs = 0
+        """Number of pairs of records of one variable in one payload."""
+
     def feed(self, seen: Seen) -> None:
         """Compare the records of each variable."""
-        if _plain(seen.parts):
+        said = _repeated(seen)
+        if not said:
             return
-        said = seen.said if any(kind is DELETE for kind, _, _ in seen.parts) else _repeated(seen)
         records: dict[int, Statement] = {}
         deleted = {each.var_id: each for each in said if each.kind is DELETE}
         for each in said:
@@ -102,7 +106,7 @@ class PayloadConsistency(Invariant):
                 continue
             before = records.setdefault(each.var_id, each)
             if before is not each:
-                self.exercised("VD-CMP-04", "VD-UPD-10")
+                self._pairs += 1
                 if before.number != each.number:
                     text = (
                         f"{name(seen.sender)}, variable {each.var_id}: {before.number} in {before.kind.label}, "
@@ -115,15 +119,29 @@ class PayloadConsistency(Invariant):
                     text = f"{name(seen.sender)} deletes and summarises variable {each.var_id} in one payload"
                     self.violated(text, [deleted[each.var_id], each], "VD-CMP-05", once=(seen.sender, each.var_id))
 
+    def finish(self) -> None:
+        """Count the occasions."""
+        self.exercised("VD-CMP-04", "VD-UPD-10", times=self._pairs)
 
-def _repeated(seen: Seen) -> list[Statement]:
-    """Return the creates, updates and summaries of those variables that have several of them in a beacon."""
-    counts = Counter(
-        itertools.chain.from_iterable(
-            ids for kind, _, ids in seen.parts if kind is SUMMARY or kind is UPDATE or kind is CREATE
-        )
-    )
-    several = {var_id for var_id, count in counts.items() if count > 1}
+
+def _repeated(seen: Seen) -> Sequence[Statement]:
+    """Return the records of those variables that have several creates, updates and summaries in a beacon.
+
+    If the beacon has deletes, return all its records.
+    """
+    found, several = set[int](), set[int]()
+    for kind, _, ids in seen.parts:
+        if kind is DELETE:
+            return seen.said
+        if kind is SUMMARY or kind is UPDATE or kind is CREATE:
+            distinct = set(ids)
+            if len(distinct) < len(ids):
+                several.update(each for each in distinct if ids.count(each) > 1)
+            if not found.isdisjoint(distinct):
+                several |= found & distinct
+            found |= distinct
+    if not several:
+        return ()
     return [
         said_of(kind, record, seen.heard, seen.sender)
         for kind, records, ids in seen.parts
@@ -131,18 +149,6 @@ def _repeated(seen: Seen) -> list[Statement]:
         for record, var_id in zip(records, ids, strict=True)
         if var_id in several
     ]
-
-
-def _plain(parts: Sequence[Part]) -> bool:
-    """Whether there is nothing to compare: no deletes, and at most one other record of each variable."""
-    total, found = 0, set[int]()
-    for kind, _, ids in parts:
-        if kind is DELETE:
-            return False
-        if kind is SUMMARY or kind is UPDATE or kind is CREATE:
-            found.update(ids)
-            total += len(ids)
-    return len(found) == total
 
 
 RULES: tuple[type[Invariant], ...] = (

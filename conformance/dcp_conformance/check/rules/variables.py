@@ -94,9 +94,9 @@ class SequenceForwards(_OfOneNode):
 
     def feed(self, seen: Seen) -> None:
         """Compare with the previous number of the node."""
-        self.due(seen.time)
-        if seen.again:
-            self.exercised(times=seen.again)
+        if self._suspects:
+            self.due(seen.time)
+        self._of_all += seen.again
         for each, before in seen.news:
             kind = each.kind
             if kind is DELETE:
@@ -110,8 +110,8 @@ class SequenceForwards(_OfOneNode):
             elif kind is not UPDATE and kind is not SUMMARY:
                 continue
             if before is not None:
-                self.exercised()
-                if self._circle.older(each.number, before.number):
+                self._of_all += 1
+                if each.number != before.number and self._circle.older(each.number, before.number):
                     text = f"{name(seen.sender)}, variable {each.var_id}: {each.number} after {before.number}"
                     self.suspect(before, each, seen, text)
 
@@ -140,8 +140,11 @@ class Deleted(_OfOneNode):
 
     def feed(self, seen: Seen) -> None:
         """Remember deletes until the node sends a create of the variable."""
-        self.due(seen.time)
+        if self._suspects:
+            self.due(seen.time)
         for each, _ in seen.news:
+            if each.kind is not DELETE and not self._deleted and not self._suspects:
+                continue
             key = (seen.sender, each.var_id)
             if each.kind is DELETE:
                 if key in self._deleted or len(self._deleted) < MOST_VARIABLES:
@@ -210,7 +213,8 @@ class OneValue(_OfAllNodes):
 
     def feed(self, seen: Seen) -> None:
         """Compare with the first value that was sent with the same number."""
-        self.due(seen.time)
+        if self._open:
+            self.due(seen.time)
         lives = self.context.lives
         for each, _ in seen.news:
             kind = each.kind
@@ -253,7 +257,7 @@ class OneValue(_OfAllNodes):
             if len(known) > _VALUES:
                 known.popitem(last=False)
             return
-        self.exercised()
+        self._of_all += 1
         if before[0] != record.value:
             text = (
                 f"variable {each.var_id}, seqno {record.seqno}: {before[0].hex()} from "
@@ -282,8 +286,11 @@ class OneSpec(_OfAllNodes):
 
     def feed(self, seen: Seen) -> None:
         """Compare with the first create of the same creation."""
-        self.due(seen.time)
-        for each in [said for said, _ in seen.news if said.kind is CREATE]:
+        if self._open:
+            self.due(seen.time)
+        for each, _ in seen.news:
+            if each.kind is not CREATE:
+                continue
             spec = each.record.spec
             key = (each.var_id, spec.prod_id, spec.creation_time)
             before = self._specs.get(key)
@@ -298,7 +305,7 @@ class OneSpec(_OfAllNodes):
                     self._forgotten = True
                 continue
             if before.sender != seen.sender:
-                self.exercised()
+                self._of_all += 1
             if before.record.spec == spec:
                 continue
             changed = differences(before.record.spec, spec)
@@ -377,8 +384,8 @@ class Recreation(Invariant):
 
     def feed(self, seen: Seen) -> None:
         """Compare the creates that producers send themselves."""
-        for each in [said for said, _ in seen.news if said.kind is CREATE]:
-            if each.record.spec.prod_id != seen.sender:
+        for each, _ in seen.news:
+            if each.kind is not CREATE or each.record.spec.prod_id != seen.sender:
                 continue
             self._judge(each, seen)
             if each.var_id in self._last or len(self._last) < MOST_VARIABLES:
