@@ -208,9 +208,7 @@ class Judge:
         for each, before in seen.news:
             records.append(each.record)
             kind = each.kind
-            if before is not None and (
-                kind is ASK_CREATE or (kind is ASK_UPDATE and each.number != before.number)
-            ):
+            if before is not None and (kind is ASK_CREATE or (kind is ASK_UPDATE and each.number != before.number)):
                 asked.add(each.var_id)
         if not odd and not asked:
             self._history.feed_records(seen.number, seen.time, node, records)
