@@ -166,7 +166,8 @@ class History:
         """Process the VarDis records of a beacon, like :meth:`feed`; records without news may be omitted."""
         if self._begin is None:
             self._begin = self._end = time_ns
-        self._end = max(self._end, time_ns)
+        if time_ns > self._end:
+            self._end = time_ns
         changes = self._holdings.feed_records(frame, time_ns, node, records)
         if changes:
             place = (self._end - self._begin) // self.interval

@@ -218,8 +218,10 @@ class Context:
         self.senders.feed(seen.sender, seen.heard.seqno, seen.time)
         if seen.parts:
             self._sort(seen)
-            for each, _ in seen.news:
-                self.lives.feed(each)
+            for each, before in seen.news:
+                # A later update or summary of a known variable says nothing about lifetimes.
+                if before is None or (each.kind is not UPDATE and each.kind is not SUMMARY):
+                    self.lives.feed(each)
 
     def said_again(self, node: bytes, var_id: int) -> Stamp | None:
         """Return the last summary with which a node repeated the number of a variable.

@@ -24,6 +24,7 @@ from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.model.pics import Pics
 from dcp_conformance.model.results import RunResult
 
+from .garbage import few_collections
 from .judge import Judge
 from .versions import Versions, undecided, weakness
 
@@ -88,7 +89,7 @@ def judge_versions(
                 Judge(codec, each, recording=name, path=str(path), command=command, period_known=period_known)
                 for codec, each in zip(codecs, periods, strict=True)
             ]
-            with progress(reader, str(path), show=show_progress) as advance:
+            with progress(reader, str(path), show=show_progress) as advance, few_collections():
                 for frame in reader:
                     judges[0 if versions is None else versions.of(frame)].feed(frame)
                     advance()

@@ -95,9 +95,10 @@ class PayloadConsistency(Invariant):
 
     def feed(self, seen: Seen) -> None:
         """Compare the records of each variable."""
-        said = _repeated(seen)
-        if not said:
+        several, deletes = _several(seen)
+        if not deletes and self._agree(seen, several):
             return
+        said = seen.said if deletes else _statements(seen, several)
         records: dict[int, Statement] = {}
         deleted = {each.var_id: each for each in said if each.kind is DELETE}
         for each in said:
@@ -119,29 +120,44 @@ class PayloadConsistency(Invariant):
                     text = f"{name(seen.sender)} deletes and summarises variable {each.var_id} in one payload"
                     self.violated(text, [deleted[each.var_id], each], "VD-CMP-05", once=(seen.sender, each.var_id))
 
+    def _agree(self, seen: Seen, several: set[int]) -> bool:
+        """Whether all creates, updates and summaries of each of these variables have one number; count the pairs."""
+        numbers: dict[int, int] = {}
+        pairs = 0
+        for kind, records, ids in seen.parts:
+            if (kind is SUMMARY or kind is UPDATE or kind is CREATE) and not several.isdisjoint(ids):
+                for record, var_id in zip(records, ids, strict=True):
+                    if var_id in several:
+                        number = record.upd.seqno if kind is CREATE else record.seqno
+                        if numbers.setdefault(var_id, number) != number:
+                            return False
+                        pairs += 1
+        self._pairs += pairs - len(numbers)
+        return True
+
     def finish(self) -> None:
         """Count the occasions."""
         self.exercised("VD-CMP-04", "VD-UPD-10", times=self._pairs)
 
 
-def _repeated(seen: Seen) -> Sequence[Statement]:
-    """Return the records of those variables that have several creates, updates and summaries in a beacon.
-
-    If the beacon has deletes, return all its records.
-    """
-    found, several = set[int](), set[int]()
+def _several(seen: Seen) -> tuple[set[int], bool]:
+    """Return the variables with several creates, updates and summaries in a beacon, and whether it has deletes."""
+    found, several, deletes = set[int](), set[int](), False
     for kind, _, ids in seen.parts:
         if kind is DELETE:
-            return seen.said
-        if kind is SUMMARY or kind is UPDATE or kind is CREATE:
+            deletes = True
+        elif kind is SUMMARY or kind is UPDATE or kind is CREATE:
             distinct = set(ids)
             if len(distinct) < len(ids):
                 several.update(each for each in distinct if ids.count(each) > 1)
             if not found.isdisjoint(distinct):
                 several |= found & distinct
             found |= distinct
-    if not several:
-        return ()
+    return several, deletes
+
+
+def _statements(seen: Seen, several: set[int]) -> Sequence[Statement]:
+    """Return the records of these variables as statements."""
     return [
         said_of(kind, record, seen.heard, seen.sender)
         for kind, records, ids in seen.parts
