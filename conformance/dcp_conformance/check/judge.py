@@ -44,7 +44,7 @@ from .rules import repetition as rules_repetition
 from .rules import srp as rules_srp
 from .rules import vardis as rules_vardis
 from .rules import variables as rules_variables
-from .statements import ASK_CREATE, ASK_UPDATE
+from .statements import ASK_CREATE, ASK_UPDATE, UPDATE
 from .wording import CONSEQUENCES
 
 RULES: tuple[type[Invariant], ...] = (
@@ -206,8 +206,10 @@ class Judge:
         asked = set[int]()
         records = []
         for each, before in seen.news:
-            records.append(each.record)
             kind = each.kind
+            # A repeated update changes nothing.
+            if kind is not UPDATE or before is None or each.number != before.number:
+                records.append(each.record)
             if before is not None and (kind is ASK_CREATE or (kind is ASK_UPDATE and each.number != before.number)):
                 asked.add(each.var_id)
         if not odd and not asked:

@@ -256,7 +256,9 @@ class Observer:
                     self._hit(station, var_id, opened, Kind.TAKE_UPDATE)
                 # An older number belongs to another creation: the open occasions do not apply to it.
                 opened.clear()
-            if kind is UPDATE:
+            if not opened:
+                pass
+            elif kind is UPDATE:
                 self._hit(station, var_id, opened, Kind.ANSWER_UPDATE)
                 self._hit(station, var_id, opened, Kind.TEACH)
             elif kind is CREATE:

@@ -110,8 +110,8 @@ class Repetitions(Invariant):
     def __init__(self, context: Context) -> None:
         super().__init__(context)
         self._circle = Circle(context.profile.types.var_seqno.width)
-        self._creation: dict[tuple[bytes, int], tuple[Any, ...]] = {}
-        """(node, variable) -> producer, creation time and repCnt in the node's last create."""
+        self._creation: dict[tuple[bytes, int], tuple[tuple[Any, ...], int]] = {}
+        """(node, variable) -> producer and creation time, and repCnt, in the node's last create."""
         self._runs: dict[_Key, _Run] = {}
         self._frames: deque[_Frame] = deque()
         """Recent beacons. They are evaluated only for the few runs that exceed repCnt."""
@@ -146,7 +146,7 @@ class Repetitions(Invariant):
             kind, var_id = each.kind, each.var_id
             if kind is CREATE and ((node, var_id) in self._creation or len(self._creation) < MOST_VARIABLES):
                 spec = each.record.spec
-                self._creation[node, var_id] = (spec.prod_id, spec.creation_time, spec.rep_cnt)
+                self._creation[node, var_id] = ((spec.prod_id, spec.creation_time), spec.rep_cnt)
             if kind is DELETE:
                 self._close(now, (node, var_id, CREATE), (node, var_id, UPDATE))
             elif self._deleting and (kind is CREATE or kind is UPDATE or kind is SUMMARY):
@@ -157,11 +157,8 @@ class Repetitions(Invariant):
             elif kind is ASK_UPDATE and ((var_id, each.number) in self._asked or len(self._asked) < MOST_VARIABLES):
                 self._asked[var_id, each.number] = self._asked.get((var_id, each.number), 0) + 1
 
-    def _rep_cnt(self, node: bytes, var_id: int) -> int | None:
-        """Return repCnt in the node's own create, or in that of the variable's only lifetime; None if unknown."""
-        own = self._creation.get((node, var_id))
-        if own is not None:
-            return int(own[2])
+    def _rep_cnt(self, var_id: int) -> int | None:
+        """Return repCnt in the first create of a variable with a single lifetime; None if unknown."""
         first = self.context.lives.first(var_id)
         if first is None or self.context.lives.born(var_id) is None:
             return None
@@ -169,9 +166,11 @@ class Repetitions(Invariant):
 
     def _sent(self, each: Statement, now: int) -> None:
         """Add a create, update or delete to its run, or start a new run; ``now`` in ns since 1970."""
-        key = (each.sender, each.var_id, each.kind)
-        number = each.number if each.kind is UPDATE else 0
-        what = (self.context.senders.life(each.sender), *self._creation.get(key[:2], ())[:2], number)
+        node, var_id, kind = each.sender, each.var_id, each.kind
+        key = (node, var_id, kind)
+        number = each.number if kind is UPDATE else 0
+        creation = self._creation.get((node, var_id))
+        what = (self.context.senders.life(node), creation and creation[0], number)
         run = self._runs.get(key)
         if run is not None and run.what == what:
             run.beacons += 1
@@ -179,14 +178,15 @@ class Repetitions(Invariant):
             if run.beacons > run.allowed:
                 self._weigh(key, run)
             return
-        self._close(now, key)
-        allowed = self._rep_cnt(each.sender, each.var_id)
+        if run is not None:
+            self._close(now, key)
+        allowed = self._rep_cnt(var_id) if creation is None else creation[1]
         if allowed is None or len(self._runs) >= MOST_VARIABLES:
             return
-        asked = self._asked.get((each.var_id, number), 0) if each.kind is UPDATE else 0
+        asked = self._asked.get((var_id, number), 0) if kind is UPDATE else 0
         place = self._dropped + len(self._frames)
         self._runs[key] = _Run(what, number, allowed, now, each, place, asked, allowed=allowed)
-        self._deleting += each.kind is DELETE
+        self._deleting += kind is DELETE
 
     def _weigh(self, key: _Key, run: _Run, *, complete: bool = False) -> None:
         """Allow more beacons for each reason in frames not checked yet, until the run is allowed.
