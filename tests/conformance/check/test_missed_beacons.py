@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from dcp_conformance.check.reception.unrecorded import Unrecorded, silent_senders
 
 from dcp_codec.values import VarReqCreate, VarSumm, VarUpdate
 
@@ -42,3 +43,43 @@ def test_a_reaction_proves_no_link_if_a_missed_beacon_may_be_its_cause(missed: b
     run = judged(line(missed=missed).frames, "dcp-2.0")
     found = [each for each in findings(run) if "VD_ANSWER_CREATE" in each]
     assert bool(found) is not missed, found
+
+
+MS, NODE, OTHER = 1_000_000, 1, 2
+
+
+def test_a_gap_counts_from_the_beacon_before_it_to_the_one_after_it() -> None:
+    missed = Unrecorded()
+    missed.gap(NODE, 1000 * MS, 1300 * MS)
+    missed.gap(OTHER, 1200 * MS, 1500 * MS)
+    timeline = missed.timeline([])
+    assert silent_senders(timeline, 0, 1000 * MS) == 0
+    assert silent_senders(timeline, 900 * MS, 1100 * MS) == NODE
+    assert silent_senders(timeline, 1100 * MS, 1400 * MS) == NODE | OTHER
+    assert silent_senders(timeline, 1300 * MS, 1400 * MS) == OTHER
+    assert silent_senders(timeline, 1500 * MS, 9000 * MS) == 0
+
+
+def test_a_node_that_is_off_sends_nothing() -> None:
+    """It stops after its beacon at 1000 ms, and its first recorded beacon after the restart has another before it."""
+    missed = Unrecorded()
+    missed.restart(NODE, 1000 * MS, 900 * MS, 1, 5000 * MS)
+    timeline = missed.timeline([])
+    assert silent_senders(timeline, 1050 * MS, 1100 * MS) == NODE
+    assert silent_senders(timeline, 1200 * MS, 4000 * MS) == 0
+    assert silent_senders(timeline, 4000 * MS, 4500 * MS) == NODE
+
+
+def test_the_next_beacon_may_be_missed_until_it_is_recorded() -> None:
+    timeline = Unrecorded().timeline([(NODE, 1000 * MS, 900 * MS), (OTHER, 1000 * MS, 1000 * MS)])
+    assert silent_senders(timeline, 1000 * MS, 1100 * MS) == NODE
+    assert silent_senders(timeline, 1200 * MS, 1300 * MS) == 0
+
+
+def test_gaps_that_ended_are_forgotten_and_adjacent_ones_are_one() -> None:
+    missed = Unrecorded()
+    for begin in range(10):
+        missed.gap(NODE, begin * MS, (begin + 1) * MS)
+    assert missed.timeline([]) == ([0, 10 * MS], [NODE, 0])
+    missed.forget(11 * MS)
+    assert missed.timeline([]) == ([0], [0])

@@ -42,6 +42,8 @@ _EVENTS = 8_192
 MOST_OPEN = 64
 #: Maximum number of nodes whose reactions are followed; each one has a bit of a mask.
 MOST_NODES = 64
+#: Number of beacons that a node is assumed to have sent before if its beacons are not numbered.
+_UNKNOWN = 100
 #: Payloads up to this length in octets have room: the bearer carries at least 256 octets.
 _ROOM = 180
 
@@ -120,13 +122,14 @@ class Observer:
         if sender is None:
             return None
         number = seen.heard.seqno
+        # Number of beacons since the node was started, if this is its first one in the recording or after a restart.
+        missed = _UNKNOWN if number is None else number - self._context.profile.behaviour.first_beacon_seqno
         if station is None:
             if len(self.stations) >= MOST_NODES:
                 return None
             listens, bit = seen.origin is not Origin.FORGED, 1 << len(self.stations)
             station = Station(seen.sender, bit, listens, seen.time, sender.life)
             station.cursor = self._dropped + len(self._log)
-            missed = 3 if number is None else number - self._context.profile.behaviour.first_beacon_seqno
             if missed > 2:
                 self._early |= bit
             self.unrecorded.before_first(bit, missed, self.time)
@@ -140,7 +143,8 @@ class Observer:
                 for variable in self.variables.values():
                     self._settled(variable)
         elif sender.life != station.life:
-            self.unrecorded.gap(station.bit, station.sent_at(station.beacons), self.time)
+            last, before = station.sent_at(station.beacons), station.sent_at(station.beacons - 1)
+            self.unrecorded.restart(station.bit, last, before, missed, self.time)
             self._forget(station)
             station.life, station.since = sender.life, seen.time
             self._early &= ~station.bit

@@ -42,6 +42,15 @@ class Unrecorded:
         if missed > 0:
             self.gap(bit, max(0, time - missed * _EACH), time)
 
+    def restart(self, bit: int, last: int, before: int, missed: int, time: int) -> None:
+        """Add the gaps around a restart of a node: after its last beacon, and before its first one afterwards.
+
+        ``last``, ``before``: times of its last recorded beacon and the one before. ``missed``: number of beacons that
+        it has sent between the restart and the recorded beacon at ``time``.
+        """
+        self.gap(bit, last, min(_falls_silent(last, before), time))
+        self.before_first(bit, missed, time)
+
     def timeline(self, last: Iterable[tuple[int, int, int]]) -> Timeline:
         """Return the gaps by time.
 
@@ -53,7 +62,7 @@ class Unrecorded:
             for begin, end in gaps:
                 changes += ((begin, bit), (end, bit))
         for bit, time, before in last:
-            changes += ((time, bit), (time + _TAIL * min(time - before, _LONGEST), bit))
+            changes += ((time, bit), (_falls_silent(time, before), bit))
         changes.sort()
         times, masks, mask = [0], [0], 0
         for time, bit in changes:
@@ -71,6 +80,11 @@ class Unrecorded:
         for bit, gaps in list(self._gaps.items()):
             self._gaps[bit] = kept = [each for each in gaps if each[1] >= before]
             self._count -= len(gaps) - len(kept)
+
+
+def _falls_silent(last: int, before: int) -> int:
+    """Return the time from which a node is assumed to be silent, from the times of its last two beacons."""
+    return last + _TAIL * min(last - before, _LONGEST)
 
 
 def silent_senders(timeline: Timeline, begin: int, end: int) -> int:
