@@ -14,7 +14,7 @@ from dcp_codec.common.printable import plain
 from . import analysis, holding, reactions, sections, variables
 from .analysis import Sender, Steps, Time
 from .page import Chapter
-from .plots import DRAWN, Easel
+from .plots import DRAWN, PlotContext
 from .recorded import Recorded
 from .series import seconds_text, short
 
@@ -26,28 +26,28 @@ def chapter(recorded: Recorded, number: int = 0) -> Chapter:
     outcome = recorded.outcome
     time, steps = analysis.time_of(recorded), analysis.steps_of(recorded)
     senders = analysis.senders_of(recorded, time, steps)
-    sayings = variables.sayings(recorded)
-    values, passed = variables.dissemination(recorded, time, sayings)
+    transmissions = variables.transmissions(recorded)
+    values, passed = variables.dissemination(recorded, time, transmissions)
     lines = variables.lines(recorded, values, passed, DRAWN)
     most = sorted(senders, key=lambda sender: -sender.beacons)[:DRAWN]
     # Nodes that sent no beacon, but are in reports of others, come last.
     known = {sender.node for sender in senders}
     silent = [node for node in np.unique(recorded.column("srp", "node")).tolist() if node not in known]
     nodes = ([sender.node for sender in senders if sender in most] + silent)[:DRAWN]
-    easel = Easel(recorded, time, nodes, [line.number for line in lines], prefix=f"{number:02}-")
+    context = PlotContext(recorded, time, nodes, [line.number for line in lines], prefix=f"{number:02}-")
     held = holding.holding(recorded, time)
-    found = reactions.reactions(recorded, sayings, nodes)
+    found = reactions.reactions(recorded, transmissions, nodes)
     found_sections = []
     if outcome.frames > outcome.other:
         found_sections = [
-            sections.holding_section(easel, held),
-            sections.reactions_section(easel, found),
-            sections.anomalies_section(easel, steps),
-            sections.senders_section(easel, senders, steps),
-            sections.ages_section(easel, found),
-            sections.positions_section(easel),
-            sections.variables_section(easel, lines, values, passed),
-            sections.overhead_section(easel),
+            sections.holding_section(context, held),
+            sections.reactions_section(context, found),
+            sections.anomalies_section(context, steps),
+            sections.senders_section(context, senders, steps),
+            sections.ages_section(context, found),
+            sections.positions_section(context),
+            sections.variables_section(context, lines, values, passed),
+            sections.overhead_section(context),
         ]
     for section in found_sections:
         section.id = f"{section.id}-{number}"
@@ -57,7 +57,7 @@ def chapter(recorded: Recorded, number: int = 0) -> Chapter:
         tiles=_tiles(recorded, time, senders, steps, held),
         problems=_problems(recorded, steps),
         sections=found_sections,
-        figures=_figures(easel, senders, steps, held, values, passed) if found_sections else [],
+        figures=_figures(context, senders, steps, held, values, passed) if found_sections else [],
         duration=time.duration,
     )
 
@@ -120,7 +120,7 @@ def _problems(recorded: Recorded, steps: Steps) -> list[str]:
 
 
 def _figures(
-    easel: Easel,
+    context: PlotContext,
     senders: Sequence[Sender],
     steps: Steps,
     held: holding.Holding,
@@ -128,11 +128,11 @@ def _figures(
     passed: variables.Passings,
 ) -> list[tuple[str, str]]:
     """Return the figures of the comparison of recordings, as (name, text)."""
-    recorded = easel.recorded
+    recorded = context.recorded
     lost, share = _lost(recorded, steps)
-    octets = sum(part.octets for part in analysis.overhead(recorded, easel.time))
+    octets = sum(part.octets for part in analysis.overhead(recorded, context.time))
     delays = passed.delay[passed.counted]
-    could, said = sum(pair.values for pair in held.pairs), sum(pair.said for pair in held.pairs)
+    could, sent = sum(pair.values for pair in held.pairs), sum(pair.sent for pair in held.pairs)
     differs = sum(b - a for pair in held.pairs for a, b in pair.differs)
     known = sum(b - a for pair in held.pairs for a, b in pair.known) or 1.0
 
@@ -140,14 +140,14 @@ def _figures(
         return seconds_text(float(np.quantile(delays, at))) if delays.size else "-"
 
     return [
-        ("duration", seconds_text(easel.time.duration)),
+        ("duration", seconds_text(context.time.duration)),
         ("profile", plain(recorded.outcome.profile)),
         ("senders", f"{len(senders):,}"),
         ("beacons", f"{recorded.column('beacons', 'node').size:,}"),
         ("beacons lost", f"{lost:,} ({short(share, 2)} %)" if recorded.tells_losses else "unknown"),
         ("malformed frames", f"{recorded.outcome.malformed:,}"),
         ("values of variables", f"{values.variable.size:,}"),
-        ("values that a node never sent", f"{could - said:,} of {could:,}"),
+        ("values that a node never sent", f"{could - sent:,} of {could:,}"),
         ("time with another sequence number than the producer's", f"{short(100 * differs / known)} %"),
         ("stale at the end (node and variable)", f"{sum(pair.differs_at_end for pair in held.pairs):,}"),
         ("dissemination delay, median", quantile(0.5)),

@@ -29,7 +29,7 @@ class Pair:
 
     ``known``: spans in which the node's sequence number is known. ``differs``: spans in which it is not the producer's,
     or the node has not sent any. ``held`` and ``produced`` are the last numbers of node and producer: DELETED, or None
-    without any. ``values`` is the number of values of the producer that the node could have sent, ``said`` the number
+    without any. ``values`` is the number of values of the producer that the node could have sent, ``sent`` the number
     of those that it has sent.
     """
 
@@ -41,7 +41,7 @@ class Pair:
     held: int | None = None
     produced: int | None = None
     values: int = 0
-    said: int = 0
+    sent: int = 0
     #: Whether the last numbers differ, and have differed for long while the node sent beacons.
     differs_at_end: bool = False
     #: The claims of the node (None: none) and of the producer.
@@ -149,30 +149,32 @@ def _claims(held: dict[str, Column], time: Time) -> Iterator[tuple[tuple[int, in
             )
 
 
-def _compare(pair: Pair, produced: _Claims, said: _Claims | None, beacons: Column) -> list[Divergence]:
+def _compare(pair: Pair, produced: _Claims, claimed: _Claims | None, beacons: Column) -> list[Divergence]:
     """Set the fields of the pair; return the long differences."""
     end, interval = float(beacons[-1]), usual_interval(beacons)
     pair.produced = int(produced.number[-1])
     heard = np.zeros(produced.time.size, bool)
-    if said is None:
+    if claimed is None:
         start = max(float(produced.time[0]), float(beacons[0]))
         missing = end > start and pair.produced >= 0
         pieces = np.array([(start, end)] if missing else [], np.float64).reshape(-1, 2)
         differs = np.ones(len(pieces), bool)
     else:
-        said = _with_deletions(said, produced, end)
-        heard = _heard(produced, said)
-        pair.held = int(said.number[-1])
+        claimed = _with_deletions(claimed, produced, end)
+        heard = _heard(produced, claimed)
+        pair.held = int(claimed.number[-1])
         forgotten = max(_FORGOTTEN, _FORGOTTEN_BEACONS * interval)
-        pieces, differs = _pieces(produced, said, end, forgotten)
+        pieces, differs = _pieces(produced, claimed, end, forgotten)
         pair.known = _joined(pieces)
-    pair.claims = said, produced
+    pair.claims = claimed, produced
     could = (produced.time <= end) & (produced.time >= float(beacons[0])) & (produced.number >= 0)
-    pair.values, pair.said = int(could.sum()), int((could & heard).sum())
+    pair.values, pair.sent = int(could.sum()), int((could & heard).sum())
     pair.differs = _joined(pieces[differs])
     # The last beacon may end the difference.
     final = np.array([end])
-    agrees = said is not None and not _differ(said.number[said.at(final)], produced.number[produced.at(final)])[0]
+    agrees = (
+        claimed is not None and not _differ(claimed.number[claimed.at(final)], produced.number[produced.at(final)])[0]
+    )
     open_end = bool(len(pieces) and differs[-1] and pieces[-1, 1] == end and not agrees)
     found = []
     for start, stop in pair.differs:
@@ -184,7 +186,7 @@ def _compare(pair: Pair, produced: _Claims, said: _Claims | None, beacons: Colum
         missed = inside & ~heard
         # The first missed value was sent before the start of the difference, or during it.
         first = int(np.argmax(missed)) if missed.any() else int(max(produced.at(np.array([start]))[0], 0))
-        last = int(said.at(np.array([stop - 1e-9]))[0]) if said is not None else -1
+        last = int(claimed.at(np.array([stop - 1e-9]))[0]) if claimed is not None else -1
         found.append(
             Divergence(
                 variable=pair.variable,
@@ -193,7 +195,7 @@ def _compare(pair: Pair, produced: _Claims, said: _Claims | None, beacons: Colum
                 start=start,
                 end=stop,
                 to_the_end=to_the_end,
-                held=int(said.number[last]) if said is not None and last >= 0 else None,
+                held=int(claimed.number[last]) if claimed is not None and last >= 0 else None,
                 produced=int(produced.number[max(int(produced.at(np.array([stop - 1e-9]))[0]), 0)]),
                 missed=int(missed.sum()),
                 frame=int(produced.frame[first]),
@@ -208,7 +210,7 @@ def _differ(held: Column, produced: Column) -> Column:
     return found
 
 
-def _with_deletions(said: _Claims, produced: _Claims, end: float) -> _Claims:
+def _with_deletions(claimed: _Claims, produced: _Claims, end: float) -> _Claims:
     """Add a deletion to the claims of a node that sends no record about a variable after the producer deleted it.
 
     ``end`` is the time of the node's last beacon.
@@ -218,44 +220,46 @@ def _with_deletions(said: _Claims, produced: _Claims, end: float) -> _Claims:
     for at, until, number in zip(produced.time.tolist(), ends, produced.number.tolist(), strict=True):
         if number != DELETED:
             continue
-        inside = np.flatnonzero((said.time > at) & (said.time < until))
-        before = np.flatnonzero(said.time <= at)
-        if (said.number[inside] == DELETED).any() or not (inside.size or before.size):
+        inside = np.flatnonzero((claimed.time > at) & (claimed.time < until))
+        before = np.flatnonzero(claimed.time <= at)
+        if (claimed.number[inside] == DELETED).any() or not (inside.size or before.size):
             continue
         last = inside[-1] if inside.size else before[-1]
-        silent = max(at, float(said.time[last]) + 1e-9)
-        if silent < end and (inside.size or said.number[last] != DELETED):
+        silent = max(at, float(claimed.time[last]) + 1e-9)
+        if silent < end and (inside.size or claimed.number[last] != DELETED):
             times.append(silent)
-            frames.append(int(said.frame[last]))
+            frames.append(int(claimed.frame[last]))
     if not times:
-        return said
-    stamps = np.concatenate([said.time, times])
+        return claimed
+    stamps = np.concatenate([claimed.time, times])
     order = np.argsort(stamps, kind="stable")
-    number = np.concatenate([said.number, np.full(len(times), DELETED)])
-    return _Claims(stamps[order], number[order], np.concatenate([said.frame, frames])[order])
+    number = np.concatenate([claimed.number, np.full(len(times), DELETED)])
+    return _Claims(stamps[order], number[order], np.concatenate([claimed.frame, frames])[order])
 
 
-def _pieces(produced: _Claims, said: _Claims, end: float, forgotten: float) -> tuple[Column, Column]:
+def _pieces(produced: _Claims, claimed: _Claims, end: float, forgotten: float) -> tuple[Column, Column]:
     """Return the spans (start, end) in which the node's number is known, and whether it differs in each."""
-    gaps = np.append(said.time[1:], max(end, float(said.time[-1]))) - said.time
-    silent = (gaps > forgotten) & (said.number != DELETED)
-    times = np.concatenate([produced.time, said.changes().time, said.time[silent], said.time[silent] + forgotten])
+    gaps = np.append(claimed.time[1:], max(end, float(claimed.time[-1]))) - claimed.time
+    silent = (gaps > forgotten) & (claimed.number != DELETED)
+    times = np.concatenate(
+        [produced.time, claimed.changes().time, claimed.time[silent], claimed.time[silent] + forgotten]
+    )
     times = np.sort(times[times < end])
     times = np.append(times[np.diff(times, prepend=-np.inf) > 0], end)
-    mine, theirs = said.at(times[:-1]), produced.at(times[:-1])
+    mine, theirs = claimed.at(times[:-1]), produced.at(times[:-1])
     row = np.maximum(mine, 0)
-    known = (mine >= 0) & (theirs >= 0) & ~(silent[row] & (times[:-1] >= said.time[row] + forgotten))
-    differs = _differ(said.number[row], produced.number[np.maximum(theirs, 0)])
+    known = (mine >= 0) & (theirs >= 0) & ~(silent[row] & (times[:-1] >= claimed.time[row] + forgotten))
+    differs = _differ(claimed.number[row], produced.number[np.maximum(theirs, 0)])
     return np.stack([times[:-1], times[1:]], axis=1)[known], differs[known]
 
 
-def _heard(produced: _Claims, said: _Claims) -> Column:
+def _heard(produced: _Claims, claimed: _Claims) -> Column:
     """Return which values of the producer the node has sent after the producer."""
     order = np.lexsort((produced.time, produced.number))
-    span = max(float(produced.time[-1]), float(said.time[-1])) + 1
+    span = max(float(produced.time[-1]), float(claimed.time[-1])) + 1
     known = (produced.number[order] + 1) * span + produced.time[order]
-    place = np.searchsorted(known, (said.number + 1) * span + said.time, "right") - 1
-    good = (place >= 0) & (produced.number[order[np.maximum(place, 0)]] == said.number)
+    place = np.searchsorted(known, (claimed.number + 1) * span + claimed.time, "right") - 1
+    good = (place >= 0) & (produced.number[order[np.maximum(place, 0)]] == claimed.number)
     heard = np.zeros(produced.time.size, bool)
     heard[order[place[good]]] = True
     return heard

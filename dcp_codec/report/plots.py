@@ -33,7 +33,7 @@ _FAR = 1e8
 
 
 @dataclass
-class Easel:
+class PlotContext:
     """The common data of all plots of one recording: time, and the colours of nodes and variables."""
 
     recorded: Recorded
@@ -103,31 +103,31 @@ class Thinned:
 
 
 def over_time(
-    easel: Easel, name: str, title: str, caption: str, label: str, ends: Column, series: dict[int, Column]
+    context: PlotContext, name: str, title: str, caption: str, label: str, ends: Column, series: dict[int, Column]
 ) -> Plot:
     """Plot one line for each node, which is constant in each interval of ``ends``."""
-    chart = easel.chart(name, title, caption, label=label)
+    chart = context.chart(name, title, caption, label=label)
     for node, each in series.items():
-        chart.levels(easel.nodes.index(node), easel.name(node), ends, each)
+        chart.levels(context.nodes.index(node), context.name(node), ends, each)
     return chart.plot()
 
 
-def holdings(easel: Easel, found: holding.Holding) -> tuple[Plot | None, int]:
+def holdings(context: PlotContext, found: holding.Holding) -> tuple[Plot | None, int]:
     """Plot the held values over time for the longest differences; also return the number of omitted rows."""
     pairs = [pair for pair in found.pairs if pair.known or pair.differs]
     longest = sorted(pairs, key=lambda each: -sum(b - a for a, b in each.differs))[:ROWS]
-    rows = sorted(longest, key=lambda each: (each.variable, easel.recorded.nodes[each.node]))
+    rows = sorted(longest, key=lambda each: (each.variable, context.recorded.nodes[each.node]))
     if not rows:
         return None, 0
-    time = easel.time
+    time = context.time
     edges = np.linspace(0, time.duration or 1.0, max(120, min(600, 9_000 // len(rows))) + 1)
     caption = (
         "One row for each variable and node. Blue: the node sends the last sequence number of the producer. Red and "
         "hatched: it sends another number, or has sent none at all; the height is the share of the time. White: it "
         f"sends no record about the variable. Each interval is {seconds_text(float(edges[1]))} long."
     )
-    names = [f"{pair.variable} at {easel.name(pair.node)}{' ≠' if pair.differs_at_end else ''}" for pair in rows]
-    chart = easel.chart("holding", "Values held by each node", caption, rows=names, height=110 + 19 * len(rows))
+    names = [f"{pair.variable} at {context.name(pair.node)}{' ≠' if pair.differs_at_end else ''}" for pair in rows]
+    chart = context.chart("holding", "Values held by each node", caption, rows=names, height=110 + 19 * len(rows))
     same: list[tuple[float, float, int]] = []
     other: list[tuple[float, float, int]] = []
     share: list[float] = []
@@ -168,29 +168,29 @@ def _boxes(
         chart.boxes(role, left, right, place + 0.42, top, row=names, **options)
 
 
-def beacon_rate(easel: Easel, steps: Steps) -> list[Plot]:
+def beacon_rate(context: PlotContext, steps: Steps) -> list[Plot]:
     """Plot the beacons per second, and the share of lost beacons if there are any."""
-    recorded, time = easel.recorded, easel.time
-    found = {node: analysis.rates(recorded, time, steps, node) for node in easel.times("beacons")}
+    recorded, time = context.recorded, context.time
+    found = {node: analysis.rates(recorded, time, steps, node) for node in context.times("beacons")}
     rate = {node: each for node, (each, _) in found.items()}
     mean = f"Mean over {seconds_text(time.width)}."
-    plots = [over_time(easel, "beacon-rate", "Beacons heard", mean, "beacons per second", time.edges, rate)]
+    plots = [over_time(context, "beacon-rate", "Beacons heard", mean, "beacons per second", time.edges, rate)]
     if recorded.modulus and steps.lost.any():
         loss = {node: 100 * each for node, (_, each) in found.items()}
         caption = f"Share of missing sequence numbers in {seconds_text(time.width)}."
-        plots.append(over_time(easel, "loss", "Beacons lost", caption, "lost (%)", time.edges, loss))
+        plots.append(over_time(context, "loss", "Beacons lost", caption, "lost (%)", time.edges, loss))
     return plots
 
 
-def presence(easel: Easel) -> Plot:
+def presence(context: PlotContext) -> Plot:
     """Plot the times at which beacons of each node were received."""
-    time = easel.time
-    seconds = easel.times("beacons")
+    time = context.time
+    seconds = context.times("beacons")
     # Intervals must be longer than those between beacons, otherwise each of these would be a gap.
     ends = time.finer(3 * max(map(usual_interval, seconds.values()), default=0))
-    names = [easel.name(node) for node in seconds]
+    names = [context.name(node) for node in seconds]
     caption = "Times without a beacon are blank."
-    chart = easel.chart("heard", "Times of received beacons", caption, rows=names, height=90 + 24 * len(names))
+    chart = context.chart("heard", "Times of received beacons", caption, rows=names, height=90 + 24 * len(names))
     bars = [
         (ends[a], ends[b], row)
         for row, at in enumerate(seconds.values())
@@ -202,27 +202,27 @@ def presence(easel: Easel) -> Plot:
     return chart.plot()
 
 
-def ages(easel: Easel) -> Plot:
+def ages(context: PlotContext) -> Plot:
     """Plot the age of each node's last report over time."""
-    seconds = easel.times("srp")
-    ends = easel.time.finer(_REPORTS * max(map(usual_interval, seconds.values()), default=0))
+    seconds = context.times("srp")
+    ends = context.time.finer(_REPORTS * max(map(usual_interval, seconds.values()), default=0))
     caption = f"Time since the last received state report; the maximum in each {seconds_text(ends[1] - ends[0])}."
     found = {node: analysis.age(each, ends) for node, each in seconds.items()}
-    return over_time(easel, "age", "Age of information", caption, "age of the last report (s)", ends, found)
+    return over_time(context, "age", "Age of information", caption, "age of the last report (s)", ends, found)
 
 
-def positions(easel: Easel) -> list[Plot]:
+def positions(context: PlotContext) -> list[Plot]:
     """Plot the positions of nodes in plan, and their heights if the profile has them."""
-    reports, time = easel.recorded.tables["srp"], easel.time
+    reports, time = context.recorded.tables["srp"], context.time
     place = {
         node: rows[np.argsort(reports["time"][rows], kind="stable")]
-        for node in easel.nodes
+        for node in context.nodes
         for rows in [np.flatnonzero((reports["node"] == node) & usable(reports))]
         if rows.size
     }
     if not place:
         return []
-    unit, plan, height = easel.recorded.units, Thinned(len(place)), Thinned(len(place))
+    unit, plan, height = context.recorded.units, Thinned(len(place)), Thinned(len(place))
     drawn, high = {}, {}
     for node, rows in place.items():
         at, x, y, z = time.seconds(reports["time"][rows]), *(reports[axis][rows] for axis in "xyz")
@@ -230,21 +230,23 @@ def positions(easel: Easel) -> list[Plot]:
         high[node] = height.rows(rows, at, z)
     caption = f"The square is the last position of a node.{plan.words}"
     chart = Chart(
-        f"{easel.prefix}plan", "Positions in plan", caption, label=f"y{in_unit(unit.get('position.y'))}", height=380
+        f"{context.prefix}plan", "Positions in plan", caption, label=f"y{in_unit(unit.get('position.y'))}", height=380
     )
     chart.figure.xaxis.axis_label = f"x{in_unit(unit.get('position.x'))}"
     chart.figure.match_aspect = True
     for node, rows in drawn.items():
         x, y, at = reports["x"][rows], reports["y"][rows], time.seconds(reports["time"][rows])
-        chart.line(easel.nodes.index(node), easel.name(node), x, y, seconds=at)
-        chart.marks_at("square", f"s{easel.nodes.index(node) % 10}", x[-1:], y[-1:], size=8)
+        chart.line(context.nodes.index(node), context.name(node), x, y, seconds=at)
+        chart.marks_at("square", f"s{context.nodes.index(node) % 10}", x[-1:], y[-1:], size=8)
     plots = [chart.plot()]
     if "position.z" not in unit:
         return plots
     caption = f"From the state reports.{height.words}"
-    chart = easel.chart("height", "Height", caption, label=f"z{in_unit(unit['position.z'])}", from_zero=False)
+    chart = context.chart("height", "Height", caption, label=f"z{in_unit(unit['position.z'])}", from_zero=False)
     for node, rows in high.items():
-        chart.line(easel.nodes.index(node), easel.name(node), time.seconds(reports["time"][rows]), reports["z"][rows])
+        chart.line(
+            context.nodes.index(node), context.name(node), time.seconds(reports["time"][rows]), reports["z"][rows]
+        )
     return [*plots, chart.plot()]
 
 
@@ -256,11 +258,11 @@ def usable(reports: dict[str, Column]) -> Column:
     return good & ~(np.abs(reports["z"]) >= _FAR)
 
 
-def values(easel: Easel, found: Values) -> list[Plot]:
+def values(context: PlotContext, found: Values) -> list[Plot]:
     """Plot sequence numbers, and values that can be read as numbers, over time."""
-    modulus, thinned, series = easel.recorded.number_modulus, Thinned(len(easel.variables)), []
-    for number, each in enumerate(easel.variables):
-        rows, count, created = counted(easel.recorded, found, each)
+    modulus, thinned, series = context.recorded.number_modulus, Thinned(len(context.variables)), []
+    for number, each in enumerate(context.variables):
+        rows, count, created = counted(context.recorded, found, each)
         kept = thinned.rows(np.arange(rows.size), found.time[rows], count, np.flatnonzero(created))
         series.append((number, each, rows[kept], count[kept], rows[created], count[created]))
     again = ""
@@ -270,7 +272,7 @@ def values(easel: Easel, found: Values) -> list[Plot]:
         f"Each value when it was first received. The numbers count modulo {modulus:,} and are drawn unwrapped."
         f"{again}{thinned.words}"
     )
-    chart = easel.chart("seqno", "Sequence numbers of variables", caption, label="sequence number, unwrapped")
+    chart = context.chart("seqno", "Sequence numbers of variables", caption, label="sequence number, unwrapped")
     for number, each, rows, count, created, restarted in series:
         chart.line(
             number,
@@ -286,7 +288,7 @@ def values(easel: Easel, found: Values) -> list[Plot]:
                 "star", f"s{number % 10}", found.time[created], restarted, size=12, frame=found.frame[created]
             )
     plots = [chart.plot()]
-    numbers = [each for each in easel.variables if numeric(found, each)]
+    numbers = [each for each in context.variables if numeric(found, each)]
     if not numbers:
         return plots
     thinned = Thinned(len(numbers))
@@ -300,10 +302,10 @@ def values(easel: Easel, found: Values) -> list[Plot]:
         "Variables whose values all have the same length of at most 8 octets, read as unsigned big-endian integers."
         f"{thinned.words}"
     )
-    chart = easel.chart("values", "Values of variables", caption, label="value", from_zero=False)
+    chart = context.chart("values", "Values of variables", caption, label="value", from_zero=False)
     for each, rows in lines:
         chart.line(
-            easel.variables.index(each), f"variable {each}", found.time[rows], found.number[rows], step=True,
+            context.variables.index(each), f"variable {each}", found.time[rows], found.number[rows], step=True,
             frame=found.frame[rows],
         )  # fmt: skip
     if high >= 1e5:
@@ -311,20 +313,20 @@ def values(easel: Easel, found: Values) -> list[Plot]:
     return [*plots, chart.plot()]
 
 
-def delays(easel: Easel, passed: Passings) -> list[Plot]:
+def delays(context: PlotContext, passed: Passings) -> list[Plot]:
     """Plot the delays of the dissemination of values."""
-    ours = passed.counted & np.isin(passed.node, easel.nodes)
-    nodes = [node for node in easel.nodes if (ours & (passed.node == node)).any()]
+    ours = passed.counted & np.isin(passed.node, context.nodes)
+    nodes = [node for node in context.nodes if (ours & (passed.node == node)).any()]
     series, thinned = [], Thinned(len(nodes))
     for node in nodes:
         rows = np.flatnonzero(ours & (passed.node == node))
         rows = rows[np.argsort(passed.time[rows], kind="stable")]
         series.append((node, thinned.rows(rows, passed.time[rows], passed.delay[rows])))
     caption = f"From the first beacon with a value to the first beacon of each other node with it.{thinned.words}"
-    chart = easel.chart("delay", "Dissemination delay of each value", caption, label="delay (s)")
+    chart = context.chart("delay", "Dissemination delay of each value", caption, label="delay (s)")
     for node, rows in series:
         chart.dots(
-            easel.nodes.index(node), easel.name(node), passed.time[rows], passed.delay[rows],
+            context.nodes.index(node), context.name(node), passed.time[rows], passed.delay[rows],
             variable=passed.variable[rows], frame=passed.frame[rows],
         )  # fmt: skip
     plots = [chart.plot()]
@@ -333,7 +335,7 @@ def delays(easel: Easel, passed: Passings) -> list[Plot]:
         "forward a value is not a number of hops."
     )
     ranked = Chart(
-        f"{easel.prefix}delay-order", "Delay by order of forwarding", caption, label="values (%)", height=300
+        f"{context.prefix}delay-order", "Delay by order of forwarding", caption, label="values (%)", height=300
     )
     for number, rank in enumerate(np.unique(passed.order[ours]).tolist()[:DRAWN]):
         delay = np.sort(passed.delay[ours & (passed.order == rank)])
@@ -346,16 +348,16 @@ def delays(easel: Easel, passed: Passings) -> list[Plot]:
     return [*plots, ranked.plot()]
 
 
-def load(easel: Easel, parts: Sequence[Part]) -> Plot:
+def load(context: PlotContext, parts: Sequence[Part]) -> Plot:
     """Plot the transmitted octets of each kind over time."""
-    time = easel.time
+    time = context.time
     caption = f"Mean over {seconds_text(time.width)}, stacked by kind."
-    chart = easel.chart("load", "Load over time", caption, label="bit/s", unit="bit/s")
+    chart = context.chart("load", "Load over time", caption, label="bit/s", unit="bit/s")
     chart.areas([(part.name, part.over_time * 8 / time.width) for part in parts], time.edges)
     return chart.plot()
 
 
-def anomalies(easel: Easel, times: dict[str, Column]) -> Plot:
+def anomalies(context: PlotContext, times: dict[str, Column]) -> Plot:
     """Plot the times of anomalies by kind."""
     thinned = Thinned(len(KINDS))
     kept = {kind: thinned.rows(at, at, np.zeros(at.size)) for kind in KINDS for at in [np.sort(times[kind])]}
@@ -364,7 +366,7 @@ def anomalies(easel: Easel, times: dict[str, Column]) -> Plot:
         f"of the recorder that was set back.{thinned.words}"
     )
     names = [f"{kind} ({times[kind].size:,})" for kind in KINDS]
-    chart = easel.chart("anomalies", "Times of anomalies", caption, rows=names, height=230)
+    chart = context.chart("anomalies", "Times of anomalies", caption, rows=names, height=230)
     for row, (kind, symbol) in enumerate(zip(KINDS, _KIND_SYMBOLS, strict=True)):
         role = "fail" if kind in ("malformed", "gap") else "accent"
         chart.marks_at(symbol, role, kept[kind], np.full(kept[kind].size, row))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .recorded import Column, Recorded
-from .variables import Sayings
+from .variables import Transmissions
 
 #: Maximum number of examined values; of more values, every n-th is examined.
 _VALUES = 20_000
@@ -40,24 +40,24 @@ class Reactions:
         return [other for other, share in shares if share is not None and share > DEAF]
 
 
-def reactions(recorded: Recorded, sayings: Sayings, nodes: list[int]) -> Reactions:
+def reactions(recorded: Recorded, transmissions: Transmissions, nodes: list[int]) -> Reactions:
     """Count trials and reactions among ``nodes``; the result is indexed like this list."""
-    said, held, beacons = (recorded.tables[name] for name in ("said", "held", "beacons"))
+    records, held, beacons = (recorded.tables[name] for name in ("values", "held", "beacons"))
     trials, reacted = np.zeros((2, len(nodes), len(nodes)), np.int64)
-    if not said["frame"].size:
+    if not records["frame"].size:
         return Reactions(trials, reacted)
-    every = -(-sayings.first.size // _VALUES)
-    chosen = sayings.value % every == 0
-    rows = sayings.rows[chosen]
-    frame, node, variable = said["frame"][rows], said["node"][rows], said["variable"][rows]
-    rank = sayings.rank[sayings.value[chosen]]
+    every = -(-transmissions.first.size // _VALUES)
+    chosen = transmissions.value % every == 0
+    rows = transmissions.rows[chosen]
+    frame, node, variable = records["frame"][rows], records["node"][rows], records["variable"][rows]
+    rank = transmissions.rank[transmissions.value[chosen]]
     place = np.full(len(recorded.nodes) + 1, -1)
     place[nodes] = np.arange(len(nodes))
-    levels = _ranks(said, held, sayings)
+    levels = _ranks(records, held, transmissions)
     producers = {number: known.producer for number, known in recorded.variables.items()}
     names, kind = np.unique(variable, return_inverse=True)
     producer = np.array([producers.get(int(each), -1) for each in names])[kind]
-    waits = _waits(recorded, sayings)
+    waits = _waits(recorded, transmissions)
     for number, each in enumerate(nodes):
         sent = np.sort(beacons["frame"][beacons["node"] == each])
         own = held["node"] == each
@@ -89,16 +89,16 @@ def reactions(recorded: Recorded, sayings: Sayings, nodes: list[int]) -> Reactio
     return Reactions(trials, reacted)
 
 
-def _waits(recorded: Recorded, sayings: Sayings) -> dict[int, int]:
+def _waits(recorded: Recorded, transmissions: Transmissions) -> dict[int, int]:
     """Return the usual number of beacons that each node sends after receiving a value before one that shows it.
 
     Some implementations compose a beacon before they send the previous one. The number is derived from values that only
     one other node had sent before.
     """
-    said, beacons = recorded.tables["said"], recorded.tables["beacons"]
-    frame, node = said["frame"][sayings.rows], said["node"][sayings.rows]
-    first = sayings.firsts(node, len(recorded.nodes))
-    starts = np.searchsorted(sayings.value[first], np.arange(sayings.first.size), "left")
+    records, beacons = recorded.tables["values"], recorded.tables["beacons"]
+    frame, node = records["frame"][transmissions.rows], records["node"][transmissions.rows]
+    first = transmissions.firsts(node, len(recorded.nodes))
+    starts = np.searchsorted(transmissions.value[first], np.arange(transmissions.first.size), "left")
     seconds = starts[(starts + 1 < np.append(starts[1:], first.size))] + 1
     found = {}
     for each in np.unique(node[first[seconds]]).tolist():
@@ -110,10 +110,10 @@ def _waits(recorded: Recorded, sayings: Sayings) -> dict[int, int]:
     return found
 
 
-def _ranks(said: dict[str, Column], held: dict[str, Column], sayings: Sayings) -> Column:
+def _ranks(records: dict[str, Column], held: dict[str, Column], transmissions: Transmissions) -> Column:
     """Return the rank of the value of each claim: the last value with this variable and number up to the claim."""
-    first = sayings.rows[sayings.first]
-    keys = np.stack([said["variable"][first], said["seqno"][first], said["frame"][first]])
+    first = transmissions.rows[transmissions.first]
+    keys = np.stack([records["variable"][first], records["seqno"][first], records["frame"][first]])
     claims = np.stack([held["variable"], held["seqno"], held["frame"]])
     # Sort both together; of equal keys, the value comes before the claim.
     both = np.concatenate([keys, claims], axis=1)
@@ -123,7 +123,7 @@ def _ranks(said: dict[str, Column], held: dict[str, Column], sayings: Sayings) -
     known = order[np.maximum(last, 0)]
     same = (last >= 0) & (both[:2, known] == both[:2, order]).all(axis=0)
     found = np.full(order.size, -1)
-    found[order] = np.where(same, sayings.rank[np.minimum(known, max(first.size - 1, 0))], -1)
+    found[order] = np.where(same, transmissions.rank[np.minimum(known, max(first.size - 1, 0))], -1)
     return found[first.size :]
 
 

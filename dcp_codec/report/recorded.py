@@ -81,7 +81,7 @@ class Recorded:
     nodes: list[str]
     reasons: list[str]
     contents: list[str]
-    #: Columns by table: beacons, payloads, containers, srp, said (sent values), held (held numbers), errors.
+    #: Columns by table: beacons, payloads, containers, srp, values (of records), held (held numbers), errors.
     tables: dict[str, dict[str, Column]]
     variables: dict[int, Variable]
     requirements: dict[str, str]
@@ -112,7 +112,7 @@ _KEPT: dict[str, dict[str, Any]] = {
     "payloads": {"time": np.int64, "content": np.int16, "octets": np.int64},
     "containers": {"time": np.int64, "content": np.int16, "octets": np.int64},
     "srp": {"time": np.int64, "node": np.int32, "x": np.float64, "y": np.float64, "z": np.float64},
-    "said": {"frame": np.int64, "time": np.int64, "node": np.int32, "variable": np.int64, "seqno": np.int64}
+    "values": {"frame": np.int64, "time": np.int64, "node": np.int32, "variable": np.int64, "seqno": np.int64}
     | {"creation": np.int64, "size": np.int64, "number": np.float64},
     "held": {"frame": np.int64, "time": np.int64, "node": np.int32, "variable": np.int64, "seqno": np.int64},
     "errors": {"frame": np.int64, "time": np.int64, "node": np.int32, "reason": np.int32},
@@ -152,7 +152,7 @@ class _Gatherer:
             self._srp(tables["srp"])
         for name in ("creates", "updates"):
             if name in tables and tables[name].num_rows:
-                self._said(tables[name])
+                self._read_values(tables[name])
         self._held({name: tables[name] for name in HOLDING if name in tables and tables[name].num_rows})
         if "creates" in tables:
             self._creations(tables["creates"])
@@ -200,11 +200,11 @@ class _Gatherer:
             places[axis] = _array(rows[member.name]) if member is not None and known else np.full(rows.num_rows, np.nan)
         self._keep("srp", time=_integers(rows["time"]), node=self.nodes.numbers(rows["nodeId"]), **places)
 
-    def _said(self, rows: pa.RecordBatch) -> None:
+    def _read_values(self, rows: pa.RecordBatch) -> None:
         variable = _integers(rows["varId"])
         size, number = _numbers(rows["value"])
         self._keep(
-            "said",
+            "values",
             **self._keys(rows),
             variable=variable,
             seqno=_integers(rows["seqno"]),

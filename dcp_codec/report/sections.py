@@ -12,7 +12,7 @@ from dcp_codec.common.printable import plain
 from . import analysis, holding, plots, reactions, variables
 from .analysis import Sender, Steps
 from .page import Cell, Section, Table, table
-from .plots import DRAWN, Easel, number_text
+from .plots import DRAWN, PlotContext, number_text
 from .recorded import Recorded
 from .series import seconds_text, short
 
@@ -29,7 +29,7 @@ def command(recorded: Recorded, frame: int, variable: int | None = None) -> Cell
     return Cell(plain(f"dcp-codec decode --frames {frame}{only} {recorded.options} {shlex.quote(path)}"), code=True)
 
 
-def holding_section(easel: Easel, found: holding.Holding) -> Section:
+def holding_section(context: PlotContext, found: holding.Holding) -> Section:
     """Return the section on the values that nodes hold."""
     section = Section("holding", "Values held by each node")
     if not found.pairs:
@@ -46,8 +46,8 @@ def holding_section(easel: Easel, found: holding.Holding) -> Section:
         )
     else:
         section.words.append("At the end every node holds the last sequence number of the producer.")
-    section.tables.append(_at_the_end(easel, found))
-    plot, hidden = plots.holdings(easel, found)
+    section.tables.append(_at_the_end(context, found))
+    plot, hidden = plots.holdings(context, found)
     if plot is not None:
         section.plots.append(plot)
     if hidden:
@@ -55,26 +55,26 @@ def holding_section(easel: Easel, found: holding.Holding) -> Section:
     if found.left_out:
         section.words.append(f"{found.left_out:,} more pairs of a node and a variable were not compared.")
     if found.divergences:
-        section.tables.append(_never_arrived(easel, found.divergences))
+        section.tables.append(_never_arrived(context, found.divergences))
         if len(found.divergences) > 2 * _LISTED:
             section.words.append(f"The list has {2 * _LISTED} of {len(found.divergences):,} differences, the longest.")
     else:
         section.words.append("Every value of a producer, or a newer one, reached every node within a short time.")
-    section.tables += _never_said(easel, found)
+    section.tables += _never_sent(context, found)
     if found.without_producer:
         listed = ", ".join(map(str, found.without_producer[:12]))
         section.words.append(f"Not compared, because no producer was received: variable {listed}.")
     return section
 
 
-def _at_the_end(easel: Easel, found: holding.Holding) -> Table:
+def _at_the_end(context: PlotContext, found: holding.Holding) -> Table:
     pairs = {(pair.variable, pair.node): pair for pair in found.pairs}
     shown = list(dict.fromkeys(pair.variable for pair in sorted(found.pairs, key=lambda each: not each.differs_at_end)))
     rows = []
     for variable in sorted(shown[:DRAWN]):
         first = next(pair for pair in found.pairs if pair.variable == variable)
-        row = [Cell(f"{variable}"), Cell(easel.name(first.producer), mono=True), _number(number_text(first.produced))]
-        for node in easel.nodes:
+        row = [Cell(f"{variable}"), Cell(context.name(first.producer), mono=True), _number(number_text(first.produced))]
+        for node in context.nodes:
             pair = pairs.get((variable, node))
             if pair is None:
                 row.append(_number("producer" if node == first.producer else "-"))
@@ -82,22 +82,22 @@ def _at_the_end(easel: Easel, found: holding.Holding) -> Table:
                 bad = pair.differs_at_end
                 row.append(Cell(f"{'≠ ' if bad else ''}{number_text(pair.held)}", number=True, bad=bad))
         rows.append(row)
-    heads = ["variable", "producer", "its number", *(easel.name(node) for node in easel.nodes)]
+    heads = ["variable", "producer", "its number", *(context.name(node) for node in context.nodes)]
     caption = "The last sequence number of each variable that each node sent. ≠ in red: it differs from the producer's."
     return table(caption, heads, rows, matrix=True)
 
 
-def _never_arrived(easel: Easel, found: Sequence[holding.Divergence]) -> Table:
+def _never_arrived(context: PlotContext, found: Sequence[holding.Divergence]) -> Table:
     rows = [
         [
             Cell(f"{each.variable}"),
-            Cell(easel.name(each.node), mono=True),
+            Cell(context.name(each.node), mono=True),
             _number(f"{each.start:.3f}"),
             Cell("never" if each.to_the_end else f"after {seconds_text(each.end - each.start)}", bad=each.to_the_end),
             _number(number_text(each.held)),
             _number(number_text(each.produced)),
             _number(f"{each.missed:,}"),
-            command(easel.recorded, each.frame, each.variable),
+            command(context.recorded, each.frame, each.variable),
         ]
         for each in found[: 2 * _LISTED]
     ]
@@ -109,34 +109,34 @@ def _never_arrived(easel: Easel, found: Sequence[holding.Divergence]) -> Table:
     return table(caption, heads, rows)
 
 
-def _never_said(easel: Easel, found: holding.Holding) -> list[Table]:
-    producers = [node for node in easel.nodes if any(pair.producer == node for pair in found.pairs)]
+def _never_sent(context: PlotContext, found: holding.Holding) -> list[Table]:
+    producers = [node for node in context.nodes if any(pair.producer == node for pair in found.pairs)]
     if not producers:
         return []
 
     def cell(node: int, producer: int) -> str:
         own = [pair for pair in found.pairs if pair.node == node and pair.producer == producer]
-        could, said = sum(pair.values for pair in own), sum(pair.said for pair in own)
-        return f"{short(100 * (could - said) / could, 2)} % ({could - said:,} of {could:,})" if could else "-"
+        could, sent = sum(pair.values for pair in own), sum(pair.sent for pair in own)
+        return f"{short(100 * (could - sent) / could, 2)} % ({could - sent:,} of {could:,})" if could else "-"
 
     caption = (
         "End-to-end loss per pair: values of the column's node that the row's node never sent. A value that was "
         "replaced before the node's next beacon counts, too."
     )
-    return [_by_node(easel, caption, producers, cell)]
+    return [_by_node(context, caption, producers, cell)]
 
 
-def reactions_section(easel: Easel, found: reactions.Reactions) -> Section:
+def reactions_section(context: PlotContext, found: reactions.Reactions) -> Section:
     """Return the section on the reactions of nodes to each other."""
     section = Section("reactions", "Reactions between nodes")
-    if easel.recorded.column("beacons", "node").size:
-        section.plots.append(plots.presence(easel))
+    if context.recorded.column("beacons", "node").size:
+        section.plots.append(plots.presence(context))
     if not found.trials.any():
         section.words.append("No node forwarded a value of another node, so that reception cannot be inferred.")
         return section
 
     def cell(node: int, other: int) -> str:
-        place = easel.nodes.index(node), easel.nodes.index(other)
+        place = context.nodes.index(node), context.nodes.index(other)
         share, many, done = found.share(*place), int(found.trials[place]), int(found.reacted[place])
         if node == other:
             return ""
@@ -146,8 +146,8 @@ def reactions_section(easel: Easel, found: reactions.Reactions) -> Section:
         return f"{sign} {100 * share:.0f} % ({done:,} of {many:,})"
 
     reacts = [
-        f"{easel.name(node)} to {', '.join(easel.name(easel.nodes[other]) for other in close)}"
-        for place, node in enumerate(easel.nodes)
+        f"{context.name(node)} to {', '.join(context.name(context.nodes[other]) for other in close)}"
+        for place, node in enumerate(context.nodes)
         if (close := found.hears(place))
     ]
     caption = (
@@ -157,21 +157,21 @@ def reactions_section(easel: Easel, found: reactions.Reactions) -> Section:
         "to 100 % is the loss between the two, based on the frames that the recorder received."
     )
     section.words.append(f"Reacts: {'; '.join(reacts)}." if reacts else "No node reacted often enough to be sure.")
-    section.tables.append(_by_node(easel, caption, easel.nodes, cell))
+    section.tables.append(_by_node(context, caption, context.nodes, cell))
     return section
 
 
-def senders_section(easel: Easel, senders: Sequence[Sender], steps: Steps) -> Section:
+def senders_section(context: PlotContext, senders: Sequence[Sender], steps: Steps) -> Section:
     """Return the section on the beacons of each sender."""
     section = Section("senders", "Beacons")
     if not senders:
         section.words.append("There is no well-formed beacon.")
         return section
-    names = easel.recorded.nodes
+    names = context.recorded.nodes
     heads = ["sender", "beacons", "per second", "lost", "restarts", "state reports", "first (s)", "last (s)"]
     rows = [
         [
-            Cell(names[sender.node], series=_series(easel, sender.node), mono=True),
+            Cell(names[sender.node], series=_series(context, sender.node), mono=True),
             _number(f"{sender.beacons:,}"),
             _number("-" if sender.rate is None else short(sender.rate)),
             _number("unknown" if sender.loss is None else f"{sender.lost:,} ({short(100 * sender.loss, 2)} %)"),
@@ -181,37 +181,37 @@ def senders_section(easel: Easel, senders: Sequence[Sender], steps: Steps) -> Se
             _number(f"{sender.last:.3f}"),
         ]
         for sender in senders
-        if sender.node in easel.nodes
+        if sender.node in context.nodes
     ]
     section.tables.append(table("Received beacons by sender", heads, rows))
-    rest = [sender for sender in senders if sender.node not in easel.nodes]
+    rest = [sender for sender in senders if sender.node not in context.nodes]
     if rest:
         beacons, lost = sum(each.beacons for each in rest), sum(each.lost for each in rest)
         section.words.append(
             f"The {len(rows)} senders with most beacons are drawn; {len(rest):,} more sent {beacons:,} received "
             f"beacons and {lost:,} that are missing."
         )
-    if not easel.recorded.modulus:
+    if not context.recorded.modulus:
         section.words.append("Beacons of this profile have no sequence numbers, so that losses are unknown.")
-    elif easel.recorded.tells_losses and not steps.lost.any():
+    elif context.recorded.tells_losses and not steps.lost.any():
         section.words.append("No sequence number of a beacon is missing.")
-    section.plots += plots.beacon_rate(easel, steps)
+    section.plots += plots.beacon_rate(context, steps)
     return section
 
 
-def ages_section(easel: Easel, found: reactions.Reactions) -> Section:
+def ages_section(context: PlotContext, found: reactions.Reactions) -> Section:
     """Return the section on the age of state reports."""
     section = Section("age", "Age of information")
-    recorded = easel.recorded
+    recorded = context.recorded
     if not recorded.column("srp", "node").size:
         section.words.append("There are no state reports (SRP) in this recording.")
         return section
-    section.plots.append(plots.ages(easel))
-    _, high = analysis.pair_ages(recorded, easel.time, easel.nodes)
+    section.plots.append(plots.ages(context))
+    _, high = analysis.pair_ages(recorded, context.time, context.nodes)
     inferred = found.trials.any()
 
     def cell(node: int, other: int) -> str:
-        row, column = easel.nodes.index(node), easel.nodes.index(other)
+        row, column = context.nodes.index(node), context.nodes.index(other)
         unknown = not np.isfinite(high[row, column]) or (inferred and column not in found.hears(row))
         return "-" if unknown else short(high[row, column])
 
@@ -221,21 +221,21 @@ def ages_section(easel: Easel, found: reactions.Reactions) -> Section:
             "assumes that the node received everything that the recorder received"
             f"{'; pairs that do not react to each other are left out' if inferred else ''}."
         )
-        section.tables.append(_by_node(easel, caption, easel.nodes, cell))
+        section.tables.append(_by_node(context, caption, context.nodes, cell))
     return section
 
 
-def positions_section(easel: Easel) -> Section:
+def positions_section(context: PlotContext) -> Section:
     """Return the section on the positions of nodes."""
     section = Section("positions", "Positions")
-    recorded = easel.recorded
+    recorded = context.recorded
     many = recorded.column("srp", "node").size
     if not {"position.x", "position.y"} <= recorded.units.keys():
         section.words.append(f"State reports of profile {recorded.outcome.profile} have no fields with positions.")
     elif not many:
         section.words.append("There are no state reports (SRP), so there are no positions.")
     else:
-        section.plots += plots.positions(easel)
+        section.plots += plots.positions(context)
         wrong = many - int(plots.usable(recorded.tables["srp"]).sum())
         if wrong:
             section.words.append(
@@ -246,7 +246,7 @@ def positions_section(easel: Easel) -> Section:
 
 
 def variables_section(
-    easel: Easel, lines: Sequence[variables.VariableLine], values: variables.Values, passed: variables.Passings
+    context: PlotContext, lines: Sequence[variables.VariableLine], values: variables.Values, passed: variables.Passings
 ) -> Section:
     """Return the section on the values of variables and their dissemination."""
     section = Section("variables", "Variables")
@@ -254,7 +254,7 @@ def variables_section(
         section.words.append("No node sent a record about a variable (VarDis).")
         return section
     heads = ["variable", "producer", "description", "values", "octets", "last value", "median delay", "95th percentile"]
-    names = easel.recorded.nodes
+    names = context.recorded.nodes
     rows = [
         [
             Cell(str(line.number), series=place),
@@ -269,13 +269,13 @@ def variables_section(
         for place, line in enumerate(lines)
     ]
     section.tables.append(table("Variables, their last values, and the delays of their dissemination", heads, rows))
-    rest = len(easel.recorded.variables) - len(lines)
+    rest = len(context.recorded.variables) - len(lines)
     if rest:
         more = values.variable.size - sum(line.values for line in lines)
         section.words.append(f"The {DRAWN} variables with most values are drawn; {rest:,} more have {more:,} values.")
-    section.plots += plots.values(easel, values)
+    section.plots += plots.values(context, values)
     if passed.counted.any():
-        section.plots += plots.delays(easel, passed)
+        section.plots += plots.delays(context, passed)
     else:
         section.words.append("No value was received from its producer and then from another node: there are no delays.")
     late = int((~values.from_producer).sum())
@@ -287,10 +287,10 @@ def variables_section(
     return section
 
 
-def overhead_section(easel: Easel) -> Section:
+def overhead_section(context: PlotContext) -> Section:
     """Return the section on the octets of each kind."""
     section = Section("overhead", "Overhead")
-    parts = analysis.overhead(easel.recorded, easel.time)
+    parts = analysis.overhead(context.recorded, context.time)
     if not parts:
         section.words.append("There is no well-formed beacon whose octets could be counted.")
         return section
@@ -306,23 +306,23 @@ def overhead_section(easel: Easel) -> Section:
     ]
     caption = f"{total:,} octets in frames with valid beacons; each kind of container with its header"
     section.tables.append(table(caption, ["kind", "octets", "share"], rows))
-    section.plots.append(plots.load(easel, parts))
-    size = int(easel.recorded.column("said", "size").sum())
+    section.plots.append(plots.load(context, parts))
+    size = int(context.recorded.column("values", "size").sum())
     if size:
         section.words.append(f"{short(total / size)} transmitted octets for each octet of a variable's value.")
     return section
 
 
-def anomalies_section(easel: Easel, steps: Steps) -> Section:
+def anomalies_section(context: PlotContext, steps: Steps) -> Section:
     """Return the section on anomalies: malformed frames, gaps, restarts, repetitions, and set clocks."""
     section = Section("anomalies", "Anomalies")
-    recorded = easel.recorded
-    times = analysis.anomaly_times(recorded, easel.time, steps)
+    recorded = context.recorded
+    times = analysis.anomaly_times(recorded, context.time, steps)
     if not any(each.size for each in times.values()):
         numbers = ", no gap, restart or repetition in sequence numbers," if recorded.modulus else ""
         section.words.append(f"None: there is no malformed frame{numbers} and time does not go back.")
         return section
-    section.plots.append(plots.anomalies(easel, times))
+    section.plots.append(plots.anomalies(context, times))
     reasons = recorded.column("errors", "reason")
     if reasons.size:
         counted = sorted(((int((reasons == n).sum()), n) for n in set(reasons.tolist())), key=lambda each: -each[0])
@@ -335,7 +335,7 @@ def anomalies_section(easel: Easel, steps: Steps) -> Section:
             for many, reason in counted
         ]
         section.tables.append(table("Malformed frames by reason", ["reason", "requirement", "frames"], rows))
-    worst = analysis.worst(recorded, easel.time, steps, _LISTED)
+    worst = analysis.worst(recorded, context.time, steps, _LISTED)
     rows = [
         [
             _number(f"{each.frame:,}"),
@@ -354,18 +354,18 @@ def anomalies_section(easel: Easel, steps: Steps) -> Section:
     return section
 
 
-def _by_node(easel: Easel, caption: str, columns: Sequence[int], cell: Callable[[int, int], str]) -> Table:
+def _by_node(context: PlotContext, caption: str, columns: Sequence[int], cell: Callable[[int, int], str]) -> Table:
     """Return a table with a row for each drawn node and a column for each of ``columns``; ``cell`` has the texts."""
     rows = [
-        [Cell(easel.name(node), mono=True, series=place), *(_number(cell(node, other)) for other in columns)]
-        for place, node in enumerate(easel.nodes)
+        [Cell(context.name(node), mono=True, series=place), *(_number(cell(node, other)) for other in columns)]
+        for place, node in enumerate(context.nodes)
     ]
-    return table(caption, ["node", *(easel.name(node) for node in columns)], rows, matrix=True)
+    return table(caption, ["node", *(context.name(node) for node in columns)], rows, matrix=True)
 
 
 def _number(text: str) -> Cell:
     return Cell(text, number=True)
 
 
-def _series(easel: Easel, node: int) -> int | None:
-    return easel.nodes.index(node) if node in easel.nodes else None
+def _series(context: PlotContext, node: int) -> int | None:
+    return context.nodes.index(node) if node in context.nodes else None

@@ -53,8 +53,8 @@ class Passings:
 
 
 @dataclass(frozen=True)
-class Sayings:
-    """All records with values: ``rows`` are those of the table ``said``, sorted by variable, number and frame.
+class Transmissions:
+    """All records with values: ``rows`` are those of the table ``values``, sorted by variable, number and frame.
 
     ``value`` is the number of the value of each row. ``first`` is the index of the first row of each value. ``rank`` is
     the position of each value among those of its variable, in the order of their first reception.
@@ -75,28 +75,28 @@ class Sayings:
         return found
 
 
-def sayings(recorded: Recorded) -> Sayings:
+def transmissions(recorded: Recorded) -> Transmissions:
     """Number the values: a sequence number that is received again after five seconds of silence is another value."""
-    said = recorded.tables["said"]
-    rows = np.lexsort((said["frame"], said["seqno"], said["variable"]))
-    variable, seqno, stamp = (said[name][rows] for name in ("variable", "seqno", "time"))
+    records = recorded.tables["values"]
+    rows = np.lexsort((records["frame"], records["seqno"], records["variable"]))
+    variable, seqno, stamp = (records[name][rows] for name in ("variable", "seqno", "time"))
     new = np.ones(rows.size, bool)
     other = (variable[1:] != variable[:-1]) | (seqno[1:] != seqno[:-1])
     new[1:] = other | (stamp[1:] - stamp[:-1] > _SILENCE)
     first = np.flatnonzero(new)
-    order = np.lexsort((said["frame"][rows[first]], variable[first]))
+    order = np.lexsort((records["frame"][rows[first]], variable[first]))
     place = np.arange(first.size)
     rank = np.empty(first.size, np.int64)
     rank[order] = place - np.searchsorted(variable[first][order], variable[first][order], "left")
-    return Sayings(rows, np.cumsum(new) - 1, first, rank)
+    return Transmissions(rows, np.cumsum(new) - 1, first, rank)
 
 
-def dissemination(recorded: Recorded, time: Time, found: Sayings | None = None) -> tuple[Values, Passings]:
+def dissemination(recorded: Recorded, time: Time, found: Transmissions | None = None) -> tuple[Values, Passings]:
     """Return the values of all variables, and their forwarding by nodes after the first."""
-    said = recorded.tables["said"]
-    found = found or sayings(recorded)
+    records = recorded.tables["values"]
+    found = found or transmissions(recorded)
     value, first = found.value, found.first
-    columns = {name: column[found.rows] for name, column in said.items()}
+    columns = {name: column[found.rows] for name, column in records.items()}
     node, seconds = columns["node"], time.seconds(columns["time"])
     passing = found.firsts(node, len(recorded.nodes))
     rank = np.arange(passing.size) - np.searchsorted(value[passing], value[passing], "left")

@@ -8,22 +8,21 @@ from typing import Any
 
 import click
 
+from dcp_stack.control.client import Notification
+
 from .common import (
     EXIT_STATUS,
-    Seconds,
     columns,
     connect,
-    finish,
     node_options,
     octets_given,
     octets_options,
     printable,
-    say,
+    show_notifications,
     shown_value,
     simple,
     utf8,
-    watched,
-    watching,
+    watch_options,
 )
 
 MODES = {
@@ -44,8 +43,10 @@ def command() -> None:
 @node_options
 def list_(control: str, as_json: bool) -> int:
     """List the registered protocols."""
-    with connect(control) as client:
-        result = client.call("BP-ListRegisteredProtocols")
+    return simple(control, as_json, "BP-ListRegisteredProtocols", _table)
+
+
+def _table(result: dict[str, Any]) -> str:
     rows = [
         [
             str(each["protocolId"]),
@@ -56,11 +57,10 @@ def list_(control: str, as_json: bool) -> int:
             str(each.get("buffered", "")),
             printable(each["protocolName"]),
         ]
-        for each in result.get("protocols", ())
+        for each in result["protocols"]
     ]
     header = ("protId", "max size", "mode", "entries", "multiple", "buffered", "name")
-    table = columns(header, rows, right=(0, 1, 3, 5), give=(6,)) if rows else "no protocols"
-    return finish("BP-ListRegisteredProtocols", result, as_json, table)
+    return columns(header, rows, right=(0, 1, 3, 5), give=(6,)) if rows else "no protocols"
 
 
 @command.command("register", epilog=EXIT_STATUS)
@@ -119,15 +119,14 @@ def clear(prot_id: int, control: str, as_json: bool) -> int:
 @node_options
 def query(prot_id: int, control: str, as_json: bool) -> int:
     """Show the number of waiting payloads."""
-    with connect(control) as client:
-        result = client.call("BP-QueryNumberBufferedPayloads", protId=prot_id)
-    return finish("BP-QueryNumberBufferedPayloads", result, as_json, str(result.get("number", "")))
+    return simple(
+        control, as_json, "BP-QueryNumberBufferedPayloads", lambda result: str(result.get("number", "")), protId=prot_id
+    )
 
 
 @command.command("watch", epilog=EXIT_STATUS)
 @click.argument("prot_ids", type=int, nargs=-1, required=True, metavar="PROTID...")
-@click.option("--count", type=click.IntRange(min=1), metavar="N", help="End after N payloads.")
-@click.option("--for", "seconds", type=Seconds(0), metavar="S", help="End after S seconds.")
+@watch_options("payloads")
 @click.option("--sent", is_flag=True, help="Also show transmissions of this node.")
 @node_options
 def watch(
@@ -138,16 +137,15 @@ def watch(
     With --json, one object per line.
     """
     wanted = {"BP-ReceivePayload.indication"} | ({"BP-PayloadTransmitted.indication"} if sent else set())
-    shown = 0
+
+    def show(told: Notification) -> str:
+        if told.method not in wanted:
+            return ""
+        return json.dumps({"indication": told.method, **told.params}) if as_json else _line(told.params)
+
     with connect(control) as client:
         client.call("UT-Subscribe", protIds=[*prot_ids])
-        for told in watching(client, seconds):
-            if told.method in wanted:
-                say(json.dumps({"indication": told.method, **told.params}) if as_json else _line(told.params))
-                shown += 1
-                if shown == count:
-                    break
-    return watched(shown, count, "payloads")
+        return show_notifications(client, count, seconds, "payloads", show)
 
 
 def _line(indication: dict[str, Any]) -> str:

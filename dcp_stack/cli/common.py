@@ -9,6 +9,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from itertools import repeat
 from typing import Any, TypeVar
 
 import click
@@ -16,7 +17,7 @@ import click
 from dcp_codec.common.commandline import UNUSABLE, ExpectedError
 from dcp_codec.common.printable import plain
 from dcp_stack.control.client import ControlClient, ControlError, Notification, ServiceError
-from dcp_stack.control.jsonrpc import INVALID_PARAMS, INVALID_REQUEST, METHOD_NOT_FOUND, PARSE_ERROR
+from dcp_stack.control.jsonrpc import ErrorCode
 from dcp_stack.control.places import find_socket, places
 
 from . import main
@@ -28,7 +29,8 @@ EXIT_STATUS = f"Exit status: {main.exit_status}"
 F = TypeVar("F", bound=Callable[..., Any])
 #: Characters down to which a column of a table may be narrowed.
 _NARROWEST = 12
-_USAGE = frozenset({PARSE_ERROR, INVALID_REQUEST, METHOD_NOT_FOUND, INVALID_PARAMS})
+#: Errors of a request that the user can correct.
+_USAGE = (ErrorCode.PARSE_ERROR, ErrorCode.INVALID_REQUEST, ErrorCode.METHOD_NOT_FOUND, ErrorCode.INVALID_PARAMS)
 
 
 #: Write a message to stderr, apart from output that is piped.
@@ -114,22 +116,45 @@ def octets_given(option: str, octets: str | None, text: str | None) -> str:
         raise click.BadParameter(f"{octets!r} is not hex", param_hint=option) from None
 
 
-def watching(client: ControlClient, seconds: float | None) -> Iterator[Notification]:
-    """Yield the notifications of the node for ``seconds`` s (None: without limit)."""
+def watch_options(what: str) -> Callable[[F], F]:
+    """Add the options ``--count`` and ``--for`` of a command that uses :func:`show_notifications`."""
+
+    def add(function: F) -> F:
+        function = click.option("--for", "seconds", type=Seconds(0), metavar="S", help="End after S seconds.")(function)
+        return click.option("--count", type=click.IntRange(min=1), metavar="N", help=f"End after N {what}.")(function)
+
+    return add
+
+
+def show_notifications(
+    client: ControlClient, count: int | None, seconds: float | None, what: str, show: Callable[[Notification], str]
+) -> int:
+    """Print ``show(notification)`` for each notification of the node, unless it is empty; return the exit status.
+
+    Ends after ``count`` lines or ``seconds`` s (None: without limit). Raises ExpectedError if there are fewer than
+    ``count`` lines in this time.
+    """
     deadline = None if seconds is None else time.monotonic() + seconds
-    while True:
+    shown = 0
+    while count is None or shown < count:
         left = None if deadline is None else deadline - time.monotonic()
-        told = None if left is not None and left <= 0 else client.wait(left)
+        told = client.wait(left) if left is None or left > 0 else None
         if told is None:
-            return
-        yield told
-
-
-def watched(shown: int, count: int | None, what: str) -> int:
-    """Return the exit status after :func:`watching`; raises ExpectedError if fewer than ``count`` were shown."""
+            break
+        if text := show(told):
+            say(text)
+            shown += 1
     if count is not None and shown < count:
         raise ExpectedError(f"{shown} of {count} {what} within the given time", NOT_OK)
     return 0
+
+
+def polled(client: ControlClient, method: str, interval: float, count: int | None) -> Iterator[dict[str, Any]]:
+    """Yield the result of a method every ``interval`` s, ``count`` times (None: without limit)."""
+    yield client.call(method)
+    for _ in repeat(None) if count is None else range(count - 1):
+        time.sleep(interval)
+        yield client.call(method)
 
 
 @contextmanager
@@ -174,10 +199,13 @@ def _meaning(status: str) -> str:
     return ""
 
 
-def simple(control: str, as_json: bool, method: str, /, **params: Any) -> int:
-    """Call a method, show its result, and return the exit status."""
+def simple(
+    control: str, as_json: bool, method: str, /, show: Callable[[dict[str, Any]], str] | None = None, **params: Any
+) -> int:
+    """Call a method, show its result, and return the exit status; ``show`` formats a result whose status is OK."""
     with connect(control) as client:
-        return finish(method, client.call(method, **params), as_json)
+        result = client.call(method, **params)
+    return finish(method, result, as_json, show(result) if show and not as_json and is_ok(result) else None)
 
 
 def columns(

@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 import click
 
-from dcp_stack.control.client import ControlClient
-
 from .common import (
     EXIT_STATUS,
     Seconds,
@@ -18,13 +16,14 @@ from .common import (
     counted,
     fitted,
     node_options,
+    polled,
     printable,
     say,
     shown_value,
     span,
 )
 from .neighbours import percent, place
-from .status import as_line, own_address
+from .status import as_line, own_address, troubles
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -49,7 +48,9 @@ def command(interval: float, count: int | None, control: str, as_json: bool) -> 
     with connect(control) as client:
         rates = Rates()
         if as_json or not sys.stdout.isatty():
-            return _lines(client, rates, interval, count, as_json)
+            for status in polled(client, "UT-Status", interval, count):
+                say(as_line(status) if as_json else _line(status, rates))
+            return 0
         from rich.console import Console
         from rich.live import Live
 
@@ -57,9 +58,8 @@ def command(interval: float, count: int | None, control: str, as_json: bool) -> 
 
         console, window = Console(highlight=False, emoji=False, markup=False), Window()
         if count is not None:
-            for look in range(count):
-                time.sleep(interval if look else 0)
-                console.print(view(client.call("UT-Status"), rates, console.width))
+            for status in polled(client, "UT-Status", interval, count):
+                console.print(view(status, rates, console.width))
             return 0
         with Live(console=console, screen=True, auto_refresh=False) as live, keyboard() as keys:
             while True:
@@ -95,18 +95,6 @@ class Rates:
         return max(value - before[0], 0) * 1e9 / (now - before[1])
 
 
-def _lines(client: ControlClient, rates: Rates, interval: float, count: int | None, as_json: bool) -> int:
-    """Print a line or object per update until ``count`` updates; return the exit status."""
-    looks = 0
-    while True:
-        status = client.call("UT-Status")
-        say(as_line(status) if as_json else _line(status, rates))
-        looks += 1
-        if looks == count:
-            return 0
-        time.sleep(interval)
-
-
 def _line(status: dict[str, Any], rates: Rates) -> str:
     """Format a status as one line with counters and rates."""
     rates.look()
@@ -122,8 +110,7 @@ def _line(status: dict[str, Any], rates: Rates) -> str:
     variables = status["node"].get("vardis", {}).get("variables", {})
     parts.append(f"variables={sum(not each['isDeleted'] for each in variables.values())}")
     parts.append(f"ignored={sum(status['drops'].values())}")
-    link = status["runtime"].get("link", {})
-    parts += [f"{name}={link[name]}" for name in ("send_errors", "kernel_drops", "outages") if link.get(name)]
+    parts += [f"{name}={count}" for name, count in troubles(status["runtime"].get("link", {})).items()]
     return " ".join(parts)
 
 
@@ -213,17 +200,13 @@ def _head(status: dict[str, Any], rates: Rates) -> RenderableType:
     if not status["node"].get("vardis", {"active": True})["active"]:
         text.append("  VarDis not active", style="bold red")
     text.append("\n")
-    troubles = [
-        f"{name.replace('_', ' ')} {link[name]}"
-        for name in ("send_errors", "kernel_drops", "outages")
-        if link.get(name)
-    ]
+    problems = [f"{name.replace('_', ' ')} {count}" for name, count in troubles(link).items()]
     if same := own_address(link):
-        troubles.append(same)
+        problems.append(same)
     recording = runtime.get("recording")
     if recording:
-        troubles.append(f"recording {recording['frames']} frames {recording['problem']}".strip())
-    text.append("  ".join(troubles) + "\n" if troubles else "")
+        problems.append(f"recording {recording['frames']} frames {recording['problem']}".strip())
+    text.append("  ".join(problems) + "\n" if problems else "")
     return text
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from .common import EXIT_STATUS, Seconds, columns, connect, counted, finish, is_ok, node_options, say, span
+from .common import EXIT_STATUS, Seconds, columns, connect, counted, finish, is_ok, node_options, polled, say, span
 
 
 @click.command("neighbours", epilog=EXIT_STATUS)
@@ -23,22 +23,15 @@ def command(watch: bool, interval: float, count: int | None, control: str, as_js
     object per line.
     """
     with connect(control) as client:
-        shown = 0
-        while True:
-            result = client.call("SRP-NeighbourTable")
+        for result in polled(client, "SRP-NeighbourTable", interval, count if watch else 1):
             if not watch:
                 return finish("SRP-NeighbourTable", result, as_json, _table(result))
             if as_json:
                 say(json.dumps(result))
-            elif not is_ok(result):
-                say(f"{time.strftime('%H:%M:%S')}  {result['status']}")
-            else:
-                found = counted(len(result["neighbours"]), "neighbour")
-                say(f"{time.strftime('%H:%M:%S')}  {found}\n{_table(result)}\n")
-            shown += 1
-            if shown == count:
-                return 0
-            time.sleep(interval)
+                continue
+            found = counted(len(result["neighbours"]), "neighbour") + f"\n{_table(result)}\n"
+            say(f"{time.strftime('%H:%M:%S')}  {found if is_ok(result) else result['status']}")
+    return 0
 
 
 def _table(result: dict[str, Any]) -> str:

@@ -11,7 +11,7 @@ from dcp_spec.parameters import UnknownParameterError, parameter
 
 from dcp_codec.common.commandline import ExpectedError
 from dcp_stack.control.client import ControlClient, ServiceError
-from dcp_stack.control.jsonrpc import METHOD_NOT_FOUND
+from dcp_stack.control.jsonrpc import ErrorCode
 
 from .common import EXIT_STATUS, connect, node_options, simple
 
@@ -49,7 +49,7 @@ def _of(client: ControlClient, protocol: str) -> dict[str, Any]:
     try:
         found: dict[str, Any] = client.call(f"{protocol}-GetParameters")["parameters"]
     except ServiceError as error:
-        if error.code == METHOD_NOT_FOUND:
+        if error.code == ErrorCode.METHOD_NOT_FOUND:
             return {}
         raise
     return found

@@ -7,16 +7,14 @@ from typing import Any
 
 import click
 
-from .common import EXIT_STATUS, connect, counted, finish, node_options, span
+from .common import EXIT_STATUS, counted, node_options, simple, span
 
 
 @click.command("status", epilog=EXIT_STATUS)
 @node_options
 def command(control: str, as_json: bool) -> int:
     """Show the node's identity, neighbours and variables, and what it sent, received and ignored."""
-    with connect(control) as client:
-        result = client.call("UT-Status")
-    return finish("UT-Status", result, as_json, None if as_json else "\n".join(_lines(result)))
+    return simple(control, as_json, "UT-Status", lambda result: "\n".join(_lines(result)))
 
 
 def _lines(status: dict[str, Any]) -> list[str]:
@@ -67,12 +65,16 @@ def _active(entity: dict[str, Any]) -> str:
 
 
 def _link(link: dict[str, Any]) -> str:
-    troubles = ("send_errors", "kernel_drops", "outages")
-    shown = [counted(link[name], name.removesuffix("s").replace("_", " ")) for name in troubles if link.get(name)]
+    shown = [counted(count, name.removesuffix("s").replace("_", " ")) for name, count in troubles(link).items()]
     state = [] if link.get("up", True) else ["DOWN"]
     if same := own_address(link):
         shown.append(same)
     return ", ".join([str(link.get("name", "?")), *state, *shown])
+
+
+def troubles(link: dict[str, Any]) -> dict[str, int]:
+    """Return the counters of a link that show a problem, without those that are 0."""
+    return {name: link[name] for name in ("send_errors", "kernel_drops", "outages") if link.get(name)}
 
 
 def own_address(link: dict[str, Any]) -> str:

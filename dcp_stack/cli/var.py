@@ -9,11 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from dcp_stack.control.client import ControlClient
+from dcp_stack.control.client import ControlClient, Notification
 
 from .common import (
     EXIT_STATUS,
-    Seconds,
     columns,
     connect,
     finish,
@@ -24,12 +23,12 @@ from .common import (
     octets_options,
     printable,
     say,
+    show_notifications,
     shown_value,
     simple,
     span,
     utf8,
-    watched,
-    watching,
+    watch_options,
 )
 
 if TYPE_CHECKING:
@@ -157,12 +156,12 @@ def update(var_id: int, octets: str | None, text: str | None, control: str, as_j
 @node_options
 def get(var_id: int, as_text: bool, control: str, as_json: bool) -> int:
     """Show the value of variable ID."""
-    with connect(control) as client:
-        result = client.call("RTDB-Read", varId=var_id)
-    value = result.get("value", "")
-    if as_text:
-        value = printable(bytes.fromhex(value).decode("utf-8", "backslashreplace"), limit=1 << 16)
-    return finish("RTDB-Read", result, as_json, value)
+
+    def value(result: dict[str, Any]) -> str:
+        octets: str = result["value"]
+        return printable(bytes.fromhex(octets).decode("utf-8", "backslashreplace"), 1 << 16) if as_text else octets
+
+    return simple(control, as_json, "RTDB-Read", value, varId=var_id)
 
 
 @command.command("delete", epilog=EXIT_STATUS)
@@ -178,10 +177,11 @@ def delete(var_id: int, control: str, as_json: bool) -> int:
 @node_options
 def describe(var_id: int, control: str, as_json: bool) -> int:
     """Show all data of variable ID, also after its deletion."""
-    with connect(control) as client:
-        result = client.call("RTDB-DescribeVariable", varId=var_id)
-    lines = [f"{name:<12}  {_member(name, value)}" for name, value in result.get("variable", {}).items()]
-    return finish("RTDB-DescribeVariable", result, as_json, "\n".join(lines))
+    return simple(control, as_json, "RTDB-DescribeVariable", _members, varId=var_id)
+
+
+def _members(result: dict[str, Any]) -> str:
+    return "\n".join(f"{name:<12}  {_member(name, value)}" for name, value in result["variable"].items())
 
 
 def _member(name: str, value: Any) -> str:
@@ -226,15 +226,18 @@ def _described(client: ControlClient, variable: dict[str, Any]) -> dict[str, Any
 
 @command.command("watch", epilog=EXIT_STATUS)
 @click.argument("var_ids", type=int, nargs=-1, metavar="[ID...]")
-@click.option("--count", type=click.IntRange(min=1), metavar="N", help="End after N changes.")
-@click.option("--for", "seconds", type=Seconds(0), metavar="S", help="End after S seconds.")
+@watch_options("changes")
 @node_options
 def watch(var_ids: tuple[int, ...], count: int | None, seconds: float | None, control: str, as_json: bool) -> int:
     """Show the current state of variables (all, or those with these IDs), and then every change.
 
     With --json, one object per line.
     """
-    shown = 0
+
+    def show(told: Notification) -> str:
+        wanted = told.method == "UT-VariableChanged" and (not var_ids or told.params["varId"] in var_ids)
+        return _change(told.params, as_json) if wanted else ""
+
     with connect(control) as client:
         # Subscribe before reading the state: a change in between is then shown twice instead of never.
         client.call("UT-Subscribe", variables=True)
@@ -246,22 +249,16 @@ def watch(var_ids: tuple[int, ...], count: int | None, seconds: float | None, co
             note(f"not in the database yet: {', '.join(map(str, missing))}")
         for each in listed.get("variables", ()):
             if not var_ids or each["varId"] in var_ids:
-                _show_change({"event": "is", **_described(client, each)}, as_json)
-        for told in watching(client, seconds):
-            if told.method == "UT-VariableChanged" and (not var_ids or told.params["varId"] in var_ids):
-                _show_change(told.params, as_json)
-                shown += 1
-                if shown == count:
-                    break
-    return watched(shown, count, "changes")
+                say(_change({"event": "is", **_described(client, each)}, as_json))
+        return show_notifications(client, count, seconds, "changes", show)
 
 
-def _show_change(change: dict[str, Any], as_json: bool) -> None:
+def _change(change: dict[str, Any], as_json: bool) -> str:
+    """Return a line about a change of a variable."""
     if as_json:
         names = ("event", "varId", "prodId", "seqno", "value")
-        say(json.dumps({name: change[name] for name in names if name in change}))
-        return
+        return json.dumps({name: change[name] for name in names if name in change})
     clock = time.strftime("%H:%M:%S")
     event = "deleted" if change.get("isDeleted") else change["event"]
     value = "" if event == "deleted" else "  " + shown_value(change.get("value", ""))
-    say(f"{clock}  {change['varId']:>5}  {event:<8} {change.get('seqno', ''):>4}  by {change['prodId']}{value}")
+    return f"{clock}  {change['varId']:>5}  {event:<8} {change.get('seqno', ''):>4}  by {change['prodId']}{value}"

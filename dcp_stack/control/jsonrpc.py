@@ -8,22 +8,35 @@ types.
 
 from __future__ import annotations
 
+from enum import IntEnum
 from typing import Any, Final
 
 import msgspec
 from msgspec import UNSET, UnsetType
 
-PARSE_ERROR: Final = -32700
-INVALID_REQUEST: Final = -32600
-METHOD_NOT_FOUND: Final = -32601
-INVALID_PARAMS: Final = -32602
-INTERNAL_ERROR: Final = -32603
-TOO_MUCH: Final = -32000
-"""The answers of a batch exceed the limit; the rest of the batch was not carried out."""
-REFUSED: Final = -32001
-"""A parameter cannot have the value; ``data`` names the violated bound."""
-NO_ANSWER: Final = -32002
-"""The service does not answer in this state (readings X10 and X30, choice ``no-response``)."""
+
+class ErrorCode(IntEnum):
+    """The codes of errors, each with its meaning."""
+
+    meaning: str
+
+    PARSE_ERROR = -32700, "not JSON"
+    INVALID_REQUEST = -32600, "not a valid request"
+    METHOD_NOT_FOUND = -32601, "the node has no such method"
+    INVALID_PARAMS = -32602, "invalid parameters"
+    INTERNAL_ERROR = -32603, "internal error of the implementation"
+    TOO_MUCH = -32000, "the answers of the batch are too long; this request was not carried out"
+    REFUSED = -32001, "a parameter cannot have the value"
+    """The member ``data`` of the error names the violated bound."""
+    NO_ANSWER = -32002, "the service does not answer in this state"
+    """Readings X10 and X30, choice ``no-response``."""
+
+    def __new__(cls, code: int, meaning: str) -> ErrorCode:
+        member = int.__new__(cls, code)
+        member._value_ = code
+        member.meaning = meaning
+        return member
+
 
 MAX_LINE: Final = 1 << 20
 """Maximum length of a request in octets, without the end of its line."""
@@ -55,27 +68,27 @@ def parse(line: bytes) -> Any:
     try:
         return msgspec.json.decode(line)
     except RecursionError:
-        raise RpcError(PARSE_ERROR, "the message is nested too deeply") from None
+        raise RpcError(ErrorCode.PARSE_ERROR, "the message is nested too deeply") from None
     except (msgspec.MsgspecError, ValueError) as error:
         # ValueError: octets that are not UTF-8, and integers of thousands of digits.
-        raise RpcError(PARSE_ERROR, f"not JSON: {error}") from None
+        raise RpcError(ErrorCode.PARSE_ERROR, f"not JSON: {error}") from None
 
 
 def read_call(message: Any) -> Call:
     """Return the request in a JSON value. Raises RpcError if the value is not a valid request."""
     if not isinstance(message, dict):
-        raise RpcError(INVALID_REQUEST, f"a request must be an object, not {_kind(message)}")
+        raise RpcError(ErrorCode.INVALID_REQUEST, f"a request must be an object, not {_kind(message)}")
     if message.get("jsonrpc") != "2.0":
-        raise RpcError(INVALID_REQUEST, 'the request has no "jsonrpc": "2.0"')
+        raise RpcError(ErrorCode.INVALID_REQUEST, 'the request has no "jsonrpc": "2.0"')
     identifier = message.get("id", UNSET)
     if identifier is not UNSET and not _is_id(identifier):
-        raise RpcError(INVALID_REQUEST, '"id" must be a string, a number of at most 64 bits, or null')
+        raise RpcError(ErrorCode.INVALID_REQUEST, '"id" must be a string, a number of at most 64 bits, or null')
     method = message.get("method")
     if not isinstance(method, str):
-        raise RpcError(INVALID_REQUEST, '"method" must be a string, the name of a method')
+        raise RpcError(ErrorCode.INVALID_REQUEST, '"method" must be a string, the name of a method')
     unknown = message.keys() - {"jsonrpc", "id", "method", "params"}
     if unknown:
-        raise RpcError(INVALID_REQUEST, f"unknown member {min(unknown)[:80]!r} in the request")
+        raise RpcError(ErrorCode.INVALID_REQUEST, f"unknown member {min(unknown)[:80]!r} in the request")
     return Call(method, message.get("params", {}), identifier)
 
 

@@ -12,16 +12,7 @@ import msgspec
 
 from dcp_codec.common.schemas import schema_components
 
-from .jsonrpc import (
-    INTERNAL_ERROR,
-    INVALID_PARAMS,
-    INVALID_REQUEST,
-    METHOD_NOT_FOUND,
-    NO_ANSWER,
-    PARSE_ERROR,
-    REFUSED,
-    TOO_MUCH,
-)
+from .jsonrpc import ErrorCode
 from .methods import METHODS, NOTIFICATIONS
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
@@ -105,20 +96,10 @@ def _response() -> dict[str, Any]:
 
 
 def _error() -> dict[str, Any]:
-    codes = {
-        PARSE_ERROR: "not JSON",
-        INVALID_REQUEST: "not a valid request",
-        METHOD_NOT_FOUND: "the node has no such method",
-        INVALID_PARAMS: "invalid parameters",
-        INTERNAL_ERROR: "internal error of the implementation",
-        TOO_MUCH: "the answers of the batch are too long; this request was not carried out",
-        REFUSED: "a parameter cannot have the value",
-        NO_ANSWER: "the service does not answer in this state",
-    }
     return {
         "type": "object",
         "properties": {
-            "code": {"type": "integer", "description": "; ".join(f"{code} {what}" for code, what in codes.items())},
+            "code": {"type": "integer", "description": "; ".join(f"{code} {code.meaning}" for code in ErrorCode)},
             "message": {"type": "string"},
             "data": {},
         },

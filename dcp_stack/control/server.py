@@ -28,25 +28,10 @@ from dcp_stack.effects import (
 )
 from dcp_stack.node import Node
 
+from . import jsonrpc
 from . import messages as m
-from .jsonrpc import (
-    INTERNAL_ERROR,
-    INVALID_PARAMS,
-    INVALID_REQUEST,
-    MAX_LINE,
-    METHOD_NOT_FOUND,
-    TOO_MUCH,
-    Call,
-    RpcError,
-    error_message,
-    id_of,
-    notification_message,
-    parse,
-    read_call,
-    result_message,
-)
-from .methods import METHODS
-from .services import Times, perform, plain_number
+from .jsonrpc import ErrorCode, RpcError
+from .services import Times, parameters_of, perform, plain_number
 
 log = logging.getLogger(__name__)
 
@@ -69,7 +54,7 @@ class ControlSession:
 
     def __init__(self, server: ControlServer) -> None:
         self._server = server
-        self._lines = LineBuffer(MAX_LINE)
+        self._lines = LineBuffer(jsonrpc.MAX_LINE)
         self.output = bytearray()
         self.overrun = False
         """Whether the client does not read its notifications; the transport should then disconnect it."""
@@ -114,7 +99,7 @@ class ControlSession:
             try:
                 line = self._lines.next()
             except LineTooLongError as error:
-                self._write(error_message(None, RpcError(INVALID_REQUEST, str(error))))
+                self._write(jsonrpc.error_message(None, RpcError(ErrorCode.INVALID_REQUEST, str(error))))
                 continue
             if line is None:
                 return False
@@ -149,20 +134,22 @@ class ControlSession:
     def _answer(self, line: bytes, times: Times) -> bytes:
         """Return the answer to a line; empty for notifications."""
         try:
-            message = parse(line)
+            message = jsonrpc.parse(line)
             if not isinstance(message, list):
                 return self._answer_one(message, times)
             if not message:
-                raise RpcError(INVALID_REQUEST, "the batch is empty")
+                raise RpcError(ErrorCode.INVALID_REQUEST, "the batch is empty")
             if len(message) > MAX_BATCH:
-                raise RpcError(INVALID_REQUEST, f"the batch has {len(message)} requests, more than {MAX_BATCH}")
+                reason = f"the batch has {len(message)} requests, more than {MAX_BATCH}"
+                raise RpcError(ErrorCode.INVALID_REQUEST, reason)
         except RpcError as error:
-            return error_message(None, error)
+            return jsonrpc.error_message(None, error)
         answers: list[bytes] = []
         size = 0
+        too_much = RpcError(ErrorCode.TOO_MUCH, "not carried out: the answers are too long")
         for each in message:
             if size > MAX_BATCH_ANSWER:
-                answer = error_message(id_of(each), RpcError(TOO_MUCH, "not carried out: the answers are too long"))
+                answer = jsonrpc.error_message(jsonrpc.id_of(each), too_much)
             else:
                 answer = self._answer_one(each, times)
             size += len(answer)
@@ -173,19 +160,19 @@ class ControlSession:
     def _answer_one(self, message: Any, times: Times) -> bytes:
         """Return the answer to one request; empty for notifications."""
         try:
-            call = read_call(message)
+            call = jsonrpc.read_call(message)
         except RpcError as error:
-            return error_message(id_of(message), error)
+            return jsonrpc.error_message(jsonrpc.id_of(message), error)
         try:
             answer = self._server.perform(self, call, times)
-            return b"" if call.id is UNSET else result_message(call.id, answer)
+            return b"" if call.id is UNSET else jsonrpc.result_message(call.id, answer)
         except RpcError as error:
-            return b"" if call.id is UNSET else error_message(call.id, error)
+            return b"" if call.id is UNSET else jsonrpc.error_message(call.id, error)
         except Exception as error:
             # An internal error must not end the node; the client gets an error that shows it was not its fault.
             log.exception("%s failed", call.method)
-            shown = RpcError(INTERNAL_ERROR, f"{type(error).__name__}: {error}")
-            return b"" if call.id is UNSET else error_message(call.id, shown)
+            shown = RpcError(ErrorCode.INTERNAL_ERROR, f"{type(error).__name__}: {error}")
+            return b"" if call.id is UNSET else jsonrpc.error_message(call.id, shown)
 
 
 class ControlServer:
@@ -200,7 +187,6 @@ class ControlServer:
         self._runtime = runtime
         self._sessions: dict[ControlSession, None] = {}
         self._owners: dict[int, ControlSession] = {}
-        self._wants_variables = self._wants_neighbours = self._wants_protocols = False
 
     @property
     def sessions(self) -> tuple[ControlSession, ...]:
@@ -215,7 +201,7 @@ class ControlServer:
     @property
     def listening(self) -> bool:
         """Whether a client waits for indications or notifications."""
-        return bool(self._owners) or self._wants_variables or self._wants_neighbours or self._wants_protocols
+        return bool(self._owners) or any(each.subscription != m.Subscribe() for each in self._sessions)
 
     def open(self) -> ControlSession:
         """Open a session for a new client."""
@@ -227,22 +213,12 @@ class ControlServer:
         """Remove the session of a client that has gone."""
         self._sessions.pop(session, None)
         self._owners = {prot_id: owner for prot_id, owner in self._owners.items() if owner is not session}
-        self._note_wishes()
 
-    def perform(self, session: ControlSession, call: Call, times: Times) -> m.Result:
+    def perform(self, session: ControlSession, call: jsonrpc.Call, times: Times) -> m.Result:
         """Carry out one request of a client. Raises RpcError for unknown methods, invalid parameters and refusals."""
-        method = METHODS.get(call.method)
-        if method is None:
-            raise RpcError(METHOD_NOT_FOUND, f"no method {call.method[:80]!r}; UT-Hello lists the methods")
-        if isinstance(call.params, list):
-            raise RpcError(INVALID_PARAMS, "parameters must be given by name, in an object")
-        try:
-            params = msgspec.convert(call.params, method.params)
-        except msgspec.ValidationError as error:
-            raise RpcError(INVALID_PARAMS, f"{call.method}: {error}") from None
+        params = parameters_of(call.method, call.params)
         if isinstance(params, m.Subscribe):
             session.subscription = params
-            self._note_wishes()
             return m.UTConfirm(status=m.UT_OK)
         if call.method == "UT-Status":
             return self._status(times)
@@ -269,70 +245,22 @@ class ControlServer:
             if type(effect) is Dropped:
                 # Checked first because most frequent: any record of a beacon without news is dropped.
                 self._dropped[effect.layer, effect.reason] += 1
-                continue
-            if not self._sessions:
-                continue
-            match effect:
-                case PayloadReceived():
-                    self._indicate_reception(effect)
-                case PayloadTransmitted():
-                    self._indicate_transmission(effect, wall - now)
-                case VariableChanged() if self._wants_variables:
-                    self._tell_variable(effect)
-                case NeighbourSeen() if self._wants_neighbours:
-                    seen = m.NeighbourSeenNotification(node_id=effect.node_id.hex(":"), new=effect.new)
-                    self._tell_neighbours("UT-NeighbourSeen", seen)
-                case NeighbourExpired() if self._wants_neighbours:
-                    expired = m.NeighbourExpiredNotification(node_id=effect.node_id.hex(":"))
-                    self._tell_neighbours("UT-NeighbourExpired", expired)
-                case _:
-                    pass
+            elif self._sessions and (listeners := self._listeners(effect)):
+                message = jsonrpc.notification_message(*_notification(effect, wall - now))
+                for session in listeners:
+                    session.notify(message)
 
-    def _indicate_reception(self, effect: PayloadReceived) -> None:
-        listeners = self._listeners(effect.protocol_id)
-        if listeners:
-            indication = m.ReceivePayloadIndication(
-                prot_id=effect.protocol_id,
-                length=len(effect.payload),
-                payload=effect.payload.hex(),
-                sender_id=effect.sender_id.hex(":"),
-            )
-            _tell(listeners, "BP-ReceivePayload.indication", indication)
-
-    def _indicate_transmission(self, effect: PayloadTransmitted, offset: int) -> None:
-        listeners = self._listeners(effect.protocol_id)
-        if listeners:
-            indication = m.PayloadTransmittedIndication(
-                prot_id=effect.protocol_id, next_beacon_generation_epoch=effect.next_epoch + offset
-            )
-            _tell(listeners, "BP-PayloadTransmitted.indication", indication)
-
-    def _tell_variable(self, effect: VariableChanged) -> None:
-        changed = m.VariableChangedNotification(
-            event=effect.event,
-            var_id=effect.var_id,
-            prod_id=effect.prod_id.hex(":"),
-            seqno=effect.seqno,
-            value=UNSET if effect.event == "deleted" else effect.value.hex(),
-        )
-        _tell([each for each in self._sessions if each.subscription.variables], "UT-VariableChanged", changed)
-
-    def _tell_neighbours(self, name: str, notification: m.Result) -> None:
-        _tell([each for each in self._sessions if each.subscription.neighbours], name, notification)
-
-    def _listeners(self, prot_id: int) -> list[ControlSession]:
-        """Return the sessions that receive indications of a protocol."""
-        owner = self._owners.get(prot_id)
-        if not self._wants_protocols:
-            return [] if owner is None else [owner]
-        return [each for each in self._sessions if each is owner or prot_id in each.subscription.prot_ids]
-
-    def _note_wishes(self) -> None:
-        """Store whether any client is subscribed; usually none is, and effects need no further checks."""
-        wishes = [session.subscription for session in self._sessions]
-        self._wants_variables = any(wish.variables for wish in wishes)
-        self._wants_neighbours = any(wish.neighbours for wish in wishes)
-        self._wants_protocols = any(wish.prot_ids for wish in wishes)
+    def _listeners(self, effect: Effect) -> list[ControlSession]:
+        """Return the sessions that are notified of an effect."""
+        match effect:
+            case PayloadReceived() | PayloadTransmitted():
+                prot_id, owner = effect.protocol_id, self._owners.get(effect.protocol_id)
+                return [each for each in self._sessions if each is owner or prot_id in each.subscription.prot_ids]
+            case VariableChanged():
+                return [each for each in self._sessions if each.subscription.variables]
+            case NeighbourSeen() | NeighbourExpired():
+                return [each for each in self._sessions if each.subscription.neighbours]
+        return []
 
     def _status(self, times: Times) -> m.StatusConfirm:
         """Return the result of UT-Status."""
@@ -354,10 +282,30 @@ class ControlServer:
         )
 
 
-def _tell(sessions: Iterable[ControlSession], name: str, params: m.Result) -> None:
-    message = notification_message(name, params)
-    for session in sessions:
-        session.notify(message)
+def _notification(effect: Effect, offset: int) -> tuple[str, m.Result]:
+    """Return name and parameters of the notification of an effect; ``offset``: wall time minus monotonic time in ns."""
+    match effect:
+        case PayloadReceived(prot_id, payload, sender_id):
+            return "BP-ReceivePayload.indication", m.ReceivePayloadIndication(
+                prot_id=prot_id, length=len(payload), payload=payload.hex(), sender_id=sender_id.hex(":")
+            )
+        case PayloadTransmitted(prot_id, next_epoch):
+            return "BP-PayloadTransmitted.indication", m.PayloadTransmittedIndication(
+                prot_id=prot_id, next_beacon_generation_epoch=next_epoch + offset
+            )
+        case VariableChanged(event, var_id, seqno, value, prod_id):
+            return "UT-VariableChanged", m.VariableChangedNotification(
+                event=event,
+                var_id=var_id,
+                prod_id=prod_id.hex(":"),
+                seqno=seqno,
+                value=UNSET if event == "deleted" else value.hex(),
+            )
+        case NeighbourSeen(node_id, new):
+            return "UT-NeighbourSeen", m.NeighbourSeenNotification(node_id=node_id.hex(":"), new=new)
+        case NeighbourExpired(node_id):
+            return "UT-NeighbourExpired", m.NeighbourExpiredNotification(node_id=node_id.hex(":"))
+    raise TypeError(f"clients are not notified of {effect}")
 
 
 def _finite(value: Any) -> Any:

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, TypeVar
 
-from dcp_spec.parameters import UnknownParameterError, Violation
+import msgspec
+from dcp_spec.parameters import UnknownParameterError
 from dcp_spec.status import BPStatus, SRPStatus, VardisStatus
 from dcp_spec.version import __version__
-from msgspec import UNSET
+from msgspec import UNSET, UnsetType
 
 from dcp_codec.values import VarSpec
+from dcp_stack.bp.entity import BeaconingProtocol
 from dcp_stack.bp.services import UnknownServiceError
 from dcp_stack.config import MS
 from dcp_stack.node import Node
@@ -22,8 +24,10 @@ from dcp_stack.vardis.confirms import NoResponseError
 from dcp_stack.vardis.entity import Vardis
 
 from . import messages as m
-from .jsonrpc import INVALID_PARAMS, METHOD_NOT_FOUND, NO_ANSWER, REFUSED, RpcError
+from .jsonrpc import ErrorCode, RpcError
 from .methods import METHODS
+
+T = TypeVar("T")
 
 
 class Times(NamedTuple):
@@ -33,20 +37,31 @@ class Times(NamedTuple):
     wall: int
 
 
+def parameters_of(method: str, given: Any) -> m.Params:
+    """Return the parameters ``given`` in a request, checked. Raises RpcError for unknown methods and wrong values."""
+    known = METHODS.get(method)
+    if known is None:
+        raise RpcError(ErrorCode.METHOD_NOT_FOUND, f"no method {method[:80]!r}; UT-Hello lists the methods")
+    if isinstance(given, list):
+        raise RpcError(ErrorCode.INVALID_PARAMS, "parameters must be given by name, in an object")
+    try:
+        return msgspec.convert(given, known.params)
+    except msgspec.ValidationError as error:
+        raise RpcError(ErrorCode.INVALID_PARAMS, f"{method}: {error}") from None
+
+
 def perform(node: Node, method: str, params: Any, times: Times) -> m.Result:
     """Carry out ``method``; ``params`` must have its type. Raises only RpcError, also for values that are refused."""
     try:
         return _HANDLERS[method](node, params, times)
     except NoResponseError as error:
-        raise RpcError(NO_ANSWER, str(error)) from None
+        raise RpcError(ErrorCode.NO_ANSWER, str(error)) from None
     except UnknownServiceError as error:
-        raise RpcError(METHOD_NOT_FOUND, str(error)) from None
-    except UnknownParameterError as error:
-        raise RpcError(INVALID_PARAMS, str(error)) from None
-    except ValueError as error:
-        # Values that the types of a message cannot exclude: the protocols raise before they change anything. A
-        # TypeError would be an internal error: the types of parameters were checked with the message.
-        raise RpcError(INVALID_PARAMS, str(error)) from None
+        raise RpcError(ErrorCode.METHOD_NOT_FOUND, str(error)) from None
+    except (UnknownParameterError, ValueError) as error:
+        # ValueError: values that the types of a message cannot exclude. The protocols raise before they change
+        # anything. A TypeError would be an internal error: the types of parameters were checked with the message.
+        raise RpcError(ErrorCode.INVALID_PARAMS, str(error)) from None
 
 
 def supported(node: Node) -> tuple[str, ...]:
@@ -60,10 +75,9 @@ def supported(node: Node) -> tuple[str, ...]:
     # Activation of VarDis is internal in 1.1 and does not exist in 1.0.
     if features.vardis_activation != "service":
         missing |= {"VD-MGMT-Activate", "VD-MGMT-Deactivate"}
-    absent = [
-        prefix for prefix, there in (("SRP-", node.srp), ("RTDB-", node.vardis), ("VD-", node.vardis)) if not there
-    ]
-    return tuple(name for name in METHODS if name not in missing and not name.startswith(tuple(absent)))
+    entities = (("SRP-", node.srp), ("RTDB-", node.vardis), ("VD-", node.vardis))
+    absent = tuple(prefix for prefix, entity in entities if entity is None)
+    return tuple(name for name in METHODS if name not in missing and not name.startswith(absent))
 
 
 def octets_of(text: str) -> bytes:
@@ -78,6 +92,11 @@ def plain_number(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return "NaN" if math.isnan(value) else "Infinity" if value > 0 else "-Infinity"
     return value
+
+
+def _member(value: T | None) -> T | UnsetType:
+    """Return the value of a member of a result, UNSET for None: a member without a value is omitted."""
+    return UNSET if value is None else value
 
 
 # -- BP ---------------------------------------------------------------------------------------------------------------
@@ -102,13 +121,7 @@ def _list_registered(node: Node, _params: m.Nothing, _times: Times) -> m.Result:
     confirm = node.bp.list_registered()
     protocols = tuple(
         m.RegisteredProtocol(
-            protocol_id=each.protocol_id,
-            protocol_name=each.protocol_name,
-            max_payload_size=each.max_payload_size,
-            queue_mode=str(each.queue_mode),
-            time_stamp_registration=each.time_stamp_registration,
-            max_entries=each.max_entries,
-            allow_multiple_payloads=each.allow_multiple_payloads,
+            **{**msgspec.structs.asdict(each), "queue_mode": str(each.queue_mode)},
             buffered=node.bp.query_number_buffered(each.protocol_id).number or 0,
         )
         for each in confirm.protocols
@@ -118,9 +131,7 @@ def _list_registered(node: Node, _params: m.Nothing, _times: Times) -> m.Result:
 
 def _query(node: Node, params: m.ForProtocol, _times: Times) -> m.Result:
     confirm = node.bp.query_number_buffered(params.prot_id)
-    return m.QueryNumberBufferedPayloadsConfirm(
-        status=confirm.status, number=UNSET if confirm.number is None else confirm.number
-    )
+    return m.QueryNumberBufferedPayloadsConfirm(status=confirm.status, number=_member(confirm.number))
 
 
 def _transmit(node: Node, params: m.TransmitPayload, times: Times) -> m.Result:
@@ -133,21 +144,15 @@ def _bp_parameters(node: Node, _params: m.Nothing, _times: Times) -> m.Result:
     return m.BPParametersConfirm(status=BPStatus.OK, parameters=shown)
 
 
-def _set_bp_parameter(node: Node, params: m.SetParameter, _times: Times) -> m.Result:
-    _refuse(node.bp.set_parameter(params.name, params.value))
-    return m.BPConfirm(status=BPStatus.OK)
+def _set_parameter(entity: BeaconingProtocol | StateReporting | Vardis, params: m.SetParameter, done: T) -> T:
+    """Set a parameter; return ``done``.
 
-
-def _refuse(violation: Violation | None) -> None:
-    """Raise RpcError for a refused value: the specification defines no status for it (BP-PAR-07)."""
+    Raises RpcError for a refused value: the specification defines no status for it (BP-PAR-07).
+    """
+    violation = entity.set_parameter(params.name, params.value)
     if violation is not None:
-        data = {
-            "parameter": violation.parameter,
-            "value": violation.value,
-            "bound": violation.bound,
-            "requirement": violation.requirement,
-        }
-        raise RpcError(REFUSED, str(violation), data)
+        raise RpcError(ErrorCode.REFUSED, str(violation), msgspec.structs.asdict(violation))
+    return done
 
 
 # -- SRP --------------------------------------------------------------------------------------------------------------
@@ -156,7 +161,7 @@ def _refuse(violation: Violation | None) -> None:
 def _srp(node: Node) -> StateReporting:
     """Return the SRP of the node. Raises RpcError if it runs without."""
     if node.srp is None:
-        raise RpcError(METHOD_NOT_FOUND, "this node runs without SRP")
+        raise RpcError(ErrorCode.METHOD_NOT_FOUND, "this node runs without SRP")
     return node.srp
 
 
@@ -165,7 +170,7 @@ def _update_safety_data(node: Node, params: m.UpdateSafetyData, times: Times) ->
     values = {name: _field_value(node, name, value) for name, value in params.s_data.items()}
     confirm = srp.update_safety_data(values, now=times.now, wall=times.wall)
     if confirm is None:
-        raise RpcError(NO_ANSWER, "SRP does not answer before it is initialized (reading X10)")
+        raise RpcError(ErrorCode.NO_ANSWER, "SRP does not answer before it is initialized (reading X10)")
     return m.SRPConfirm(status=confirm.status)
 
 
@@ -178,7 +183,7 @@ def _field_value(node: Node, name: str, value: m.Number) -> Any:
         return bytes.fromhex(value)
     if value in ("NaN", "Infinity", "-Infinity"):
         return float(value)
-    raise RpcError(INVALID_PARAMS, f"{name} takes a number, not {value[:40]!r}")
+    raise RpcError(ErrorCode.INVALID_PARAMS, f"{name} takes a number, not {value[:40]!r}")
 
 
 def _neighbour_table(node: Node, params: m.NeighbourTableRequest, times: Times) -> m.Result:
@@ -201,7 +206,7 @@ def _neighbour(
     table: NeighbourTable, entry: NeighbourTableEntry, own: Motion | None, loss: float | None, times: Times
 ) -> m.Neighbour:
     motion = table.motion(entry)
-    place = UNSET if motion is None else motion.position
+    apart = None if own is None or motion is None else distance(own.position, motion.position)
     return m.Neighbour(
         node_id=entry.node_id.hex(":"),
         s_data={name: plain_number(value) for name, value in entry.ext_sd.s_data.as_dict().items()},
@@ -215,25 +220,12 @@ def _neighbour(
         lost=entry.lost,
         restarts=entry.restarts,
         mean_interval=UNSET if entry.mean_interval is None else entry.mean_interval / MS,
-        beacon_loss=UNSET if loss is None else loss,
-        position=place,
-        velocity=UNSET if motion is None or motion.velocity is None else motion.velocity,
-        distance=UNSET if own is None or place is UNSET else _finite(distance(own.position, place)),
+        beacon_loss=_member(loss),
+        position=UNSET if motion is None else motion.position,
+        velocity=UNSET if motion is None else _member(motion.velocity),
+        # The distance of two positions near the limits of a float can exceed these limits.
+        distance=_member(apart if apart is not None and math.isfinite(apart) else None),
     )
-
-
-def _finite(value: float) -> Any:
-    # The distance of two positions near the limits of a float can exceed these limits.
-    return value if math.isfinite(value) else UNSET
-
-
-def _srp_parameters(node: Node, _params: m.Nothing, _times: Times) -> m.Result:
-    return m.SRPParametersConfirm(status=SRPStatus.OK, parameters=dict(_srp(node).parameters()))
-
-
-def _set_srp_parameter(node: Node, params: m.SetParameter, _times: Times) -> m.Result:
-    _refuse(_srp(node).set_parameter(params.name, params.value))
-    return m.SRPConfirm(status=SRPStatus.OK)
 
 
 # -- VarDis -----------------------------------------------------------------------------------------------------------
@@ -242,7 +234,7 @@ def _set_srp_parameter(node: Node, params: m.SetParameter, _times: Times) -> m.R
 def _vardis(node: Node) -> Vardis:
     """Return the VarDis of the node. Raises RpcError if it runs without."""
     if node.vardis is None:
-        raise RpcError(METHOD_NOT_FOUND, "this node runs without VarDis")
+        raise RpcError(ErrorCode.METHOD_NOT_FOUND, "this node runs without VarDis")
     return node.vardis
 
 
@@ -273,11 +265,8 @@ def _delete(node: Node, params: m.ForVariable, times: Times) -> m.Result:
 
 def _read(node: Node, params: m.ForVariable, _times: Times) -> m.Result:
     confirm = _vardis(node).read(params.var_id)
-    return m.ReadConfirm(
-        status=confirm.status,
-        value=UNSET if confirm.value is None else confirm.value.hex(),
-        t_stamp=UNSET if confirm.t_stamp is None else confirm.t_stamp,
-    )
+    value = None if confirm.value is None else confirm.value.hex()
+    return m.ReadConfirm(status=confirm.status, value=_member(value), t_stamp=_member(confirm.t_stamp))
 
 
 def _describe_database(node: Node, _params: m.Nothing, _times: Times) -> m.Result:
@@ -323,32 +312,14 @@ def _spec(node: Node, spec: VarSpec) -> dict[str, Any]:
     return shown
 
 
-def _activate_vardis(node: Node, _params: m.Nothing, _times: Times) -> m.Result:
-    return m.VardisConfirm(status=_management(node).activate().status)
-
-
-def _deactivate_vardis(node: Node, _params: m.Nothing, _times: Times) -> m.Result:
-    return m.VardisConfirm(status=_management(node).deactivate().status)
-
-
 def _management(node: Node) -> Vardis:
     """Return the VarDis of the node. Raises RpcError if its version has no activation service."""
     vardis = _vardis(node)
     if node.config.features.vardis_activation != "service":
         version = node.config.profile.spec_version
-        raise RpcError(
-            METHOD_NOT_FOUND, f"VD-MGMT-Activate and -Deactivate exist since 1.2; the profile follows {version}"
-        )
+        message = f"VD-MGMT-Activate and -Deactivate exist since 1.2; the profile follows {version}"
+        raise RpcError(ErrorCode.METHOD_NOT_FOUND, message)
     return vardis
-
-
-def _vardis_parameters(node: Node, _params: m.Nothing, _times: Times) -> m.Result:
-    return m.VardisParametersConfirm(status=VardisStatus.OK, parameters=_vardis(node).parameters())
-
-
-def _set_vardis_parameter(node: Node, params: m.SetParameter, _times: Times) -> m.Result:
-    _refuse(_vardis(node).set_parameter(params.name, params.value))
-    return m.VardisConfirm(status=VardisStatus.OK)
 
 
 # -- the upper tester -------------------------------------------------------------------------------------------------
@@ -384,19 +355,25 @@ _HANDLERS: Final[dict[str, Callable[[Node, Any, Times], m.Result]]] = {
     "BP-MGMT-Activate": lambda node, _, times: m.BPConfirm(status=node.bp.activate(times.now).status),
     "BP-MGMT-Deactivate": lambda node, _, __: m.BPConfirm(status=node.bp.deactivate().status),
     "BP-GetParameters": _bp_parameters,
-    "BP-SetParameter": _set_bp_parameter,
+    "BP-SetParameter": lambda node, params, _: _set_parameter(node.bp, params, m.BPConfirm(status=BPStatus.OK)),
     "SRP-UpdateSafetyData": _update_safety_data,
     "SRP-NeighbourTable": _neighbour_table,
-    "SRP-GetParameters": _srp_parameters,
-    "SRP-SetParameter": _set_srp_parameter,
+    "SRP-GetParameters": lambda node, _, __: m.SRPParametersConfirm(
+        status=SRPStatus.OK, parameters=_srp(node).parameters()
+    ),
+    "SRP-SetParameter": lambda node, params, _: _set_parameter(_srp(node), params, m.SRPConfirm(status=SRPStatus.OK)),
     "RTDB-DescribeDatabase": _describe_database,
     "RTDB-DescribeVariable": _describe_variable,
     "RTDB-Create": _create,
     "RTDB-Update": _update,
     "RTDB-Delete": _delete,
     "RTDB-Read": _read,
-    "VD-MGMT-Activate": _activate_vardis,
-    "VD-MGMT-Deactivate": _deactivate_vardis,
-    "VD-GetParameters": _vardis_parameters,
-    "VD-SetParameter": _set_vardis_parameter,
+    "VD-MGMT-Activate": lambda node, _, __: m.VardisConfirm(status=_management(node).activate().status),
+    "VD-MGMT-Deactivate": lambda node, _, __: m.VardisConfirm(status=_management(node).deactivate().status),
+    "VD-GetParameters": lambda node, _, __: m.VardisParametersConfirm(
+        status=VardisStatus.OK, parameters=_vardis(node).parameters()
+    ),
+    "VD-SetParameter": lambda node, params, _: _set_parameter(
+        _vardis(node), params, m.VardisConfirm(status=VardisStatus.OK)
+    ),
 }

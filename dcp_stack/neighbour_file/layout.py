@@ -61,7 +61,7 @@ def _aligned(size: int) -> int:
     return -(-size // 64) * 64
 
 
-class Layout(msgspec.Struct, frozen=True):
+class FileSizes(msgspec.Struct, frozen=True):
     """Sizes and offsets of one file, in octets. ``field_count``: numeric fields of the profile's safety data."""
 
     capacity: int
@@ -69,8 +69,8 @@ class Layout(msgspec.Struct, frozen=True):
     entry_size: int
 
     @classmethod
-    def of(cls, capacity: int, field_count: int) -> Layout:
-        """Return the layout of a file for ``capacity`` entries."""
+    def of(cls, capacity: int, field_count: int) -> FileSizes:
+        """Return the sizes of a file for ``capacity`` entries."""
         return cls(capacity, field_count, _aligned(ENTRY_FIXED + 8 * field_count))
 
     @property

@@ -15,33 +15,8 @@ import msgspec
 
 from dcp_stack.positions.geometry import Vector
 
-from .layout import (
-    CHECKSUM,
-    CLOSED,
-    CREATED,
-    ENTRY,
-    ENTRY_FIXED,
-    FIELD,
-    FIELD_SIZE,
-    HAS_POSITION,
-    HAS_VELOCITY,
-    HEADER,
-    HEADER_SIZE,
-    HEARTBEAT_MONO,
-    HEARTBEAT_WALL,
-    LATEST,
-    LAYOUT_VERSION,
-    MAGIC,
-    SLOT,
-    SLOT_HEADER_SIZE,
-    STATE,
-    UNKNOWN_TIME,
-    VELOCITY_ESTIMATED,
-    Layout,
-    NeighbourFileError,
-    fence,
-    little_endian_only,
-)
+from . import layout
+from .layout import NeighbourFileError
 
 _ATTEMPTS: Final = 10_000
 """Maximum number of attempts to copy a table. An attempt fails only if two tables are published during the copy, so
@@ -104,7 +79,7 @@ class NeighbourFileReader:
 
     def __init__(self, path: str | Path) -> None:
         """Map the file. Raises NeighbourFileError if it cannot be read or does not have this layout."""
-        little_endian_only()
+        layout.little_endian_only()
         self.path = Path(path)
         self._attach()
 
@@ -117,26 +92,29 @@ class NeighbourFileReader:
         except (OSError, ValueError) as error:
             reason = error.strerror if isinstance(error, OSError) else "it is empty"
             raise NeighbourFileError(f"{self.path}: cannot be read ({reason}); is the node running?") from None
-        header = HEADER.unpack_from(mapped) if len(mapped) >= HEADER_SIZE else (b"",)
-        if header[0] != MAGIC or header[1] != LAYOUT_VERSION:
+        header = layout.HEADER.unpack_from(mapped) if len(mapped) >= layout.HEADER_SIZE else (b"",)
+        if header[0] != layout.MAGIC or header[1] != layout.LAYOUT_VERSION:
             mapped.close()
-            raise NeighbourFileError(f"{self.path}: is not a neighbour table of layout version {LAYOUT_VERSION}")
+            raise NeighbourFileError(f"{self.path}: is not a neighbour table of layout version {layout.LAYOUT_VERSION}")
         _, _, slots, slot_size, slot_header, entry_size, capacity, field_count, id_length, node_id, profile = header
-        layout = Layout.of(capacity, field_count)
+        sizes = layout.FileSizes.of(capacity, field_count)
         if (slots, slot_size, slot_header, entry_size) != (
-            layout.slots,
-            layout.slot_size,
-            SLOT_HEADER_SIZE,
-            layout.entry_size,
-        ) or len(mapped) != layout.file_size:
+            sizes.slots,
+            sizes.slot_size,
+            layout.SLOT_HEADER_SIZE,
+            sizes.entry_size,
+        ) or len(mapped) != sizes.file_size:
             mapped.close()
             raise NeighbourFileError(f"{self.path}: the sizes in its header contradict each other")
         self._identity = (status.st_dev, status.st_ino)
-        self._map, self._layout = mapped, layout
+        self._map, self._sizes = mapped, sizes
         self._numbers = memoryview(mapped).cast("Q")
         self._signed = memoryview(mapped).cast("q")
         self._profile, self._node_id = _untext(profile), node_id[:id_length]
-        records = (FIELD.unpack_from(mapped, HEADER_SIZE + FIELD_SIZE * number) for number in range(field_count))
+        records = (
+            layout.FIELD.unpack_from(mapped, layout.HEADER_SIZE + layout.FIELD_SIZE * number)
+            for number in range(field_count)
+        )
         self._names = tuple(_untext(name) for name, *_ in records)
         self._values = struct.Struct(f"<{field_count}d")
 
@@ -155,10 +133,10 @@ class NeighbourFileReader:
         """Return the latest table. Raises NeighbourFileError if the file is damaged."""
         self._follow()
         for attempt in range(_ATTEMPTS):
-            generation = self._numbers[LATEST // 8]
-            fence()
+            generation = self._numbers[layout.LATEST // 8]
+            layout.fence()
             if generation == 0:
-                return self._made(SLOT.pack(0, self._signed[CREATED // 8], 0, 0, 0), b"")
+                return self._made(layout.SLOT.pack(0, self._signed[layout.CREATED // 8], 0, 0, 0), b"")
             taken = self._copy(generation)
             if taken is not None:
                 return self._made(*taken)
@@ -168,19 +146,19 @@ class NeighbourFileReader:
 
     def _copy(self, generation: int) -> tuple[bytes, bytes] | None:
         """Return slot header and entries of a generation; None if they changed during the copy."""
-        layout = self._layout
-        start = layout.slots + (generation & 1) * layout.slot_size
+        sizes = self._sizes
+        start = sizes.slots + (generation & 1) * sizes.slot_size
         if self._numbers[start // 8] != 2 * generation:
             return None
-        fence()
-        head = self._map[start + 8 : start + 8 + SLOT.size]
-        found, _, _, count, _ = SLOT.unpack(head)
-        if count > layout.capacity:
+        layout.fence()
+        head = self._map[start + 8 : start + 8 + layout.SLOT.size]
+        found, _, _, count, _ = layout.SLOT.unpack(head)
+        if count > sizes.capacity:
             return None
-        checksum = int.from_bytes(self._map[start + CHECKSUM : start + CHECKSUM + 4], "little")
-        begin = start + SLOT_HEADER_SIZE
-        entries = self._map[begin : begin + count * layout.entry_size]
-        fence()
+        checksum = int.from_bytes(self._map[start + layout.CHECKSUM : start + layout.CHECKSUM + 4], "little")
+        begin = start + layout.SLOT_HEADER_SIZE
+        entries = self._map[begin : begin + count * sizes.entry_size]
+        layout.fence()
         if self._numbers[start // 8] != 2 * generation:
             return None
         fits = found == generation and zlib.crc32(entries, zlib.crc32(head)) == checksum
@@ -188,37 +166,37 @@ class NeighbourFileReader:
 
     def _made(self, head: bytes, entries: bytes) -> NeighbourFileSnapshot:
         """Return the snapshot for a copied slot."""
-        generation, published_wall, published_mono, _, omitted = SLOT.unpack(head)
-        size = self._layout.entry_size
+        generation, published_wall, published_mono, _, omitted = layout.SLOT.unpack(head)
+        size = self._sizes.entry_size
         return NeighbourFileSnapshot(
             profile=self._profile,
             node_id=self._node_id,
             generation=generation,
-            created_wall=self._signed[CREATED // 8],
+            created_wall=self._signed[layout.CREATED // 8],
             published_wall=published_wall,
             published_mono=published_mono,
-            heartbeat_wall=self._signed[HEARTBEAT_WALL // 8],
-            heartbeat_mono=self._signed[HEARTBEAT_MONO // 8],
-            closed=self._numbers[STATE // 8] == CLOSED,
+            heartbeat_wall=self._signed[layout.HEARTBEAT_WALL // 8],
+            heartbeat_mono=self._signed[layout.HEARTBEAT_MONO // 8],
+            closed=self._numbers[layout.STATE // 8] == layout.CLOSED,
             omitted=omitted,
             entries=tuple(self._entry(entries, offset) for offset in range(0, len(entries), size)),
         )
 
     def _entry(self, entries: bytes, offset: int) -> FileEntry:
         """Return the entry at an offset of the copied entries."""
-        (node_id, id_length, flags, px, py, pz, vx, vy, vz, wall, mono, stamp, *counts) = ENTRY.unpack_from(
+        (node_id, id_length, flags, px, py, pz, vx, vy, vz, wall, mono, stamp, *counts) = layout.ENTRY.unpack_from(
             entries, offset
         )
         received, lost, repeated, interval, gap, seqno, restarts = counts
-        values: tuple[Any, ...] = self._values.unpack_from(entries, offset + ENTRY_FIXED)
+        values: tuple[Any, ...] = self._values.unpack_from(entries, offset + layout.ENTRY_FIXED)
         return FileEntry(
             node_id=node_id[:id_length],
-            position=(px, py, pz) if flags & HAS_POSITION else None,
-            velocity=(vx, vy, vz) if flags & HAS_VELOCITY else None,
-            velocity_estimated=bool(flags & VELOCITY_ESTIMATED),
+            position=(px, py, pz) if flags & layout.HAS_POSITION else None,
+            velocity=(vx, vy, vz) if flags & layout.HAS_VELOCITY else None,
+            velocity_estimated=bool(flags & layout.VELOCITY_ESTIMATED),
             reception_wall=wall,
             reception_mono=mono,
-            stamp_wall=None if stamp == UNKNOWN_TIME else stamp,
+            stamp_wall=None if stamp == layout.UNKNOWN_TIME else stamp,
             seqno=seqno,
             received=received,
             lost=lost,

@@ -18,36 +18,8 @@ from dcp_spec.profile.definition import Profile
 from dcp_stack.positions.fields import ROLES
 from dcp_stack.srp.neighbour_table import NeighbourTable, NeighbourTableEntry
 
-from .layout import (
-    CLOSED,
-    CREATED,
-    ENTRY,
-    ENTRY_FIXED,
-    FIELD,
-    FIELD_SIZE,
-    HAS_POSITION,
-    HAS_VELOCITY,
-    HEADER,
-    HEADER_SIZE,
-    HEARTBEAT_MONO,
-    HEARTBEAT_WALL,
-    LATEST,
-    LAYOUT_VERSION,
-    MAGIC,
-    MAX_CAPACITY,
-    NODE_ID_SIZE,
-    PID,
-    RUNNING,
-    SLOT,
-    SLOT_HEADER_SIZE,
-    STATE,
-    UNKNOWN_TIME,
-    VELOCITY_ESTIMATED,
-    Layout,
-    NeighbourFileError,
-    fence,
-    little_endian_only,
-)
+from . import layout
+from .layout import NeighbourFileError
 
 _ROLE_NUMBERS: Final = {role: 1 + number for number, role in enumerate(sorted(ROLES))}
 _NOWHERE: Final = (math.nan, math.nan, math.nan)
@@ -65,16 +37,16 @@ class NeighbourFileWriter:
         /run: elsewhere the system writes the pages to disk from time to time. Raises NeighbourFileError if another
         process writes the file, if the name belongs to a different kind of file, or if the system refuses.
         """
-        little_endian_only()
-        if not 1 <= capacity <= MAX_CAPACITY:
-            raise NeighbourFileError(f"{path}: the capacity is 1 to {MAX_CAPACITY} entries, not {capacity}")
-        if len(node_id) > NODE_ID_SIZE:
-            raise NeighbourFileError(f"{path}: a node identifier has at most {NODE_ID_SIZE} octets here")
+        layout.little_endian_only()
+        if not 1 <= capacity <= layout.MAX_CAPACITY:
+            raise NeighbourFileError(f"{path}: the capacity is 1 to {layout.MAX_CAPACITY} entries, not {capacity}")
+        if len(node_id) > layout.NODE_ID_SIZE:
+            raise NeighbourFileError(f"{path}: a node identifier has at most {layout.NODE_ID_SIZE} octets here")
         self.path = Path(path)
         self._fields = tuple(field.name for field in profile.srp.safety_data if field.type != "opaque")
-        self._layout = Layout.of(capacity, len(self._fields))
+        self._sizes = layout.FileSizes.of(capacity, len(self._fields))
         self._values = struct.Struct(f"<{len(self._fields)}d")
-        self._padding = bytes(self._layout.entry_size - ENTRY_FIXED - self._values.size)
+        self._padding = bytes(self._sizes.entry_size - layout.ENTRY_FIXED - self._values.size)
         self._generation = 0
         temporary = self.path.with_name(f".{self.path.name}.{os.getpid()}")
         try:
@@ -89,8 +61,8 @@ class NeighbourFileWriter:
             fcntl.flock(self._fd, fcntl.LOCK_EX)
             os.fchmod(self._fd, 0o644)
             # Allocated in advance: a write into a mapping on a full file system would kill the process.
-            os.posix_fallocate(self._fd, 0, self._layout.file_size)
-            self._map = mmap.mmap(self._fd, self._layout.file_size)
+            os.posix_fallocate(self._fd, 0, self._sizes.file_size)
+            self._map = mmap.mmap(self._fd, self._sizes.file_size)
             self._numbers = memoryview(self._map).cast("Q")
             self._signed = memoryview(self._map).cast("q")
             self._write_header(profile, node_id, now, wall)
@@ -103,40 +75,40 @@ class NeighbourFileWriter:
 
     def _write_header(self, profile: Profile, node_id: bytes, now: int, wall: int) -> None:
         """Write the header and the descriptions of the fields."""
-        layout = self._layout
-        self._map[: HEADER.size] = HEADER.pack(
-            MAGIC,
-            LAYOUT_VERSION,
-            layout.slots,
-            layout.slot_size,
-            SLOT_HEADER_SIZE,
-            layout.entry_size,
-            layout.capacity,
-            layout.field_count,
+        sizes = self._sizes
+        self._map[: layout.HEADER.size] = layout.HEADER.pack(
+            layout.MAGIC,
+            layout.LAYOUT_VERSION,
+            sizes.slots,
+            sizes.slot_size,
+            layout.SLOT_HEADER_SIZE,
+            sizes.entry_size,
+            sizes.capacity,
+            sizes.field_count,
             len(node_id),
             node_id,
             _text(profile.name, 56),
         )
         numeric = [field for field in profile.srp.safety_data if field.type != "opaque"]
         for number, field in enumerate(numeric):
-            record = FIELD.pack(
+            record = layout.FIELD.pack(
                 _text(field.name, 40),
                 _text(field.unit, 16),
-                ENTRY_FIXED + 8 * number,
+                layout.ENTRY_FIXED + 8 * number,
                 _ROLE_NUMBERS.get(field.role, 0),
             )
-            start = HEADER_SIZE + FIELD_SIZE * number
-            self._map[start : start + FIELD_SIZE] = record
-        self._signed[CREATED // 8] = wall
-        self._numbers[PID // 8] = os.getpid()
-        self._numbers[STATE // 8] = RUNNING
+            start = layout.HEADER_SIZE + layout.FIELD_SIZE * number
+            self._map[start : start + layout.FIELD_SIZE] = record
+        self._signed[layout.CREATED // 8] = wall
+        self._numbers[layout.PID // 8] = os.getpid()
+        self._numbers[layout.STATE // 8] = layout.RUNNING
         self.heartbeat(now=now, wall=wall)
 
     def heartbeat(self, *, now: int, wall: int) -> None:
         """Renew the heartbeat, which shows readers that the writer is alive even without new tables."""
         # By a memoryview, not by struct: a single store, so readers cannot see a partial value.
-        self._signed[HEARTBEAT_WALL // 8] = wall
-        self._signed[HEARTBEAT_MONO // 8] = now
+        self._signed[layout.HEARTBEAT_WALL // 8] = wall
+        self._signed[layout.HEARTBEAT_MONO // 8] = now
 
     def publish(self, table: NeighbourTable, *, now: int, wall: int) -> None:
         """Write ``table`` to the file as the latest one, and renew the heartbeat.
@@ -144,30 +116,30 @@ class NeighbourFileWriter:
         Entries beyond the capacity, and those whose node identifier has more than 32 octets, are left out and counted.
         The call takes some microseconds per entry; the slot is locked only while the prepared table is copied.
         """
-        layout = self._layout
+        sizes = self._sizes
         made: list[bytes] = []
         omitted = 0
         for entry in table:
-            if len(made) < layout.capacity and len(entry.node_id) <= NODE_ID_SIZE:
+            if len(made) < sizes.capacity and len(entry.node_id) <= layout.NODE_ID_SIZE:
                 made.append(self._entry(table, entry))
             else:
                 omitted += 1
         self._generation += 1
         generation = self._generation
-        head = SLOT.pack(generation, wall, now, len(made), omitted)
+        head = layout.SLOT.pack(generation, wall, now, len(made), omitted)
         entries = b"".join(made)
         head += struct.pack("<I", zlib.crc32(entries, zlib.crc32(head)))
-        start = layout.slots + (generation & 1) * layout.slot_size
+        start = sizes.slots + (generation & 1) * sizes.slot_size
         lock = start // 8
         self._numbers[lock] = 2 * generation - 1
-        fence()
+        layout.fence()
         self._map[start + 8 : start + 8 + len(head)] = head
-        begin = start + SLOT_HEADER_SIZE
+        begin = start + layout.SLOT_HEADER_SIZE
         self._map[begin : begin + len(entries)] = entries
-        fence()
+        layout.fence()
         self._numbers[lock] = 2 * generation
-        fence()
-        self._numbers[LATEST // 8] = generation
+        layout.fence()
+        self._numbers[layout.LATEST // 8] = generation
         self.heartbeat(now=now, wall=wall)
 
     def _entry(self, table: NeighbourTable, entry: NeighbourTableEntry) -> bytes:
@@ -175,12 +147,12 @@ class NeighbourFileWriter:
         motion = table.motion(entry)
         position = motion.position if motion is not None else None
         velocity = motion.velocity if motion is not None else None
-        flags = HAS_POSITION * (position is not None) | HAS_VELOCITY * (velocity is not None)
+        flags = layout.HAS_POSITION * (position is not None) | layout.HAS_VELOCITY * (velocity is not None)
         if velocity is not None and motion is not None and motion.estimated:
-            flags |= VELOCITY_ESTIMATED
+            flags |= layout.VELOCITY_ESTIMATED
         report = entry.ext_sd
         delay = table.delay(entry)
-        packed = ENTRY.pack(
+        packed = layout.ENTRY.pack(
             entry.node_id,
             len(entry.node_id),
             flags,
@@ -188,7 +160,7 @@ class NeighbourFileWriter:
             *(velocity or _NOWHERE),
             entry.reception_time,
             entry.received_at,
-            UNKNOWN_TIME if delay is None else _clamped(entry.reception_time - delay),
+            layout.UNKNOWN_TIME if delay is None else _clamped(entry.reception_time - delay),
             entry.received,
             entry.lost,
             entry.repeated,
@@ -205,7 +177,7 @@ class NeighbourFileWriter:
         if self._closed:
             return
         self._closed = True
-        self._numbers[STATE // 8] = CLOSED
+        self._numbers[layout.STATE // 8] = layout.CLOSED
         with contextlib.suppress(OSError):
             ours, named = os.fstat(self._fd), self.path.stat()
             # A new writer may already have replaced this file by its own.
@@ -232,7 +204,7 @@ def _refuse_foreign(path: Path) -> None:
     if not stat.S_ISREG(status.st_mode):
         raise NeighbourFileError(f"{path}: is not a regular file, and is not replaced")
     with path.open("rb") as file:
-        if file.read(len(MAGIC)) != MAGIC:
+        if file.read(len(layout.MAGIC)) != layout.MAGIC:
             raise NeighbourFileError(f"{path}: is not a neighbour table, and is not replaced")
         try:
             fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)

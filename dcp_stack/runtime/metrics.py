@@ -16,9 +16,12 @@ from collections import Counter
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any, Final
 
+import msgspec
+
 from dcp_codec.common.extras import advice
 from dcp_stack.control.server import ControlServer
 from dcp_stack.links.base import Link
+from dcp_stack.links.rotation import RotatingRecorder
 
 from .reactor import READ, WRITE, Reactor
 
@@ -57,6 +60,12 @@ _MEANINGS: Final = {
     "own_address": "Ignored frames from our own address; another node may use the same one.",
 }
 
+_RECORDING: Final = {
+    "frames": "Frames in the recording.",
+    "frames_lost": "Frames that could not be recorded.",
+    "interruptions": "Interruptions of the recording, as by a full disk.",
+}
+
 
 class MetricsError(Exception):
     """The endpoint cannot be opened; the message names the cause and a remedy."""
@@ -73,26 +82,25 @@ class NodeCollector:
         """Yield all metrics. No label has a received value: other stations could create any number of series."""
         from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, InfoMetricFamily
 
-        node = self._server.node
+        node, link = self._server.node, self._link
         config = node.config
         about = {
             "node_id": config.node_id.hex(":"),
             "profile": config.profile.name,
             "spec_version": str(config.profile.spec_version),
-            "link": self._link.name,
+            "link": link.name,
         }
         yield InfoMetricFamily("dcp_node", "Identifier, profile and link of the node.", value=about)
         families: dict[str, CounterMetricFamily] = {}
         for name, number in node.bp.counters().items():
-            base, _, label = name.partition("/")
+            base, *protocol = name.split("/")
             if base == "drops":
                 # Contained in dcp_drops below.
                 continue
-            key = "protocol" if label else ""
             if base not in families:
-                labels = [key] if key else []
+                labels = ["protocol"] if protocol else []
                 families[base] = CounterMetricFamily(f"dcp_bp_{base.replace('-', '_')}", _meaning(base), labels=labels)
-            families[base].add_metric([label] if key else [], number)
+            families[base].add_metric(protocol, number)
         yield from families.values()
         drops = CounterMetricFamily(
             "dcp_drops",
@@ -102,51 +110,35 @@ class NodeCollector:
         for name, number in sorted(self._server.drops.items()):
             drops.add_metric(name.split("/", 1), number)
         yield drops
-        counters = self._link.counters
-        for name in counters.__struct_fields__:
-            yield CounterMetricFamily(f"dcp_link_{name}", _meaning(name), value=getattr(counters, name))
-        yield from self._recording()
-        yield GaugeMetricFamily("dcp_link_up", "Whether the link can carry frames.", value=int(self._link.up))
-        yield GaugeMetricFamily("dcp_bp_active", "Whether BP is active.", value=int(node.bp.active))
-        yield GaugeMetricFamily(
-            "dcp_control_sessions", "Connected clients of the control socket.", len(self._server.sessions)
-        )
+        for name, number in msgspec.structs.asdict(link.counters).items():
+            yield CounterMetricFamily(f"dcp_link_{name}", _meaning(name), value=number)
+        recorder = getattr(link, "watcher", None)
+        if isinstance(recorder, RotatingRecorder):
+            yield GaugeMetricFamily("dcp_recording_active", "Whether frames are being recorded.", recorder.recording)
+            for name in ("frames", "frames_lost", "interruptions"):
+                yield CounterMetricFamily(f"dcp_recording_{name}", _RECORDING[name], value=getattr(recorder, name))
+        yield GaugeMetricFamily("dcp_link_up", "Whether the link can carry frames.", link.up)
+        yield GaugeMetricFamily("dcp_bp_active", "Whether BP is active.", node.bp.active)
+        sessions = len(self._server.sessions)
+        yield GaugeMetricFamily("dcp_control_sessions", "Connected clients of the control socket.", sessions)
         if node.srp is not None and node.srp.registered:
-            yield GaugeMetricFamily(
-                "dcp_srp_neighbours", "Neighbours in the neighbour table of SRP.", value=len(node.srp.neighbours)
-            )
+            neighbours = len(node.srp.neighbours)
+            yield GaugeMetricFamily("dcp_srp_neighbours", "Neighbours in the neighbour table of SRP.", neighbours)
         if node.vardis is not None:
-            yield GaugeMetricFamily("dcp_vardis_active", "Whether VarDis is active.", value=int(node.vardis.active))
+            yield GaugeMetricFamily("dcp_vardis_active", "Whether VarDis is active.", node.vardis.active)
             known = node.vardis.describe_database().variables if node.vardis.active else ()
-            kinds = GaugeMetricFamily("dcp_vardis_variables", "Variables in the database, by state.", labels=["state"])
+            about_variables = "Variables in the database, by state."
+            variables = GaugeMetricFamily("dcp_vardis_variables", about_variables, labels=["state"])
             deleted = sum(each.is_deleted for each in known)
-            kinds.add_metric(["alive"], len(known) - deleted)
-            kinds.add_metric(["deleted"], deleted)
-            yield kinds
-            obstacles = GaugeMetricFamily(
-                "dcp_vardis_obstacles", "Variables that do not reach a neighbour, by reason.", labels=["reason"]
-            )
+            variables.add_metric(["alive"], len(known) - deleted)
+            variables.add_metric(["deleted"], deleted)
+            yield variables
+            about_obstacles = "Variables that do not reach a neighbour, by reason."
+            obstacles = GaugeMetricFamily("dcp_vardis_obstacles", about_obstacles, labels=["reason"])
             reasons = Counter(each.kind for each in node.vardis.obstacles(time.monotonic_ns()))
             for reason in ("asked-again", "unconfirmed", "superseded"):
                 obstacles.add_metric([reason], reasons[reason])
             yield obstacles
-
-    def _recording(self) -> Iterator[Metric]:
-        from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily
-
-        from dcp_stack.links.rotation import RotatingRecorder
-
-        recorder = getattr(self._link, "watcher", None)
-        if not isinstance(recorder, RotatingRecorder):
-            return
-        yield GaugeMetricFamily("dcp_recording_active", "Whether frames are being recorded.", int(recorder.recording))
-        yield CounterMetricFamily("dcp_recording_frames", "Frames in the recording.", value=recorder.frames)
-        yield CounterMetricFamily(
-            "dcp_recording_frames_lost", "Frames that could not be recorded.", value=recorder.frames_lost
-        )
-        yield CounterMetricFamily(
-            "dcp_recording_interruptions", "Interruptions of the recording, as by a full disk.", recorder.interruptions
-        )
 
 
 def _meaning(counter: str) -> str:

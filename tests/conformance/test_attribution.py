@@ -480,9 +480,9 @@ def test_an_answer_from_before_the_upper_tester_was_looked_for_is_no_sign_of_lif
 
 def test_what_several_processes_print_comes_in_any_order():
     said = ["Running BP | [fatal] no room in 0x7ffe | BP ended", "Running SRP | Running BP | [fatal] no room in 0x1"]
-    losses = [Loss(True, "dead", f"it ended with signal SIGABRT; it said: {words}") for words in said]
+    losses = [Loss(True, "dead", f"it ended with signal SIGABRT; its output: {words}") for words in said]
     assert len({each.group for each in losses}) == 1
-    assert losses[0].group == "died: it ended with signal SIGABRT; it said: [fatal] no room in #"
+    assert losses[0].group == "died: it ended with signal SIGABRT; its output: [fatal] no room in #"
 
 
 def test_no_identifier_is_used_twice_where_a_restart_frees_them():

@@ -102,7 +102,7 @@ class Duel:
             self.frame += 1
             heard = ReceivedBeacon(self.codec, self.frame, arrival.time, arrival.wall, arrival.octets, arrival.source)
             said = [(each.kind, each.record) for each in heard.instructions()]
-            self.complaints += self.oracle.said(said, self.sut.now, self.frame)
+            self.complaints += self.oracle.transmitted(said, self.sut.now, self.frame)
         self.late += self.oracle.overdue(self.sut.now - PERIOD)
 
     # -- at random -------------------------------------------------------------------------------------------------
@@ -219,7 +219,7 @@ class Model:
             VarReqUpdate: ICType.REQUEST_VARUPDATES,
         }
         said = [(kinds[type(each)], each) for each in records]
-        return [each.requirement for each in self.oracle.said(said, round(at * PERIOD), 2)]
+        return [each.requirement for each in self.oracle.transmitted(said, round(at * PERIOD), 2)]
 
     def late(self, at: float) -> list[str]:
         """Requirements that the node has broken by not saying anything until now."""

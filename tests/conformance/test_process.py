@@ -68,9 +68,9 @@ def test_a_process_is_started_watched_and_ended(tmp_path, control):
     ("end", "why"),
     [
         ("os.kill(os.getpid(), signal.SIGSEGV)", "it ended with signal SIGSEGV"),
-        ("sys.exit('no memory')", "it ended with exit status 1; it said: .*no memory"),
-        ("sys.exit(0)", "it ended with exit status 0; it said: hello"),
-        ("raise KeyError('seqno')", "exit status 1; it said: .*KeyError: 'seqno'"),
+        ("sys.exit('no memory')", "it ended with exit status 1; its output: .*no memory"),
+        ("sys.exit(0)", "it ended with exit status 0; its output: hello"),
+        ("raise KeyError('seqno')", "exit status 1; its output: .*KeyError: 'seqno'"),
     ],
 )
 def test_a_death_is_noticed_with_its_reason(tmp_path, control, end, why):
@@ -129,7 +129,7 @@ def test_much_output_does_not_fill_the_disk(tmp_path, control):
 
 def test_a_command_that_fails_at_once(tmp_path, control):
     it = control(start=program(tmp_path, "sys.exit('no such interface')"), settle=PATIENCE)
-    with pytest.raises(ConformanceError, match="ended at once with exit status 1; it said: no such interface"):
+    with pytest.raises(ConformanceError, match="ended at once with exit status 1; its output: no such interface"):
         it.start()
 
 
@@ -198,7 +198,7 @@ def test_a_program_that_ends_in_peace_is_dead_all_the_same(tmp_path, control):
     assert it.alive() is True
     (tmp_path / "go").touch()
     eventually(lambda: it.alive() is False, "it ends")
-    assert it.why_dead() == "it ended with exit status 0; it said nothing"
+    assert it.why_dead() == "it ended with exit status 0; it wrote nothing"
 
 
 def test_restarting_by_a_command(tmp_path, control):
@@ -213,7 +213,7 @@ def test_restarting_by_a_command(tmp_path, control):
     assert calls == [1, 1]
     failing = control(restart="echo 'unit not found' >&2; exit 5")
     with pytest.raises(
-        ConformanceError, match="--restart: the command ended with exit status 5; it said: unit not found"
+        ConformanceError, match="--restart: the command ended with exit status 5; its output: unit not found"
     ):
         failing.restart()
     missing = control(restart="/no/such/program")

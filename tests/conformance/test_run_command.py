@@ -131,7 +131,7 @@ class TestExitStatus:
             "--ut", f"unix:{tmp_path}/ut.sock", SANITY,
         )  # fmt: skip
         assert done.status == TESTER_ERROR
-        assert "--start: it ended with exit status 3; it said: config file missing" in done.err
+        assert "--start: it ended with exit status 3; its output: config file missing" in done.err
 
     def test_4_the_testers_own_trouble(self, dcp_conformance: Command, tmp_path: Path):
         done = dcp_conformance(

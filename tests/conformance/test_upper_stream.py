@@ -179,9 +179,9 @@ def test_a_program_that_talks_without_end_hangs_all_the_same(tmp_path):
 
 
 DEATHS = {
-    "exit": ("sys.exit('out of memory')", "exit status 1; it said: out of memory"),
-    "signal": ("import os; os.kill(os.getpid(), 9)", "signal SIGKILL; it said nothing"),
-    "exception": ("raise KeyError('varId')", r"exit status 1; it said: .*KeyError: 'varId'"),
+    "exit": ("sys.exit('out of memory')", "exit status 1; its output: out of memory"),
+    "signal": ("import os; os.kill(os.getpid(), 9)", "signal SIGKILL; it wrote nothing"),
+    "exception": ("raise KeyError('varId')", r"exit status 1; its output: .*KeyError: 'varId'"),
     "many words": ("[print('line', i, file=sys.stderr) for i in range(20000)]; sys.exit(3)", "line 19998 | line 19999"),
 }
 
@@ -218,7 +218,7 @@ def test_a_death_is_noticed_while_waiting(tmp_path):
 
 
 def test_a_program_that_dies_at_once():
-    with pytest.raises(UpperTesterError, match=r"exec:false: the program ended with exit status 1; it said nothing"):
+    with pytest.raises(UpperTesterError, match=r"exec:false: the program ended with exit status 1; it wrote nothing"):
         open_upper("exec:false")
 
 
@@ -230,7 +230,7 @@ def test_an_echo():
 
 
 def test_a_command_that_needs_a_shell():
-    with pytest.raises(UpperTesterError, match=r"exit status 7; it said: one \| two"):
+    with pytest.raises(UpperTesterError, match=r"exit status 7; its output: one \| two"):
         open_upper("exec:(echo one; echo two) >&2 && exit 7")
 
 

@@ -178,7 +178,7 @@ def test_an_artefact_is_told_with_what_was_sent(tmp_path):
 
 
 def test_what_an_implementation_says_cannot_change_the_terminal(tmp_path):
-    hostile = "it ended; it said: \x1b[2J\x1b]0;owned\x07\u202e"
+    hostile = "it ended; its output: \x1b[2J\x1b]0;owned\x07\u202e"
     folder = tmp_path / "findings"
     artefact = load(saved(folder, Effect("dead", hostile, 0, "dead"), steps=[Frame(SOUND)]))
     campaign = Campaign(CODEC, target_in_process(artefact), None, artefact.target, 1, directory=folder)

@@ -28,7 +28,7 @@ def test_an_update_that_was_overtaken_is_not_owed_when_the_circle_has_moved_past
         oracle.hear([VarUpdate(1, seqno, b"n")], number, number)
     said = [(ICType.CREATE_VARIABLES, VarCreate(create(1, 1).spec, VarUpdate(1, 131, b"n")))]
     said += [(ICType.UPDATES, VarUpdate(1, 131, b"n"))]
-    assert oracle.said(said, 10, 9) == []
+    assert oracle.transmitted(said, 10, 9) == []
     assert oracle.overdue(1000) == []
 
 
@@ -69,7 +69,7 @@ def test_a_creation_that_was_not_to_be_taken_is_told_as_that(oracle):
     oracle.hear([create(1, 1)], 0, 1)
     other = VarCreate(VarSpec(1, OWN[:-1] + b"\x09", 16, b"e", 5, 0), VarUpdate(1, 9, b"w"))
     oracle.hear([other], 20, 2)
-    [complaint] = oracle.said([(ICType.CREATE_VARIABLES, other)], 60, 3)
+    [complaint] = oracle.transmitted([(ICType.CREATE_VARIABLES, other)], 60, 3)
     assert complaint.requirement == "VD-PC-10"
     assert complaint.expected == "the creation of 02:dc:90:00:00:01 with repCnt 2, creationTime 1, timeout 0, descr 64"
     assert complaint.observed == "that of 02:00:00:00:00:09 with repCnt 16, creationTime 5, timeout 0, descr 65"
@@ -87,5 +87,5 @@ def test_what_is_said_of_a_deleted_variable_names_the_rule_that_it_breaks(oracle
     """A deletion takes it out of all queues; that there are no summaries of it is a rule of its own."""
     oracle.hear([create(1, 1)], 0, 1)
     oracle.hear([VarDelete(1)], 1, 2)
-    [complaint] = oracle.said([(kind, record)], 100, 3)
+    [complaint] = oracle.transmitted([(kind, record)], 100, 3)
     assert complaint.requirement == requirement

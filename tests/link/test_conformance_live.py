@@ -261,7 +261,7 @@ def test_other_profiles(profile):
 def test_a_node_that_does_not_start():
     with (
         pytest.raises(
-            ConformanceError, match=r"our node does not run: it ended with exit status 2; it said: .*no-such"
+            ConformanceError, match=r"our node does not run: it ended with exit status 2; its output: .*no-such"
         ),
         reference_process(Codec("dcp-2.0"), link="udp", options=["--neighbour-file", "/no-such-folder/x"]),
     ):
@@ -286,7 +286,7 @@ def test_a_node_that_listens_and_then_does_not_start(tmp_path):
     control = ProcessControl(start=[sys.executable, "-c", LISTENS, str(path)], settle=0)
     control.start()
     try:
-        with pytest.raises(ConformanceError, match=r"does not run: it ended with exit status 1; it said: .*not do"):
+        with pytest.raises(ConformanceError, match=r"does not run: it ended with exit status 1; its output: .*not do"):
             wait_for(control, path)
     finally:
         control.close()

@@ -71,7 +71,7 @@ def test_a_silent_implementation_without_upper_tester_fails_on_the_air() -> None
     command = [sys.executable, "-c", "import time; time.sleep(1000)"]
     result = play(Implementation(start=command, ready_s=1), "IT_VD_UPDATE-pair")
     assert result.verdict is Verdict.FAIL
-    assert "place 1 (theirs) said nothing of variable 20" in result.reason
+    assert "place 1 (theirs) sent nothing for variable 20" in result.reason
 
 
 def test_a_command_that_does_not_exist_is_an_error_with_its_name() -> None:

@@ -55,7 +55,7 @@ def test_a_stale_value_after_a_recreation(recreated):
     assert stale.differs == [pytest.approx((10.0, 19.903), abs=1e-6)]
     (only,) = found.divergences
     assert (only.node, only.held, only.produced, only.missed, only.to_the_end) == (stale.node, 9, 5, 1, True)
-    # The frame in which the producer said it first.
+    # The frame in which the producer sent it first.
     beacons = recorded.tables["beacons"]
     assert beacons["time"][beacons["frame"] == only.frame] == recorded.tables["beacons"]["time"].min() + 10 * 10**9
 
@@ -105,12 +105,12 @@ def test_a_value_that_arrives_late(tmp_path):
     assert late.end - late.start == pytest.approx(4.0)
 
 
-def test_values_that_were_replaced_before_they_could_be_said(tmp_path):
+def test_values_that_were_replaced_before_they_could_be_sent(tmp_path):
     sent: list[Sent] = [(0.0, 1, 0, (create(7, 1, b"a"),)), (0.05, 2, 0, (summary(7, 0),))]
     sent += [(0.1 * n, 1, n, (update(7, n, b"b"),)) for n in range(1, 9)] + [(0.85, 2, 1, (summary(7, 8),))]
     recorded, found = looked_at(tmp_path, sent)
     one = pair(recorded, found, 7, 2)
-    assert (one.values, one.said, one.differs_at_end) == (8, 1, False)
+    assert (one.values, one.sent, one.differs_at_end) == (8, 1, False)
     assert found.divergences == []
 
 

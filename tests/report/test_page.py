@@ -184,13 +184,13 @@ class TestLongRecordings:
         """The aliasing of a recording of hours, from a hundred thousand updates of an 8-bit number."""
         recorded = gathered(record(tmp_path / "a.pcap", [(0.0, 1, 0, (create(7, 1, b"a"),)), (1.0, 1, 1, OTHER)]))
         many = 100_000
-        said = recorded.tables["said"]
-        for column in said:
-            said[column] = np.resize(said[column], many)
-        said["frame"] = np.arange(1, many + 1)
-        said["time"] = START + np.arange(many) * 180_000_000
-        said["seqno"] = np.arange(many) % 256
-        said["creation"][1:] = -1
+        values = recorded.tables["values"]
+        for column in values:
+            values[column] = np.resize(values[column], many)
+        values["frame"] = np.arange(1, many + 1)
+        values["time"] = START + np.arange(many) * 180_000_000
+        values["seqno"] = np.arange(many) % 256
+        values["creation"][1:] = -1
         recorded.tables["beacons"]["time"] = START + np.array([0, many * 180_000_000])
         drawn = chapter(recorded)
         plot = next(plot for plot in drawn.plots if plot.name.endswith("seqno"))
@@ -304,7 +304,7 @@ def test_time_that_goes_backwards(tmp_path):
     sent = [(5.0, 1, 0, (create(7, 1, b"1"),)), (4.0, 2, 0, (create(7, 1, b"1"),))]
     recorded = gathered(record(tmp_path / "a.pcap", sent))
     for name, table in recorded.tables.items():
-        if name in ("beacons", "said"):
+        if name in ("beacons", "values"):
             table["time"] = table["time"][::-1].copy()
             table["node"] = table["node"][::-1].copy()
     values, passed = variables.dissemination(recorded, analysis.time_of(recorded))
@@ -445,7 +445,7 @@ def test_memory_has_an_end(tmp_path):
     path = record(tmp_path / "a.pcap", steady(2, 20))
     whole = gather(str(path), "dcp-2.0", None)
     assert whole.outcome.problems == []
-    # Blocks are taken whole: with one block all of it is there, and it is said that there might be more.
+    # Blocks are taken whole: with one block all of it is there, and a note says that there may be more.
     cut = gather(str(path), "dcp-2.0", None, most=1)
     assert cut.outcome.frames == whole.outcome.frames
     (problem,) = cut.outcome.problems

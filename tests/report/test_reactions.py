@@ -55,7 +55,7 @@ def flight(path: Path, hears: dict[int, set[int]], *, late: int = 0, loss: float
 
 def shares(recorded: Recorded, nodes: list[int]) -> dict[tuple[int, int], float | None]:
     places = [recorded.nodes.index(name(node)) for node in nodes]
-    found = reactions.reactions(recorded, variables.sayings(recorded), places)
+    found = reactions.reactions(recorded, variables.transmissions(recorded), places)
     many = range(len(nodes))
     return {(nodes[a], nodes[b]): found.share(a, b) for a in many for b in many if a != b}
 
@@ -121,5 +121,5 @@ def test_the_page_of_a_line_shows_no_impossible_neighbours(tmp_path):
 
 def test_a_report_without_variables(tmp_path):
     recorded = gathered(record(tmp_path / "a.pcap", []))
-    assert not reactions.reactions(recorded, variables.sayings(recorded), []).trials.any()
+    assert not reactions.reactions(recorded, variables.transmissions(recorded), []).trials.any()
     assert analysis.time_of(recorded).duration == 0

@@ -38,7 +38,7 @@ _BEFORE_REQUESTS: Final = (ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.DELET
 Sign = Literal["answer", "beacon", "service"]
 _POLL_NS: Final = 20_000_000
 #: Separators in quoted last lines of a process (``upper_tester.channels.LastLines.shown``).
-_SAID, _LINES = "; it said: ", " | "
+_OUTPUT, _LINES = "; its output: ", " | "
 _FAULT: Final = re.compile(r"fatal|error|terminate|exception|what\(\)|assert|panic|abort|fault", re.IGNORECASE)
 _NUMBERS: Final = re.compile(r"0x[0-9a-fA-F]+|\d+")
 
@@ -80,10 +80,10 @@ class Loss:
         Of the output only the last line that mentions a fault is used, or else the last line, because several processes
         print in any order.
         """
-        ending, said, words = self.cause.partition(_SAID)
+        ending, separator, words = self.cause.partition(_OUTPUT)
         lines = words.split(_LINES)
         telling = next((line for line in reversed(lines) if _FAULT.search(line)), lines[-1])
-        cause = f"{ending}{said}{telling}" or self.observed
+        cause = f"{ending}{separator}{telling}" or self.observed
         return f"{self.how}: {cause}"
 
 
@@ -249,14 +249,14 @@ class Life:
         message for the user.
         """
         begun = self._session.lower.now()
-        said, ready = False, 0
+        announced, ready = False, 0
 
         def given_up(bench: Bench) -> str:
-            nonlocal said, ready
+            nonlocal announced, ready
             now = bench.now()
             on_link = isinstance(self._control, SeesSockets) and self._control.on_link()
-            if not said and now - begun >= SILENT * 1e9:
-                said = True
+            if not announced and now - begun >= SILENT * 1e9:
+                announced = True
                 say(self._waiting(bench, (now - begun) / 1e9, on_link=on_link))
             if on_link and not ready:
                 ready = now

@@ -225,9 +225,9 @@ class Replay:
     def _judge(self, bench: Bench, oracle: Oracle, waiting: Waiting, judged: int) -> int:
         """Compare the beacons from number ``judged`` on with the model; return the number of judged beacons."""
         for heard in bench.heard[judged:]:
-            said = [(each.kind, each.record) for each in heard.instructions()]
-            waited = waiting.of(len(heard.octets), vardis=bool(said))
-            for each in oracle.said(said, heard.time, heard.number, waited=waited):
+            records = [(each.kind, each.record) for each in heard.instructions()]
+            waited = waiting.of(len(heard.octets), vardis=bool(records))
+            for each in oracle.transmitted(records, heard.time, heard.number, waited=waited):
                 self._complain(each.requirement, each.expected, f"variable {each.var_id}: {each.observed}", each.frame)
         for owed in oracle.overdue(bench.now() - bench.period):
             text = f"{owed.kind.label} of variable {owed.var_id}"

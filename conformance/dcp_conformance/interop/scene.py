@@ -319,7 +319,7 @@ class Scene:
         return met
 
     def number(self, place: int, variable: int) -> int | None:
-        """The sequence number that a place last said it has; None if it never spoke of the variable."""
+        """The sequence number that a place sent last for a variable; None if it never sent one."""
         held = self.held[place].held(self.world.places[place].node_id, variable)
         return None if held is None else held.number
 
@@ -333,7 +333,7 @@ class Scene:
                 if has != wanted:
                     state = {None: "nothing", UNKNOWN: "a request for it", DELETED: "a deletion"}.get(has, f"{has}")
                     found.append(
-                        f"place {place} ({self.name(place)}) said {state} of variable {variable}, not {wanted}"
+                        f"place {place} ({self.name(place)}) sent {state} for variable {variable} instead of {wanted}"
                     )
         return found
 
@@ -419,7 +419,7 @@ class Scene:
             raise StopError
 
     def is_alive(self, place: int, variable: int) -> bool:
-        """Whether a place has a variable that is not deleted: by its services, else by what it said last."""
+        """Whether a place has a variable that is not deleted: by its services, else by the last record that it sent."""
         if self.can(place, "RTDB-Read"):
             answer = self.world.call(place, "RTDB-Read", {"varId": variable})
             if answer is not None:

@@ -49,10 +49,10 @@ def denied_by(capabilities: Capabilities, profile: Profile, *, recorded: bool = 
 
 def _denials(capabilities: Capabilities, profile: Profile, *, recorded: bool) -> Iterator[tuple[str, str]]:
     for name, (identifiers, text) in _MANDATORY.items():
-        said = getattr(capabilities, name)
-        speaks = said is None and name in _ALSO_IN_PROFILES and not recorded
+        claimed = getattr(capabilities, name)
+        speaks = claimed is None and name in _ALSO_IN_PROFILES and not recorded
         by_profile = speaks and not getattr(profile.behaviour, name)
-        if said is not False and not by_profile:
+        if claimed is not False and not by_profile:
             continue
         who = f"the profile {profile.name}, as the PICS is silent" if by_profile else f"the PICS ({name} = false)"
         for each in identifiers:

@@ -29,7 +29,7 @@ _Count = Annotated[int, msgspec.Meta(ge=0)]
 
 
 class Capabilities(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """The choices that the specification leaves to implementations; None: not said."""
+    """The choices that the specification leaves to implementations; None: not declared."""
 
     srp: bool | None = None
     """There is a State Reporting Protocol."""

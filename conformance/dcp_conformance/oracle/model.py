@@ -80,7 +80,7 @@ class Model:
                 _HEAR[type(record)](self, record, variable, time, frame)
 
     def doubt(self, var_id: int, creation: int = ANY_CREATION) -> None:
-        """A payload said something of a variable of which it is open whether the node has taken it.
+        """A payload mentioned a variable of which it is open whether the node has taken it.
 
         ``creation``: the latest creation that the node may have taken, NO_CREATION if it was none.
         """

@@ -44,7 +44,7 @@ class Oracle(Model):
         self._roomy: list[int] = []
         """When payloads came into which more would have fitted."""
 
-    def said(
+    def transmitted(
         self,
         records: Iterable[tuple[ICType, VardisRecord]],
         time: int,
@@ -207,10 +207,10 @@ class Oracle(Model):
             observed = f"{kind.label} with {seqno}"
             yield Complaint("VD-PS-04", var_id, f"the own number {shown} in a request", observed, frame)
         if len(versions) == 1 and versions[0] is variable.versions[-1]:
-            said, reasons = variable.repetitions.count((kind, 0))
-            if said > reasons:
+            sent, reasons = variable.repetitions.count((kind, 0))
+            if sent > reasons:
                 expected = f"{kind.label} of variable {var_id} once for each reason to ask"
-                yield Complaint("VD-SCP-01", var_id, expected, f"{said} for {reasons} reasons", frame)
+                yield Complaint("VD-SCP-01", var_id, expected, f"{sent} for {reasons} reasons", frame)
 
     def _counted(
         self, kind: ICType, variable: Variable, var_id: int, seqno: int, frame: int, exhausted: bool

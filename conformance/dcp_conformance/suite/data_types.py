@@ -255,11 +255,11 @@ def packed(bench: Bench) -> None:
         if each.requirement not in judged:
             # If a beacon has one bad block, only the rules of that block are broken.
             judged.add(each.requirement)
-            said = f"{each} ({len(broken)} of {len(frames)} beacons cannot be decoded completely)"
+            observed = f"{each} ({len(broken)} of {len(frames)} beacons cannot be decoded completely)"
             bench.check(
                 False,
                 "beacons that can be decoded with the profile",
-                said,
+                observed,
                 *each.requirements,
                 frames=[frame],
                 shown=True,
@@ -317,9 +317,9 @@ def check_passed_on(bench: Bench, value: bytes, descr: bytes, *requirements: str
     bench.require(record is not None, "a VarCreate of the variable", "none in time", *requirements)
     assert record is not None
     same = record.upd.value == value and record.spec.descr == descr
-    said = f"value {record.upd.value.hex()}, description {record.spec.descr.hex()}"
+    observed = f"value {record.upd.value.hex()}, description {record.spec.descr.hex()}"
     bench.check(
-        same, f"value {value.hex()} and description {descr.hex()}, as received", said, *requirements, shown=True
+        same, f"value {value.hex()} and description {descr.hex()}, as received", observed, *requirements, shown=True
     )
 
 
@@ -444,10 +444,10 @@ def broadcast(bench: Bench) -> None:
         not other, "frames to ff:ff:ff:ff:ff:ff", f"frames to {', '.join(sorted(set(other)))}", "UWB-01", shown=True
     )
     types = {int.from_bytes(frame[12:14], "big") for _, frame in frames}
-    said = ", ".join(f"{each:#06x}" for each in sorted(types))
-    bench.check(len(types) == 1, "one EtherType for all beacons", said, "UWB-02", shown=True)
+    observed = ", ".join(f"{each:#06x}" for each in sorted(types))
+    bench.check(len(types) == 1, "one EtherType for all beacons", observed, "UWB-02", shown=True)
     bench.check(
-        min(types) >= ETHERTYPE_MIN, f"an EtherType of at least {ETHERTYPE_MIN:#06x}", said, "BP-PAR-10", shown=True
+        min(types) >= ETHERTYPE_MIN, f"an EtherType of at least {ETHERTYPE_MIN:#06x}", observed, "BP-PAR-10", shown=True
     )
 
 

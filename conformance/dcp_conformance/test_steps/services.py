@@ -205,11 +205,11 @@ def registration(bench: Bench, prot_id: int, name: str, *requirements: str) -> d
     shown = next((row for row in found if row.get("protocolId") == prot_id), None)
     if shown is None and _may_be_missing(bench, name):
         entity = name.lower()
-        said = (
+        observed = (
             f"not registered, and none of its services is offered; if the implementation has no {name}, set "
             f"{entity} = false in [pics]"
         )
-        bench.inconclusive(f"{name} registered under protocol identifier {prot_id}", said, *requirements)
+        bench.inconclusive(f"{name} registered under protocol identifier {prot_id}", observed, *requirements)
     if shown is None:
         bench.fail(
             f"{name} registered under protocol identifier {prot_id}", "not registered", *requirements, shown=True

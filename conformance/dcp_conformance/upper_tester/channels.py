@@ -246,7 +246,7 @@ class ProcessChannel(Channel):
 
 
 class LastLines:
-    """The last lines that a program said, bounded."""
+    """The last lines of the output of a program, bounded."""
 
     def __init__(self) -> None:
         self._lines: deque[bytes] = deque(maxlen=LAST_LINES)
@@ -262,7 +262,7 @@ class LastLines:
         """Return the last lines of output, as the end of an error message."""
         lines = [*self._lines, self._rest] if self._rest.strip() else [*self._lines]
         text = b"\n".join(lines[-LAST_LINES:]).decode(errors="replace").strip()
-        return f"; it said: {printable(text)}" if text else "; it said nothing"
+        return f"; its output: {printable(text)}" if text else "; it wrote nothing"
 
 
 def printable(text: str) -> str:

@@ -129,20 +129,24 @@ class CommandUpperTester:
         for pattern, code in method.errors.items():
             if found := re.search(pattern, output, re.MULTILINE):
                 return Answer(code=code, message=found[0])
-        said = self._status(method, output)
-        if said is None and str(status) in method.exits:
-            said = method.exits[str(status)]
-        if said is None:
+        status_text = self._status(method, output)
+        if status_text is None and str(status) in method.exits:
+            status_text = method.exits[str(status)]
+        if status_text is None:
             success = status == 0 if method.success is None else re.search(method.success, output, re.MULTILINE)
             if success:
-                said = method.ok or status_of_success(name)
-        if said is None:
+                status_text = method.ok or status_of_success(name)
+        if status_text is None:
             raise UpperTesterError(
                 f"{where}: the outcome cannot be understood (the command ended with {ending(status)}, and there is no "
-                f"status in what it said: {_shown(output)})"
+                f"status in its output: {_shown(output)})"
             )
-        answer = Answer(said, {"status": said})
-        return Answer(said, {"status": said, **self._members(where, method, output)}) if answer.ok else answer
+        answer = Answer(status_text, {"status": status_text})
+        return (
+            Answer(status_text, {"status": status_text, **self._members(where, method, output)})
+            if answer.ok
+            else answer
+        )
 
     def _status(self, method: Method, output: str) -> str | None:
         pattern = method.status or self._adapter.status
@@ -236,7 +240,7 @@ def _run(where: str, words: list[str], given: bytes, patience: float) -> tuple[i
         process.stdout.close()
     if not ended:
         raise NoAnswerError(
-            f"{where}: {words[0]} did not end within {patience:g} s; does the implementation hang? It said: "
+            f"{where}: {words[0]} did not end within {patience:g} s; does the implementation hang? Output: "
             f"{_shown(output.decode(errors='replace'))}"
         )
     return process.wait(), output.decode(errors="replace")

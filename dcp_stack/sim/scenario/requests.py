@@ -7,9 +7,8 @@ from typing import Any
 import msgspec
 
 from dcp_stack.control.client import ServiceError
-from dcp_stack.control.jsonrpc import INVALID_PARAMS, METHOD_NOT_FOUND, RpcError
-from dcp_stack.control.methods import METHODS
-from dcp_stack.control.services import Times, perform
+from dcp_stack.control.jsonrpc import RpcError
+from dcp_stack.control.services import Times, parameters_of, perform
 from dcp_stack.node import Node
 
 from .definition import Activate, Create, Deactivate, Delete, HandDown, Update
@@ -46,15 +45,10 @@ def request(event: ServiceEvent, n: int) -> tuple[str, dict[str, Any]]:
 
 def answer(node: Node, method: str, params: dict[str, Any], now: int, wall: int) -> dict[str, Any]:
     """Return the answer of a node to a request at its control interface. Raises ServiceError for an error answer."""
-    known = METHODS.get(method)
-    if known is None:
-        raise ServiceError(METHOD_NOT_FOUND, f"unknown method {method}")
     try:
-        found = perform(node, method, msgspec.convert(params, known.params), Times(now, wall))
+        found = perform(node, method, parameters_of(method, params), Times(now, wall))
     except RpcError as error:
         raise ServiceError(error.code, str(error)) from None
-    except msgspec.ValidationError as error:
-        raise ServiceError(INVALID_PARAMS, str(error)) from None
     plain: dict[str, Any] = msgspec.to_builtins(found)
     return plain
 

@@ -104,10 +104,10 @@ def _children(settings: ChildSettings, folder: Path, corpus: Path, limits: Limit
         with (folder / "log").open("w+") as log:
             subprocess.run([*command, *options, str(corpus)], stdout=log, stderr=log, check=False)  # noqa: S603
             log.seek(0)
-            said = log.read()
-        found = _RUNS.search(said)
+            output = log.read()
+        found = _RUNS.search(output)
         if found is None:
-            raise UsageError(f"--engine atheris: it does not run: {said.strip()[-400:]}")
+            raise UsageError(f"--engine atheris: it does not run: {output.strip()[-400:]}")
         done += int(found[1])
         yield int(found[1])
 

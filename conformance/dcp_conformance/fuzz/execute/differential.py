@@ -125,7 +125,7 @@ class Comparison:
             # Without the creation time the model cannot order this creation and those of other nodes.
             self._observer.oracle.doubt(var_id)
 
-    def said(self, at: int) -> Effect | None:
+    def effect_at(self, at: int) -> Effect | None:
         """Judge the beacons received since the last call."""
         bench = self._bench
         self.follow()
@@ -143,7 +143,7 @@ class Comparison:
         """Wait for the time of all reactions, then compare everything that is observable from outside."""
         bench = self._bench
         bench.wait(bench.sut.reaction + 2)
-        effect = self.said(at) or self._observer.missing(bench.now(), at, busy=self._busy())
+        effect = self.effect_at(at) or self._observer.missing(bench.now(), at, busy=self._busy())
         return effect or self._variables(at) or self._summaries(at) or self._neighbours(at)
 
     def _busy(self) -> bool:

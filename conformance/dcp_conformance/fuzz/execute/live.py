@@ -335,7 +335,7 @@ def _step(bench: Bench, step: Step, pace: _Pace, at: int, comparison: Comparison
             pace.after_a_break()
             if comparison is not None:
                 return comparison.called(step, answer, at)
-    return comparison.said(at) if comparison is not None else None
+    return comparison.effect_at(at) if comparison is not None else None
 
 
 def _variables_of(bench: Bench, steps: list[Step]) -> set[int]:

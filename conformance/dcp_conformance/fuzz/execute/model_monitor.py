@@ -271,11 +271,11 @@ class Observer:
         roomy = len(octets) <= self._roomy
         if not roomy:
             self.busy = True
-        said = [payload.content for payload in beacon.payloads if isinstance(payload.content, tuple)]
+        contents = [payload.content for payload in beacon.payloads if isinstance(payload.content, tuple)]
         if self._waiting is None:
             self._waiting = Waiting(self._period, most)
-        waited = self._waiting.of(len(octets), vardis=bool(said))
-        for containers in said:
+        waited = self._waiting.of(len(octets), vardis=bool(contents))
+        for containers in contents:
             effect = self._judged(containers, roomy, waited, time, number, step)
             if effect is not None:
                 return effect
@@ -284,15 +284,15 @@ class Observer:
     def _judged(
         self, containers: tuple[Container, ...], roomy: bool, waited: int, time: int, number: int, step: int
     ) -> Effect | None:
-        said: list[tuple[ICType, VardisRecord]] = []
+        records: list[tuple[ICType, VardisRecord]] = []
         for container in containers:
             # All records of a container have the same type.
             if (kind := KIND_OF.get(type(container.records[0]))) is None:
                 continue
-            said += [(kind, record) for record in container.records]
+            records += [(kind, record) for record in container.records]
             if kind is ICType.REQUEST_VARCREATES:
                 self.requested.update([record.var_id for record in container.records])
-        for each in self.oracle.said(said, time, number, roomy=roomy, waited=waited):
+        for each in self.oracle.transmitted(records, time, number, roomy=roomy, waited=waited):
             detail = f"variable {each.var_id}: expected {each.expected}, got {each.observed}"
             return Effect("said", detail, step, each.requirement)
         return None

@@ -30,7 +30,7 @@ _WHY: Final = re.compile(
 )
 #: Texts in the report of :class:`~dcp_conformance.sut.process.ProcessControl` about the end of a process.
 _ENDED: Final = "it ended with "
-_SAID: Final = "; it said: "
+_OUTPUT: Final = "; its output: "
 
 
 class Cause(msgspec.Struct, frozen=True, omit_defaults=True):
@@ -116,12 +116,12 @@ def death_of(effect: Effect) -> str:
     """Return how an implementation stopped, without details that differ between crashes of the same kind."""
     if effect.kind != "dead":
         return effect.signature if effect.kind == "raised" else effect.kind
-    how, _, words = effect.detail.partition(_SAID)
+    how, _, words = effect.detail.partition(_OUTPUT)
     lines = [line for line in words.split(" | ") if _WHY.search(line)]
     # Keep the exit status. Replace other numbers (process ids, addresses, times), which vary.
     how = how if how.startswith(_ENDED) else NUMBERS.sub("#", how)
-    said = NUMBERS.sub("#", lines[-1].strip()) if lines else ""
-    return ", ".join(filter(None, (effect.kind, how, said)))
+    output = NUMBERS.sub("#", lines[-1].strip()) if lines else ""
+    return ", ".join(filter(None, (effect.kind, how, output)))
 
 
 def _anomalies_in(codec: Codec, steps: Iterable[Step]) -> list[Anomaly]:

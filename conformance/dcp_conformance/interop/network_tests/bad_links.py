@@ -143,7 +143,7 @@ def partitioned_creation(scene: Scene) -> None:
         not alive, "a variable stays deleted although stations that missed the deletion summarise it",
         f"it is back at places {alive}", "VD-PS-02", "VD-DEL-06",
     )  # fmt: skip
-    # A deletion is repeated a few times and then never said again; a new creation is what brings the sides together.
+    # A deletion is repeated a few times and then no longer; a new creation is what brings the sides together.
     scene.create(0, 105, b"n")
     scene.expect_spread(0, 105, what="variable 105, created again after the partition")
     scene.expect_talking()

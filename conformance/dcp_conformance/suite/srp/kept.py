@@ -63,9 +63,9 @@ def own_entries(bench: Bench) -> None:
     first = _heard_of(bench, peers)
     for peer, report, data in zip(peers, reports, values, strict=True):
         entry = first[peer.node_id]
-        said = ({name: entry.get("sData", {}).get(name) for name in data}, entry.get("tStamp"), entry.get("seqno"))
+        observed = ({name: entry.get("sData", {}).get(name) for name in data}, entry.get("tStamp"), entry.get("seqno"))
         right = (data, report.t_stamp, report.seqno)
-        bench.check(said == right, f"sData, tStamp and seqno {right}", f"{said}", shown=True)
+        bench.check(observed == right, f"sData, tStamp and seqno {right}", f"{observed}", shown=True)
     bench.wait(0.5)
     peers[1].send(bench.records.report(peers[1].node_id, 2001, **values[0]))
     # A single query: entries time out while a slow upper tester answers.

@@ -88,9 +88,11 @@ def check_field(bench: Bench, wires: Sequence[Wire], name: str, right: object, *
     """Check that a header field has the value ``right`` in all beacons."""
     wrong = [each for each in wires if each.fields.get(name) != right]
     show = (lambda value: f"{value:#x}") if isinstance(right, int) else repr
-    said = "" if not wrong else f"{show(wrong[0].fields.get(name) or 0)} in {len(wrong)} of {len(wires)} beacons"
+    observed = "" if not wrong else f"{show(wrong[0].fields.get(name) or 0)} in {len(wrong)} of {len(wires)} beacons"
     frames = [each.heard for each in wrong[:8]]
-    bench.check(not wrong, f"{name} is {show(right)} in every beacon", said, *requirements, frames=frames, shown=True)
+    bench.check(
+        not wrong, f"{name} is {show(right)} in every beacon", observed, *requirements, frames=frames, shown=True
+    )
 
 
 def _judged(bench: Bench, wires: Sequence[Wire], *requirements: str) -> None:
@@ -223,8 +225,8 @@ def sender(bench: Bench) -> None:
     told = str(upper.about.get("nodeId", "")).replace(":", "").lower() if upper is not None else ""
     if told:
         heard = wires[0].fields.get("senderId")
-        said = heard.hex() if isinstance(heard, bytes) else f"{heard}"
-        bench.check(said == told, f"senderId {told}", said, "BP-HDR-03", frames=[wires[0].heard], shown=True)
+        observed = heard.hex() if isinstance(heard, bytes) else f"{heard}"
+        bench.check(observed == told, f"senderId {told}", observed, "BP-HDR-03", frames=[wires[0].heard], shown=True)
     # Frames from the same link address with another senderId: they are not attributed to the implementation.
     sources = {heard.source for heard in bench.heard} - {peer.address for peer in bench.peers.made}
     other = [heard for heard in bench.receiver.others if heard.source in sources]
@@ -244,8 +246,10 @@ def _named_by_another(bench: Bench) -> None:
     known = {each.node_id for each in bench.peers.made}
     answers = [each for each in bench.receiver.others[others:] if each.about(ICType.REQUEST_VARCREATES, unknown)]
     if not bench.heard[start:] and answers and not known & {each.sender for each in answers}:
-        said = f"senderId {(answers[0].sender or b'').hex(':')} in the answer to a summary"
-        bench.fail(f"senderId {bench.identifiers.sut_id.hex(':')}", said, "BP-HDR-03", frames=answers[:4], shown=True)
+        observed = f"senderId {(answers[0].sender or b'').hex(':')} in the answer to a summary"
+        bench.fail(
+            f"senderId {bench.identifiers.sut_id.hex(':')}", observed, "BP-HDR-03", frames=answers[:4], shown=True
+        )
 
 
 @case(
@@ -286,14 +290,14 @@ def length(bench: Bench) -> None:
     start, wires = header_octets(bench), beacons_read(bench)
     _judged(bench, wires, "BP-HDR-06")
     for wire in wires:
-        said = wire.fields.get("length")
+        observed = wire.fields.get("length")
         size = len(wire.heard.octets)
         # The beacon is consistent with either value; length is wrong only if it matches neither.
         right = {wire.end - start} if wire.whole else set()
         if size > _MAY_BE_PADDED:
             right.add(size - start)
         expected = f"length {' or '.join(map(str, sorted(right)))}"
-        if not bench.check(said in right, expected, f"length {said}", frames=[wire.heard], shown=True):
+        if not bench.check(observed in right, expected, f"length {observed}", frames=[wire.heard], shown=True):
             return
 
 
@@ -311,9 +315,9 @@ def number_of_blocks(bench: Bench) -> None:
     _judged(bench, wires, "BP-HDR-07", "BP-FMT-01")
     for wire in wires:
         number, size = wire.fields.get("numPayloads"), len(wire.heard.octets)
-        said = f"{len(wire.counted)} blocks, ending at octet {wire.end} of {size}"
+        observed = f"{len(wire.counted)} blocks, ending at octet {wire.end} of {size}"
         right = wire.whole and number == len(wire.counted) and (wire.end == size or size <= _MAY_BE_PADDED)
-        if not bench.check(right, f"{number} blocks that fill the beacon", said, frames=[wire.heard], shown=True):
+        if not bench.check(right, f"{number} blocks that fill the beacon", observed, frames=[wire.heard], shown=True):
             return
 
 
@@ -379,8 +383,8 @@ def _check_all_sent(bench: Bench, clients: Sequence[BPClient]) -> None:
     if waiting and last and all({prot_id for prot_id, _ in each.blocks} - ours for each in last):
         bench.info("Can a block in every beacon delay the largest payloads indefinitely?", "yes", "BP-TX-03")
         return
-    said = f"{len(waiting)} not sent"
-    bench.check(not waiting, "each of the payloads is sent", said, "BP-TX-04")
+    observed = f"{len(waiting)} not sent"
+    bench.check(not waiting, "each of the payloads is sent", observed, "BP-TX-04")
 
 
 @case(
@@ -405,9 +409,9 @@ def silence(bench: Bench) -> None:
         # Each payload belongs to a registered client.
         clients = set(registered(bench))
         strange = [each for each in heard if not {prot_id for prot_id, _ in each.blocks} & clients]
-        said = f"{len(strange)} beacons without one"
+        observed = f"{len(strange)} beacons without one"
         bench.check(
-            not strange, "a block of a registered protocol in each beacon", said, frames=strange[:8], shown=True
+            not strange, "a block of a registered protocol in each beacon", observed, frames=strange[:8], shown=True
         )
     if heard and upper is not None and {"UT-Reset", QUERY} <= upper.methods:
         waiting = [bench.call(QUERY, protId=each).result.get("number") for each in (BP_PROTID_SRP, BP_PROTID_VARDIS)]

@@ -32,8 +32,8 @@ def consecutive(bench: Bench) -> None:
         if before.seqno is None or after.seqno is None:
             bench.inconclusive("decodable beacons", f"{before.problem or after.problem}")
         if (after.seqno - before.seqno) % BP_SEQNO_MODULUS != 1:
-            expected, said = f"{(before.seqno + 1) % BP_SEQNO_MODULUS} after {before.seqno}", f"{after.seqno}"
-            bench.fail(expected, said, frames=[before, after], numbers=True)
+            expected, observed = f"{(before.seqno + 1) % BP_SEQNO_MODULUS} after {before.seqno}", f"{after.seqno}"
+            bench.fail(expected, observed, frames=[before, after], numbers=True)
     bench.check(True, "consecutive sequence numbers")
 
 
@@ -128,8 +128,8 @@ def idle_gap(bench: Bench) -> None:
     if last.seqno is None or following.seqno is None:
         bench.inconclusive("decodable beacons", f"{last.problem or following.problem}")
     if (following.seqno - last.seqno) % BP_SEQNO_MODULUS != 1:
-        said = f"{following.seqno}"
-        bench.fail(f"{last.seqno + 1} after {last.seqno} and a pause", said, frames=[last, following], numbers=True)
+        observed = f"{following.seqno}"
+        bench.fail(f"{last.seqno + 1} after {last.seqno} and a pause", observed, frames=[last, following], numbers=True)
     if pause:
         bench.inconclusive("no beacon during the pause", f"{len(pause)} beacons")
     bench.check(True, "consecutive sequence numbers")

@@ -106,8 +106,10 @@ def check_mean(bench: Bench, found: Estimate | None, period: float, *requirement
     low, high = found.mean - found.margin, found.mean + found.margin
     expected = f"a mean interval of {period / MS:g} ms \u00b1 {bench.sut.pixit.period_tolerance:.0%}"
     if low > period + tolerance and not sure:
-        said = f"{found}; but the implementation may have had no payload to send (an upper tester could decide this)"
-        bench.inconclusive(expected, said, *requirements)
+        observed = (
+            f"{found}; but the implementation may have had no payload to send (an upper tester could decide this)"
+        )
+        bench.inconclusive(expected, observed, *requirements)
     if low > period + tolerance and isinstance(bench.lower, OnThisMachine) and (why := bench.lower.overload()):
         # An implementation on this machine has to wait for the processor in every period.
         bench.inconclusive(expected, f"{found}; but {why}", *requirements)
@@ -139,10 +141,10 @@ def mean_period(bench: Bench) -> None:
     if found is not None and found.mean > 0:
         spread = statistics.stdev(found.intervals) / found.mean
         least, most = min(found.intervals) / MS, max(found.intervals) / MS
-        said = f"{least:.1f} ms to {most:.1f} ms, standard deviation {spread:.1%} of the mean"
-        bench.info("How much do the intervals between beacons vary?", said, "BP-TX-02")
+        observed = f"{least:.1f} ms to {most:.1f} ms, standard deviation {spread:.1%} of the mean"
+        bench.info("How much do the intervals between beacons vary?", observed, "BP-TX-02")
         if bench.sut.pics.jitter:
-            bench.check(spread > 0.002, "intervals that vary, as the PICS claims", said, "BP-TX-02")
+            bench.check(spread > 0.002, "intervals that vary, as the PICS claims", observed, "BP-TX-02")
     check_mean(bench, found, period, "BP-TX-01", sure=bool(clients))
 
 
@@ -165,9 +167,9 @@ def other_period(bench: Bench, factor: float) -> None:
             value: float = wanted
             if bench.session.upper is not None and "BP-GetParameters" in bench.session.upper.methods:
                 # The resolution of times is up to the implementation.
-                said = (bench.must("BP-GetParameters").result.get("parameters") or {}).get(PERIOD)
-                if isinstance(said, int | float) and abs(said - value) < abs(value - value / factor) / 2:
-                    value = said
+                observed = (bench.must("BP-GetParameters").result.get("parameters") or {}).get(PERIOD)
+                if isinstance(observed, int | float) and abs(observed - value) < abs(value - value / factor) / 2:
+                    value = observed
             # The beacon already scheduled is sent as scheduled; the new period begins after it.
             bench.beacons(1)
             found = measure(bench, round(value * MS), least=15)
@@ -195,8 +197,8 @@ def delay_of_payloads(bench: Bench) -> None:
                 bench.inconclusive("a beacon with each payload", f"{number} of 5 in time")
             delays.append(max(0, heard.time - start) / MS)
             bench.wait(0.3 + 0.2 * number)
-    said = f"{', '.join(f'{delay:.0f}' for delay in delays)} ms, with a period of {bench.sut.parameter(PERIOD)} ms"
-    bench.info("How long after its submission is a payload sent?", said)
+    observed = f"{', '.join(f'{delay:.0f}' for delay in delays)} ms, with a period of {bench.sut.parameter(PERIOD)} ms"
+    bench.info("How long after its submission is a payload sent?", observed)
     triggered = statistics.median(delays) < bench.sut.parameter(PERIOD) / 10
     bench.info("Does a new payload trigger an early beacon?", "probably" if triggered else "no", "BP-TXP-07")
 
@@ -234,13 +236,13 @@ def epoch_of_next_beacon(bench: Bench) -> None:
             )
         errors = [(epoch - wall) / MS for epoch, wall in pairs]
         middle, limit = statistics.median(errors), bench.sut.parameter(PERIOD) / 2
-        said = f"{middle:.1f} ms off (median of {len(errors)}), {min(errors):.1f} ms to {max(errors):.1f} ms"
+        observed = f"{middle:.1f} ms off (median of {len(errors)}), {min(errors):.1f} ms to {max(errors):.1f} ms"
         if abs(middle) >= limit and abs(change := clock_offset(bench, client) - offset) >= limit * MS:
             bench.inconclusive("a clock that is not set during the case", f"it was set by {change / MS:.1f} ms")
         bench.check(
-            abs(middle) < limit, f"a median epoch within {limit:g} ms of the next beacon", said, frames=frames[:8]
+            abs(middle) < limit, f"a median epoch within {limit:g} ms of the next beacon", observed, frames=frames[:8]
         )
-        bench.info("How precise is nextBeaconGenerationEpoch?", said)
+        bench.info("How precise is nextBeaconGenerationEpoch?", observed)
 
 
 def clock_offset(bench: Bench, client: BPClient) -> int:
@@ -288,8 +290,8 @@ def _check_beyond_an_octet(bench: Bench, frames: Sequence[ReceivedBeacon]) -> No
     if len(numbers) < 258:
         bench.inconclusive("258 decodable beacons", f"{len(numbers)}")
     back = [after for before, after in itertools.pairwise(frames) if (after.seqno or 0) < (before.seqno or 0)]
-    said = f"a maximum of {max(numbers)} in {len(numbers)} beacons"
-    bench.check(max(numbers) > 255 and not back, "sequence numbers that increase beyond 255", said, frames=back[:2])
+    observed = f"a maximum of {max(numbers)} in {len(numbers)} beacons"
+    bench.check(max(numbers) > 255 and not back, "sequence numbers that increase beyond 255", observed, frames=back[:2])
 
 
 @case(
@@ -323,13 +325,13 @@ _COMPARED = 24
 )
 def jitter_after_starts(bench: Bench) -> None:
     first, second = _after_start(bench), _after_start(bench)
-    said = {
+    observed = {
         "strict": "the beacons are strictly periodic",
         "same": "yes: nodes that are started together keep sending at the same times",
         "different": "no",
         "coarse": "unknown: too few different intervals",
     }
-    bench.info("Is the jitter the same after each start?", said[compare(first, second, bench.period)])
+    bench.info("Is the jitter the same after each start?", observed[compare(first, second, bench.period)])
 
 
 def _after_start(bench: Bench) -> Intervals:

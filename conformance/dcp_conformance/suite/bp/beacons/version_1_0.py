@@ -87,11 +87,11 @@ def one_from_the_queue(bench: Bench) -> None:
             shown=True,
         )
         sent = [each for each in client.sent(start) if each in payloads]
-        said = listed(sent, payloads)
+        observed = listed(sent, payloads)
         bench.check(
             sent == payloads,
             "all payloads in the order of submission",
-            said,
+            observed,
             "BP-QM-03",
             shown=not part_of(sent, payloads),
         )

@@ -254,7 +254,7 @@ def most_blocks(bench: Bench) -> None:
     frames = bench.until_quiet(ours, 2 * len(ids), start)
     seen = {prot_id for heard in frames for prot_id in ours(heard)}
     large = [heard for heard in bench.heard[start:] if len(heard.blocks) > BP_MAX_PAYLOADS]
-    said = f"{len(large[0].blocks)} blocks in one beacon" if large else ""
-    bench.check(not large, f"beacons of at most {BP_MAX_PAYLOADS} blocks", said, frames=large, shown=True)
+    observed = f"{len(large[0].blocks)} blocks in one beacon" if large else ""
+    bench.check(not large, f"beacons of at most {BP_MAX_PAYLOADS} blocks", observed, frames=large, shown=True)
     lost = len(ids - seen)
     bench.check(not lost, "all 260 payloads are sent", f"{lost} are missing")

@@ -70,8 +70,8 @@ def full_queue(bench: Bench, mode: QueueingMode, kept: list[int], /, *requiremen
         start = bench.mark()
         events = len(bench.traffic.events)
         payloads = client.submit(3, must=False)
-        said = [each.text for each in bench.traffic.events[events:] if each.direction == "answer"]
-        refused = [text for text in said if not text.endswith(("STATUS-OK", "STATUS_OK"))]
+        observed = [each.text for each in bench.traffic.events[events:] if each.direction == "answer"]
+        refused = [text for text in observed if not text.endswith(("STATUS-OK", "STATUS_OK"))]
         if no_confirm(bench) is None:
             bench.check(not refused, "BP-STATUS-OK for each submission", f"{refused}", *requirements[1:], shown=True)
         sent = [each for each in until_done(client, start) if each in payloads]

@@ -61,8 +61,8 @@ def many_entries(bench: Bench, mode: QueueingMode) -> None:
         kept = payloads[:_MANY] if mode is DROPTAIL else payloads[_BEYOND:]
         places = [payloads.index(each) for each in sent]
         ordered = places == sorted(set(places))
-        said = f"payloads {places}"
-        bench.check(ordered, "each payload at most once, in the order of submission", said, "BP-QM-03", shown=True)
+        observed = f"payloads {places}"
+        bench.check(ordered, "each payload at most once, in the order of submission", observed, "BP-QM-03", shown=True)
         wrong = sorted(places[index] for index, each in enumerate(sent) if each not in kept)
         bench.check(
             not wrong, "none of the payloads that a full queue drops", f"payloads {wrong}", dropping, shown=True

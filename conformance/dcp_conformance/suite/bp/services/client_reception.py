@@ -184,8 +184,8 @@ def any_number(bench: Bench, numbers: Sequence[int]) -> None:
             peer.seqno = number
             peer.send(Block(client.prot_id, octets))
         received = client.until_received(len(payloads))
-        said = f"indications of payloads {listed(received, payloads)}"
-        bench.check(set(received) >= set(payloads), f"indications of payloads {listed(payloads, payloads)}", said)
+        observed = f"indications of payloads {listed(received, payloads)}"
+        bench.check(set(received) >= set(payloads), f"indications of payloads {listed(payloads, payloads)}", observed)
 
 
 @case(
@@ -208,8 +208,8 @@ def past_the_end(bench: Bench, more: int) -> None:
         peer.send(*blocks, lies={"payloads[1].length": len(bad) + more})
         received = after(bench, client, peer, "a block that extends past the end of its beacon")
         wrong = [octets for octets in received if octets != good]
-        said = f"{len(wrong)} other payloads, of {', '.join(str(len(each)) for each in wrong)} octets"
-        bench.check(not wrong, "at most an indication of the first block", said, shown=True)
+        observed = f"{len(wrong)} other payloads, of {', '.join(str(len(each)) for each in wrong)} octets"
+        bench.check(not wrong, "at most an indication of the first block", observed, shown=True)
         bench.reading("X48", "deliver-blocks" if good in received else "discard-beacon")
 
 

@@ -83,12 +83,12 @@ def unchanged(bench: Bench, size: int) -> None:
             "BP-RXP-01",
             shown=True,
         )
-        said = next(
+        observed = next(
             each.params.get("length")
             for each in bench.receiver.notifications
             if each.params.get("protId") == client.prot_id
         )
-        bench.check(said == len(octets), f"length {len(octets)}", f"length {said}", "BP-RXP-01", shown=True)
+        bench.check(observed == len(octets), f"length {len(octets)}", f"length {observed}", "BP-RXP-01", shown=True)
         bench.wait(_AFTERWARDS)
         count = len(client.received())
         bench.check(count == 1, "one indication", f"{count} indications", "BP-RXP-02", shown=count > 1)
@@ -116,12 +116,16 @@ def right_client(bench: Bench) -> None:
         for client, right in ((one, first), (two, second)):
             received = client.received()
             known = [first, second, pattern(9, 2)]
-            said = f"indications of payloads {listed(received, known)}"
+            observed = f"indications of payloads {listed(received, known)}"
             mine = f"one indication of payload {listed([right], known)}"
             bench.check(
-                right in received and set(received) == {right}, mine, said, "BP-RXP-03", shown=set(received) - {right}
+                right in received and set(received) == {right},
+                mine,
+                observed,
+                "BP-RXP-03",
+                shown=set(received) - {right},
             )
-            bench.check(received.count(right) == 1, mine, said, "BP-RXP-02", shown=received.count(right) > 1)
+            bench.check(received.count(right) == 1, mine, observed, "BP-RXP-02", shown=received.count(right) > 1)
         ours = {one.prot_id, two.prot_id}
         strange = [
             each

@@ -171,8 +171,8 @@ def own_fields(bench: Bench) -> None:
         was, is_now = first.get(client.prot_id), second.get(client.prot_id)
         named = {name: (was or {}).get(name) for name in ("timeStampRegistration", *_fields(bench, client))}
         same = all((is_now or {}).get(name) == value for name, value in named.items())
-        said = f"{is_now}"
-        bench.check(same, f"{named}, as before", said, "BP-LST-01", "BP-LST-03", shown=True)
+        observed = f"{is_now}"
+        bench.check(same, f"{named}, as before", observed, "BP-LST-01", "BP-LST-03", shown=True)
 
 
 def _fields(bench: Bench, client: BPClient) -> dict[str, Any]:
@@ -190,8 +190,8 @@ def _check_fields(bench: Bench, clients: list[BPClient], entries: dict[int, dict
         entry = entries.get(client.prot_id) or {}
         stamps.append(entry.get("timeStampRegistration"))
         for name, right in _fields(bench, client).items():
-            said = entry.get(name)
-            bench.check(said == right, f"{name} {right!r}", f"{said!r}", "BP-LST-01", "BP-LST-03", shown=True)
+            observed = entry.get(name)
+            bench.check(observed == right, f"{name} {right!r}", f"{observed!r}", "BP-LST-01", "BP-LST-03", shown=True)
     # The clock may be set in between, so only the difference of the times is checked.
     good = None not in stamps and len(set(stamps)) == len(clients)
     bench.check(
@@ -244,8 +244,8 @@ def one_place(bench: Bench, mode: QueueingMode) -> None:
         sent = [each for each in client.sent(start) if each in payloads]
         right = [payloads[0 if mode is DROPTAIL else 1], payloads[2]]
         lost = part_of(sent, right)
-        said = listed(sent, payloads)
-        bench.check(sent == right, listed(right, payloads), said, dropping, "BP-QM-03", shown=not lost)
+        observed = listed(sent, payloads)
+        bench.check(sent == right, listed(right, payloads), observed, dropping, "BP-QM-03", shown=not lost)
 
 
 @case(
@@ -304,8 +304,8 @@ def identifier_of_refused(bench: Bench) -> None:
             bench.services.require_asked(answer, "a confirm of BP-RegisterProtocol")
             if answer.ok:
                 bench.inconclusive("a rejected registration", f"{answer}")
-            said = answer.result.get("ownNodeIdentifier")
-            bench.check(said == told, f"ownNodeIdentifier {told}", f"{said} with {answer}", shown=True)
+            observed = answer.result.get("ownNodeIdentifier")
+            bench.check(observed == told, f"ownNodeIdentifier {told}", f"{observed} with {answer}", shown=True)
 
 
 _IMMEDIATE: dict[str, tuple[str, str, SpecVersion]] = {
@@ -412,6 +412,6 @@ def queue_across_activation(bench: Bench) -> None:
             )
         bench.until_quiet(client.in_frame, since=start)
         sent = [each for each in client.sent(start) if each in payloads]
-        said = listed(sent, payloads)
+        observed = listed(sent, payloads)
         lost = part_of(sent, payloads)
-        bench.check(sent == payloads, "payloads A, B, C", said, "BP-MGT-05", "BP-QM-03", shown=not lost)
+        bench.check(sent == payloads, "payloads A, B, C", observed, "BP-MGT-05", "BP-QM-03", shown=not lost)

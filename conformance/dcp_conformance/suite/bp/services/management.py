@@ -130,9 +130,9 @@ def serves_while_inactive(bench: Bench) -> None:
                 bench.expect_status(OK, method, "BP-MGT-04", "BP-TXP-09", protId=prot_id, **params)
             else:
                 bench.call(method, protId=prot_id, **params)
-            said = client.number()
+            observed = client.number()
             bench.check(
-                said == number, f"{number} buffered payloads after {method}", f"{said}", "BP-MGT-04", shown=True
+                observed == number, f"{number} buffered payloads after {method}", f"{observed}", "BP-MGT-04", shown=True
             )
         bench.wait(2)
         bench.check(

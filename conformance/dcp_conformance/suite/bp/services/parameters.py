@@ -84,10 +84,10 @@ def set_and_get(bench: Bench, name: str) -> None:
         after = values(bench)
     finally:
         bench.call(SET, name=name, value=before[name])
-    said = after.get(name)
+    observed = after.get(name)
     # The resolution of times is up to the implementation.
-    near = name == PERIOD and isinstance(said, int | float) and abs(said - new) < abs(before[name] - new) / 2
-    bench.check(said == new or near, f"{name} is {new}", f"{said}", shown=True)
+    near = name == PERIOD and isinstance(observed, int | float) and abs(observed - new) < abs(before[name] - new) / 2
+    bench.check(observed == new or near, f"{name} is {new}", f"{observed}", shown=True)
     # The answer may also have other fields, which may depend on the changed parameter.
     others = [
         each for each in (PERIOD, SIZE, NETWORK, UWB_SIZE) if each != name and after.get(each) != before.get(each)
@@ -216,8 +216,8 @@ def smaller_beacons(bench: Bench) -> None:
                 bench.reading("X04", "blocks-only")
                 large = []
             bench.require(heard, "beacons after the change", "none in time", "BP-PAR-02")
-            said = f"{len(large)} of {len(heard)} beacons are larger"
-            bench.check(not large, f"beacons of at most {size} octets", said, "BP-PAR-02", frames=large, shown=True)
+            observed = f"{len(large)} of {len(heard)} beacons are larger"
+            bench.check(not large, f"beacons of at most {size} octets", observed, "BP-PAR-02", frames=large, shown=True)
             # In 1.0, the limit assumes another header size.
             counted = header_octets(bench) if bench.features.registration_counts_bp_header else 4
             third = BPClient(bench, ONCE, size=size - counted - block_header_octets(bench) + 1)
@@ -254,11 +254,11 @@ def other_network(bench: Bench) -> None:
                 for each in heard
                 if each.beacon is not None and each.beacon.bp is not None and each.salvaged.clear
             }
-            said = f"beacons of networks {', '.join(f'{number or 0:#x}' for number in numbers)}"
+            observed = f"beacons of networks {', '.join(f'{number or 0:#x}' for number in numbers)}"
             bench.check(
                 numbers == {new},
                 f"beacons of network {new:#x}",
-                said,
+                observed,
                 "BP-HDR-04",
                 "BP-HDR-05",
                 "BP-PAR-02",

@@ -77,11 +77,11 @@ def register(bench: Bench, mode: QueueingMode) -> None:
         # Both fields are irrelevant for the other modes.
         names |= {"allowMultiplePayloads": "allowMultiplePayloads", "maxEntries": "maxEntries"}
     for listed, given in names.items():
-        right, said = client.registration[given], entry.get(listed)
+        right, observed = client.registration[given], entry.get(listed)
         bench.check(
-            said == right,
+            observed == right,
             f"{listed} {right!r}, as registered",
-            f"{said!r}",
+            f"{observed!r}",
             "BP-LST-01",
             "BP-LST-03",
             "BP-REG-01",

@@ -72,8 +72,8 @@ def numbers_go_on(bench: Bench) -> None:
         if last.seqno is None or first.seqno is None:
             bench.inconclusive("decodable beacons", f"{last.problem or first.problem}")
         right = (last.seqno + 1) % BP_SEQNO_MODULUS
-        said = f"{first.seqno} after {last.seqno}"
-        bench.check(first.seqno == right, f"seqno {right}", said, "BP-HDR-08", frames=[last, first], numbers=True)
+        observed = f"{first.seqno} after {last.seqno}"
+        bench.check(first.seqno == right, f"seqno {right}", observed, "BP-HDR-08", frames=[last, first], numbers=True)
 
 
 @case(

@@ -53,8 +53,8 @@ def _require_left(bench: Bench, kind: ICType, var_id: int, count: int, since: in
     bench.mark()
     before = sum(each.heard.time <= sent for each in bench.instructions(kind, var_id, since))
     if before > max(1, count - 2):
-        said = f"{before} of {count} sent before the next stimulus"
-        bench.inconclusive("remaining repetitions", said)
+        observed = f"{before} of {count} sent before the next stimulus"
+        bench.inconclusive("remaining repetitions", observed)
     return before
 
 

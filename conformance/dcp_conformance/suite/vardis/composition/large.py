@@ -57,9 +57,9 @@ def larger_than_own(bench: Bench, limit: str) -> None:
     bench.require_alive("a payload larger than its own maximum", "VD-ROB-01")
     bench.beacons(1, 1.5)
     asked = [bool(bench.instructions(ICType.REQUEST_VARCREATES, each, since)) for each in (first, last)]
-    said = {(True, True): "yes", (False, False): "no", (True, False): "only its first container"}
+    observed = {(True, True): "yes", (False, False): "no", (True, False): "only its first container"}
     question = f"Is a payload processed that is larger than {limit} allows the implementation's own?"
-    bench.info(question, said.get((asked[0], asked[1]), "only its last container"), "VD-RX-04")
+    bench.info(question, observed.get((asked[0], asked[1]), "only its last container"), "VD-RX-04")
     held = ask(bench, known)
     value = None if held.record is None else held.record.upd.value
     bench.check(

@@ -259,5 +259,5 @@ def counted_each(bench: Bench) -> None:
             return [each.record.seqno for each in updates if each.record.value == value]
 
         came = newest(None) or bench.until(newest)
-        said = f"{came[0]}" if came else "the last value was not sent"
-        bench.check(came and came[0] == number, f"sequence number {number} in update {number}", said, shown=came)
+        observed = f"{came[0]}" if came else "the last value was not sent"
+        bench.check(came and came[0] == number, f"sequence number {number} in update {number}", observed, shown=came)

@@ -386,8 +386,8 @@ def empty_description(bench: Bench) -> None:
     bench.require_alive("a variable without a description")
     claimed = bench.sut.pics.empty_description
     if claimed is not None:
-        said = f"empty_description = {str(claimed).lower()}, as the PICS claims"
-        bench.check(claimed == answer.ok, said, f"{answer}", shown=True)
+        observed = f"empty_description = {str(claimed).lower()}, as the PICS claims"
+        bench.check(claimed == answer.ok, observed, f"{answer}", shown=True)
     if answer.ok and bench.session.upper is not None and "RTDB-Delete" in bench.session.upper.methods:
         # Delete it: neighbours that reject the empty description would request the variable forever.
         bench.call("RTDB-Delete", varId=var_id)

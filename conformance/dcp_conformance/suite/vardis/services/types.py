@@ -399,7 +399,13 @@ def first_words(bench: Bench) -> None:
     )
     creates = bench.instructions(ICType.CREATE_VARIABLES, since=since)
     wrong = [each for each in creates if each.record.spec.prod_id == peer.node_id and each.record != record]
-    said = f"{wrong[0].record}" if wrong else ""
+    observed = f"{wrong[0].record}" if wrong else ""
     bench.check(
-        not wrong, f"the VarCreate as received: {record}", said, "VD-TYP-05", "VD-TYP-07", frames=wrong[:4], shown=True
+        not wrong,
+        f"the VarCreate as received: {record}",
+        observed,
+        "VD-TYP-05",
+        "VD-TYP-07",
+        frames=wrong[:4],
+        shown=True,
     )
