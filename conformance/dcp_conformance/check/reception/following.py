@@ -187,6 +187,10 @@ class Variable:
     """The producers among the nodes that are followed."""
     introducers: int = 0
     """The nodes that were the first to send some number."""
+    consumers: int = 0
+    """The nodes whose last create names another node as the producer."""
+    apart: int = 0
+    """The nodes that hold a newer number than a known producer states, and may therefore be producers themselves."""
     created: int = 0
     """The latest creation time in a create."""
     born: bool = False

@@ -189,6 +189,8 @@ class Observer:
         if number is None:
             del station.holds[variable.var_id]
             variable.known &= ~bit
+            variable.consumers &= ~bit
+            variable.apart &= ~bit
         else:
             station.holds[variable.var_id] = number
             holders[number] = holders.get(number, 0) | bit
@@ -289,6 +291,11 @@ class Observer:
         spec, upd = each.record.spec, each.record.upd
         if not variable.producers and not variable.known and spec.prod_id == station.node and upd.seqno == 0:
             variable.born = True
+        if spec.prod_id == station.node:
+            variable.consumers &= ~station.bit
+        else:
+            variable.consumers |= station.bit
+            variable.apart &= ~station.bit
         if spec.prod_id not in variable.producers:
             variable.producers.add(spec.prod_id)
             if (producer := self.stations.get(spec.prod_id)) is not None:
@@ -394,7 +401,6 @@ class Observer:
 
     def _occasions(self, speaker: Station, seen: Seen) -> None:
         """Log an event for each record of a beacon that demands a reaction from other nodes."""
-        others = self._listeners & ~speaker.bit
         unsettled, variables = self._unsettled, self.variables
         begins: list[range | list[int]] | None = None
         total = 0
@@ -410,7 +416,7 @@ class Observer:
                 if variable is None:
                     continue
                 said: Statement | None = None
-                for due, whom in self._due(variable, kind, records[index], others):
+                for due, whom in self._due(variable, kind, records[index], speaker.bit):
                     if begins is None:
                         begins, total = self._sizes.starts(seen.parts)
                     if said is None:
@@ -423,15 +429,21 @@ class Observer:
             self._dropped += len(self._log)
             self._log.clear()
 
-    def _due(self, variable: Variable, kind: int, record: Any, others: int) -> Iterator[tuple[Kind, int]]:
-        """Yield the reactions that a record demands from the nodes that hear it, each with a mask of these nodes."""
+    def _due(self, variable: Variable, kind: int, record: Any, speaker: int) -> Iterator[tuple[Kind, int]]:
+        """Yield the reactions that a record demands from the nodes that hear it, each with a mask of these nodes.
+
+        ``speaker``: the bit of its sender.
+        """
+        others = self._listeners & ~speaker
         known = variable.known & others
         if kind is SUMMARY or kind is UPDATE or kind is CREATE:
             number = record.upd.seqno if kind is CREATE else record.seqno
             holders = variable.holders
             if len(holders) == 1 and number in holders and variable.known.bit_count() >= self._everybody:
                 return
-            may = known & ~variable.produced
+            if speaker & variable.produced:
+                self._compare(variable, number)
+            may = known & ~(variable.produced | variable.apart)
             if not variable.producers:
                 may = known & ~variable.introducers if variable.introducers else 0
             if may and kind is not CREATE:
@@ -449,8 +461,9 @@ class Observer:
         elif not variable.known:
             return
         elif kind is DELETE:
-            if variable.producers and known & ~variable.produced:
-                yield Kind.TAKE_DELETE, known & ~variable.produced
+            may = known & ~(variable.produced | variable.apart)
+            if variable.producers and may:
+                yield Kind.TAKE_DELETE, may
         else:
             for has, whom in variable.holders.items():
                 if whom & others and has != record.seqno and self.circle.newer(has, record.seqno):
@@ -458,6 +471,18 @@ class Observer:
         unknown = others & ~variable.known & ~variable.produced
         if unknown and kind is not DELETE:
             yield from self._due_of_unknown(variable, kind, record, unknown)
+
+    def _compare(self, variable: Variable, number: int) -> None:
+        """Find the nodes with a newer number than ``number``, which a producer states: they have it from another one.
+
+        If a create of such a node has not shown that it is a consumer, it may be the other producer, which must not
+        react as a consumer does.
+        """
+        doubtful = variable.known & ~(variable.produced | variable.consumers | variable.apart)
+        if doubtful:
+            for has, whom in variable.holders.items():
+                if whom & doubtful and has != number and self.circle.newer(has, number):
+                    variable.apart |= whom & doubtful
 
     def _due_of_unknown(self, variable: Variable, kind: int, record: Any, whom: int) -> Iterator[tuple[Kind, int]]:
         """Yield the reactions due from the nodes in ``whom``, which do not hold the variable."""
