@@ -88,7 +88,7 @@ class Station:
             # Reconnecting would wait for a process that does not come back.
             return Answer(code=-32603, message="the process has ended")
         if method in self._unanswered:
-            return Answer(code=-32603, message=f"{method} was not called again, as it was not answered before")
+            return Answer(code=-32603, message=f"{method} was not called again: the process did not answer it before")
         try:
             answer = self._upper.call(method, dict(params))
             self._upper.poll()
