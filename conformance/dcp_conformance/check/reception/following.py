@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import NamedTuple
 
 from dcp_conformance.check.statements import Statement
+
+#: Number of beacons of a node whose times are kept: the causes of a reaction are not older.
+_TIMES = 16
 
 
 class Kind(Enum):
@@ -95,6 +99,18 @@ class Station:
     """Variable -> its open occasions."""
     cursor: int = 0
     """Number of events (of all nodes) that it has processed."""
+    times: deque[int] = field(default_factory=lambda: deque(maxlen=_TIMES))
+    """Times of its latest beacons, ns of :attr:`Observer.time`."""
+
+    def sent_at(self, number: int) -> int:
+        """Return the time of its beacon ``number`` (from 1), ns; if that is not kept, the time of the oldest kept one.
+
+        0 if it has sent none.
+        """
+        times = self.times
+        if not times:
+            return 0
+        return times[max(len(times) - 1 - (self.beacons - number), 0)]
 
 
 class Event(NamedTuple):
@@ -143,6 +159,10 @@ class Trial(NamedTuple):
     """The causes of the reaction if the node composes a payload immediately before it sends it."""
     ahead: Exposure = ()
     """The causes of the reaction if the node composes a payload one beacon ahead."""
+    since: int = 0
+    """Of a reaction: the earliest time at which its cause may have been sent, ns of :attr:`Observer.time`."""
+    until: int = 0
+    """Of a reaction: the time of the beacon with it, ns of :attr:`Observer.time`."""
 
     @property
     def speakers(self) -> int:

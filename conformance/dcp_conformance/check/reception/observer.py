@@ -23,6 +23,7 @@ from dcp_conformance.model.circular import Circle
 
 from .following import Event, Exposure, Interval, Kind, Occasions, Station, Trial, Variable
 from .records import RecordSizes
+from .unrecorded import Unrecorded
 
 #: A reaction is missing if it is not in the first four beacons after the record. The third is the latest one due: one
 #: payload may have been composed before, and one may wait for a payload of another protocol.
@@ -41,6 +42,8 @@ _EVENTS = 8_192
 MOST_OPEN = 64
 #: Maximum number of nodes whose reactions are followed; each one has a bit of a mask.
 MOST_NODES = 64
+#: Number of beacons that a node is assumed to have sent before if its beacons are not numbered.
+_UNKNOWN = 100
 #: Payloads up to this length in octets have room: the bearer carries at least 256 octets.
 _ROOM = 180
 
@@ -62,6 +65,7 @@ class Observer:
         self.circle = Circle(context.profile.types.var_seqno.width)
         self.stations: dict[bytes, Station] = {}
         self.by_bit: dict[int, Station] = {}
+        self.unrecorded = Unrecorded()
         self.variables: dict[int, Variable] = {}
         self._listeners = 0
         """The nodes from which reactions can be expected, as a mask of bits."""
@@ -103,6 +107,7 @@ class Observer:
             return
         self._catch_up(station)
         station.beacons += 1
+        station.times.append(self.time)
         length = len(seen.heard.octets)
         asked = self._settle(station, seen)
         if station.open or station.waiting:
@@ -117,14 +122,17 @@ class Observer:
         if sender is None:
             return None
         number = seen.heard.seqno
+        # Number of beacons since the node was started, if this is its first one in the recording or after a restart.
+        missed = _UNKNOWN if number is None else number - self._context.profile.behaviour.first_beacon_seqno
         if station is None:
             if len(self.stations) >= MOST_NODES:
                 return None
             listens, bit = seen.origin is not Origin.FORGED, 1 << len(self.stations)
             station = Station(seen.sender, bit, listens, seen.time, sender.life)
             station.cursor = self._dropped + len(self._log)
-            if number is None or number > self._context.profile.behaviour.first_beacon_seqno + 2:
+            if missed > 2:
                 self._early |= bit
+            self.unrecorded.before_first(bit, missed, self.time)
             self.stations[seen.sender] = self.by_bit[bit] = station
             for variable in self.variables.values():
                 if seen.sender in variable.producers:
@@ -135,6 +143,8 @@ class Observer:
                 for variable in self.variables.values():
                     self._settled(variable)
         elif sender.life != station.life:
+            last, before = station.sent_at(station.beacons), station.sent_at(station.beacons - 1)
+            self.unrecorded.restart(station.bit, last, before, missed, self.time)
             self._forget(station)
             station.life, station.since = sender.life, seen.time
             self._early &= ~station.bit
@@ -142,6 +152,7 @@ class Observer:
                 self._early |= station.bit
             station.gap = station.beacons + 1
         elif sender.unbroken > station.time:
+            self.unrecorded.gap(station.bit, station.sent_at(station.beacons), self.time)
             self._drop_all(station)
             station.gap = station.beacons + 1
         station.time = sender.time
@@ -314,6 +325,7 @@ class Observer:
                 last.time, station, kind, var_id, _exposure(speakers), True, last.cause,
                 all(each.late_half for each in intervals), min(each.length for each in intervals), once,
                 delay, _exposure(at_once), _exposure(ahead),
+                station.sent_at(min(intervals[0].begin, station.beacons - 2)), self.time,
             )
         )  # fmt: skip
 

@@ -13,6 +13,7 @@ from dcp_conformance.check.statements import Statement
 from .following import Exposure, Kind, Station, Trial
 from .links import Link, bits, chance, hits_alone, infer, lower_bound, reacts, without
 from .observer import Observer
+from .unrecorded import Timeline, silent_senders
 
 #: A window of trials that are evaluated together: its length in ns, and its maximum number of trials of one node.
 _WINDOW, _MOST = 20_000_000_000, 3_000
@@ -232,17 +233,27 @@ class Reception:
         trials = self._trials.setdefault(trial.station.bit, [])
         trials.append(trial)
         if len(trials) >= _MOST:
-            self._judge(self._trials.pop(trial.station.bit))
+            self._judge(self._trials.pop(trial.station.bit), self._unrecorded())
 
     def _close(self) -> None:
         """Evaluate the trials of the current window."""
+        timeline = self._unrecorded()
         for trials in self._trials.values():
-            self._judge(trials)
+            self._judge(trials, timeline)
         self._trials.clear()
+        self.observer.unrecorded.forget(self._begin)
+
+    def _unrecorded(self) -> Timeline:
+        """Return the times at which nodes may have sent beacons that the recorder missed, up to now."""
+        observer = self.observer
+        return observer.unrecorded.timeline(
+            (each.bit, each.sent_at(each.beacons), each.sent_at(each.beacons - 1))
+            for each in observer.stations.values()
+        )
 
     # -- one node in one window ----------------------------------------------------------------------------------------
 
-    def _judge(self, trials: list[Trial]) -> None:
+    def _judge(self, trials: list[Trial], unrecorded: Timeline) -> None:
         """Evaluate the trials of one node in one window: update the tallies of suspicious groups, and the links."""
         station = trials[0].station
         trials = _by_delay(trials)
@@ -266,12 +277,12 @@ class Reception:
                 self._keep(key, self._tallies.pop(key, None))
         # A reaction that the node never shows is no evidence of reception: infer links from other groups, if any.
         left_out = {id(trial) for _, group in suspects for trial in group}
-        rest = [trial for trial in trials if id(trial) not in left_out]
+        rest = [_may_be_due_to(trial, unrecorded) for trial in trials if id(trial) not in left_out]
         if suspects:
             known = self._known(rest)
             for key, group in suspects:
                 self._suspect(key, group, known)
-        self._infer(station, rest or trials)
+        self._infer(station, rest or [_may_be_due_to(trial, unrecorded) for trial in trials])
 
     def _infer(self, station: Station, trials: list[Trial]) -> None:
         """Infer the links to a node in this window."""
@@ -438,6 +449,17 @@ def _due_to(trial: Trial, causes: Exposure) -> Trial:
         return trial
     counts = dict(causes)
     return trial._replace(exposure=tuple((bit, counts.get(bit, count)) for bit, count in trial.exposure))
+
+
+def _may_be_due_to(trial: Trial, unrecorded: Timeline) -> Trial:
+    """Return the trial with the nodes that may have caused the reaction by a beacon that the recorder missed."""
+    if not trial.hit:
+        return trial
+    missed = silent_senders(unrecorded, trial.since, trial.until) & ~trial.station.bit
+    if not missed:
+        return trial
+    others = tuple((bit, 1) for bit in bits(missed & ~trial.speakers))
+    return trial._replace(exposure=tuple(sorted(trial.exposure + others)), once=False)
 
 
 def _outcomes(trials: Iterable[Trial]) -> dict[Exposure, tuple[int, int]]:
