@@ -142,6 +142,8 @@ def run_matrix(
             results[number] = run_cell(cell, tests[cell.test])
         else:
             waiting.append(number)
+    # Long cells start first, so that none of them is left alone at the end.
+    waiting.sort(key=lambda number: tests[cells[number].test].longest_s, reverse=True)
     done = len(cells) - len(waiting)
     where = None if folder is None else folder.resolve()
     chosen = [cells[number] for number in waiting]
