@@ -113,6 +113,18 @@ class Station:
         return times[max(len(times) - 1 - (self.beacons - number), 0)]
 
 
+@dataclass(slots=True, eq=False)
+class Population:
+    """Sets of the nodes that are followed, as masks of their bits."""
+
+    listeners: int = 0
+    """The nodes from which reactions can be expected."""
+    count: int = 0
+    """The number of these nodes."""
+    early: int = 0
+    """The nodes that may have known variables before their first beacon in the recording."""
+
+
 class Event(NamedTuple):
     """A record that demands a reaction from the nodes that hear it."""
 
