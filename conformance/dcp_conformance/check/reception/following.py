@@ -113,6 +113,18 @@ class Station:
         return times[max(len(times) - 1 - (self.beacons - number), 0)]
 
 
+@dataclass(slots=True, eq=False)
+class Population:
+    """Sets of the nodes that are followed, as masks of their bits."""
+
+    listeners: int = 0
+    """The nodes from which reactions can be expected."""
+    count: int = 0
+    """The number of these nodes."""
+    early: int = 0
+    """The nodes that may have known variables before their first beacon in the recording."""
+
+
 class Event(NamedTuple):
     """A record that demands a reaction from the nodes that hear it."""
 
@@ -187,6 +199,10 @@ class Variable:
     """The producers among the nodes that are followed."""
     introducers: int = 0
     """The nodes that were the first to send some number."""
+    consumers: int = 0
+    """The nodes whose last create names another node as the producer."""
+    apart: int = 0
+    """The nodes that hold a newer number than a known producer states, and may therefore be producers themselves."""
     created: int = 0
     """The latest creation time in a create."""
     born: bool = False

@@ -13,15 +13,15 @@ have the same number of a variable, so that the cost depends on the changes, and
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from typing import Any
+from collections.abc import Callable
 
 from dcp_conformance.check.base import MOST_VARIABLES, Context, Seen
-from dcp_conformance.check.statements import ASK_CREATE, ASK_UPDATE, CREATE, DELETE, SUMMARY, UPDATE, Statement, said_of
+from dcp_conformance.check.statements import ASK_UPDATE, CREATE, DELETE, SUMMARY, UPDATE, Statement, said_of
 from dcp_conformance.check.stations import Origin
 from dcp_conformance.model.circular import Circle
 
-from .following import Event, Exposure, Interval, Kind, Occasions, Station, Trial, Variable
+from .demands import Demands
+from .following import Event, Exposure, Interval, Kind, Occasions, Population, Station, Trial, Variable
 from .records import RecordSizes
 from .unrecorded import Unrecorded
 
@@ -67,24 +67,17 @@ class Observer:
         self.by_bit: dict[int, Station] = {}
         self.unrecorded = Unrecorded()
         self.variables: dict[int, Variable] = {}
-        self._listeners = 0
-        """The nodes from which reactions can be expected, as a mask of bits."""
-        self._everybody = 0
-        """The number of these nodes."""
-        self._early = 0
-        """The nodes that may have known variables before their first beacon in the recording."""
+        self._nodes = Population()
         self._log: list[Event] = []
         """The latest events, in order. A node processes them before its next beacon."""
         self._dropped = 0
         """Number of events that have been removed from the start of ``_log``."""
         self._unsettled: set[int] = set()
         """Variables of which not all nodes have stated the same number."""
-        self._times = context.features.creation_time
         self._carried: dict[tuple[int, int, Kind], tuple[int, dict[int, int]]] = {}
         """(bit, variable, kind) -> the node's beacon with the last reaction, and the speakers right before it, each
         with the number of its beacons."""
-        self._asks_on = context.profile.spec_version >= "1.1"
-        """Whether a node that hears a request for an unknown variable must request it, too (VD-RC-01, VD-RU-01)."""
+        self._demands = Demands(context, self.circle, self._nodes, self.by_bit)
         self._first: int | None = None
         self.time = 0
         """Monotonic clock in ns, starting at 0: a step of the recorder's clock backwards counts as 0, and one forwards
@@ -131,15 +124,15 @@ class Observer:
             station = Station(seen.sender, bit, listens, seen.time, sender.life)
             station.cursor = self._dropped + len(self._log)
             if missed > 2:
-                self._early |= bit
+                self._nodes.early |= bit
             self.unrecorded.before_first(bit, missed, self.time)
             self.stations[seen.sender] = self.by_bit[bit] = station
             for variable in self.variables.values():
                 if seen.sender in variable.producers:
                     variable.produced |= bit
             if listens:
-                self._listeners |= bit
-                self._everybody += 1
+                self._nodes.listeners |= bit
+                self._nodes.count += 1
                 for variable in self.variables.values():
                     self._settled(variable)
         elif sender.life != station.life:
@@ -147,9 +140,9 @@ class Observer:
             self.unrecorded.restart(station.bit, last, before, missed, self.time)
             self._forget(station)
             station.life, station.since = sender.life, seen.time
-            self._early &= ~station.bit
+            self._nodes.early &= ~station.bit
             if number is None or number > 20:
-                self._early |= station.bit
+                self._nodes.early |= station.bit
             station.gap = station.beacons + 1
         elif sender.unbroken > station.time:
             self.unrecorded.gap(station.bit, station.sent_at(station.beacons), self.time)
@@ -189,6 +182,8 @@ class Observer:
         if number is None:
             del station.holds[variable.var_id]
             variable.known &= ~bit
+            variable.consumers &= ~bit
+            variable.apart &= ~bit
         else:
             station.holds[variable.var_id] = number
             holders[number] = holders.get(number, 0) | bit
@@ -197,7 +192,7 @@ class Observer:
 
     def _settled(self, variable: Variable) -> None:
         """Update ``_unsettled`` for a variable."""
-        if len(variable.holders) == 1 and variable.known.bit_count() >= self._everybody:
+        if len(variable.holders) == 1 and variable.known.bit_count() >= self._nodes.count:
             self._unsettled.discard(variable.var_id)
         else:
             self._unsettled.add(variable.var_id)
@@ -289,6 +284,11 @@ class Observer:
         spec, upd = each.record.spec, each.record.upd
         if not variable.producers and not variable.known and spec.prod_id == station.node and upd.seqno == 0:
             variable.born = True
+        if spec.prod_id == station.node:
+            variable.consumers &= ~station.bit
+        else:
+            variable.consumers |= station.bit
+            variable.apart &= ~station.bit
         if spec.prod_id not in variable.producers:
             variable.producers.add(spec.prod_id)
             if (producer := self.stations.get(spec.prod_id)) is not None:
@@ -394,7 +394,6 @@ class Observer:
 
     def _occasions(self, speaker: Station, seen: Seen) -> None:
         """Log an event for each record of a beacon that demands a reaction from other nodes."""
-        others = self._listeners & ~speaker.bit
         unsettled, variables = self._unsettled, self.variables
         begins: list[range | list[int]] | None = None
         total = 0
@@ -410,7 +409,7 @@ class Observer:
                 if variable is None:
                     continue
                 said: Statement | None = None
-                for due, whom in self._due(variable, kind, records[index], others):
+                for due, whom in self._demands.of(variable, kind, records[index], speaker.bit):
                     if begins is None:
                         begins, total = self._sizes.starts(seen.parts)
                     if said is None:
@@ -422,64 +421,6 @@ class Observer:
                 self._catch_up(station)
             self._dropped += len(self._log)
             self._log.clear()
-
-    def _due(self, variable: Variable, kind: int, record: Any, others: int) -> Iterator[tuple[Kind, int]]:
-        """Yield the reactions that a record demands from the nodes that hear it, each with a mask of these nodes."""
-        known = variable.known & others
-        if kind is SUMMARY or kind is UPDATE or kind is CREATE:
-            number = record.upd.seqno if kind is CREATE else record.seqno
-            holders = variable.holders
-            if len(holders) == 1 and number in holders and variable.known.bit_count() >= self._everybody:
-                return
-            may = known & ~variable.produced
-            if not variable.producers:
-                may = known & ~variable.introducers if variable.introducers else 0
-            if may and kind is not CREATE:
-                newer = self.circle.newer
-                for has, whom in holders.items():
-                    if has == number or not whom & may:
-                        continue
-                    if newer(number, has):
-                        yield Kind.TAKE_UPDATE if kind is UPDATE else Kind.ASK_UPDATE, whom & may
-                    elif newer(has, number):
-                        yield Kind.TEACH, whom & may
-        elif kind is ASK_CREATE:
-            if known:
-                yield Kind.ANSWER_CREATE, known
-        elif not variable.known:
-            return
-        elif kind is DELETE:
-            if variable.producers and known & ~variable.produced:
-                yield Kind.TAKE_DELETE, known & ~variable.produced
-        else:
-            for has, whom in variable.holders.items():
-                if whom & others and has != record.seqno and self.circle.newer(has, record.seqno):
-                    yield Kind.ANSWER_UPDATE, whom & others
-        unknown = others & ~variable.known & ~variable.produced
-        if unknown and kind is not DELETE:
-            yield from self._due_of_unknown(variable, kind, record, unknown)
-
-    def _due_of_unknown(self, variable: Variable, kind: int, record: Any, whom: int) -> Iterator[tuple[Kind, int]]:
-        """Yield the reactions due from the nodes in ``whom``, which do not hold the variable."""
-        if (kind is ASK_CREATE or kind is ASK_UPDATE) and not self._asks_on:
-            return
-        had = whom & variable.deleted
-        if had and kind is CREATE and self._times:
-            # A node that has deleted the variable need not request it, and accepts only a later creation.
-            later, created = 0, record.spec.creation_time
-            while had:
-                bit = had & -had
-                had ^= bit
-                if created > self.by_bit[bit].had[variable.var_id]:
-                    later |= bit
-            if later:
-                yield Kind.TAKE_CREATE, later
-        whom &= ~variable.deleted
-        if not variable.born:
-            # These nodes may have deleted the variable before the recording began.
-            whom &= ~self._early
-        if whom:
-            yield Kind.TAKE_CREATE if kind is CREATE else Kind.ASK_CREATE, whom
 
     def _catch_up(self, station: Station) -> None:
         """Open the occasions of a node from the events since its last beacon."""
