@@ -1,32 +1,32 @@
-"""Types of the services of BP that SRP and VarDis use; both depend on no other part of BP."""
+"""The services of BP that SRP and VarDis use, and their confirms; both depend on no other part of BP."""
 
 from __future__ import annotations
 
 from typing import Protocol
 
+import msgspec
 from dcp_spec.constants import QueueingMode
 from dcp_spec.status import BPStatus
 
 
-class HasStatus(Protocol):
-    """A confirm of BP."""
+class StatusConfirm(msgspec.Struct, frozen=True, gc=False):
+    """A confirm with a status only."""
 
-    @property
-    def status(self) -> BPStatus: ...
-
-
-class RegisterConfirm(HasStatus, Protocol):
-    """Confirm of BP-RegisterProtocol; ``own_node_identifier`` is None in 1.0, whose confirm lacks it."""
-
-    @property
-    def own_node_identifier(self) -> bytes | None: ...
+    status: BPStatus
 
 
-class NumberConfirm(HasStatus, Protocol):
-    """Confirm of BP-QueryNumberBufferedPayloads; ``number`` is None if the status is not OK."""
+class RegisterConfirm(msgspec.Struct, frozen=True, gc=False):
+    """``BP-RegisterProtocol.confirm``; ``own_node_identifier`` is None in 1.0, whose confirm lacks it (BP-REG-07)."""
 
-    @property
-    def number(self) -> int | None: ...
+    status: BPStatus
+    own_node_identifier: bytes | None
+
+
+class NumberConfirm(msgspec.Struct, frozen=True, gc=False):
+    """``BP-QueryNumberBufferedPayloads.confirm``; ``number`` is None unless the status is OK."""
+
+    status: BPStatus
+    number: int | None
 
 
 class BPPort(Protocol):
@@ -46,10 +46,10 @@ class BPPort(Protocol):
     ) -> RegisterConfirm:
         """``BP-RegisterProtocol``."""
 
-    def deregister(self, prot_id: int) -> HasStatus:
+    def deregister(self, prot_id: int) -> StatusConfirm:
         """``BP-DeregisterProtocol``."""
 
-    def transmit_payload(self, prot_id: int, payload: bytes, *, now: int) -> HasStatus:
+    def transmit_payload(self, prot_id: int, payload: bytes, *, now: int) -> StatusConfirm:
         """``BP-TransmitPayload``."""
 
     def query_number_buffered(self, prot_id: int) -> NumberConfirm:

@@ -39,18 +39,6 @@ from .statistics import Counters, LossTable, NeighbourLoss
 from .timing import BeaconSchedule
 from .wire import BPWire
 
-__all__ = [
-    "BeaconingProtocol",
-    "ListConfirm",
-    "NeighbourLoss",
-    "NumberConfirm",
-    "RegisterConfirm",
-    "Registration",
-    "StatusConfirm",
-    "UnknownServiceError",
-]
-
-
 # Counters that exist from the start, independent of registrations and received frames.
 _COUNTED = (
     "beacons-left-out",

@@ -1,4 +1,4 @@
-"""Confirms of the services of BP (dcp-bp.md, "Service Interface")."""
+"""Confirms of the services of BP (dcp-bp.md, "Service Interface"); those for SRP and VarDis are in ``bp_port``."""
 
 from __future__ import annotations
 
@@ -6,25 +6,16 @@ import msgspec
 from dcp_spec.constants import QueueingMode, SpecVersion
 from dcp_spec.status import BPStatus
 
+from dcp_stack.bp_port import NumberConfirm, RegisterConfirm, StatusConfirm
+
+__all__ = ["ListConfirm", "NumberConfirm", "RegisterConfirm", "Registration", "StatusConfirm", "UnknownServiceError"]
+
 
 class UnknownServiceError(ValueError):
     """The service does not exist in the profile's version of the specification."""
 
     def __init__(self, service: str, since: SpecVersion, version: SpecVersion) -> None:
         super().__init__(f"{service} exists since {since} of the specification; the profile follows {version}")
-
-
-class StatusConfirm(msgspec.Struct, frozen=True, gc=False):
-    """A confirm with a status only."""
-
-    status: BPStatus
-
-
-class RegisterConfirm(msgspec.Struct, frozen=True, gc=False):
-    """``BP-RegisterProtocol.confirm``; ``own_node_identifier`` is None in 1.0, whose confirm lacks it (BP-REG-07)."""
-
-    status: BPStatus
-    own_node_identifier: bytes | None
 
 
 class Registration(msgspec.Struct, frozen=True, rename="camel"):
@@ -51,10 +42,3 @@ class ListConfirm(msgspec.Struct, frozen=True):
 
     status: BPStatus
     protocols: tuple[Registration, ...]
-
-
-class NumberConfirm(msgspec.Struct, frozen=True, gc=False):
-    """``BP-QueryNumberBufferedPayloads.confirm``; ``number`` is None unless the status is OK."""
-
-    status: BPStatus
-    number: int | None

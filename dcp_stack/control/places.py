@@ -35,16 +35,16 @@ def find_socket() -> Path | None:
 
 
 def is_answered(path: Path) -> bool:
-    """Whether a program listens at a socket."""
+    """Whether a program listens at a socket; also True if the system does not tell, for example without permission."""
     with contextlib.closing(socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)) as trial:
         trial.settimeout(1)
         try:
             trial.connect(os.fspath(path))
-        except BlockingIOError:
-            # A program listens, but has too many clients at the moment.
-            return True
-        except OSError:
+        except (ConnectionRefusedError, FileNotFoundError):
             return False
+        except OSError:
+            # BlockingIOError: a program listens, but has too many clients at the moment.
+            return True
     return True
 
 

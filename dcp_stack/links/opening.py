@@ -92,12 +92,12 @@ def _open_udp(rest: str, options: Options, config: NodeConfig) -> Link:
 
 
 def _open_replay(path: str, options: Options, config: NodeConfig) -> Link:
-    from .replay import open_replay
+    from .replay import ReplayLink
 
     if not path:
         raise LinkError("replay: file missing; name it as in replay:flight.mcap")
     source = _address(options, config.node_id) or b""
-    return open_replay(path, config.profile.link, speed=float(options.get("speed", "1")), source=source)
+    return ReplayLink(path, config.profile.link, speed=float(options.get("speed", "1")), source=source)
 
 
 _OPENERS: Mapping[str, tuple[tuple[str, ...], Callable[[str, Options, NodeConfig], Link]]] = {

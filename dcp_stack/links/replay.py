@@ -22,7 +22,7 @@ PORTION = 512
 
 
 class ReplayLink:
-    """A link made by :func:`open_replay`. It has no descriptor; :meth:`poll_timeout` returns the next arrival."""
+    """The link of a recording. It has no descriptor; :meth:`poll_timeout` returns the next arrival."""
 
     def __init__(
         self,
@@ -36,7 +36,16 @@ class ReplayLink:
         clock: Callable[[], int] = time.monotonic_ns,
         wall: Callable[[], int] = time.time_ns,
     ) -> None:
-        """See :func:`open_replay`; ``clock`` (monotonic) and ``wall`` (since 1970) are in ns."""
+        """Open the recording ``path`` (pcap, pcapng, MCAP).
+
+        ``framing`` is the position of beacons in its frames (``profile.link``). Frames keep their time distances
+        divided by ``speed`` (``math.inf``: all at once). ``source`` is our own address; frames from it are left out.
+        Receptions have the time of their replay or, with ``original_times``, the time in the recording. ``clock``
+        (monotonic) and ``wall`` (since 1970) are in ns.
+
+        Raises :class:`LinkError` if the file cannot be opened. Later problems of the recording are in
+        :attr:`problems`.
+        """
         self.name = f"replay:{path}"
         self.counters = LinkCounters()
         self.max_packet_size = max_packet_size
@@ -155,23 +164,3 @@ class ReplayLink:
         self._capture.close()
         for problem in self.problems:
             log.warning("%s: %s", self.name, problem.message)
-
-
-def open_replay(
-    path: str | Path,
-    framing: Framing,
-    *,
-    speed: float = 1.0,
-    source: bytes = b"",
-    original_times: bool = False,
-) -> ReplayLink:
-    """Open the recording ``path`` (pcap, pcapng, MCAP) as a link.
-
-    ``framing`` is the position of beacons in its frames (``profile.link``). Frames keep their time distances divided by
-    ``speed`` (``math.inf``: all at once). ``source`` is our own address; frames from it are left out. Receptions have
-    the time of their replay or, with ``original_times``, the time in the recording.
-
-    Raises :class:`LinkError` if the file cannot be opened. Later problems of the recording are in
-    :attr:`ReplayLink.problems`.
-    """
-    return ReplayLink(path, framing, speed=speed, source=source, original_times=original_times)

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Final
 
+from dcp_stack.control.places import is_answered
 from dcp_stack.control.server import HIGH_WATER, ControlServer, ControlSession
 
 from .privileges import roots_alone
@@ -175,7 +176,7 @@ class ControlSocket:
         with contextlib.suppress(FileNotFoundError):
             if not stat.S_ISSOCK(self.path.lstat().st_mode):
                 raise ControlSocketError(f"{self.path}: exists and is not a socket; choose another path")
-            if _is_answered(self.path):
+            if is_answered(self.path):
                 raise ControlSocketError(f"{self.path}: another node listens there; choose another path or end it")
             self.path.unlink()
         # The mode has to be set before bind: any user could connect between bind and chmod. Linux takes the mode from
@@ -292,19 +293,6 @@ def _alone_in(folder: Path) -> Iterator[None]:
         yield
     finally:
         os.close(fd)
-
-
-def _is_answered(path: Path) -> bool:
-    """Whether a process listens at a socket."""
-    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
-        probe.settimeout(1.0)
-        try:
-            probe.connect(os.fspath(path))
-        except (ConnectionRefusedError, FileNotFoundError):
-            return False
-        except TimeoutError:
-            return True
-    return True
 
 
 def _identity(path: Path) -> tuple[int, int]:

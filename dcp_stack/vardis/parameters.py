@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from types import MappingProxyType
+from typing import Final
 
 import msgspec
 from dcp_spec.parameters import Sizes, UnknownParameterError, Violation, parameter, parameters, validate
@@ -18,16 +19,17 @@ SUMMARIES = "VARDISPAR_MAX_SUMMARIES"
 SCRUBBING_PERIOD = "VARDISPAR_SCRUBBING_PERIOD"
 BUFFER_CHECK_PERIOD = "VARDISPAR_BUFFER_CHECK_PERIOD"
 
-#: Order of validation: the bounds of the later parameters depend on the payload size and the value length.
-_ORDER = (
-    PAYLOAD_SIZE,
-    VALUE_LENGTH,
-    DESCRIPTION_LENGTH,
-    REPETITIONS,
-    SUMMARIES,
-    SCRUBBING_PERIOD,
-    BUFFER_CHECK_PERIOD,
-)
+#: Parameter -> its setting in ``config.vardis``, and the limit of the profile that replaces a missing one. The order
+#: is that of validation: the bounds of the later parameters depend on the payload size and the value length.
+_SOURCES: Final = {
+    PAYLOAD_SIZE: ("max_payload_size", "max_vardis_payload"),
+    VALUE_LENGTH: ("max_value_length", "max_value_length"),
+    DESCRIPTION_LENGTH: ("max_description_length", "max_description_length"),
+    REPETITIONS: ("max_repetitions", "max_repetitions"),
+    SUMMARIES: ("max_summaries", "max_summaries"),
+    SCRUBBING_PERIOD: ("scrubbing_period_ms", ""),
+    BUFFER_CHECK_PERIOD: ("buffer_check_period_ms", ""),
+}
 
 
 class VardisParameters:
@@ -58,7 +60,7 @@ class VardisParameters:
         Under reading X39 ``nearest-value`` a value out of bounds is replaced by the nearest legal one. Raises
         ``UnknownParameterError`` if VarDis has no parameter of this name.
         """
-        if name not in _ORDER:
+        if name not in _SOURCES:
             raise UnknownParameterError(f"VarDis has no parameter {name!r}")
         changed = _changed(name, value, self._values, self._sizes, record_bound=self._record_bound)
         if isinstance(changed, Violation) and self._takes_nearest and isinstance(value, int):
@@ -128,32 +130,19 @@ def _initial(config: NodeConfig) -> tuple[Mapping[str, int], Sizes]:
     settings = config.vardis
     if settings is None:
         raise ValueError("the node is configured without VarDis")
-    limits, sizes = config.profile.limits, config.sizes
-    chosen = {
-        VALUE_LENGTH: settings.max_value_length,
-        DESCRIPTION_LENGTH: settings.max_description_length,
-        REPETITIONS: settings.max_repetitions,
-        PAYLOAD_SIZE: settings.max_payload_size,
-        SUMMARIES: settings.max_summaries,
-        SCRUBBING_PERIOD: settings.scrubbing_period_ms,
-        BUFFER_CHECK_PERIOD: settings.buffer_check_period_ms,
-    }
-    fallback = {
-        VALUE_LENGTH: limits.max_value_length,
-        DESCRIPTION_LENGTH: limits.max_description_length + _terminator(config),
-        REPETITIONS: limits.max_repetitions,
-        PAYLOAD_SIZE: limits.max_vardis_payload,
-        SUMMARIES: limits.max_summaries,
-    }
+    sizes = config.sizes
     record_bound = config.reading("X23") == "record-bound"
     values: dict[str, int] = {}
-    for name in _ORDER:
+    for name, (setting, limit) in _SOURCES.items():
         if parameter(name).since > config.profile.spec_version:
             continue
-        value = chosen[name]
+        value = getattr(settings, setting)
         if value is None:
+            value = getattr(config.profile.limits, limit)
+            if name == DESCRIPTION_LENGTH:
+                value += _terminator(config)
             highest = parameter(name).maximum(sizes)
-            value = fallback[name] if highest is None else min(fallback[name], highest)
+            value = value if highest is None else min(value, highest)
         changed = _changed(name, value, values, sizes, record_bound=record_bound)
         if isinstance(changed, Violation):
             raise ValueError(str(changed))

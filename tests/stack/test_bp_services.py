@@ -7,7 +7,7 @@ import pytest
 from dcp_spec.status import BPStatus
 
 from dcp_codec.codec import Codec, get_codec
-from dcp_stack.bp.entity import Registration, UnknownServiceError
+from dcp_stack.bp.services import Registration, UnknownServiceError
 
 from .bp_rig import (
     DROPHEAD,

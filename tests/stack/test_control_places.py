@@ -50,6 +50,13 @@ class TestPlaces:
             assert is_answered(path)
         assert not is_answered(path)
 
+    def test_a_socket_of_another_kind_is_in_use(self, tmp_path):
+        """A node must not remove it: connecting fails, but another program may receive from it."""
+        path = tmp_path / "log"
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as other:
+            other.bind(str(path))
+            assert is_answered(path)
+
 
 @pytest.fixture
 def bound(tmp_path):

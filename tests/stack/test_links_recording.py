@@ -12,7 +12,7 @@ from dcp_codec.codec import Codec
 from dcp_stack.links.base import LinkError, TimedLink
 from dcp_stack.links.memory import WALL_START, Medium
 from dcp_stack.links.recording import FLUSH_INTERVAL, Recorder, RecordingLink, recording_path
-from dcp_stack.links.replay import open_replay
+from dcp_stack.links.replay import ReplayLink
 
 CAPTURES = Path(__file__).resolve().parents[2] / "captures"
 MAC = bytes.fromhex("020000000001")
@@ -102,7 +102,7 @@ def test_it_can_be_replayed(tmp_path, codec, beacons):
     for number, octets in enumerate(beacons):
         with_raw_frames_only.saw(octets, number, outgoing=False, source=MAC)
     with_raw_frames_only.close()
-    link = open_replay(tmp_path / "a.mcap", codec.profile.link, speed=1e9)
+    link = ReplayLink(tmp_path / "a.mcap", codec.profile.link, speed=1e9)
     heard = []
     while not link.finished:
         heard += [each.octets for each in link.receive()]

@@ -12,7 +12,7 @@ from dcp_codec.capture import Frame, create_capture, open_capture
 from dcp_codec.codec import Codec
 from dcp_codec.framing.envelope import Envelope
 from dcp_stack.links.base import LinkError, TimedLink
-from dcp_stack.links.replay import PORTION, ReplayLink, open_replay
+from dcp_stack.links.replay import PORTION, ReplayLink
 
 CAPTURES = Path(__file__).resolve().parents[2] / "captures"
 FRAMING = Link(ether_type=0x4953)
@@ -126,7 +126,7 @@ def test_udp_recordings_are_replayed_too(tmp_path):
     framing = Link(transport="udp", udp_port=5950)
     data = Envelope(framing).frame(b"datagram", A)
     path = recording(tmp_path / "a.pcap", [(0, data)])
-    assert [each.octets for each in open_replay(path, framing).receive()] == [b"datagram"]
+    assert [each.octets for each in ReplayLink(path, framing).receive()] == [b"datagram"]
 
 
 def test_sends_are_counted_also_after_the_end(tmp_path):
@@ -164,16 +164,16 @@ def test_damage_is_reported_and_the_rest_arrives(tmp_path, caplog):
 
 def test_what_cannot_be_opened(tmp_path):
     with pytest.raises(LinkError, match="no such file"):
-        open_replay(tmp_path / "nothing.pcap", FRAMING)
+        ReplayLink(tmp_path / "nothing.pcap", FRAMING)
     with pytest.raises(LinkError, match="speed -1"):
-        open_replay(recording(tmp_path / "a.pcap", THREE), FRAMING, speed=-1)
+        ReplayLink(recording(tmp_path / "a.pcap", THREE), FRAMING, speed=-1)
 
 
 def test_a_bundled_recording_is_replayed_completely():
     path = CAPTURES / "a_bus3.mcap"
     with open_capture(path) as capture:
         expected = [frame.data[14:] for frame in capture]
-    link = open_replay(path, Codec("cpp-2.0").profile.link, speed=math.inf)
+    link = ReplayLink(path, Codec("cpp-2.0").profile.link, speed=math.inf)
     heard = []
     while not link.finished:
         heard += [each.octets for each in link.receive()]

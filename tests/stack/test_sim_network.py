@@ -109,7 +109,7 @@ class TestServices:
 
     def test_errors_are_those_of_the_control_client(self):
         net = network()
-        with pytest.raises(ServiceError, match="unknown method"):
+        with pytest.raises(ServiceError, match=r"no method .RTDB-Crate.; UT-Hello lists"):
             net.request(0, "RTDB-Crate")
         with pytest.raises(ServiceError, match="varId"):
             net.request(0, "RTDB-Read")

@@ -115,6 +115,8 @@ class NetworkTest:
     """Whether the rules of ``check`` judge the recording: not after traffic that no rule expects."""
     short: bool = False
     """Whether it belongs to the short selection (``--short``)."""
+    longest_s: float = 10.0
+    """About how many seconds the test takes in a pair if it fails. Long tests start first."""
     module: str = ""
 
     @property
@@ -143,10 +145,12 @@ def network_test(
     virtual_only: str = "",
     rules: bool = True,
     short: bool = False,
+    longest_s: float | Mapping[str, float] = 10.0,
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Make a network test of ``body(scene)`` for each of ``shapes``; with ``variants`` of ``body(scene, value)``.
 
     ``requirements`` and ``services`` (by role) are names separated by spaces. ``purpose`` may contain ``{variant}``.
+    ``longest_s``: see :class:`NetworkTest`; a mapping has the seconds of each variant.
     Raises ``ValueError`` for an identifier of another form, ``UnknownRequirementError`` for an unknown requirement.
     """
     if not _ID.fullmatch(identifier):
@@ -183,6 +187,7 @@ def network_test(
                         virtual_only=virtual_only,
                         rules=rules,
                         short=short and shape is shapes[0],
+                        longest_s=longest_s[name] if isinstance(longest_s, Mapping) else longest_s,
                         module=inspect.getmodule(body).__name__,  # type: ignore[union-attr]
                     )
                 )

@@ -49,6 +49,10 @@ def deaths(world: World, requirements: tuple[str, ...]) -> Iterator[Check]:
         )
 
 
+def _text(node: bytes) -> str:
+    return node.decode() if b":" in node else node.hex(":")
+
+
 def rules(
     world: World, sent: Sequence[Sent], *, strangers: Collection[bytes] = (), restarts: Sequence[tuple[int, int]] = ()
 ) -> Iterator[Check]:
@@ -59,7 +63,7 @@ def rules(
     all stations share harms none of them, and the report lists it for each implementation.
     ``restarts``: times (ns) and places that were switched on again.
     """
-    played = [each.decode() if b":" in each else each.hex(":") for each in strangers]
+    played = [_text(each) for each in strangers]
     profiles: dict[str, Codec] = {}
     for place in world.places:
         profiles.setdefault(place.codec.profile.name, place.codec)
@@ -89,7 +93,10 @@ def rules(
                     continue
                 if not cited and any(text in check.observed for text in played):
                     continue
-                who = ", ".join(f"place {n} ({world.places[n].implementation})" for n in sorted(set(cited) & every))
+                # A finding that begins with a node concerns it; its frames can be those that the node did not react to.
+                accused = [place.number for place in world.places if check.observed.startswith(_text(place.node_id))]
+                places = accused or sorted(set(cited) & every)
+                who = ", ".join(f"place {n} ({world.places[n].implementation})" for n in places)
                 yield Check(
                     Verdict.FAIL, check.requirements, f"{case.id}: {check.expected}",
                     f"{who + ': ' if who else ''}{check.observed}", check.frames, seconds=check.seconds,

@@ -109,9 +109,9 @@ def _job(cell: Cell, stop: Stop, *, seeds: int, folder: Path | None) -> CellResu
 
 
 def default_jobs(world: WorldKind) -> int:
-    """How many cells run side by side: real ones wait most of the time."""
+    """Return the default number of cells that run side by side; real ones wait most of the time."""
     processors = len(os.sched_getaffinity(0))
-    return processors if world == "virtual" else 4 * processors
+    return processors if world == "virtual" else 6 * processors
 
 
 def run_matrix(
@@ -142,6 +142,8 @@ def run_matrix(
             results[number] = run_cell(cell, tests[cell.test])
         else:
             waiting.append(number)
+    # Long cells start first, so that none of them is left alone at the end.
+    waiting.sort(key=lambda number: tests[cells[number].test].longest_s, reverse=True)
     done = len(cells) - len(waiting)
     where = None if folder is None else folder.resolve()
     chosen = [cells[number] for number in waiting]

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from dcp_conformance.errors import ConformanceError, UpperTesterError, UsageError
+from dcp_conformance.errors import ConformanceError, NoAnswerError, UpperTesterError, UsageError
 from dcp_conformance.upper_tester import Answer
 from dcp_conformance.upper_tester.base import Reconnecting
 from dcp_conformance.upper_tester.opening import open_upper
@@ -38,6 +38,8 @@ class Station:
         self._upper_spec = upper
         self._upper: Reconnecting | None = None
         self._process: subprocess.Popen[bytes] | None = None
+        #: Methods that the running process did not answer.
+        self._unanswered: set[str] = set()
 
     @property
     def on(self) -> bool:
@@ -49,6 +51,7 @@ class Station:
         if self._upper_spec.startswith("unix:"):
             # A socket of an earlier life would be refused as one in use.
             Path(self._upper_spec[5:]).unlink(missing_ok=True)
+        self._unanswered.clear()
         with self.log.open("ab") as log:
             try:
                 self._process = subprocess.Popen(  # noqa: S603 - the user's own command, without a shell
@@ -75,15 +78,23 @@ class Station:
         return True
 
     def call(self, method: str, params: Mapping[str, Any]) -> Answer | None:
-        """Call a method; None without an upper tester, or if it lacks the method."""
+        """Call a method; None without an upper tester, or if it lacks the method.
+
+        A method that the process did not answer in time is not called again: each call would take as long.
+        """
         if self._upper is None or method not in self._upper.methods:
             return None
         if self.ended():
             # Reconnecting would wait for a process that does not come back.
             return Answer(code=-32603, message="the process has ended")
+        if method in self._unanswered:
+            return Answer(code=-32603, message=f"{method} was not called again: the process did not answer it before")
         try:
             answer = self._upper.call(method, dict(params))
             self._upper.poll()
+        except NoAnswerError as error:
+            self._unanswered.add(method)
+            return Answer(code=-32603, message=str(error))
         except UpperTesterError as error:
             return Answer(code=-32603, message=str(error))
         return answer

@@ -25,7 +25,8 @@ from dcp_codec.codec import Codec
 from dcp_codec.errors import DecodeError
 from dcp_codec.values import ExtendedSafetyData
 from dcp_stack.bp.client_port import ClientPort
-from dcp_stack.bp.entity import BeaconingProtocol, NeighbourLoss
+from dcp_stack.bp.entity import BeaconingProtocol
+from dcp_stack.bp.statistics import NeighbourLoss
 from dcp_stack.bp.wire import BPWire
 from dcp_stack.bp_port import BPPort
 from dcp_stack.config import NodeConfig

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import NamedTuple
 
 from dcp_conformance.check.statements import Statement
+
+#: Number of beacons of a node whose times are kept: the causes of a reaction are not older.
+_TIMES = 16
 
 
 class Kind(Enum):
@@ -97,6 +101,30 @@ class Station:
     """Variable -> its open occasions."""
     cursor: int = 0
     """Number of events (of all nodes) that it has processed."""
+    times: deque[int] = field(default_factory=lambda: deque(maxlen=_TIMES))
+    """Times of its latest beacons, ns of :attr:`Observer.time`."""
+
+    def sent_at(self, number: int) -> int:
+        """Return the time of its beacon ``number`` (from 1), ns; if that is not kept, the time of the oldest kept one.
+
+        0 if it has sent none.
+        """
+        times = self.times
+        if not times:
+            return 0
+        return times[max(len(times) - 1 - (self.beacons - number), 0)]
+
+
+@dataclass(slots=True, eq=False)
+class Population:
+    """Sets of the nodes that are followed, as masks of their bits."""
+
+    listeners: int = 0
+    """The nodes from which reactions can be expected."""
+    count: int = 0
+    """The number of these nodes."""
+    early: int = 0
+    """The nodes that may have known variables before their first beacon in the recording."""
 
 
 class Event(NamedTuple):
@@ -145,6 +173,10 @@ class Trial(NamedTuple):
     """The causes of the reaction if the node composes a payload immediately before it sends it."""
     ahead: Exposure = ()
     """The causes of the reaction if the node composes a payload one beacon ahead."""
+    since: int = 0
+    """Of a reaction: the earliest time at which its cause may have been sent, ns of :attr:`Observer.time`."""
+    until: int = 0
+    """Of a reaction: the time of the beacon with it, ns of :attr:`Observer.time`."""
 
     @property
     def speakers(self) -> int:
@@ -169,6 +201,10 @@ class Variable:
     """The producers among the nodes that are followed."""
     introducers: int = 0
     """The nodes that were the first to send some number."""
+    consumers: int = 0
+    """The nodes whose last create names another node as the producer."""
+    apart: int = 0
+    """The nodes that hold a newer number than a known producer states, and may therefore be producers themselves."""
     created: int = 0
     """The latest creation time in a create."""
     born: bool = False

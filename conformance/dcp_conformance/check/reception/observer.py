@@ -14,17 +14,19 @@ have the same number of a variable, so that the cost depends on the changes, and
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterator, Sequence
-from typing import Any, Final
+from collections.abc import Callable, Sequence
+from typing import Final
 
 from dcp_conformance.check.base import MOST_VARIABLES, Context, Seen
-from dcp_conformance.check.statements import ASK_CREATE, ASK_UPDATE, CREATE, DELETE, SUMMARY, UPDATE, Statement, said_of
+from dcp_conformance.check.statements import ASK_UPDATE, CREATE, DELETE, SUMMARY, UPDATE, Statement, said_of
 from dcp_conformance.check.stations import Origin
 from dcp_conformance.model.circular import Circle
 
-from .following import Event, Exposure, Interval, Kind, Occasions, Station, Trial, Variable
+from .demands import Demands
+from .following import Event, Exposure, Interval, Kind, Occasions, Population, Station, Trial, Variable
 from .links import bits
 from .records import RecordSizes
+from .unrecorded import Unrecorded
 
 #: A reaction is missing if it is not in the first four beacons after the record. The third is the latest one due: one
 #: payload may have been composed before, and one may wait for a payload of another protocol.
@@ -43,6 +45,8 @@ _EVENTS = 8_192
 MOST_OPEN = 64
 #: Maximum number of nodes whose reactions are followed; each one has a bit of a mask.
 MOST_NODES = 64
+#: Number of beacons that a node is assumed to have sent before if its beacons are not numbered.
+_UNKNOWN = 100
 #: Payloads up to this length in octets have room: the bearer carries at least 256 octets.
 _ROOM = 180
 #: No earlier reaction.
@@ -66,24 +70,18 @@ class Observer:
         self.circle = Circle(context.profile.types.var_seqno.width)
         self.stations: dict[bytes, Station] = {}
         self.by_bit: dict[int, Station] = {}
+        self.unrecorded = Unrecorded()
         self.variables: dict[int, Variable] = {}
-        self._listeners = 0
-        """The nodes from which reactions can be expected, as a mask of bits."""
-        self._everybody = 0
-        """The number of these nodes."""
-        self._early = 0
-        """The nodes that may have known variables before their first beacon in the recording."""
+        self._nodes = Population()
         self._log: list[Event] = []
         """The latest events, in order. A node processes them before its next beacon."""
         self._dropped = 0
         """Number of events that have been removed from the start of ``_log``."""
         self._unsettled: set[int] = set()
         """Variables of which not all nodes have stated the same number."""
-        self._times = context.features.creation_time
         self._carried: dict[tuple[int, int, Kind], tuple[int, Sequence[Interval]]] = {}
         """(bit, variable, kind) -> the node's beacon with the last reaction, and its causes right before it."""
-        self._asks_on = context.profile.spec_version >= "1.1"
-        """Whether a node that hears a request for an unknown variable must request it, too (VD-RC-01, VD-RU-01)."""
+        self._demands = Demands(context, self.circle, self._nodes, self.by_bit)
         self._first: int | None = None
         self.time = 0
         """Monotonic clock in ns, starting at 0: a step of the recorder's clock backwards counts as 0, and one forwards
@@ -106,6 +104,7 @@ class Observer:
             return
         self._catch_up(station)
         station.beacons += 1
+        station.times.append(self.time)
         length = len(seen.heard.octets)
         asked = self._settle(station, seen)
         if station.open or station.waiting:
@@ -120,31 +119,37 @@ class Observer:
         if sender is None:
             return None
         number = seen.heard.seqno
+        # Number of beacons since the node was started, if this is its first one in the recording or after a restart.
+        missed = _UNKNOWN if number is None else number - self._context.profile.behaviour.first_beacon_seqno
         if station is None:
             if len(self.stations) >= MOST_NODES:
                 return None
             listens, bit = seen.origin is not Origin.FORGED, 1 << len(self.stations)
             station = Station(seen.sender, bit, listens, seen.time, sender.life)
             station.cursor = self._dropped + len(self._log)
-            if number is None or number > self._context.profile.behaviour.first_beacon_seqno + 2:
-                self._early |= bit
+            if missed > 2:
+                self._nodes.early |= bit
+            self.unrecorded.before_first(bit, missed, self.time)
             self.stations[seen.sender] = self.by_bit[bit] = station
             for variable in self.variables.values():
                 if seen.sender in variable.producers:
                     variable.produced |= bit
             if listens:
-                self._listeners |= bit
-                self._everybody += 1
+                self._nodes.listeners |= bit
+                self._nodes.count += 1
                 for variable in self.variables.values():
                     self._settled(variable)
         elif sender.life != station.life:
+            last, before = station.sent_at(station.beacons), station.sent_at(station.beacons - 1)
+            self.unrecorded.restart(station.bit, last, before, missed, self.time)
             self._forget(station)
             station.life, station.since = sender.life, seen.time
-            self._early &= ~station.bit
+            self._nodes.early &= ~station.bit
             if number is None or number > 20:
-                self._early |= station.bit
+                self._nodes.early |= station.bit
             station.gap = station.beacons + 1
         elif sender.unbroken > station.time:
+            self.unrecorded.gap(station.bit, station.sent_at(station.beacons), self.time)
             self._drop_all(station)
             station.gap = station.beacons + 1
         station.time = sender.time
@@ -181,6 +186,8 @@ class Observer:
         if number is None:
             del station.holds[variable.var_id]
             variable.known &= ~bit
+            variable.consumers &= ~bit
+            variable.apart &= ~bit
         else:
             station.holds[variable.var_id] = number
             holders[number] = holders.get(number, 0) | bit
@@ -189,7 +196,7 @@ class Observer:
 
     def _settled(self, variable: Variable) -> None:
         """Update ``_unsettled`` for a variable."""
-        if len(variable.holders) == 1 and variable.known.bit_count() >= self._everybody:
+        if len(variable.holders) == 1 and variable.known.bit_count() >= self._nodes.count:
             self._unsettled.discard(variable.var_id)
         else:
             self._unsettled.add(variable.var_id)
@@ -283,6 +290,11 @@ class Observer:
         spec, upd = each.record.spec, each.record.upd
         if not variable.producers and not variable.known and spec.prod_id == station.node and upd.seqno == 0:
             variable.born = True
+        if spec.prod_id == station.node:
+            variable.consumers &= ~station.bit
+        else:
+            variable.consumers |= station.bit
+            variable.apart &= ~station.bit
         if spec.prod_id not in variable.producers:
             variable.producers.add(spec.prod_id)
             if (producer := self.stations.get(spec.prod_id)) is not None:
@@ -320,6 +332,7 @@ class Observer:
             Trial(
                 last.time, station, kind, var_id, speakers, True, last.cause, late_half, length, once,
                 delay, at_once, ahead,
+                station.sent_at(min(intervals[0].begin, station.beacons - 2)), self.time,
             )
         )  # fmt: skip
 
@@ -388,8 +401,7 @@ class Observer:
 
     def _occasions(self, speaker: Station, seen: Seen) -> None:
         """Log an event for each record of a beacon that demands a reaction from other nodes."""
-        others = self._listeners & ~speaker.bit
-        variables, everybody = self.variables, self._everybody
+        variables, everybody = self.variables, self._nodes.count
         begins: list[range | list[int]] | None = None
         total = 0
         # A beacon may have several records of one variable: process all of them if one is new.
@@ -414,7 +426,7 @@ class Observer:
                         # All nodes have this number.
                         continue
                 said: Statement | None = None
-                for due, whom in self._due(variable, kind, records[index], others):
+                for due, whom in self._demands.of(variable, kind, records[index], speaker.bit):
                     if begins is None:
                         begins, total = self._sizes.starts(seen.parts)
                     if said is None:
@@ -426,64 +438,6 @@ class Observer:
                 self._catch_up(station)
             self._dropped += len(self._log)
             self._log.clear()
-
-    def _due(self, variable: Variable, kind: int, record: Any, others: int) -> Iterator[tuple[Kind, int]]:
-        """Yield the reactions that a record demands from the nodes that hear it, each with a mask of these nodes."""
-        known = variable.known & others
-        if kind is SUMMARY or kind is UPDATE or kind is CREATE:
-            number = record.upd.seqno if kind is CREATE else record.seqno
-            holders = variable.holders
-            if len(holders) == 1 and number in holders and variable.known.bit_count() >= self._everybody:
-                return
-            may = known & ~variable.produced
-            if not variable.producers:
-                may = known & ~variable.introducers if variable.introducers else 0
-            if may and kind is not CREATE:
-                newer = self.circle.newer
-                for has, whom in holders.items():
-                    if has == number or not whom & may:
-                        continue
-                    if newer(number, has):
-                        yield Kind.TAKE_UPDATE if kind is UPDATE else Kind.ASK_UPDATE, whom & may
-                    elif newer(has, number):
-                        yield Kind.TEACH, whom & may
-        elif kind is ASK_CREATE:
-            if known:
-                yield Kind.ANSWER_CREATE, known
-        elif not variable.known:
-            return
-        elif kind is DELETE:
-            if variable.producers and known & ~variable.produced:
-                yield Kind.TAKE_DELETE, known & ~variable.produced
-        else:
-            for has, whom in variable.holders.items():
-                if whom & others and has != record.seqno and self.circle.newer(has, record.seqno):
-                    yield Kind.ANSWER_UPDATE, whom & others
-        unknown = others & ~variable.known & ~variable.produced
-        if unknown and kind is not DELETE:
-            yield from self._due_of_unknown(variable, kind, record, unknown)
-
-    def _due_of_unknown(self, variable: Variable, kind: int, record: Any, whom: int) -> Iterator[tuple[Kind, int]]:
-        """Yield the reactions due from the nodes in ``whom``, which do not hold the variable."""
-        if (kind is ASK_CREATE or kind is ASK_UPDATE) and not self._asks_on:
-            return
-        had = whom & variable.deleted
-        if had and kind is CREATE and self._times:
-            # A node that has deleted the variable need not request it, and accepts only a later creation.
-            later, created = 0, record.spec.creation_time
-            while had:
-                bit = had & -had
-                had ^= bit
-                if created > self.by_bit[bit].had[variable.var_id]:
-                    later |= bit
-            if later:
-                yield Kind.TAKE_CREATE, later
-        whom &= ~variable.deleted
-        if not variable.born:
-            # These nodes may have deleted the variable before the recording began.
-            whom &= ~self._early
-        if whom:
-            yield Kind.TAKE_CREATE if kind is CREATE else Kind.ASK_CREATE, whom
 
     def _catch_up(self, station: Station) -> None:
         """Open the occasions of a node from the events since its last beacon."""

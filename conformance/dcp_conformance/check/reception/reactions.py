@@ -8,11 +8,12 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from dcp_conformance.check.base import Context, Seen
-from dcp_conformance.check.statements import Statement
 
 from .following import Exposure, Kind, Station, Trial
-from .links import Link, bits, chance, hits_alone, infer, lower_bound, reacts, without
+from .links import Link, bits, hits_alone, infer, lower_bound, reacts, without
 from .observer import Observer
+from .tallies import UP, Gap, Tally
+from .unrecorded import Timeline, silent_senders
 
 #: A window of trials that are evaluated together: its length in ns, and its maximum number of trials of one node.
 _WINDOW, _MOST = 20_000_000_000, 3_000
@@ -28,126 +29,23 @@ _BELIEF = 10_000_000_000
 _DOUBTFUL, _STEADY = 2_500_000_000, 0.9
 #: A steady link must have the share ``_AS_GOOD`` even ``_LIKELY`` standard deviations below its estimate.
 _LIKELY, _AS_GOOD = 1.0, 0.8
-#: A shortage needs at least ``_EXPECTED`` expected reactions, of which at most the share ``_SHARE`` occurred. It is
-#: certain if its probability by chance is below ``_CHANCE``.
-_EXPECTED, _SHARE, _CHANCE = 3.0, 0.25, 1e-3
+#: A shortage is certain if its probability by chance is below ``_CHANCE``.
+_CHANCE = 1e-3
 #: The limit instead of ``_CHANCE`` if links fail: several missing reactions may then have one cause.
 _UNSTEADY = 1e-6
-#: The probability that a link which was up before and after a time was up at that time.
-_UP = 0.9
 #: Reactions with the same delay that show when a node composes payloads, if they are ``_MOSTLY`` times as many as those
 #: with the other delay.
 _DELAYS, _MOSTLY = 4, 3
-#: Number of records that are kept as examples of a shortage.
-_EXAMPLES = 3
 #: Reactions that prove that the record was received.
 _TAKEN = (Kind.TAKE_CREATE, Kind.TAKE_UPDATE, Kind.TAKE_DELETE)
 #: Groups of trials with at most this share of reactions are examined for a shortage.
 _SUSPICIOUS = 0.4
-#: The verdict pass is withheld if at least ``_MANY`` reactions were expected and at most the share ``_FEW`` occurred.
-_MANY, _FEW = 5.0, 0.1
 #: Maximum number of links (one for each pair and window) and of groups that are kept.
 _LINKS = 100_000
 _GROUPS = 65_536
 
 Group = tuple[bytes, Kind, int | None]
 """Node, kind of reaction, and variable identifier; None for all variables."""
-
-
-@dataclass(slots=True)
-class _Gap:
-    """The trials of a group between two reactions that prove reception; the link may have been down in between."""
-
-    best: float = 0.0
-    """The largest probability of a reaction to one of the trials."""
-    silent: float = 1.0
-    """The probability of no reaction to any of them, if the trials are independent."""
-    steady: bool = True
-    """Whether all links that the trials rest on have hardly ever failed."""
-    hit: bool = False
-    """Whether the node reacted to one of the trials."""
-    speakers: int = 0
-    """The senders of records without a reaction, as a mask of bits."""
-    late_half: bool = True
-    """Whether all records without a reaction were in the second half of their payload."""
-    shortest: int = 1 << 31
-    """Length of the shortest payload without a reaction, in octets."""
-    cause: Statement | None = None
-    """The first record without a reaction."""
-
-    def add(self, expected: float, *, steady: bool) -> None:
-        """Add a trial with this probability of a reaction; ``steady``: its link has hardly ever failed."""
-        self.best = max(self.best, expected)
-        self.silent *= 1.0 - expected
-        self.steady = self.steady and steady
-
-    @property
-    def expected(self) -> float:
-        """The probability of at least one reaction; for a steady link limited by the probability that it is up."""
-        return max(self.best, min(1.0 - self.silent, _UP)) if self.steady else self.best
-
-
-@dataclass(slots=True)
-class Tally:
-    """Expected and observed reactions of a group since the last window in which the node reacted as required."""
-
-    trials: int = 0
-    """Number of gaps: all trials between two reactions that prove reception count as one."""
-    hits: int = 0
-    """Number of gaps with a reaction."""
-    expected: float = 0.0
-    """Expected number of gaps with a reaction."""
-    silence: float = 1.0
-    """The probability that none of these gaps has a reaction."""
-    steady: bool = True
-    """Whether all links that this rests on have hardly ever failed."""
-    all_trials: int = 0
-    """Number of single trials, including those without proof of reception."""
-    all_hits: int = 0
-    """Number of reactions to single trials."""
-    all_expected: float = 0.0
-    """Expected number of reactions to single trials."""
-    examples: list[Statement] = field(default_factory=list)
-    """The first records without a reaction."""
-    speakers: int = 0
-    """The senders of records without a reaction, as a mask of bits."""
-    late_half: bool = True
-    """Whether all records without a reaction were in the second half of their payload."""
-    shortest: int = 1 << 31
-    """Length of the shortest payload without a reaction, in octets."""
-
-    def add(self, gaps: Iterable[_Gap]) -> None:
-        """Count gaps; only those without any reaction contribute examples."""
-        for gap in gaps:
-            self.trials += 1
-            self.hits += gap.hit
-            self.expected += gap.expected
-            self.silence *= 1.0 - gap.expected
-            self.steady = self.steady and gap.steady
-            if gap.cause is not None and not gap.hit:
-                self.speakers |= gap.speakers
-                self.late_half = self.late_half and gap.late_half
-                self.shortest = min(self.shortest, gap.shortest)
-                if len(self.examples) < _EXAMPLES:
-                    self.examples.append(gap.cause)
-
-    @property
-    def short(self) -> bool:
-        """Whether far fewer reactions than expected occurred while reception was proved."""
-        return self.expected >= _EXPECTED and self.hits <= _SHARE * self.expected
-
-    @property
-    def doubtful(self) -> bool:
-        """Whether far fewer reactions than expected occurred, assuming that the links were as good as on average."""
-        return self.all_expected >= _MANY and self.all_hits <= _FEW * self.all_expected
-
-    @property
-    def chance(self) -> float:
-        """An upper bound of the probability of this tally for a conforming node."""
-        if self.hits == 0:
-            # The exact probability: the bound is wide if trials differ.
-            return self.silence
-        return chance(self.trials, self.expected, self.hits)
 
 
 class Shortage(NamedTuple):
@@ -232,17 +130,27 @@ class Reception:
         trials = self._trials.setdefault(trial.station.bit, [])
         trials.append(trial)
         if len(trials) >= _MOST:
-            self._judge(self._trials.pop(trial.station.bit))
+            self._judge(self._trials.pop(trial.station.bit), self._unrecorded())
 
     def _close(self) -> None:
         """Evaluate the trials of the current window."""
+        timeline = self._unrecorded()
         for trials in self._trials.values():
-            self._judge(trials)
+            self._judge(trials, timeline)
         self._trials.clear()
+        self.observer.unrecorded.forget(self._begin)
+
+    def _unrecorded(self) -> Timeline:
+        """Return the times at which nodes may have sent beacons that the recorder missed, up to now."""
+        observer = self.observer
+        return observer.unrecorded.timeline(
+            (each.bit, each.sent_at(each.beacons), each.sent_at(each.beacons - 1))
+            for each in observer.stations.values()
+        )
 
     # -- one node in one window ----------------------------------------------------------------------------------------
 
-    def _judge(self, trials: list[Trial]) -> None:
+    def _judge(self, trials: list[Trial], unrecorded: Timeline) -> None:
         """Evaluate the trials of one node in one window: update the tallies of suspicious groups, and the links."""
         station = trials[0].station
         trials = _by_delay(trials)
@@ -266,12 +174,12 @@ class Reception:
                 self._keep(key, self._tallies.pop(key, None))
         # A reaction that the node never shows is no evidence of reception: infer links from other groups, if any.
         left_out = {id(trial) for _, group in suspects for trial in group}
-        rest = [trial for trial in trials if id(trial) not in left_out]
+        rest = [_may_be_due_to(trial, unrecorded) for trial in trials if id(trial) not in left_out]
         if suspects:
             known = self._known(rest)
             for key, group in suspects:
                 self._suspect(key, group, known)
-        self._infer(station, rest or trials)
+        self._infer(station, rest or [_may_be_due_to(trial, unrecorded) for trial in trials])
 
     def _infer(self, station: Station, trials: list[Trial]) -> None:
         """Infer the links to a node in this window."""
@@ -310,7 +218,7 @@ class Reception:
             if len(self._tallies) >= _GROUPS:
                 return
             tally = self._tallies[key] = Tally()
-        gaps: dict[tuple[int, int, bool], _Gap] = {}
+        gaps: dict[tuple[int, int, bool], Gap] = {}
         for trial in group:
             bounds_of = {bit: bounds[bit] for bit, _ in trial.exposure if bit in bounds}
             tally.all_trials += 1
@@ -322,13 +230,13 @@ class Reception:
                 if _between(sure.get(bit), trial.time, _BELIEF if bit in steady else _DOUBTFUL)
             }
             if (speaker := heard.get(trial.cause.frame)) is not None:
-                believed = {speaker: _UP}
-                gap = gaps.setdefault((0, trial.cause.frame, True), _Gap())
-                gap.add(_UP, steady=True)
+                believed = {speaker: UP}
+                gap = gaps.setdefault((0, trial.cause.frame, True), Gap())
+                gap.add(UP, steady=True)
             elif believed:
                 best = max(believed, key=lambda bit: believed[bit])
                 place = bisect_left(sure[best], trial.time)
-                gap = gaps.setdefault((best, place, sure[best][place] == trial.time), _Gap())
+                gap = gaps.setdefault((best, place, sure[best][place] == trial.time), Gap())
                 gap.add(reacts(trial.exposure, believed), steady=best in steady)
             else:
                 continue
@@ -438,6 +346,17 @@ def _due_to(trial: Trial, causes: Exposure) -> Trial:
         return trial
     counts = dict(causes)
     return trial._replace(exposure=tuple((bit, counts.get(bit, count)) for bit, count in trial.exposure))
+
+
+def _may_be_due_to(trial: Trial, unrecorded: Timeline) -> Trial:
+    """Return the trial with the nodes that may have caused the reaction by a beacon that the recorder missed."""
+    if not trial.hit:
+        return trial
+    missed = silent_senders(unrecorded, trial.since, trial.until) & ~trial.station.bit
+    if not missed:
+        return trial
+    others = tuple((bit, 1) for bit in bits(missed & ~trial.speakers))
+    return trial._replace(exposure=tuple(sorted(trial.exposure + others)), once=False)
 
 
 def _outcomes(trials: Iterable[Trial]) -> dict[Exposure, tuple[int, int]]:

@@ -23,6 +23,7 @@ UPDATING = {"A": "RTDB-Create RTDB-Update"}
         "burst": Impairment(loss=0.3, burst=5),
     },
     services=UPDATING,
+    longest_s={"10": 20.0, "30": 45.0, "50": 120.0, "burst": 45.0},
 )
 def loss(scene: Scene, impairment: Impairment) -> None:
     scene.require_summaries()

@@ -62,6 +62,7 @@ def update(scene: Scene) -> None:
     shapes=SPREAD,
     services={"A": "RTDB-Create RTDB-Delete"},
     short=True,
+    longest_s=40.0,
 )
 def delete(scene: Scene) -> None:
     scene.start()

@@ -62,6 +62,7 @@ def mixed_versions(scene: Scene) -> None:
     requirements="BP-RX-16 VD-ROB-01",
     shapes=(PAIR, LINE_3, BUS_4),
     services=UPDATING,
+    longest_s=60.0,
 )
 def babbler(scene: Scene) -> None:
     scene.require_summaries()

@@ -16,6 +16,7 @@ UPDATING = {"A": "RTDB-Create RTDB-Update"}
     requirements="VD-CMP-03 VD-CMP-13 VD-PS-01 VD-PC-09",
     shapes=(PAIR, LINE_3),
     services=UPDATING,
+    longest_s=80.0,
 )
 def many_variables(scene: Scene) -> None:
     scene.require(scene.limits.variables >= 255, "a station has no room for 255 variables")
@@ -85,6 +86,7 @@ def wrap(scene: Scene) -> None:
     shapes=(PAIR, LINE_3, LINE_5),
     services=UPDATING,
     since=SpecVersion.V2_0,
+    longest_s=20.0,
 )
 def timeouts(scene: Scene) -> None:
     scene.start()
