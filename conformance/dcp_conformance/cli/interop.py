@@ -179,13 +179,9 @@ def _replay(path: Path, file: Path | None, report_dir: Path | None) -> int:
     from dcp_conformance.interop.implementations import load_description, resolve
     from dcp_conformance.interop.matrix import run_matrix
     from dcp_conformance.interop.results import CellResult
+    from dcp_conformance.model.input_files import load_file
 
-    try:
-        before = msgspec.json.decode(path.read_bytes(), type=CellResult)
-    except OSError as error:
-        raise UsageError(f"{path}: cannot be read: {error.strerror or error}") from None
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise UsageError(f"{path}: not a failed cell (failed/*.json of a report): {error}") from None
+    before = load_file(path, CellResult, what="a failed cell (failed/*.json of a report)")
     if before.test not in all_tests():
         raise UsageError(f"{path}: there is no network test {before.test!r} in this version")
     known = load_description(file).implementation if file is not None else {}

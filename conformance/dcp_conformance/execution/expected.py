@@ -24,6 +24,7 @@ import msgspec
 
 from dcp_conformance.errors import UsageError
 from dcp_conformance.model.case import Case
+from dcp_conformance.model.input_files import load_file
 from dcp_conformance.model.results import CaseResult
 from dcp_conformance.model.verdict import Verdict
 
@@ -60,12 +61,7 @@ class ExpectedResults:
     @classmethod
     def load(cls, path: Path, cases: Iterable[Case]) -> ExpectedResults:
         """Read a file. Raise :class:`UsageError` if it is unreadable or malformed, or if an entry matches no case."""
-        try:
-            entries = msgspec.toml.decode(path.read_bytes(), type=_File).expected
-        except OSError as error:
-            raise UsageError(f"{path}: cannot be read: {error.strerror or error}") from None
-        except (msgspec.DecodeError, UnicodeDecodeError, re.error) as error:
-            raise UsageError(f"{path}: {error}") from None
+        entries = load_file(path, _File, decode=msgspec.toml.decode).expected
         known = list(cases)
         for number, entry in enumerate(entries, 1):
             if not any(matches(case, entry.case) for case in known):

@@ -20,6 +20,7 @@ from dcp_spec.profile.types import Types
 
 from dcp_codec.codec import Codec
 from dcp_conformance.errors import UsageError
+from dcp_conformance.model.input_files import load_file
 from dcp_conformance.reference.inprocess import InProcess, VirtualUpperTester
 from dcp_conformance.selftest.mutants.mutant import all_mutants
 from dcp_conformance.selftest.variants.variant import Setup, all_variants, setup
@@ -88,12 +89,7 @@ class Description(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
 
 def load_description(path: Path) -> Description:
     """Read a file. Raises ``UsageError`` that names the file, the key and what would be right."""
-    try:
-        found = msgspec.toml.decode(path.read_bytes(), type=Description)
-    except OSError as error:
-        raise UsageError(f"{path}: cannot be read: {error.strerror or error}") from None
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise UsageError(f"{path}: {error}") from None
+    found = load_file(path, Description, decode=msgspec.toml.decode)
     for name, each in found.implementation.items():
         try:
             _check(each)

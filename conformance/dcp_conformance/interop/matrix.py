@@ -111,7 +111,7 @@ def _job(cell: Cell, stop: Stop, *, seeds: int, folder: Path | None) -> CellResu
 def default_jobs(world: WorldKind) -> int:
     """How many cells run side by side: real ones wait most of the time."""
     processors = len(os.sched_getaffinity(0))
-    return processors if world == "virtual" else 4 * processors
+    return processors if world == "virtual" else 6 * processors
 
 
 def run_matrix(

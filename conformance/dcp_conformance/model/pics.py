@@ -12,7 +12,7 @@ from typing import Annotated, Final, Literal
 import msgspec
 from dcp_spec.catalogue.readings import UnknownReadingError, reading
 
-from dcp_conformance.errors import UsageError
+from dcp_conformance.model.input_files import load_file
 
 from .node_id import node_id_octets
 
@@ -144,9 +144,4 @@ class Pics(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
 def load_pics(path: Path) -> Pics:
     """Read a file. Raises :class:`UsageError` that names the file, the key and what would be right."""
-    try:
-        return msgspec.toml.decode(path.read_bytes(), type=Pics)
-    except OSError as error:
-        raise UsageError(f"{path}: cannot be read: {error.strerror or error}") from None
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise UsageError(f"{path}: {error}") from None
+    return load_file(path, Pics, decode=msgspec.toml.decode)

@@ -31,6 +31,11 @@ def junit_xml(run: RunResult) -> bytes:
         suite = ET.SubElement(root, "testsuite", attributes)
         for case in cases:
             _add(suite, case)
+    return file_of(root)
+
+
+def file_of(root: ET.Element) -> bytes:
+    """Return the contents of an XML file, without characters that XML does not allow."""
     for element in root.iter():
         element.attrib = {name: plain(value) for name, value in element.attrib.items()}
         element.text = plain(element.text, keep="\n\t") if element.text else element.text

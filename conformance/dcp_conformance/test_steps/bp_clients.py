@@ -255,6 +255,17 @@ class BPClient:
         """Return the beacons with a payload of this client since a mark, and not before a time in ns."""
         return [each for each in self.bench.heard[since:] if each.time >= after and self.in_frame(each)]
 
+    def check_silent(self, after: int) -> None:
+        """Check that no beacon since a time (ns) has a payload of this client."""
+        frames = self.frames(after=after)
+        self.bench.check(
+            not frames,
+            "no beacon with a payload of the client",
+            f"{len(frames)} beacons with its payloads",
+            frames=frames[:8],
+            shown=True,
+        )
+
     def until_sent(self, payload: bytes | None = None, periods: float | None = None) -> ReceivedBeacon | None:
         """Wait for a beacon with this payload, or with any of this client."""
 

@@ -21,6 +21,7 @@ from dcp_conformance.errors import UsageError
 from dcp_conformance.fuzz.reduce.causes import Cause, decided_by
 from dcp_conformance.fuzz.reduce.reduction import Finding
 from dcp_conformance.fuzz.steps import Call, EffectKind, Frame, Step, Wait
+from dcp_conformance.model.input_files import load_file
 
 SCHEMA: Final = 1
 """Version of the form of the JSON file."""
@@ -176,12 +177,7 @@ def write_frames(path: Path, codec: Codec, steps: list[Step], about: dict[str, d
 
 def load(path: Path) -> Artefact:
     """Read an artefact. Raises :class:`UsageError` if the file cannot be read or is not a valid artefact."""
-    try:
-        artefact = msgspec.json.decode(path.read_bytes(), type=Artefact)
-    except OSError as error:
-        raise UsageError(f"{path}: cannot be read: {error.strerror or error}") from None
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
-        raise UsageError(f"{path}: not an artefact of dcp-conformance fuzz: {error}") from None
+    artefact = load_file(path, Artefact, what="an artefact of dcp-conformance fuzz")
     if artefact.schema != SCHEMA:
         raise UsageError(f"{path}: has schema {artefact.schema}, this version reads {SCHEMA}")
     try:

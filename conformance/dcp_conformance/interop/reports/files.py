@@ -10,6 +10,7 @@ import msgspec
 from dcp_codec.common.atomic_write import write_whole
 from dcp_conformance.errors import UsageError
 from dcp_conformance.interop.results import SCHEMA, MatrixResult
+from dcp_conformance.model.input_files import load_file
 from dcp_conformance.model.verdict import Verdict
 
 from .junit import junit_xml
@@ -21,12 +22,7 @@ NAME = "interop.json"
 def load_matrix(path: Path) -> MatrixResult:
     """Read ``interop.json``, or the one in a folder. Raises ``UsageError``."""
     path = path / NAME if path.is_dir() else path
-    try:
-        found = msgspec.json.decode(path.read_bytes(), type=MatrixResult)
-    except OSError as error:
-        raise UsageError(f"{path}: cannot be read: {error.strerror or error}") from None
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise UsageError(f"{path}: not the result of dcp-conformance interop: {error}") from None
+    found = load_file(path, MatrixResult, what="the result of dcp-conformance interop")
     if found.schema != SCHEMA:
         raise UsageError(f"{path}: has the schema {found.schema!r}, expected {SCHEMA!r}")
     return found

@@ -5,9 +5,9 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Sequence
 
-from dcp_codec.common.printable import plain
 from dcp_conformance.interop.results import CellResult, MatrixResult
 from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.reporting.junit import file_of
 
 _OUTCOMES = {Verdict.FAIL: "failure", Verdict.ERROR: "error"}
 
@@ -21,12 +21,7 @@ def junit_xml(matrix: MatrixResult) -> bytes:
         suite = ET.SubElement(root, "testsuite", _counts(cells) | {"name": f"{a} with {b}"})
         for cell in cells:
             _add(suite, cell)
-    for element in root.iter():
-        element.attrib = {name: plain(value) for name, value in element.attrib.items()}
-        element.text = plain(element.text, keep="\n\t") if element.text else element.text
-    ET.indent(root)
-    octets: bytes = ET.tostring(root, encoding="utf-8", xml_declaration=True)
-    return octets + b"\n"
+    return file_of(root)
 
 
 def _add(suite: ET.Element, cell: CellResult) -> None:

@@ -10,6 +10,7 @@ from dcp_spec.constants import ICType, SpecVersion
 from dcp_codec.values import VarCreate, VardisRecord
 from dcp_conformance.model.case import Needs, case
 from dcp_conformance.suite.vardis.reception.receive import require_both_taken
+from dcp_conformance.test_steps.repetitions import check_order
 from dcp_conformance.test_steps.services import produced, settled
 from dcp_conformance.test_system.bench import Bench
 
@@ -57,10 +58,7 @@ def crossing(bench: Bench, order: tuple[int, int]) -> None:
     for number in order:
         peer = bench.peer()
         peer.send(peer.update(name, number, b"%d" % number))
-    numbers = [each.record.seqno for each in bench.waiting.repeated(_UPDATE, name, mark)]
-    bench.check(
-        numbers == sorted(numbers), "sequence numbers that do not decrease", f"{numbers}", "VD-PU-06", shown=True
-    )
+    numbers = check_order(bench, bench.waiting.repeated(_UPDATE, name, mark), "VD-PU-06")
     bench.check(5 in numbers, "VarUpdate 5 is forwarded", f"{numbers}", "VD-PU-07")
     record = held(bench, name)
     state = None if record is None else (record.upd.seqno, record.upd.value)

@@ -10,6 +10,7 @@ from dcp_spec.constants import ICType
 from dcp_codec.values import VarDelete, VardisRecord, VarUpdate
 from dcp_conformance.frames.received import Instruction
 from dcp_conformance.model.case import case
+from dcp_conformance.test_steps.repetitions import check_order
 from dcp_conformance.test_system.bench import Bench
 
 _CREATE, _UPDATE, _DELETE = ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.DELETE_VARIABLES
@@ -145,15 +146,7 @@ def chain(bench: Bench, how: str) -> None:
         peer.send(each)
         bench.wait(1 if how == "paced" else 0)
     found = bench.waiting.repeated(_UPDATE, name, mark)
-    numbers = [each.record.seqno for each in found]
-    bench.check(
-        numbers == sorted(numbers),
-        "sequence numbers that do not decrease",
-        f"{numbers}",
-        "VD-RX-09",
-        frames=found,
-        shown=True,
-    )
+    numbers = check_order(bench, found, "VD-RX-09")
     last = numbers.count(6)
     bench.check(
         last == count,

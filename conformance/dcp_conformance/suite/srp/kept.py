@@ -10,6 +10,7 @@ from typing import Any
 from dcp_spec.constants import SRP_SEQNO_MODULUS, SpecVersion
 
 from dcp_conformance.model.case import Needs, case
+from dcp_conformance.test_steps.confirm_times import check_confirm_time
 from dcp_conformance.test_steps.services import neighbours, safety_data, until_neighbour
 from dcp_conformance.test_steps.state_reports import Reporter
 from dcp_conformance.test_system.bench import MS, Bench
@@ -162,12 +163,7 @@ def immediate(bench: Bench) -> None:
             start = bench.now()
             bench.call(method)
             others.append(bench.now() - start)
-    median = sorted(delays)[len(delays) // 2]
-    # Each request to the upper tester takes time, which the time of another request estimates.
-    limit = bench.period // 2 + round(bench.sut.pixit.timer_tolerance_ms * MS) + sorted(others)[len(others) // 2]
-    bench.check(
-        median <= limit, f"a median time to the confirm of at most {limit / MS:.0f} ms", f"{median / MS:.0f} ms"
-    )
+    check_confirm_time(bench, delays, others)
 
 
 @case(

@@ -38,6 +38,7 @@ from dcp_conformance.test_steps.bp_clients import (
     until,
     unused_protocol_id,
 )
+from dcp_conformance.test_steps.confirm_times import check_confirm_time
 from dcp_conformance.test_steps.sequences import part_of
 from dcp_conformance.test_system.bench import MS, Bench
 
@@ -349,12 +350,7 @@ def immediate(bench: Bench, method: str) -> None:
         finally:
             if method != DEREGISTER:
                 bench.call(DEREGISTER, protId=client.prot_id)
-    median = sorted(delays)[len(delays) // 2]
-    # Each request to the upper tester takes time, which the time of another request estimates.
-    limit = bench.period // 2 + round(bench.sut.pixit.timer_tolerance_ms * MS) + sorted(others)[len(others) // 2]
-    bench.check(
-        median <= limit, f"a median time to the confirm of at most {limit / MS:.0f} ms", f"{median / MS:.0f} ms"
-    )
+    check_confirm_time(bench, delays, others)
 
 
 # -- activation --------------------------------------------------------------------------------------------------------

@@ -34,6 +34,7 @@ from dcp_conformance.test_steps.bp_clients import (
     each_mode,
     largest_payload,
 )
+from dcp_conformance.test_steps.confirm_times import check_confirm_time
 from dcp_conformance.test_system.bench import MS, Bench
 from dcp_conformance.upper_tester.base import INTERNAL_ERROR
 
@@ -144,12 +145,7 @@ def immediate_confirm(bench: Bench) -> None:
         start = bench.now()
         bench.must(DEREGISTER, protId=client.prot_id)
         others.append(bench.now() - start)
-    median = sorted(delays)[len(delays) // 2]
-    # Each request to the upper tester takes time, which the time of another request estimates.
-    limit = bench.period // 2 + round(bench.sut.pixit.timer_tolerance_ms * MS) + sorted(others)[len(others) // 2]
-    bench.check(
-        median <= limit, f"a median time to the confirm of at most {limit / MS:.0f} ms", f"{median / MS:.0f} ms"
-    )
+    check_confirm_time(bench, delays, others)
 
 
 @case(

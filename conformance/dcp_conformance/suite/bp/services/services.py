@@ -270,14 +270,7 @@ def clear(bench: Bench, mode: QueueingMode) -> None:
         number = client.number()
         bench.check(number == 0, "no buffered payload", f"{number} buffered payloads", shown=True)
         bench.wait(3)
-        frames = client.frames(after=quiet_from)
-        bench.check(
-            not frames,
-            "no beacon with a payload of the client",
-            f"{len(frames)} beacons with its payloads",
-            frames=frames[:8],
-            shown=True,
-        )
+        client.check_silent(quiet_from)
         payload, start = client.payload(), bench.mark()
         client.transmit(payload)
         bench.check(client.until_sent(payload), "a payload submitted afterwards is sent", "not sent in time")

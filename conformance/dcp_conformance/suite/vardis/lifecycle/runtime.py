@@ -6,6 +6,7 @@ from dcp_spec.constants import ICType, SpecVersion
 
 from dcp_conformance.model.case import Needs, case
 from dcp_conformance.suite.vardis.composition.summaries import SUMMARIES, summarises
+from dcp_conformance.test_steps.repetitions import check_order
 from dcp_conformance.test_system.bench import MS, Bench
 
 CHECK_PERIOD = "VARDISPAR_BUFFER_CHECK_PERIOD"
@@ -183,15 +184,7 @@ def newest_only(bench: Bench) -> None:
         peer.send(peer.update(name, number, bytes((number,))))
         bench.wait(0.2)
     found = bench.waiting.repeated(ICType.UPDATES, name, mark)
-    numbers = [each.record.seqno for each in found]
-    bench.check(
-        numbers == sorted(numbers),
-        "sequence numbers that do not decrease",
-        f"{numbers}",
-        "VD-RUN-01",
-        frames=found,
-        shown=True,
-    )
+    numbers = check_order(bench, found, "VD-RUN-01")
     last = numbers.count(10)
     text = f"{last} of {numbers}"
     bench.check(

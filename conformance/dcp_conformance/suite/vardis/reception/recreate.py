@@ -8,6 +8,7 @@ from dcp_spec.constants import ICType, SpecVersion
 
 from dcp_conformance.frames.received import Instruction
 from dcp_conformance.model.case import Needs, case
+from dcp_conformance.test_steps.repetitions import check_beacons, check_one_in_each
 from dcp_conformance.test_steps.services import (
     EXISTS,
     OK,
@@ -172,14 +173,7 @@ def ends_deletion(bench: Bench) -> None:
         frames=deletions,
         shown=True,
     )
-    bench.check(
-        len(made) == count,
-        f"{count} beacons with the new VarCreate",
-        f"{len(made)}",
-        "VD-CRE-11",
-        frames=made,
-        shown=len(made) > count,
-    )
+    check_beacons(bench, made, count, "new VarCreate", "VD-CRE-11")
 
 
 @case(
@@ -209,21 +203,8 @@ def ends_repetitions(bench: Bench) -> None:
     bench.excuses.relies_on("creationTime")
     before = first.spec.creation_time
     made = bench.until_quiet(lambda heard: _anew(heard.about(_CREATE, var_id), before), since=mark)
-    bench.check(
-        len(made) == count,
-        f"{count} beacons with the new VarCreate",
-        f"{len(made)}",
-        frames=made,
-        shown=len(made) > count,
-    )
-    twice = [heard for heard in made if len(heard.instructions(_CREATE, var_id)) > 1]
-    bench.check(
-        not twice,
-        "at most one VarCreate of the variable in each beacon",
-        f"more in {len(twice)} beacons",
-        frames=twice,
-        shown=True,
-    )
+    check_beacons(bench, made, count, "new VarCreate")
+    check_one_in_each(bench, made, _CREATE, var_id)
     late = [heard for heard in bench.receiver.frames_with(_UPDATE, var_id, mark) if made and heard.time >= made[0].time]
     bench.check(
         not late,

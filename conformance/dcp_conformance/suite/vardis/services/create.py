@@ -8,6 +8,7 @@ from typing import Any
 from dcp_spec.constants import ICType, SpecVersion
 
 from dcp_conformance.model.case import Needs, case
+from dcp_conformance.test_steps.repetitions import check_beacons, check_one_in_each
 from dcp_conformance.test_steps.services import (
     DESCRIPTION_TOO_LONG,
     EXISTS,
@@ -135,21 +136,8 @@ def repetitions(bench: Bench, name: str) -> None:
     count = count_of(bench, name)
     var_id = produced(bench, rep_cnt=count)
     frames = bench.until_quiet(lambda heard: heard.instructions(_V, var_id))
-    bench.check(
-        len(frames) == count,
-        f"{count} beacons with the VarCreate",
-        f"{len(frames)} beacons",
-        frames=frames,
-        shown=len(frames) > count,
-    )
-    twice = [heard for heard in frames if len(heard.instructions(_V, var_id)) > 1]
-    bench.check(
-        not twice,
-        "at most one VarCreate of the variable in each beacon",
-        f"more in {len(twice)} beacons",
-        frames=twice,
-        shown=True,
-    )
+    check_beacons(bench, frames, count, "VarCreate")
+    check_one_in_each(bench, frames, _V, var_id)
 
 
 @case(

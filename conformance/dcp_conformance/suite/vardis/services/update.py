@@ -10,6 +10,7 @@ from dcp_conformance.errors import StopCase
 from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.model.case import Needs, case
 from dcp_conformance.test_steps.beacon_gaps import in_a_gap, pace, pausable
+from dcp_conformance.test_steps.repetitions import check_beacons, check_one_in_each
 from dcp_conformance.test_steps.services import (
     NOT_EXPRESSIBLE,
     NOT_PRODUCER,
@@ -137,24 +138,8 @@ def repetitions(bench: Bench, name: str) -> None:
     mark = bench.mark()
     bench.must("RTDB-Update", varId=var_id, value=bench.records.value(b"newer").hex())
     frames = bench.until_quiet(lambda heard: heard.instructions(_U, var_id), since=mark)
-    observed = f"{len(frames)} beacons"
-    bench.check(
-        len(frames) == count,
-        f"{count} beacons with the VarUpdate",
-        observed,
-        "VD-UPD-08",
-        frames=frames,
-        shown=len(frames) > count,
-    )
-    twice = [heard for heard in frames if len(heard.instructions(_U, var_id)) > 1]
-    bench.check(
-        not twice,
-        "at most one VarUpdate of the variable in each beacon",
-        f"more in {len(twice)} beacons",
-        "VD-UPD-09",
-        frames=twice,
-        shown=True,
-    )
+    check_beacons(bench, frames, count, "VarUpdate", "VD-UPD-08")
+    check_one_in_each(bench, frames, _U, var_id, "VD-UPD-09")
 
 
 @case(
@@ -195,15 +180,7 @@ def _check_newest(bench: Bench, var_id: int, mark: int, count: int) -> None:
         frames=frames,
         shown=len(newest) > count,
     )
-    twice = [heard for heard in frames if len(heard.instructions(_U, var_id)) > 1]
-    bench.check(
-        not twice,
-        "at most one VarUpdate of the variable in each beacon",
-        f"more in {len(twice)} beacons",
-        "VD-UPD-09",
-        frames=twice,
-        shown=True,
-    )
+    check_one_in_each(bench, frames, _U, var_id, "VD-UPD-09")
     old = [heard for heard in bench.receiver.frames_with(_U, var_id, done) if heard not in newest]
     late = [heard for heard in old if newest and heard.time >= newest[0].time]
     bench.check(
