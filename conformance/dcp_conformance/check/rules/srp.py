@@ -20,8 +20,8 @@ _RESTART, _SPACING = 3, 10_000_000
 #: numbers) if they are less than ``_SOON`` ns apart.
 _BEACONS, _SOON = 20, 250_000_000
 #: Time stamps are a fault if at least ``_STEPS`` of them, and more than one of ``_RARE`` reports, decrease and the next
-#: ones do not continue from there. If they continue from there, the clock was set; but it is not set with more than one of
-#: ``_OFTEN`` reports.
+#: ones do not continue from there. If they continue from there, the clock was set; but it is not set with more than one
+#: of ``_OFTEN`` reports.
 _STEPS, _RARE, _OFTEN = 3, 25, 4
 #: A step between the numbers of two successive reports is suspicious if it exceeds this plus ten times the largest step
 #: so far: an application seldom submits its safety data that often.
