@@ -99,7 +99,7 @@ class Mutator:
         if not self.sources:
             raise ValueError("there is nothing to mutate: the pool is empty")
         self.reached: Counter[Touch] = Counter()
-        """How often each pair was generated."""
+        """Number of times that each pair was generated."""
         self._where: dict[Touch, list[tuple[Source, Place]]] = {}
         for source in self.sources:
             for place in source.places:

@@ -71,6 +71,10 @@ PATTERNS = (
         "start with a verb or a noun phrase: 'Return ...', 'The fields ...'",
     ),
     Pattern(r"^(?:none|nothing|all|both) (?:of (?:it|them)|there)\b", "name the subject"),
+    Pattern(r"^(?:how (?:many|often)|(?:in|by) how many|under which)\b[^?]*$", "name the quantity: 'Number of ...'"),
+    Pattern(
+        r"^nothing is (?:held|ever lost)\b|^from now on it is\b", "name the effect: 'Has no effect: ...', 'Mark ...'"
+    ),
     Pattern(r"\bso that (?:who|what)\b|\bthe truth\b|\bhonestly\b", "name the subject"),
     Pattern(r"\bnothing but\b|\bnone but\b|\ball but\b", "'only', 'except'"),
     Pattern(r"\bas (?:it|they) (?:is|are|was|were|came|should be)\b", "'unchanged', 'as received', 'as configured'"),

@@ -78,14 +78,14 @@ class Runner:
         self.dead = ""
         """Why no further case can be executed; empty while the implementation is alive."""
         self.deaths_side_by_side = 0
-        """How often the implementation was lost while cases were executed side by side."""
+        """Number of times that the implementation was lost while cases were executed side by side."""
         self._deaths: dict[str, list[str]] = {}
         """Cases in which the implementation ended, by :attr:`dcp_conformance.execution.life.Loss.group`."""
         self._recent: deque[_Done] = deque(maxlen=_SUSPECTS)
         """The last cases since the start of the implementation."""
         self._revised: list[CaseResult] = []
         self._measured = 0
-        """How often the reaction time was measured."""
+        """Number of measurements of the reaction time."""
         self._unsettled = False
         """Whether the last case has left a state that can affect later ones, or got an internal error as an answer."""
         self._spoilt: dict[str, str] = {}

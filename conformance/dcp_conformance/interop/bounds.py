@@ -1,4 +1,4 @@
-"""How long a change may take to reach every station: a closed form with a stated probability of being wrong."""
+"""Upper bounds of the time in which a change reaches every station, with a given probability of a miss."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ MISS: Final = 1e-6
 #: Beacon periods of one attempt to cross a hop: a station may share its beacons among clients, vary its intervals by up
 #: to a period, and answer a summary with a request, and a request with a create, each in a beacon of its own.
 _PERIODS: Final = 8
-#: Seconds of patience for machines and for time that a station needs to start.
+#: Seconds added to each bound for slow machines and for the start of a station.
 _PATIENCE: Final = 1.0
 
 
 @cache
 def attempts(hops: int, success: float) -> int:
-    """The smallest k such that k independent attempts succeed at least ``hops`` times, except with probability MISS."""
+    """Return the smallest k for which fewer than ``hops`` of k attempts succeed with at most probability MISS."""
     if success >= 1:
         return hops
     k = hops
@@ -45,7 +45,7 @@ def expected_time(hops: int, loss: float, variables: int, limits: Limits) -> flo
 
 
 def cycle_time(limits: Limits) -> tuple[float, float]:
-    """Return the seconds that a link is up and down at a time, so that each time up has room for an attempt."""
+    """Return for how many seconds a link is up and then down: each interval up is long enough for an attempt."""
     up = 10 * limits.beacon_period_ms + max(0.0, 2 * limits.buffer_check_ms - limits.beacon_period_ms)
     return up / 1000, 2 * up / 1000
 
@@ -53,7 +53,8 @@ def cycle_time(limits: Limits) -> tuple[float, float]:
 def time_through_outages(hops: int, limits: Limits) -> tuple[float, float]:
     """Return the bound and the average of the seconds in which a change crosses links of :func:`cycle_time`.
 
-    A time up is enough for a hop; the bound grants three more, one of them for a change that comes in the middle.
+    Each interval in which a link is up is enough for one hop. The bound adds three cycles, one of them because a change
+    can occur in the middle of an interval.
     """
     up, down = cycle_time(limits)
     return (hops + 3) * (up + down) + _PATIENCE, (hops + 1) * (up + down) + _PATIENCE
@@ -67,7 +68,7 @@ def _seconds(tries: float, hops: int, variables: int, limits: Limits) -> float:
     # An entry of a summary has 3 octets at most in all versions; 30 octets are left for containers and a record.
     room = max(1, min(limits.summaries or 20, (limits.payload - 30) // 3))
     rounds = math.ceil(variables / room)
-    # Values themselves need room, too: at least one record of each variable on each hop.
+    # Values need room as well: at least one record of each variable on each hop.
     records = (
         math.ceil(variables * (limits.description + limits.value + 30) / max(limits.payload, 1)) if variables > 1 else 0
     )

@@ -109,7 +109,7 @@ def _job(cell: Cell, stop: Stop, *, seeds: int, folder: Path | None) -> CellResu
 
 
 def default_jobs(world: WorldKind) -> int:
-    """How many cells run side by side: real ones wait most of the time."""
+    """Return the default number of cells that run side by side; real ones wait most of the time."""
     processors = len(os.sched_getaffinity(0))
     return processors if world == "virtual" else 6 * processors
 

@@ -76,7 +76,7 @@ class CellResult(msgspec.Struct, frozen=True, kw_only=True):
     recording: str = ""
     """Everything that was transmitted, relative to the report's folder."""
     seeds: int = 1
-    """How many seeds were played; the result is that of the first failed one."""
+    """Number of seeds that were played; the result is that of the first failed one."""
     failed_seeds: tuple[int, ...] = ()
     rerun: str = ""
     """The command that runs this cell again."""
@@ -106,7 +106,7 @@ class MatrixResult(msgspec.Struct, frozen=True, kw_only=True):
     ended_early: str = ""
     """Why cells are missing: ``interrupted``, or what went wrong; empty if all were run."""
     unfinished: int = 0
-    """How many cells are missing."""
+    """Number of cells that are missing."""
 
     @property
     def incomplete(self) -> str:

@@ -252,4 +252,4 @@ class VirtualWorld:
         return {}
 
     def close(self) -> None:
-        """Nothing is held."""
+        """Has no effect: there are no resources to release."""

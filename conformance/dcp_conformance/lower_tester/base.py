@@ -108,7 +108,7 @@ class OnThisMachine(Protocol):
     """A lower tester in real time."""
 
     def overload(self) -> str:
-        """Why this machine may have slowed down what it runs in the last minutes, in words; empty if it has not."""
+        """Return why this machine was probably overloaded in the last minutes; empty if it was not."""
         ...
 
 

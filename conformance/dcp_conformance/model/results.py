@@ -93,8 +93,8 @@ class CaseResult(msgspec.Struct, frozen=True, kw_only=True):
     """Whether it counts as a case: repetitions of the sanity case do not."""
     attempt: int = 1
     executions: int = 1
-    """How often the case was executed for this result, which is that of the last time. More than once if the tester
-    itself was late, or lost frames, and could not decide the case for that reason alone."""
+    """Number of executions; the result is that of the last one. It is above 1 if the only reason for an undecided case
+    was that the tester itself was late or lost frames."""
     side_by_side: bool = False
     """Whether other cases were executed at the same time. Only a pass can be; all else is repeated alone."""
     short_period: float = 0.0
@@ -165,7 +165,7 @@ class LinkResult(msgspec.Struct, frozen=True, omit_defaults=True):
     """The part of the speaker's beacons that the listener reacts to, 0..1."""
     reactions: int
     trials: int
-    """How often the speaker was among those who gave the listener a reason to react."""
+    """Number of occasions for which the speaker was one of the possible causes of a reaction."""
     until: float | None = None
     """Seconds since the first frame after which nothing was heard any more; None: to the end."""
 

@@ -68,13 +68,13 @@ class Variable(msgspec.Struct):
     repetitions: Repetitions = msgspec.field(default_factory=Repetitions)
     uncertain: bool = False
     settled: int = EVER
-    """When it became certain; what was composed before that is not judged."""
+    """Time (ns) at which the variable became certain; payloads composed before are not judged."""
     latest: int = NO_CREATION
     """The latest creation that the node may hold of it, where creations have times."""
     foreign: bool = False
     """Whether the node surely has it as the variable of another node, alive or deleted."""
     due: int = NEVER
-    """When its timeout passes."""
+    """Time (ns) at which the timeout of the variable passes."""
 
     @property
     def now(self) -> Version:

@@ -1,11 +1,12 @@
-"""The variables that a node holds, and the instructions that it owes, after all that it has received.
+"""Model of a node: the variables that it holds and the instructions that it must send, given the received frames.
 
-This is the table of variable states (protocol reference C.5; dcp-vardis.md: Receive Path) as it looks from outside.
+The model follows the table of variable states (protocol reference C.5; dcp-vardis.md: Receive Path) and uses only what
+a tester can observe.
 
-Octets that are no VarDis payload, and what the specification leaves open, make the variables concerned *uncertain*
-until something happens after which there is one state whatever it was before. That is a creation by the node itself, a
-creation later than all that it may have received, and the deletion of a variable that certainly has another producer;
-and for a variable whose timeout has passed, the end of the next scrubbing.
+Malformed payloads, and behaviour that the specification leaves open, make the variables concerned *uncertain*. A
+variable is certain again after an event that leads to the same state from every possible state: a creation by the node
+itself, a creation later than all that the node may have received, the deletion of a variable that certainly has another
+producer, or, after the timeout of the variable, the end of the next scrubbing.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from dcp_conformance.model.circular import Circle
 from .knowledge import ANY_CREATION, NEVER, NO_CREATION, Limits, Owed, Variable, Version
 from .repetitions import Key
 
-# Names of the module: they are compared with for each record.
+# Module-level names: faster than attributes of the enumeration in comparisons for each record.
 _CREATES, _DELETES, _UPDATES = ICType.CREATE_VARIABLES, ICType.DELETE_VARIABLES, ICType.UPDATES
 _SUMMARIES, _CREATE_REQUESTS = ICType.SUMMARIES, ICType.REQUEST_VARCREATES
 _UPDATE_REQUESTS = ICType.REQUEST_VARUPDATES
@@ -38,7 +39,7 @@ def _place(record: VardisRecord) -> int:
 
 
 class Model:
-    """The variables of one node. Times are ns of one clock."""
+    """Tracks the variables of one node. All times are ns of one clock."""
 
     def __init__(
         self,
@@ -51,9 +52,9 @@ class Model:
         window: int,
         scrubbing: int | None = None,
     ) -> None:
-        """``latency``: how old a payload may be when it is seen. ``window``: how long a reaction may take.
+        """``latency``: maximum age of a payload on reception, ns. ``window``: maximum time of a reaction, ns.
 
-        ``scrubbing``: the node's VARDISPAR_SCRUBBING_PERIOD; None leaves timeouts out of account.
+        ``scrubbing``: the node's VARDISPAR_SCRUBBING_PERIOD, ns; None ignores timeouts.
         """
         self.own_id = own_id
         self.variables: dict[int, Variable] = {}
@@ -64,14 +65,14 @@ class Model:
         self._window = window
         self._scrubbing = scrubbing if features.creation_time else None
         self._owed: dict[int, list[Owed]] = {}
-        """By variable: there may be many, of many variables."""
+        """Instructions that the node must still send, by variable; a dictionary because there may be many."""
         self.occasions: defaultdict[str, int] = defaultdict(int)
-        """By requirement: how often there was something to be kept or broken."""
+        """Number of occasions on which the node could have violated each requirement."""
 
-    # -- what the node hears -----------------------------------------------------------------------------------
+    # -- received payloads ---------------------------------------------------------------------------------------
 
     def hear(self, records: Sequence[VardisRecord], time: int, frame: int) -> None:
-        """A payload reaches the node: all records of it, in order."""
+        """Process the records of a received payload in the order of the specification."""
         variables = self.variables
         for record in records if len(set(map(type, records))) == 1 else sorted(records, key=_place):
             var_id = record.spec.var_id if isinstance(record, VarCreate) else record.var_id
@@ -80,16 +81,16 @@ class Model:
                 _HEAR[type(record)](self, record, variable, time, frame)
 
     def doubt(self, var_id: int, creation: int = ANY_CREATION) -> None:
-        """A payload mentioned a variable of which it is open whether the node has taken it.
+        """Mark a variable as uncertain: the node may or may not have processed a record about it.
 
-        ``creation``: the latest creation that the node may have taken, NO_CREATION if it was none.
+        ``creation``: the latest creation that the node may have accepted; NO_CREATION if there was none.
         """
         variable = self._variable(var_id)
         self._lose(variable)
         variable.latest = max(variable.latest, creation)
 
     def adopt(self, var_id: int, version: Version) -> None:
-        """Note the answer of a service: the state of a variable is certain, but not which instructions are owed."""
+        """Set the state of a variable to the answer of a service, which does not show what is owed."""
         variable = self.variables[var_id] = Variable()
         self._become(variable, version)
         variable.latest = _creation(version)
@@ -189,10 +190,10 @@ class Model:
         elif variable.now.state == "alive":
             self._arm(_CREATES, record.var_id, time, frame, "VD-RC-03")
 
-    # -- what its applications ask of it -----------------------------------------------------------------------
+    # -- services called by applications -----------------------------------------------------------------------
 
     def created(self, spec: VarSpec, value: bytes, time: int) -> None:
-        """RTDB-Create was confirmed with OK; creations of others are compared with ``spec.creation_time``."""
+        """Process an RTDB-Create with status OK. ``spec.creation_time`` is compared with creations by other nodes."""
         self._forget(spec.var_id)
         variable = self._variable(spec.var_id)
         self._regain(variable, time)
@@ -202,7 +203,7 @@ class Model:
         self._arm(_CREATES, spec.var_id, time, 0, "VD-CRE-12")
 
     def updated(self, var_id: int, value: bytes, time: int) -> None:
-        """RTDB-Update was confirmed with OK."""
+        """Process an RTDB-Update with status OK."""
         variable = self._own_alive(var_id, time)
         known = variable.versions[-1]
         seqno = (known.seqno + 1) % self._circle.modulus
@@ -211,14 +212,14 @@ class Model:
         self._arm(_UPDATES, var_id, time, 0, "VD-UPD-08")
 
     def deleted(self, var_id: int, time: int) -> None:
-        """RTDB-Delete was confirmed with OK."""
+        """Process an RTDB-Delete with status OK."""
         variable = self._own_alive(var_id, time)
         self._forget(var_id)
         self._become(variable, variable.now._replace(since=time, state="deleted"))
         self._arm(_DELETES, var_id, time, 0, "VD-DEL-05")
 
     def _own_alive(self, var_id: int, time: int) -> Variable:
-        """Return a variable that the node produces and that is alive: no other node can have changed it."""
+        """Return a variable. It becomes certain if the node produces it and it is alive: others do not change it."""
         variable = self._variable(var_id)
         known = variable.now
         if known.state == "alive" and self._own(known):
@@ -246,17 +247,17 @@ class Model:
                 variable.due = version.since + timeout * _MS
 
     def _lose(self, variable: Variable) -> None:
-        """From now on it is open what the node has."""
+        """Mark a variable as uncertain from now on."""
         variable.uncertain = True
         variable.due = NEVER
 
     def _regain(self, variable: Variable, time: int) -> None:
-        """From now on it is certain again, if it was not or if its timeout had passed."""
+        """Mark a variable as certain from ``time`` on, if it was uncertain or its timeout had passed."""
         if variable.uncertain or time >= variable.due:
             variable.uncertain, variable.settled = False, time
 
     def _ageing(self, record: VardisRecord, variable: Variable, var_id: int, time: int) -> bool:
-        """The node hears of a variable whose timeout has passed; False if that changes nothing, whatever it has."""
+        """Process the timeout of a variable before ``record``. Return whether the record can change the variable."""
         self._fade(variable, var_id, time)
         if time < variable.due or isinstance(record, VarCreate):
             return True
@@ -266,7 +267,7 @@ class Model:
         return True
 
     def _fade(self, variable: Variable, var_id: int, time: int) -> None:
-        """The timeout has passed: at the end of the next scrubbing the variable is deleted, until then it may be."""
+        """Process a timeout: the next scrubbing deletes the variable; before its end, both states are possible."""
         gone = variable.due + (self._scrubbing or 0) + self._latency
         self._forget(var_id)
         if time <= gone:
@@ -278,7 +279,7 @@ class Model:
         variable.repetitions.arm(DELETION, known.spec.rep_cnt if known.spec is not None else 0, gone)
 
     def _arm(self, kind: ICType, var_id: int, time: int, frame: int, requirement: str) -> None:
-        """The counter of an instruction is set: up to repCnt beacons may contain it from now on, and one must."""
+        """Set the counter of an instruction to repCnt: up to repCnt further beacons may contain it, and one must."""
         variable = self.variables[var_id]
         known = variable.versions[-1]
         spec, seqno = known.spec, known.seqno
@@ -288,7 +289,7 @@ class Model:
             self._owe(kind, var_id, seqno, time, frame, requirement)
 
     def _ask(self, kind: ICType, var_id: int, time: int, frame: int, requirement: str) -> None:
-        """The node has a reason for a request: it may send another one, and must if the reason is certain."""
+        """Allow one more request. It is mandatory unless the variable may be deleted."""
         variable = self.variables[var_id]
         variable.repetitions.arm((kind, 0), 1, time)
         known = variable.versions[-1]
@@ -297,7 +298,7 @@ class Model:
             self._owe(kind, var_id, seqno, time, frame, requirement)
 
     def _unknown(self, variable: Variable) -> bool:
-        """Whether the node does not have a variable, or perhaps no longer."""
+        """Whether the node does not have a variable, or may have removed it after a deletion."""
         state = variable.versions[-1].state
         return state == "unknown" or (state == "deleted" and self._perhaps_gone(variable))
 
@@ -313,7 +314,7 @@ class Model:
         owing.append(Owed(time + self._window, kind, var_id, seqno, requirement, frame))
 
     def _settle(self, kind: ICType, var_id: int, seqno: int | None = None) -> None:
-        """Settle an owed instruction: it was sent, or is obsolete. A newer update also settles an older one."""
+        """Remove an instruction that was sent or is obsolete. A newer update also replaces older ones."""
         owing = self._owed.get(var_id)
         if not owing:
             return
@@ -329,7 +330,7 @@ class Model:
         return False
 
     def _forget(self, var_id: int) -> None:
-        """Drop everything owed about the variable after a creation or deletion (VD-PC-08, VD-PD-04)."""
+        """Remove all owed instructions about a variable after a creation or deletion (VD-PC-08, VD-PD-04)."""
         self._owed.pop(var_id, None)
 
     def _perhaps_gone(self, variable: Variable) -> bool:
@@ -344,17 +345,17 @@ class Model:
 
 
 def key_of(kind: ICType, seqno: int) -> Key:
-    """Under which an instruction is counted."""
+    """Return the key that counts an instruction in :class:`Repetitions`."""
     return kind, seqno if kind is _UPDATES else 0
 
 
 def _creation(version: Version) -> int:
-    """When a variable was created."""
+    """Return creationTime; 0 before 2.0, NO_CREATION if the variable does not exist."""
     return NO_CREATION if version.spec is None else version.spec.creation_time or 0
 
 
-#: Functions of the class, not methods of a model: that one would hold itself, and be there until the garbage collector
-#: comes, thousands a second of a fuzzer.
+#: Functions of the class: bound methods would make each model refer to itself, and the thousands of models a second in
+#: a fuzzer would live until the garbage collector runs.
 _HEAR: Final[dict[type, Callable[[Model, Any, Variable, int, int], None]]] = {
     VarCreate: Model._hear_create,
     VarDelete: Model._hear_delete,

@@ -1,8 +1,8 @@
-"""VarDis seen from outside: the received payloads of a node decide which instructions it owes.
+"""Oracle for VarDis: computes from the received payloads of a node which instructions it must and may send.
 
-The model has no queues. For a node that receives all given frames it computes: the variables that it holds, the
-instructions that it owes, and whether an instruction that it sends has a reason. A payload may be composed a while
-before it is sent: any state within ``latency`` before counts. Variables in doubt are not judged.
+The model has no queues. For a node that receives all given frames it computes the variables that it holds, the
+instructions that it must send, and whether an instruction that it sends has a cause. A node may compose a payload up to
+``latency`` before it sends it, so that every state during this time is accepted. Uncertain variables are not judged.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from .knowledge import VERSIONS, Complaint, Owed, State, Variable, Version
 from .model import DELETION, Model, key_of
 from .repetitions import Key
 
-# Names of the module: they are compared with for each record.
+# Module-level names: faster than attributes of the enumeration in comparisons for each record.
 _CREATES, _DELETES, _UPDATES = ICType.CREATE_VARIABLES, ICType.DELETE_VARIABLES, ICType.UPDATES
 _SUMMARIES, _CREATE_REQUESTS = ICType.SUMMARIES, ICType.REQUEST_VARCREATES
 _UPDATE_REQUESTS = ICType.REQUEST_VARUPDATES
@@ -31,18 +31,18 @@ _ABOUT: Final = {
     _CREATES: ("VD-UPD-10", "VD-PU-07"),
     _UPDATES: ("VD-UPD-10", "VD-PU-07"),
 }
-#: Payloads with room that are remembered.
+#: Maximum number of remembered payloads with room.
 _PAYLOADS = 4096
 
 
 class Oracle(Model):
-    """The model of one node, and the judge of what the node says."""
+    """Models one node, and judges the payloads that it sends."""
 
     def __init__(self, *args: Any, **times: Any) -> None:
-        """See :class:`Model`."""
+        """Arguments as for :class:`Model`."""
         super().__init__(*args, **times)
         self._roomy: list[int] = []
-        """When payloads came into which more would have fitted."""
+        """Times (ns) of payloads that had room for another instruction."""
 
     def transmitted(
         self,
@@ -53,10 +53,10 @@ class Oracle(Model):
         roomy: bool = False,
         waited: int = 0,
     ) -> list[Complaint]:
-        """Judge a payload of the node; owed instructions in it are settled.
+        """Judge a payload that the node sent, and remove its instructions from those that the node must send.
 
         ``roomy``: any other instruction would have fitted, so that missing ones were not queued.
-        ``waited``: so much longer than usual it may be since the payload was composed (:class:`~.waiting.Waiting`).
+        ``waited``: time in ns that may be added to ``latency`` for this payload (:class:`~.waiting.Waiting`).
         """
         complaints: list[Complaint] = []
         variables, owed, removes = self.variables, self._owed, self._features.removed_after_deletion
@@ -88,7 +88,7 @@ class Oracle(Model):
         return complaints
 
     def overdue(self, time: int) -> list[Owed]:
-        """Return owed instructions that are late; each is returned once."""
+        """Return the instructions whose deadline is before ``time``; each is returned once."""
         late: list[Owed] = []
         for var_id in list(self._owed):
             owing = self._owed.pop(var_id)
@@ -110,7 +110,7 @@ class Oracle(Model):
         return None if variable.uncertain else variable.versions[-1]
 
     def holdings(self) -> Iterator[tuple[int, Version]]:
-        """The variables that are certain, and what they are; timeouts aside."""
+        """Yield the variables that are certain, with their states; timeouts are ignored."""
         for var_id, variable in self.variables.items():
             if not variable.uncertain and variable.now.state != "unknown":
                 yield var_id, variable.now
@@ -167,7 +167,7 @@ class Oracle(Model):
     def _judge_content(
         self, record: VardisRecord, var_id: int, meant: list[Version], frame: int
     ) -> Iterator[Complaint]:
-        """Return the content of an instruction beside its number."""
+        """Yield a complaint if the value is not the one that belongs to the sequence number (VD-PU-07)."""
         value = record.upd.value if isinstance(record, VarCreate) else getattr(record, "value", None)
         if value is not None and value not in {version.value for version in meant}:
             shown = " or ".join({version.value.hex(): None for version in meant})
@@ -175,9 +175,9 @@ class Oracle(Model):
             yield Complaint("VD-PU-07", var_id, expected, value.hex(), frame)
 
     def _other_creation(self, record: VarCreate, var_id: int, fitting: list[Version], frame: int) -> Complaint | None:
-        """Return the fault of a VarCreate of another creation than the node's; its number and value prove nothing."""
+        """Return a complaint if a forwarded VarCreate has a VarSpec that the node never stored (VD-PC-10)."""
         if self._own(fitting[-1]):
-            # The producer's own creation time is its own clock's: only it knows.
+            # Only the producer knows the creation time of its own variable: it comes from its clock.
             return None
         self.occasions["VD-PC-10"] += 1
         specs = [version.spec for version in fitting if version.spec is not None]
@@ -189,7 +189,7 @@ class Oracle(Model):
     def _judge_request(
         self, kind: ICType, variable: Variable, var_id: int, seqno: int, versions: list[Version], frame: int
     ) -> Iterator[Complaint]:
-        """Requests are for what the node does not have, tell what it has, and come once for each reason."""
+        """Yield complaints about a request: no need for it, a wrong sequence number, or more requests than causes."""
         self.occasions["VD-PS-02"] += 1
         self.occasions["VD-SCP-01"] += 1
         if kind is _CREATE_REQUESTS:
@@ -228,7 +228,10 @@ class Oracle(Model):
             yield Complaint("VD-SCP-02", var_id, expected, "it is there again, without a reason", frame)
 
     def _exhausted(self, variable: Variable, key: Key, composed: int) -> bool:
-        """Count an instruction in a payload. Return whether it exceeds its repetitions."""
+        """Count an instruction, and return whether its queue was already empty.
+
+        The queue was empty if a payload after the last cause had room for the instruction and did not contain it.
+        """
         stood = variable.repetitions.stands(key, composed)
         if stood is None:
             return False
@@ -236,7 +239,7 @@ class Oracle(Model):
         return len(self._roomy) - bisect_right(self._roomy, armed + self._latency) > behind
 
     def _since(self, variable: Variable, since: int) -> list[Version]:
-        """Return the states of the variable since then, in order."""
+        """Return the states of the variable since the time ``since`` (ns), oldest first."""
         versions = variable.versions
         found = [versions[-1]]
         place = len(versions) - 1
@@ -254,7 +257,7 @@ class Oracle(Model):
 
 
 def _described(spec: VarSpec) -> str:
-    """A creation in words."""
+    """Return a VarSpec as text, without varId."""
     since_2_0 = "" if spec.creation_time is None else f", creationTime {spec.creation_time}, timeout {spec.timeout}"
     return f"{spec.prod_id.hex(':')} with repCnt {spec.rep_cnt}{since_2_0}, descr {spec.descr.hex()}"
 

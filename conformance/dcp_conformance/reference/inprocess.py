@@ -1,4 +1,4 @@
-"""Our node in this process, in virtual time: lower tester, upper tester and control of it in one object each."""
+"""Reference node in this process and in virtual time, with its lower tester, upper tester and control."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ MakeNode = Callable[[NodeConfig, random.Random, int, int], Any]
 
 
 def plain_node(config: NodeConfig, rng: random.Random, now: int, wall: int) -> Node:
-    """Make the unchanged node."""
+    """Return an unmodified reference node."""
     return Node(config, rng=rng, now=now, wall=wall)
 
 
 class InProcess:
-    """A node with the time around it. ``make`` builds the node, so that mutants can be put in its place."""
+    """Runs a node in virtual time. ``make`` creates the node or a mutant of it."""
 
     def __init__(self, config: NodeConfig, *, seed: int = 1, make: MakeNode = plain_node, now: int = 0) -> None:
         """``now``: virtual time in ns at which the node starts."""
@@ -49,7 +49,7 @@ class InProcess:
         self._sessions: list[VirtualUpperTester] = []
         self.arrivals: deque[Arrival] = deque()
         self.died = ""
-        """The exception of the node, which ended it."""
+        """Exception that ended the node; None while it runs."""
         self.linked = True
         """Whether the node's link is up."""
         self._start()
@@ -57,7 +57,7 @@ class InProcess:
     def _start(self) -> None:
         self.died = ""
         self._timeouts = 0
-        """Timeouts in a row without time passing, also if each of them sends a beacon."""
+        """Number of successive timeouts at the same time, whether or not they send beacons."""
         self.arrivals.clear()
         self.node = self._make(self.config, self._rng, self.now, self.node_wall())
         self.server = ControlServer(self.node)
@@ -67,17 +67,17 @@ class InProcess:
             session.connect()
 
     def wall(self) -> int:
-        """The tester's clock in ns since 1970."""
+        """Return the tester's clock in ns since 1970."""
         return EPOCH + self.now
 
     def node_wall(self) -> int:
-        """The node's clock in ns since 1970; a subclass can let it differ from the tester's."""
+        """Return the node's clock in ns since 1970; a subclass can let it differ from the tester's."""
         return EPOCH + self.now
 
     # -- driving the node --------------------------------------------------------------------------------------
 
     def carry_out(self) -> None:
-        """Do what the node wants done."""
+        """Execute the pending effects of the node: send frames, deliver notifications."""
         effects = self.node.take_effects()
         if not effects:
             return
@@ -88,7 +88,7 @@ class InProcess:
         self.server.indicate(effects, now=self.now, wall=self.node_wall())
 
     def guarded(self, step: Callable[..., None], *args: Any, **more: Any) -> None:
-        """Let the node do something, ``step`` with these arguments; if it raises, it is dead."""
+        """Call ``step`` with these arguments. An exception ends the node."""
         if self.died:
             return
         try:
@@ -98,29 +98,29 @@ class InProcess:
             self.dies(error)
 
     def dies(self, error: Exception) -> None:
-        """The node has raised this."""
+        """Note the exception that ended the node."""
         self.died = f"{type(error).__name__}: {error}"
         self.arrivals.clear()
 
     def deliver(self, octets: bytes) -> None:
-        """A frame reaches the node, if its link is up."""
+        """Deliver a frame to the node, if its link is up."""
         if not self.linked:
             return
         self.guarded(self.node.handle_frame, octets, now=self.now, wall=self.node_wall())
 
     def advance(self, until: int) -> None:
-        """Let time pass until a frame has arrived at the tester, at most to ``until``."""
+        """Advance the time until a frame arrives at the tester, at most to ``until`` (ns)."""
         while not self.arrivals and self._step(until):
             pass
 
     def elapse(self, duration: int) -> None:
-        """Let this time (ns) pass. Frames that arrive at the tester are kept."""
+        """Advance the time by this duration (ns). Frames that arrive at the tester are kept."""
         until = self.now + duration
         while self._step(until):
             pass
 
     def _due(self) -> int | None:
-        """When the node's next timer is due; None if there is none, or the node is dead."""
+        """Return the time of the node's next timer; None if it has no timer or has ended."""
         if self.died:
             return None
         try:
@@ -131,7 +131,7 @@ class InProcess:
         return due
 
     def _step(self, until: int) -> bool:
-        """Continue to the next timer of the node, or to ``until``. Return whether it was a timer."""
+        """Advance to the next timer of the node, or to ``until``. Return whether a timer expired."""
         due = self._due()
         if due is None or due > until:
             self.now = max(self.now, until)
@@ -154,40 +154,40 @@ class InProcess:
         return not self.died
 
     def why_dead(self) -> str:
-        """The exception that ended it."""
+        """Return the exception that ended the node."""
         return self.died
 
     def switch_link(self, up: bool) -> None:
-        """Take the node's link up or down: while it is down, nothing is carried either way."""
+        """Switch the node's link on or off; while it is off, no frames pass in either direction."""
         self.linked = up
 
     def restart(self) -> None:
-        """A new node; connections are open again."""
+        """Replace the node by a new one, and open all connections again."""
         self._start()
 
     def close(self) -> None:
-        """Nothing is held."""
+        """Has no effect: there are no resources to release."""
 
     def lower_tester(self) -> VirtualLowerTester:
-        """The link around the node."""
+        """Return a lower tester for the node."""
         return VirtualLowerTester(self)
 
     def upper_tester(self) -> VirtualUpperTester:
-        """A connection to the node's services."""
+        """Return a connection to the node's services."""
         return VirtualUpperTester(self)
 
     def register(self, session: VirtualUpperTester) -> None:
-        """A connection that is to be opened again after a restart."""
+        """Add a connection that is opened again after a restart."""
         self._sessions.append(session)
 
     def unregister(self, session: VirtualUpperTester) -> None:
-        """A connection that is closed."""
+        """Remove a connection that was closed."""
         if session in self._sessions:
             self._sessions.remove(session)
 
 
 class VirtualLowerTester:
-    """A lower tester for a node in process: no loss, no delay."""
+    """Lower tester for a node in process, without loss and delay."""
 
     name = "in process"
 
@@ -195,46 +195,46 @@ class VirtualLowerTester:
         self._sut = sut
 
     def now(self) -> int:
-        """Virtual ns since the start."""
+        """Return virtual ns since the start."""
         return self._sut.now
 
     def wall(self) -> int:
-        """Virtual ns since 1970."""
+        """Return virtual ns since 1970."""
         return self._sut.wall()
 
     def framed(self, octets: bytes, source: bytes) -> bytes:
-        """The broadcast frame of a bearer payload."""
+        """Return the broadcast frame of a bearer payload."""
         return b"\xff" * 6 + source + _ether_type(self._sut.config).to_bytes(2, "big") + octets
 
     def send(self, octets: bytes, source: bytes) -> bytes:
-        """The node receives it at once."""
+        """Deliver a beacon to the node at once."""
         self._sut.deliver(octets)
         return self.framed(octets, source)
 
     def send_frame(self, frame: bytes) -> None:
-        """The node receives what is in it, if it is of its type and for it."""
+        """Deliver the payload of a frame to the node, if EtherType and destination match."""
         if frame[:6] == b"\xff" * 6 and int.from_bytes(frame[12:14], "big") == _ether_type(self._sut.config):
             self._sut.deliver(frame[14:])
 
     def receive(self, until: int, also: Sequence[int] = ()) -> Arrival | None:  # noqa: ARG002 - nothing to wait on
-        """The next beacon of the node."""
+        """Return the next beacon of the node."""
         if not self._sut.arrivals:
             self._sut.advance(until)
         return self._sut.arrivals.popleft() if self._sut.arrivals else None
 
     def take_in(self) -> None:
-        """Nothing: what has arrived waits without a bound."""
+        """Has no effect: the queue of received frames is not limited."""
 
     def health(self) -> LinkHealth:
-        """Nothing is ever lost."""
+        """Return that no frames were lost."""
         return LinkHealth()
 
     def close(self) -> None:
-        """Nothing is held."""
+        """Has no effect: there are no resources to release."""
 
 
 class VirtualUpperTester:
-    """A connection to the services of a node in process: the same messages as over a socket."""
+    """Connection to the services of a node in process, with the same messages as over a socket."""
 
     def __init__(self, sut: InProcess, *, greet: bool = True) -> None:
         """``greet``: call UT-Hello at once; otherwise the methods are unknown."""
@@ -251,7 +251,7 @@ class VirtualUpperTester:
             self.methods = frozenset(self.about.get("methods", ()))
 
     def connect(self) -> None:
-        """Open the connection, again after a restart."""
+        """Open the connection; also called after a restart of the node."""
         self._session = self._sut.server.open()
 
     def call(self, method: str, params: dict[str, Any]) -> Answer:
@@ -276,7 +276,7 @@ class VirtualUpperTester:
         return answer
 
     def poll(self) -> list[Notification]:
-        """The notifications so far."""
+        """Return the notifications received so far."""
         output = bytes(self._session.output)
         if output:
             self._session.sent(len(output))
@@ -289,11 +289,11 @@ class VirtualUpperTester:
         return ()
 
     def another(self) -> VirtualUpperTester:
-        """A second connection."""
+        """Return another connection to the same node."""
         return VirtualUpperTester(self._sut)
 
     def close(self) -> None:
-        """End the connection."""
+        """Close the connection."""
         self._sut.unregister(self)
         self._sut.server.forget(self._session)
 
@@ -303,7 +303,7 @@ def _ether_type(config: NodeConfig) -> int:
 
 
 def reference_config(codec: Codec, *, beacon_period_ms: int = 100, node_id: bytes = NODE_ID) -> NodeConfig:
-    """The node that the suite runs against when no other is named: everything on, nothing unusual."""
+    """Return the default SUT of the suite: a reference node with all features and default settings."""
     if codec.profile.types.node_id.representation == "text" and len(node_id) == len(NODE_ID):
         node_id = node_id.hex(":").encode()
     bp = BPConfig(beacon_period_ms=beacon_period_ms)

@@ -1,7 +1,7 @@
-"""Simulated networks of our nodes as recordings, to test the judge of recordings.
+"""Recordings of simulated networks, to test ``dcp-conformance check``.
 
-Applications on all nodes create, update, delete and create again at random. Any node may be another one than ours (a
-mutant or a permitted variant). The recorder receives all nodes, unless the situation has losses.
+Applications on all nodes create, update and delete variables at random. Any node can be a mutant or a permitted variant
+of the reference node. The recorder receives all beacons, unless the situation defines losses.
 """
 
 from __future__ import annotations
@@ -37,27 +37,27 @@ _VARIABLES = 12
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NetworkSituation:
-    """A network and what happens in it. The same for the same values."""
+    """Parameters of a simulated network and its events. Equal parameters give equal recordings."""
 
     profile: str = "dcp-2.0"
     nodes: int = 5
     shape: Shape = "bus"
     loss: float = 0.0
-    """The part of the receptions that is lost, each by itself, 0..1."""
+    """Probability that a reception is lost, independently of others, 0..1."""
     seconds: float = 30.0
     busy: float = 1.0
-    """Service requests for each node and second."""
+    """Mean number of service requests per node and second."""
     deletes: float = 0.1
-    """The part of them that deletes a variable."""
+    """Share of the service requests that delete a variable, 0..1."""
     restarts: bool = False
     late: bool = False
-    """Whether the last node is switched on in the middle."""
+    """Whether the last node is switched on after half of the recording."""
     clocks: bool = False
-    """Whether the wall clocks of nodes are set back and forth."""
+    """Whether the wall clocks of nodes are set, forwards and backwards."""
     recorder_loss: float = 0.0
-    """The part of all beacons that the recorder misses, 0..1."""
+    """Probability that the recorder misses a beacon, 0..1."""
     recorder_clock: bool = False
-    """Whether the recorder's clock is set."""
+    """Whether the recorder's clock is set once during the recording."""
     period_ms: int = 100
     seed: int = 1
 
@@ -69,7 +69,7 @@ class NetworkSituation:
 
 @dataclass(frozen=True, slots=True)
 class Other:
-    """A node that is not as ours."""
+    """Describes a node that differs from the reference node, in code or configuration."""
 
     make: MakeNode = plain_node
     config: Callable[[NodeConfig], NodeConfig] = field(default=lambda config: config)
@@ -82,32 +82,32 @@ class _Recorder:
         self._ether_type = (network.codec.profile.link.ether_type or 0x4953).to_bytes(2, "big")
 
     def saw(self, octets: bytes, wall: int, *, outgoing: bool, source: bytes) -> None:
-        """A transmission; by the recorder's clock, not by that of the node."""
+        """Record a transmission, with the time of the recorder's clock."""
         del wall, outgoing
         data = b"\xff" * 6 + source + self._ether_type + octets
         self.frames.append(Frame(len(self.frames) + 1, EPOCH + self._network.now, data, len(data)))
 
 
 class MixedNetwork(Network):
-    """A network in which single nodes are others than ours, and clocks can be set."""
+    """Simulated network in which individual nodes can be replaced and clocks can be set."""
 
     def __init__(self, count: int, codec: Codec, others: Mapping[int, Other], **options: Any) -> None:
-        """``others``: the nodes that are not ours, by their place from 0. Options as for :class:`Network`."""
+        """``others``: replaced nodes, by their number from 0. Options as for :class:`Network`."""
         super().__init__(count, codec, share_decoding=False, **options)
         self._make = {index: other.make for index, other in others.items()}
         for index, other in others.items():
             station = self.stations[index]
             station.config = other.config(station.config)
         self.offsets = [0] * count
-        """By how many ns the clock of a node is ahead."""
+        """Offset of the wall clock of each node in ns; positive: fast."""
 
     def ask(self, index: int, method: str, /, **params: Any) -> None:
-        """Request a service as an application does. It continues if a faulty node answers with an error."""
+        """Request a service as an application does. Errors of a faulty node are ignored."""
         with suppress(ServiceError):
             self.request(index, method, **params)
 
     def start(self, index: int) -> None:
-        """Switch a node on, now; it knows nothing. Nothing happens if it is on already."""
+        """Start a node in its initial state. Has no effect on a running node."""
         station = self.stations[index]
         if station.node is not None:
             return
@@ -120,14 +120,14 @@ class MixedNetwork(Network):
         self._guarded(station, lambda node: node.start(self.now, self.wall))
 
     def call(self, index: int, service: Callable[[Node, int, int], Any]) -> Any:
-        """As in any network, with the clock of the node."""
+        """Call a service as :meth:`Network.call` does, with the wall clock of the node."""
         return super().call(index, lambda node, now, wall: service(node, now, wall + self.offsets[index]))
 
 
 @cache
 def _clocked_class(base: type) -> type:
     class Clocked(base):  # type: ignore[misc]
-        """The same node with a clock that is set during the recording."""
+        """Subclass of a node whose wall clock can be set during the recording."""
 
         offset: Callable[[], int]
 
@@ -152,9 +152,9 @@ def _clocked(base: type, node: Any, offset: Callable[[], int]) -> Any:
 def record(
     situation: NetworkSituation, others: Mapping[int, Other] | None = None, *, codec: Codec | None = None
 ) -> list[Frame]:
-    """The recording of a network. ``codec``: instead of that of the profile, for layouts that vary.
+    """Simulate a network and return its recording. ``codec`` replaces the codec of the profile.
 
-    Raises :class:`RuntimeError` for a node of ours that stumbles; one of ``others`` may.
+    Raises :class:`RuntimeError` if a reference node raises an exception; exceptions of ``others`` are ignored.
     """
     codec = codec or _codec(situation.profile)
     srp = SRPConfig() if codec.profile.srp.record else None
@@ -203,7 +203,7 @@ def _topology(situation: NetworkSituation) -> tuple[Topology, list[tuple[int, Ca
 
 
 def _moving(situation: NetworkSituation) -> tuple[Topology, list[tuple[int, Callable[[], None]]]]:
-    """Links come and go at random: about half of them are there at any time."""
+    """Return a topology whose links appear and disappear at random; about half of them exist at any time."""
     rng = random.Random(f"links/{situation.seed}")  # noqa: S311
     nodes = range(situation.nodes)
     there = {(a, b) for a in nodes for b in nodes if a < b and (b == a + 1 or rng.random() < 0.5)}
@@ -231,7 +231,7 @@ def _applications(network: MixedNetwork, index: int, rng: random.Random, situati
 
 
 def _something(network: MixedNetwork, index: int, rng: random.Random, deletes: float) -> None:
-    """A service request that may be refused."""
+    """Request a random service; the node may reject the request."""
     if network.stations[index].node is None:
         return
     var_id, value = rng.randrange(_VARIABLES), rng.randbytes(rng.randrange(1, 20)).hex()
@@ -249,7 +249,7 @@ def _something(network: MixedNetwork, index: int, rng: random.Random, deletes: f
 
 
 def _move(network: MixedNetwork, index: int, rng: random.Random, end: int) -> None:
-    """New safety data each 100 ms."""
+    """Submit new safety data every 100 ms."""
     if network.stations[index].node is not None:
         layout = network.codec.profile.srp.safety_data
         data = {each.name: rng.randrange(100) for each in layout if hasattr(each, "type")}
@@ -259,7 +259,7 @@ def _move(network: MixedNetwork, index: int, rng: random.Random, end: int) -> No
 
 
 def _disturb(network: MixedNetwork, situation: NetworkSituation, rng: random.Random, end: int) -> None:
-    """Restarts, and clocks that are set."""
+    """Schedule the restarts and clock changes of a situation."""
     for number in range(3 if situation.restarts else 0):
         time, index = round((4 + 5 * number) * SECOND), rng.randrange(situation.nodes)
         network.at(time, partial(network.stop, index))
@@ -287,5 +287,5 @@ def _as_recorded(frames: Iterable[Frame], situation: NetworkSituation) -> list[F
 
 
 def identifier(profile: str, index: int) -> bytes:
-    """The node identifier of the node at a place."""
+    """Return the node identifier of a node by its number from 0."""
     return node_id(_codec(profile).profile, index)

@@ -63,7 +63,7 @@ class Channel:
         raise NotImplementedError
 
     def epitaph(self) -> str:
-        """How the other side ended, in words."""
+        """Return how the other side ended, as text."""
         raise NotImplementedError
 
     # -- lines -------------------------------------------------------------------------------------------------
@@ -287,7 +287,7 @@ def split(name: str, command: str) -> list[str]:
 
 
 def ending(status: int) -> str:
-    """An exit status in words."""
+    """Return the text for an exit status or signal."""
     if status >= 0:
         return f"exit status {status}"
     try:

@@ -97,7 +97,7 @@ class CommandUpperTester:
         return
 
     def close(self) -> None:
-        """Nothing is held."""
+        """Has no effect: each command is a process of its own, which has ended."""
 
     # -- one command -------------------------------------------------------------------------------------------
 

@@ -290,7 +290,7 @@ class Behaviour(Part, frozen=True):
         Annotated[int, Meta(ge=0, le=1)], Meta(description="Sequence number of the first beacon.")
     ] = 0
     containers_per_type: Annotated[
-        Literal["one", "several"], Meta(description="How many containers of a type a payload may have.")
+        Literal["one", "several"], Meta(description="Number of containers of one type that a payload may have.")
     ] = "several"
     vardis_receive_error: Annotated[
         Literal["skip-element", "keep-prefix", "drop-payload"],

@@ -78,7 +78,7 @@ class TimestampType(Part, frozen=True):
 
     @property
     def per_second(self) -> int:
-        """How many units make a second."""
+        """Return the number of units in a second."""
         return TICKS_PER_SECOND[self.unit]
 
     @property

@@ -128,7 +128,7 @@ class SideBySide:
         self._suspects: list[str] = []
         """The cases in execution when that became doubtful."""
         self._resets = 0
-        """How often the implementation could not be brought into its initial state."""
+        """Number of times that the implementation could not be brought into its initial state."""
         self._used_up = False
         """Whether a case of this wave has found all identifiers used up."""
         self._doubts = 0

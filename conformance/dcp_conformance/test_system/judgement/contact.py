@@ -32,7 +32,7 @@ TOLD: Final[Mapping[Stimulus, str]] = {
     "state": "SRP-UpdateSafetyData",
     "variable": "RTDB-Create",
 }
-"""Each kind of stimulus in words."""
+"""Text for each kind of stimulus."""
 
 OWNERS: Final[Mapping[Stimulus, frozenset[str]]] = {
     "summary": frozenset({"VD-PS-01", "VD-IC-02"}),
