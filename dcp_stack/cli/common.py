@@ -211,23 +211,40 @@ def simple(
 def columns(
     header: Sequence[str], rows: Sequence[Sequence[str]], *, right: Sequence[int] = (), give: Sequence[int] = ()
 ) -> str:
-    """Format a table as lines; ``right`` are the indices of right-aligned columns.
+    """Format a table as text that fits the terminal if possible; see :func:`table_lines` for the columns."""
+    width = shutil.get_terminal_size().columns if sys.stdout.isatty() else None
+    return "\n".join(table_lines(header, rows, width, right=right, give=give))
 
-    On a terminal the columns ``give`` are narrowed until the table fits, if they can be.
+
+def table_lines(
+    header: Sequence[str],
+    rows: Sequence[Sequence[str]],
+    width: int | None,
+    *,
+    right: Sequence[int] = (),
+    give: Sequence[int] = (),
+    spare: Sequence[int] = (),
+) -> list[str]:
+    """Return the header and the rows of a table as lines; ``right`` are the indices of right-aligned columns.
+
+    For lines of at most ``width`` characters (None: without limit) the columns ``give`` are narrowed, and then those in
+    ``spare`` omitted in this order.
     """
     cells = [header, *rows]
-    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
-    if sys.stdout.isatty():
-        widths = fitted(widths, shutil.get_terminal_size().columns - 2 * (len(widths) - 1), give)
-        cells = [[clipped(text, width) for text, width in zip(row, widths, strict=True)] for row in cells]
+    natural = [max(map(len, column)) for column in zip(*cells, strict=True)]
+    kept, leaving, widths = list(range(len(natural))), list(spare), natural
+    while width is not None:
+        room = width - 2 * (len(kept) - 1)
+        widths = fitted([natural[number] for number in kept], room, [kept.index(each) for each in give if each in kept])
+        if sum(widths) <= room or not leaving:
+            break
+        kept.remove(leaving.pop(0))
     lines = []
     for row in cells:
-        aligned = [
-            text.rjust(width) if number in right else text.ljust(width)
-            for number, (text, width) in enumerate(zip(row, widths, strict=True))
-        ]
+        shown = [(number, clipped(row[number], size), size) for number, size in zip(kept, widths, strict=True)]
+        aligned = [text.rjust(size) if number in right else text.ljust(size) for number, text, size in shown]
         lines.append("  ".join(aligned).rstrip())
-    return "\n".join(lines)
+    return lines
 
 
 def fitted(widths: Sequence[int], room: int, give: Sequence[int]) -> list[int]:

@@ -4,30 +4,30 @@ from __future__ import annotations
 
 import sys
 import time
-from typing import TYPE_CHECKING, Any, Final, Literal
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, Final
 
 import click
 
 from .common import (
     EXIT_STATUS,
     Seconds,
-    clipped,
     connect,
     counted,
-    fitted,
     node_options,
     polled,
     printable,
     say,
     shown_value,
     span,
+    table_lines,
 )
 from .neighbours import percent, place
 from .status import as_line, own_address, troubles
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
-    from rich.table import Table
+    from rich.text import Text
 
 
 SHOWN: Final = 200
@@ -129,57 +129,26 @@ def view(status: dict[str, Any], rates: Rates, width: int) -> RenderableType:
 
 
 def _table(
-    title: str,
-    headers: tuple[str, ...],
-    rows: list[tuple[list[str], bool]],
-    width: int,
-    *,
-    right: tuple[int, ...],
-    give: tuple[int, ...],
-    spare: tuple[int, ...],
-) -> Table:
-    """Return a table of at most ``width``: the columns ``give`` are narrowed, then those in ``spare`` omitted in order.
+    title: str, header: Sequence[str], rows: Sequence[tuple[list[str], bool]], width: int, **layout: Sequence[int]
+) -> Text:
+    """Return a table of at most ``width``; ``layout`` is as in :func:`~dcp_stack.cli.common.table_lines`.
 
     ``rows`` are cells, each row with a flag that shows it dimmed.
     """
-    from rich import box
-    from rich.table import Table
+    from rich.text import Text
 
-    table = Table(
-        title=title,
-        title_justify="left",
-        title_style="bold",
-        box=box.SIMPLE_HEAD,
-        padding=(0, 1, 0, 0),
-    )
-    # rich itself would narrow all columns alike, and short numbers would disappear.
-    natural = [max(map(len, cells)) for cells in zip(headers, *(row for row, _ in rows), strict=True)]
-    kept, widths = _columns_that_fit(natural, width, give, spare)
-    for number in kept:
-        justify: Literal["left", "right"] = "right" if number in right else "left"
-        table.add_column(headers[number], justify=justify, no_wrap=True, overflow="ellipsis")
-    for row, dim in rows:
-        table.add_row(*(clipped(row[number], widths[number]) for number in kept), style="dim" if dim else "")
-    return table
+    head, *lines = table_lines(header, [cells for cells, _ in rows], width - 1, **layout)
+    text = Text(no_wrap=True, overflow="ellipsis")
+    text.append(f"{title}\n\n {head}\n", style="bold")
+    text.append(f" {'─' * max(map(len, (head, *lines)))}\n")
+    for line, (_, dim) in zip(lines, rows, strict=True):
+        text.append(f" {line}\n", style="dim" if dim else "")
+    return text
 
 
 def _title(number: int, noun: str) -> str:
     """Format the title of a table, with a note if it has more than ``SHOWN`` rows."""
     return counted(number, noun) + (f", the first {SHOWN}:" if number > SHOWN else "")
-
-
-def _columns_that_fit(
-    natural: list[int], width: int, give: tuple[int, ...], spare: tuple[int, ...]
-) -> tuple[list[int], dict[int, int]]:
-    """Return the columns that are kept, and their widths; rich needs two characters between columns."""
-    kept, leaving = list(range(len(natural))), list(spare)
-    while True:
-        room = width - 2 * len(kept) - 1
-        cut = [kept.index(number) for number in give if number in kept]
-        widths = fitted([natural[number] for number in kept], room, cut)
-        if sum(widths) <= room or not leaving:
-            return kept, dict(zip(kept, widths, strict=True))
-        kept.remove(leaving.pop(0))
 
 
 def _head(status: dict[str, Any], rates: Rates) -> RenderableType:

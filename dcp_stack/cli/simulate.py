@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -111,18 +111,7 @@ def scenario_of(
     help="Record each transmission once, as seen on the medium.",
 )
 def command(
-    scenario: str | None,
-    nodes: int | None,
-    topology: str | None,
-    profile: str | None,
-    loss: float | None,
-    duration: float | None,
-    seed: int | None,
-    warm_up: float | None,
-    variables: int,
-    as_json: bool,
-    record: Path | None,
-    record_medium: Path | None,
+    scenario: str | None, as_json: bool, record: Path | None, record_medium: Path | None, **options: Any
 ) -> int:
     """Run a SCENARIO (docs/scenarios.md) on a simulated medium, as fast as possible.
 
@@ -134,17 +123,7 @@ def command(
     from dcp_stack.sim.scenario.report import lines
     from dcp_stack.sim.virtual.player import Simulation
 
-    played = scenario_of(
-        scenario,
-        nodes=nodes,
-        topology=topology,
-        profile=profile,
-        loss=loss,
-        duration=duration,
-        seed=seed,
-        variables=variables,
-        warm_up=warm_up,
-    )
+    played = scenario_of(scenario, **options)
     try:
         if record is not None:
             record.mkdir(parents=True, exist_ok=True)

@@ -13,6 +13,7 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from types import FrameType
+from typing import Any
 
 import click
 
@@ -61,16 +62,7 @@ class _InterruptedError(BaseException):
     help="Keep recordings (node-N.mcap), logs, settings and control sockets in DIR.",
 )
 def command(
-    nodes: int | None,
-    scenario: str | None,
-    topology: str | None,
-    profile: str | None,
-    loss: float | None,
-    duration: float | None,
-    seed: int | None,
-    links: str,
-    as_json: bool,
-    keep: Path | None,
+    scenario: str | None, duration: float | None, links: str, as_json: bool, keep: Path | None, **options: Any
 ) -> int:
     """Start N nodes, each a process in a network namespace with one interface, and run a scenario on them.
 
@@ -84,15 +76,7 @@ def command(
     from dcp_stack.sim.testbed.namespaces import NamespaceError
     from dcp_stack.sim.testbed.testbed import StartError, Testbed
 
-    played = scenario_of(
-        scenario,
-        nodes=nodes,
-        topology=topology,
-        profile=profile,
-        loss=loss,
-        duration=30.0 if duration is None and scenario is None else duration,
-        seed=seed,
-    )
+    played = scenario_of(scenario, duration=30.0 if duration is None and scenario is None else duration, **options)
     if played.nodes > 200:
         raise ExpectedError(f"a testbed runs each node as a process, at most 200 nodes, not {played.nodes}")
     _get_rights()

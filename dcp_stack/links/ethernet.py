@@ -52,31 +52,19 @@ class EthernetLink(SocketLink):
         self._interface = interface
         self._ether_type = ether_type
         self._given_source = source
-        self._source = b""
         self._header = b""
-        self._max_packet_size = max_packet_size
-        self._mtu = 0
+        self._given_size = max_packet_size
         self._foreign = b""
         self._ethernet: sockets.EthernetSocket | None = None
         super().__init__(f"eth:{interface}")
-
-    @property
-    def source(self) -> bytes:
-        """The address that frames are sent from."""
-        return self._source
-
-    @property
-    def max_packet_size(self) -> int:
-        """The longest bearer payload in octets."""
-        return self._max_packet_size or self._mtu
 
     def _open(self) -> socket.socket:
         try:
             opened = sockets.open_ethernet(self._interface, self._ether_type, instead="udp")
         except sockets.OpeningError as error:
-            raise LinkError(f"{self._name}: {error}") from None
+            raise LinkError(f"{self.name}: {error}") from None
         try:
-            self._mtu = interfaces.mtu(self._interface)
+            self.max_packet_size = self._given_size or interfaces.mtu(self._interface)
             self._find_address()
         except OSError:
             opened.close()
@@ -87,12 +75,12 @@ class EthernetLink(SocketLink):
     def _find_address(self) -> None:
         """Set the source address of frames, which can differ after an outage of the interface. Raises ``OSError``."""
         _, address = interfaces.hardware_address(self._interface)
-        self._source = self._given_source or _usable(address) or self._source or _random_address()
+        self.source = self._given_source or _usable(address) or self.source or _random_address()
         # The kernel reports frames to this address as frames to another station (PACKET_OTHERHOST).
-        self._foreign = b"" if self._source == address else self._source
+        self._foreign = b"" if self.source == address else self.source
         ##= UWB-01
         ##= UWB-02
-        self._header = BROADCAST + self._source + struct.pack(">H", self._ether_type)
+        self._header = BROADCAST + self.source + struct.pack(">H", self._ether_type)
 
     def _release(self, old: socket.socket) -> None:
         old.close()
@@ -101,7 +89,7 @@ class EthernetLink(SocketLink):
             ethernet.close()
 
     def _drain(self, source: socket.socket, receptions: list[Reception]) -> None:
-        receive, own = source.recvmsg, self._source
+        receive, own = source.recvmsg, self.source
         for _ in range(PORTION):
             frame, ancillary, flags, (_, _, kind, _, sender) = receive(LONGEST, ANCILLARY)
             # Sockets of one EtherType do not receive frames that leave on this interface. Loopback interfaces and

@@ -44,12 +44,15 @@ class SocketLink:
     the node at once. On systems without such a watch, calls of :meth:`receive` and :meth:`send` try to recover every
     0.1 to 2 s.
 
-    Subclasses implement opening (:meth:`_open`), reading (:meth:`_drain`) and writing (:meth:`_transmit`).
+    Subclasses implement opening (:meth:`_open`), which also sets :attr:`source` and :attr:`max_packet_size`, reading
+    (:meth:`_drain`) and writing (:meth:`_transmit`).
     """
 
     def __init__(self, name: str) -> None:
         """Raises :class:`LinkError` or ``OSError`` if :meth:`_open` does."""
-        self._name = name
+        self.name = name
+        self.source = b""
+        self.max_packet_size = 0
         self._counters = LinkCounters()
         self._socket: socket.socket | None = None
         self._down = False
@@ -106,25 +109,10 @@ class SocketLink:
     # -- the interface of a link -----------------------------------------------------------------------------------
 
     @property
-    def name(self) -> str:
-        """The name of the link, with its interface or group."""
-        return self._name
-
-    @property
     def counters(self) -> LinkCounters:
         """The current counters, including the frames dropped by the kernel."""
         self._count_lost()
         return self._counters
-
-    @property
-    def max_packet_size(self) -> int:
-        """The longest bearer payload in octets."""
-        raise NotImplementedError
-
-    @property
-    def source(self) -> bytes:
-        """Our own address."""
-        raise NotImplementedError
 
     @property
     def up(self) -> bool:
@@ -188,7 +176,7 @@ class SocketLink:
         new = reason not in self._refusals
         self._refusals.add(reason)
         level = logging.WARNING if new else logging.DEBUG
-        log.log(level, "%s: %d octets cannot be sent: %s", self._name, length, os.strerror(reason))
+        log.log(level, "%s: %d octets cannot be sent: %s", self.name, length, os.strerror(reason))
 
     # -- outages ---------------------------------------------------------------------------------------------------
 
@@ -218,7 +206,7 @@ class SocketLink:
         self._counters.outages += 1
         self._retry_at = 0
         self._backoff = _FIRST_RETRY
-        log.warning("%s: went down (%s); waiting for its return", self._name, error.strerror or error)
+        log.warning("%s: went down (%s); waiting for its return", self.name, error.strerror or error)
         if self._socket is not None:
             # Its events would wake the node for nothing. The socket itself is kept: it can be used again if the
             # interface was only switched off, and opening another may need a privilege that was dropped.
@@ -238,7 +226,7 @@ class SocketLink:
             return
         self._down = False
         self._said = ""
-        log.warning("%s: is back", self._name)
+        log.warning("%s: is back", self.name)
 
     def _say_why(self, error: Exception) -> None:
         """Log the cause of a failed recovery, once as a warning; it can be other than a missing interface."""
@@ -268,4 +256,4 @@ class SocketLink:
         try:
             self._counters.kernel_drops += self._lost_by_kernel()
         except OSError as error:
-            log.debug("%s: the kernel does not report dropped frames: %s", self._name, error)
+            log.debug("%s: the kernel does not report dropped frames: %s", self.name, error)

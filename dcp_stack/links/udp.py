@@ -70,21 +70,10 @@ class UDPLink(SocketLink):
         self._interface = interface
         self._ttl = ttl
         self._given_size = max_packet_size
-        self._max_packet_size = 0
         self._sender: socket.socket | None = None
         self._own: tuple[str, int] = ("", 0)
         self._losses: sockets.UDPLosses | None = None
         super().__init__(f"udp:{group}:{port}")
-
-    @property
-    def source(self) -> bytes:
-        """The address and port that datagrams are sent from, 6 octets (big-endian)."""
-        return _octets(self._own)
-
-    @property
-    def max_packet_size(self) -> int:
-        """The longest bearer payload in octets."""
-        return self._max_packet_size
 
     def _open(self) -> socket.socket:
         try:
@@ -95,10 +84,11 @@ class UDPLink(SocketLink):
                 self._join(receiver)
                 failed.pop_all()
         except OSError as error:
-            raise LinkError(f"{self._name}: {sockets.udp_problem(error, self._group, self._interface)}") from error
+            raise LinkError(f"{self.name}: {sockets.udp_problem(error, self._group, self._interface)}") from error
         self._sender = sender
         self._own = sender.getsockname()
-        self._max_packet_size = self._given_size or sockets.longest_udp_payload(sender)
+        self.source = _octets(self._own)
+        self.max_packet_size = self._given_size or sockets.longest_udp_payload(sender)
         self._losses = sockets.UDPLosses(receiver)
         return receiver
 

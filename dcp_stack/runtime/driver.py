@@ -14,6 +14,8 @@ import time
 from collections.abc import Callable, Iterator
 from typing import Any, Final, Protocol
 
+import msgspec
+
 from dcp_stack.config import MS
 from dcp_stack.control.server import ControlServer
 from dcp_stack.effects import Dropped, Effect, NeighbourExpired, NeighbourSeen, SendBeacon
@@ -319,7 +321,6 @@ class Driver:
 
     def describe(self) -> dict[str, Any]:
         """Return the state of link, recording and position source as JSON data, for the method ``status``."""
-        counters = self.link.counters
         shown: dict[str, Any] = {
             "uptime_ms": (time.monotonic_ns() - self.started) // MS,
             "cpu_ms": time.process_time_ns() // MS,
@@ -328,7 +329,7 @@ class Driver:
                 "name": self.link.name,
                 "up": self.link.up,
                 "max_packet_size": self.link.max_packet_size,
-                **{name: getattr(counters, name) for name in counters.__struct_fields__},
+                **msgspec.structs.asdict(self.link.counters),
             },
             "timer_late_ms": self.late_ns / MS,
         }

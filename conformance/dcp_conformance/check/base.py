@@ -12,6 +12,7 @@ from dcp_codec.codec import Codec
 from dcp_codec.values import VarSumm
 from dcp_codec.views.dissect import Dissection
 from dcp_conformance.frames.received import Instruction, ReceivedBeacon
+from dcp_conformance.model.case import Case, Kind
 from dcp_conformance.model.pics import Pics
 from dcp_conformance.model.results import Mark
 from dcp_conformance.model.verdict import Verdict
@@ -334,6 +335,22 @@ class Invariant:
         :meth:`exercised`."""
         self._times: dict[object, int] = {}
 
+    @classmethod
+    def as_case(cls, section: str, stimulus: str) -> Case:
+        """Return the rule as a test case, for files of expected results and for exclusion. Nothing executes it."""
+        return Case(
+            id=cls.id,
+            purpose=cls.purpose,
+            requirements=cls.requirements,
+            kind=Kind.VALID,
+            stimulus=stimulus,
+            expect=cls.expect,
+            window=0,
+            section=section,
+            module=cls.__module__,
+            run=_never,
+        )
+
     def applies(self) -> str:
         """Return why the rule does not apply to recordings of this profile; empty if it does."""
         return ""
@@ -450,3 +467,8 @@ class Invariant:
 def name(node_id: bytes) -> str:
     """Return a node identifier as text: colon-separated hex up to 8 octets, otherwise ASCII."""
     return node_id.hex(":") if len(node_id) <= 8 else node_id.decode("ascii", "replace")
+
+
+def _never(_bench: object) -> None:
+    """Refuse execution."""
+    raise AssertionError("an invariant cannot be executed as a case")

@@ -16,7 +16,7 @@ from dcp_codec.codec import Codec
 from dcp_codec.framing.locate import OtherTraffic, locate
 from dcp_codec.values import Beacon
 from dcp_conformance.frames.received import ReceivedBeacon
-from dcp_conformance.model.case import Case, Kind
+from dcp_conformance.model.case import Case
 from dcp_conformance.model.declared import declarations
 from dcp_conformance.model.moment import timestamp
 from dcp_conformance.model.outcome import assemble
@@ -71,21 +71,7 @@ _KEPT = 20_000
 
 def cases() -> tuple[Case, ...]:
     """Return the invariants as test cases, for files of expected results. Nothing executes them."""
-    return tuple(
-        Case(
-            id=rule.id,
-            purpose=rule.purpose,
-            requirements=rule.requirements,
-            kind=Kind.VALID,
-            stimulus=_STIMULUS,
-            expect=rule.expect,
-            window=0,
-            section=rule.section,
-            module=rule.__module__,
-            run=lambda _: None,
-        )
-        for rule in RULES
-    )
+    return tuple(rule.as_case(rule.section, _STIMULUS) for rule in RULES)
 
 
 def _counted(requirements: Sequence[str], occasions: Mapping[str, int]) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import msgspec
 from dcp_spec.constants import ProtocolId
@@ -15,15 +15,12 @@ from dcp_codec.framing.locate import ETHERNET_HEADER
 from dcp_conformance.check.base import Context, Invariant, Seen
 from dcp_conformance.check.places import placed
 from dcp_conformance.frames.received import ReceivedBeacon
-from dcp_conformance.model.case import SANITY, Case, Kind
+from dcp_conformance.model.case import SANITY, Case
 from dcp_conformance.model.pics import Pics
 from dcp_conformance.model.results import CaseResult, Check, EventRecord, Mark
 from dcp_conformance.model.verdict import Verdict, worst
 
 from .rules import OF_INSTRUCTIONS, OF_REPORTS, RULES, MostSummaries, RepeatedJitter
-
-if TYPE_CHECKING:
-    from dcp_conformance.test_system.bench import Bench
 
 SECTION: Final = "Passive testing: every beacon of the run"
 SIDE_BY_SIDE: Final = "the cases side by side"
@@ -321,26 +318,7 @@ class _Place(NamedTuple):
 
 def cases() -> tuple[Case, ...]:
     """Return the invariants as cases, for files of expected results and for exclusion. Nothing executes them."""
-    return tuple(
-        Case(
-            id=rule.id,
-            purpose=rule.purpose,
-            requirements=rule.requirements,
-            kind=Kind.VALID,
-            stimulus=_STIMULUS,
-            expect=rule.expect,
-            window=0,
-            section=SECTION,
-            module=rule.__module__,
-            run=_never,
-        )
-        for rule in RULES
-    )
-
-
-def _never(_bench: Bench) -> None:
-    """Refuse execution."""
-    raise AssertionError("an invariant cannot be executed as a case")
+    return tuple(rule.as_case(SECTION, _STIMULUS) for rule in RULES)
 
 
 def joined(results: Iterable[CaseResult]) -> list[CaseResult]:

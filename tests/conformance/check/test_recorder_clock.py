@@ -8,6 +8,8 @@ from dcp_conformance.selftest.recordings.clean import _task
 from hypothesis import given
 from hypothesis import strategies as st
 
+from ..air import SECOND, Script, findings, judged
+
 TIMES = st.lists(st.integers(0, 2**62), min_size=1, max_size=50)
 
 
@@ -42,3 +44,15 @@ def test_a_node_whose_clock_is_set_now_and_then_has_no_faulty_time_stamps() -> N
     """Three steps back in a long recording were enough for an accusation."""
     _, suspicions, _, _ = _task(178)
     assert suspicions == []
+
+
+@pytest.mark.parametrize(("back", "fails"), [(3, False), (30, True)])
+def test_time_stamps_that_go_on_from_an_earlier_time_come_from_a_clock_that_is_set(back: int, fails: bool) -> None:
+    """If a recorder misses most reports, three steps are many of them; a clock is not set with every other report."""
+    air, late = Script(), 0
+    for number in range(60):
+        if number % (60 // back) == 1:
+            late += 86_400 * SECOND
+        air.say(1, report=air.report(1, late=late))
+    found = [each for each in findings(judged(air.frames, "dcp-2.0")) if "SRP_SEQNO" in each]
+    assert bool(found) is fails, found

@@ -20,9 +20,10 @@ _RESTART, _SPACING = 3, 10_000_000
 #: A restart between two beacons is excluded if their numbers differ by at most ``_BEACONS``, or (for beacons without
 #: numbers) if they are less than ``_SOON`` ns apart.
 _BEACONS, _SOON = 20, 250_000_000
-#: Time stamps are a fault, and not a clock that is set now and then, if at least ``_STEPS`` of them decrease, and more
-#: than one of ``_RARE`` reports.
-_STEPS, _RARE = 3, 25
+#: Time stamps are a fault if at least ``_STEPS`` of them, and more than one of ``_RARE`` reports, decrease and the next
+#: ones do not continue from there. If they continue from there, the clock was set; but it is not set with more than one
+#: of ``_OFTEN`` reports.
+_STEPS, _RARE, _OFTEN = 3, 25, 4
 #: A step between the numbers of two successive reports is suspicious if it exceeds this plus ten times the largest step
 #: so far: an application seldom submits its safety data that often.
 _LEAP = 1_000
@@ -111,6 +112,15 @@ class _Last(NamedTuple):
     seen: Trace
 
 
+class _Fall(NamedTuple):
+    """A decrease of the time stamp from one report to the next."""
+
+    by: int
+    """Difference to the expected time stamp, ns."""
+    text: str
+    frames: list[Evidence]
+
+
 class ReportNumbers(Invariant):
     """Check sequence numbers and time stamps of successive state reports."""
 
@@ -126,6 +136,10 @@ class ReportNumbers(Invariant):
         self._lost: dict[bytes, int] = {}
         self._back: dict[bytes, int] = {}
         """Node -> number of decreasing time stamps."""
+        self._brief: dict[bytes, int] = {}
+        """Node -> the part of them from which the next time stamp did not continue."""
+        self._fell: dict[bytes, _Fall] = {}
+        """Node -> the decrease in its last report."""
         self._reports: Counter[bytes] = Counter()
         self._same: dict[bytes, int] = {}
         """Node -> number of successive different reports with the same sequence number."""
@@ -144,6 +158,7 @@ class ReportNumbers(Invariant):
         self._last.clear()
         self._same.clear()
         self._frozen.clear()
+        self._fell.clear()
         self._odd.clear()
 
     def feed(self, seen: Seen) -> None:
@@ -215,10 +230,24 @@ class ReportNumbers(Invariant):
                 return
             self._usual[report.node_id] = max(step, self._usual.get(report.node_id, 1))
             self._lost[report.node_id] = self._lost.get(report.node_id, 0) + step - 1
-        if report.t_stamp < last.report.t_stamp and step < SRP_SEQNO_MODULUS // 2:
-            text = f"{who}: tStamp decreases by {last.report.t_stamp - report.t_stamp} with seqno {report.seqno}"
-            steps = self._back[report.node_id] = self._back.get(report.node_id, 0) + 1
-            if steps >= _STEPS and steps * _RARE > self._reports[report.node_id]:
+        self._compare_times(last, report, seen, step)
+
+    def _compare_times(self, last: _Last, report: ExtendedSafetyData, seen: Seen, step: int) -> None:
+        """Compare the time stamps of two successive reports, and tell a faulty stamp from a clock that is set."""
+        node, who = report.node_id, name(report.node_id)
+        change = report.t_stamp - last.report.t_stamp
+        excess = change - (seen.time - last.seen.time)
+        fell = self._fell.pop(node, None)
+        if fell is not None and excess > fell.by / 2:
+            brief = self._brief[node] = self._brief.get(node, 0) + 1
+            if brief >= _STEPS and brief * _RARE > self._reports[node]:
+                self.violated(f"{fell.text}; {brief} times", fell.frames, "SRP-TYP-05", once=(who, "time"))
+        if change < 0 and step < SRP_SEQNO_MODULUS // 2:
+            text = f"{who}: tStamp decreases by {-change} with seqno {report.seqno}"
+            both: list[Evidence] = [last.seen, seen.trace]
+            self._fell[node] = _Fall(-excess, text, both)
+            steps = self._back[node] = self._back.get(node, 0) + 1
+            if steps >= _STEPS and steps * _OFTEN > self._reports[node]:
                 self.violated(f"{text}; it has decreased {steps} times", both, "SRP-TYP-05", once=(who, "time"))
             else:
                 self.note("a clock that was set back", text, both, "SRP-TYP-05")
