@@ -54,10 +54,13 @@ class ByteOrder(Invariant):
     def _order(self, ticks: int, wall: int) -> Literal["big", "little", ""]:
         """Return the byte order in which a time stamp is near ``wall`` (ns since 1970); empty for none or both."""
         octets = (ticks % self._modulus).to_bytes(self._width, self._byte_order)
-        there = wall - self._epoch
-        big = abs(int.from_bytes(octets, "big") * self._ns - there) < _NEAR
-        little = abs(int.from_bytes(octets, "little") * self._ns - there) < _NEAR
+        big = self._near(int.from_bytes(octets, "big"), wall)
+        little = self._near(int.from_bytes(octets, "little"), wall)
         return "" if big == little else "big" if big else "little"
+
+    def _near(self, ticks: int, wall: int) -> bool:
+        """Whether a time stamp is less than 30 days from ``wall`` (ns since 1970)."""
+        return abs(ticks * self._ns + self._epoch - wall) < _NEAR
 
     @staticmethod
     def _mark_of(seen: Seen, name_: str) -> Mark:
