@@ -220,7 +220,7 @@ class Context:
         if seen.parts:
             self._sort(seen)
             for each, before in seen.news:
-                # A later update or summary of a known variable says nothing about lifetimes.
+                # A later update or summary of a known variable has no effect on its lifetime.
                 if before is None or (each.kind is not UPDATE and each.kind is not SUMMARY):
                     self.lives.feed(each)
 
