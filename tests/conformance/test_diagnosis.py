@@ -8,8 +8,10 @@ from dcp_conformance.diagnosis import Dictionary, Fault, explain, load
 from dcp_conformance.diagnosis.dictionary import decode, encode
 from dcp_conformance.errors import UpperTesterError
 from dcp_conformance.model.case import all_cases
-from dcp_conformance.model.results import CaseResult, Check, Mark
+from dcp_conformance.model.results import CaseResult, Check, Mark, RunResult
+from dcp_conformance.model.survival import SURVIVAL
 from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.reporting.overview import diagnosed, headline
 from dcp_conformance.selftest.diagnosis import measuring
 from dcp_conformance.selftest.diagnosis.measuring import draw, outcome
 from dcp_conformance.selftest.mutants import all_mutants
@@ -176,3 +178,71 @@ def test_draws_can_be_combined_and_repeated() -> None:
 def test_a_diagnosis_is_part_of_the_results() -> None:
     found = explain(results("abc"), Dictionary((fault("X", "a", "b", "c"),)))
     assert msgspec.json.decode(msgspec.json.encode(found), type=type(found)) == found
+
+
+# -- cases that the implementation does not survive --------------------------------------------------------------------
+
+
+def ending(names: str, death: str = "died: it ended with signal SIGABRT", *, also: str = "") -> list[CaseResult]:
+    """Failed cases that the implementation did not survive; in those of ``also`` something else failed as well."""
+    survival = Check(
+        Verdict.FAIL, ("VD-RU-03",), f"{SURVIVAL} a frame", "it is not running after this case", (Mark(4),)
+    )
+    return [
+        msgspec.structs.replace(
+            case, death=death, killed=True, checks=(*(case.checks if case.id in also else ()), survival)
+        )
+        for case in results(names)
+    ]
+
+
+def crashing(name: str, *fails: str) -> Fault:
+    return msgspec.structs.replace(fault(name, *fails), what=f"crashes on {name}")
+
+
+def test_a_case_that_only_ended_the_implementation_shows_no_other_fault() -> None:
+    run = [*results("ab", "xyz"), *ending("cdef")]
+    found = explain(run, Dictionary((fault("X", "a", "b"), fault("Y", "c", "d", "e", "f"))))
+    assert named(found) == ["X"]
+    assert (found.unexplained, found.ended) == ((), ("c", "d", "e", "f"))
+    assert diagnosed(RunResult(cases=tuple(run), diagnosis=found)) == (
+        "1 probable fault explains 2 of 6 cases that failed; in 4 the implementation only ended or stopped answering"
+    )
+
+
+def test_a_fault_that_crashes_a_node_explains_only_cases_that_the_implementation_did_not_survive() -> None:
+    known = Dictionary((crashing("X", "a", "b", "c"),))
+    assert named(explain(results("abc", "xyz"), known)) == []
+    found = explain([*ending("abc", also="c"), *results("", "xyz")], known)
+    assert named(found) == ["X"]
+    assert found.faults[0].explains == ("a", "b", "c")
+    assert found.faults[0].check is not None
+    assert found.faults[0].check.expected.startswith(SURVIVAL)
+
+
+@pytest.mark.parametrize(
+    ("deaths", "word"),
+    [
+        (("died: it ended with signal SIGSEGV",) * 2, "crashes"),
+        (("died: it ended with exit status 3; its output: fatal",) * 2, "ends"),
+        (("fell silent: it does not answer any more",) * 2, "hangs"),
+        (("fell silent: it does not answer any more", "died: it ended with signal SIGSEGV"), "ends or hangs"),
+    ],
+)
+def test_the_word_for_the_end_of_the_implementation_is_that_of_the_cases(deaths: tuple[str, str], word: str) -> None:
+    run = [*ending("a", deaths[0]), *ending("b", deaths[1]), *results("", "xyz")]
+    (found,) = explain(run, Dictionary((crashing("zero records", "a", "b"),))).faults
+    assert found.what == f"{word} on zero records"
+
+
+def test_the_sentence_of_a_fault_begins_with_the_crash_if_its_name_has_one() -> None:
+    assert all(each.crashes == ("-dies" in each.id) for each in load().faults)
+
+
+def test_cases_that_a_fault_leaves_undecided_are_not_explained_by_it() -> None:
+    found = explain(results("abcd", "xyz"), Dictionary((fault("X", "a", "b", undecided=("c", "d")),)))
+    assert named(found) == ["X"]
+    assert found.faults[0].explains == ("a", "b")
+    assert found.unexplained == ("c", "d")
+    run = RunResult(cases=tuple(results("abcd")), diagnosis=found, requirements={"VD-RU-03": Verdict.FAIL})
+    assert headline(run) == "0 requirements pass, 1 fails; 1 probable fault explains 2 of 4 failed cases"

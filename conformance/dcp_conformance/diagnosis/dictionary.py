@@ -25,6 +25,11 @@ class Fault(msgspec.Struct, frozen=True, kw_only=True):
     undecided: frozenset[str]
     """Identifiers of the cases that become inconclusive with this fault."""
 
+    @property
+    def crashes(self) -> bool:
+        """Whether a node with this fault ends by itself. The sentence of such a fault begins with this word."""
+        return self.what.startswith("crashes")
+
 
 class Dictionary(msgspec.Struct, frozen=True):
     """The fault dictionary: all faults whose signatures are known."""

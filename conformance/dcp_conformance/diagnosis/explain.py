@@ -5,6 +5,9 @@ assumed faults makes it fail or, rarely, for a reason outside the dictionary. Th
 raises the likelihood of the observed verdicts most, and removes a fault that later ones have made superfluous. Each
 further fault must raise the log likelihood by a minimum, so that few faults are preferred to many (minimum description
 length).
+
+A case in which nothing else failed than that the implementation ended or stopped answering shows no wrong behaviour.
+Only faults that crash a node can explain it, and they explain only cases that the implementation did not survive.
 """
 
 from __future__ import annotations
@@ -14,6 +17,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping
 
 from dcp_conformance.model.results import CaseResult, Check, Diagnosis, Probable
+from dcp_conformance.model.survival import SURVIVAL, did_not_survive, only_died
 from dcp_conformance.model.verdict import Verdict
 
 from .dictionary import Dictionary, Fault
@@ -26,7 +30,7 @@ _PREVENTED = 0.5
 #: Log likelihood that a further fault must add; difference of log likelihoods below which explanations are equal.
 _PRICE, _EQUAL = 5.0, 0.7
 #: Maximum number of faults in a diagnosis, and of alternatives to each.
-_MOST, _ALTERNATIVES = 12, 4
+_MOST, _ALTERNATIVES = 24, 4
 #: Minimum share of the failures expected with a fault that must have been observed.
 _LEAST = 0.5
 
@@ -52,7 +56,8 @@ def explain(results: Iterable[CaseResult], dictionary: Dictionary) -> Diagnosis:
     return Diagnosis(
         faults=tuple(found),
         failed=len(failed),
-        unexplained=tuple(case for case in failed if case not in explained),
+        unexplained=tuple(case for case in failed if case not in explained and not only_died(failed[case])),
+        ended=tuple(case for case in failed if case not in explained and only_died(failed[case])),
     )
 
 
@@ -61,22 +66,30 @@ class _Search:
 
     def __init__(self, dictionary: Dictionary, failed: Mapping[str, CaseResult], passed: set[str]) -> None:
         self._failed, self._passed = failed, passed
-        decided = failed.keys() | passed
+        self._crashed = {name for name, result in failed.items() if did_not_survive(result)}
+        """Failed cases that a fault can explain that crashes a node."""
+        self._behaved = {name for name, result in failed.items() if not only_died(result)}
+        """Failed cases that any other fault can explain."""
         self._chances: dict[str, dict[str, float]] = {}
         """By fault, by decided case: probability that the fault makes it fail (failed cases), or not pass (passed)."""
         self._faults: dict[str, Fault] = {}
         for fault in dictionary.faults:
-            chances = dict.fromkeys(fault.fails & decided, _FAILS)
-            chances.update((case, _UNDECIDED) for case in fault.undecided & failed.keys())
+            relevant = self._relevant(fault)
+            chances = dict.fromkeys(fault.fails & (relevant | passed), _FAILS)
+            chances.update((case, _UNDECIDED) for case in fault.undecided & relevant)
             chances.update((case, _PREVENTED) for case in fault.undecided & passed)
             # A fault none of whose expected failures was observed cannot explain anything.
-            if failed.keys() & fault.fails:
+            if relevant & fault.fails:
                 self._faults[fault.id] = fault
                 self._chances[fault.id] = chances
         self._common = Counter(case for fault in dictionary.faults for case in fault.fails)
         """By case: how many faults of the dictionary make it fail."""
         self._survives: dict[str, float] = {}
         """By case: the probability that it does not fail with the chosen faults; 1 - _NOISE for cases without entry."""
+
+    def _relevant(self, fault: Fault) -> set[str]:
+        """Return the failed cases that a fault of this kind can explain."""
+        return self._crashed if fault.crashes else self._behaved
 
     def run(self) -> list[Fault]:
         """Return the most likely set of faults, in the order in which they were chosen."""
@@ -93,8 +106,8 @@ class _Search:
 
     def _plausible(self, name: str) -> bool:
         """Return whether at least the share ``_LEAST`` of the decided cases that the fault makes fail did fail."""
-        fails = self._faults[name].fails
-        hits, misses = len(fails & self._failed.keys()), len(fails & self._passed)
+        fault = self._faults[name]
+        hits, misses = len(fault.fails & self._relevant(fault)), len(fault.fails & self._passed)
         return hits >= _LEAST * (hits + misses)
 
     def _gain(self, name: str) -> float:
@@ -124,8 +137,9 @@ class _Search:
         return chosen
 
     def explained_by(self, fault: Fault) -> list[str]:
-        """Return the failed cases that are in the signature of the fault."""
-        return [case for case in self._failed if case in fault.fails or case in fault.undecided]
+        """Return the failed cases that the fault makes fail."""
+        explained = fault.fails & self._relevant(fault)
+        return [case for case in self._failed if case in explained]
 
     def probable(self, fault: Fault, chosen: list[Fault]) -> Probable:
         """Describe a chosen fault: its cases, equally likely alternatives, and the case that shows it best."""
@@ -139,13 +153,13 @@ class _Search:
             (name for name in self._chances if self._faults[name] not in chosen and gain - self._gain(name) <= _EQUAL),
             key=lambda name: (-self._gain(name), name),
         )
-        decided = self._failed.keys() | self._passed
+        decided = self._relevant(fault) | self._passed
         shown = self._best(fault, alone or explains)
         check = _decisive(self._failed[shown], fault) if shown else None
         return Probable(
             fault=fault.id,
             requirements=fault.requirements,
-            what=fault.what,
+            what=_described(fault, [self._failed[case] for case in explains]),
             explains=tuple(explains),
             alone=tuple(alone),
             share=len(explains) / len(self._failed),
@@ -176,8 +190,27 @@ class _Search:
         return min(explains, key=rank, default="")
 
 
+def _described(fault: Fault, explains: Iterable[CaseResult]) -> str:
+    """Return the sentence of a fault; of one that crashes a node, with the word for how the implementation ended."""
+    if not fault.crashes:
+        return fault.what
+    ways = {_way(result.death) for result in explains}
+    return fault.what.replace("crashes", ways.pop() if len(ways) == 1 else "ends or hangs", 1)
+
+
+def _way(death: str) -> str:
+    if death.startswith("fell silent"):
+        return "hangs"
+    return "ends" if "exit status" in death else "crashes"
+
+
 def _decisive(result: CaseResult, fault: Fault) -> Check | None:
-    """Return the failed check that names a requirement of the fault, preferably with a frame; else the first one."""
+    """Return the failed check that names a requirement of the fault, preferably with a frame; else the first one.
+
+    Only a fault that crashes a node is shown by a check of survival.
+    """
     bad = [check for check in result.checks if check.verdict is Verdict.FAIL]
+    kind = [check for check in bad if check.expected.startswith(SURVIVAL) == fault.crashes]
+    bad = kind or bad
     named = [check for check in bad if not set(check.requirements).isdisjoint(fault.requirements)]
     return next(iter([*(check for check in named if check.frames), *named, *bad]), None)

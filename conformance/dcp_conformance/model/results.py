@@ -141,7 +141,10 @@ class Diagnosis(msgspec.Struct, frozen=True, kw_only=True):
     failed: int = 0
     """The number of failed cases."""
     unexplained: tuple[str, ...] = ()
-    """Failed cases that no probable fault accounts for."""
+    """Failed cases that no probable fault accounts for, without those in ``ended``."""
+    ended: tuple[str, ...] = ()
+    """Cases in which nothing else failed than that the implementation ended or stopped answering, and that no probable
+    fault accounts for. They show no other fault."""
 
 
 class Sut(msgspec.Struct, frozen=True, kw_only=True):

@@ -16,7 +16,7 @@ from dcp_codec.common.printable import plain
 from dcp_conformance.model.results import CaseResult, RunResult
 from dcp_conformance.model.verdict import Verdict
 
-from .overview import certainty, diagnosed, headline
+from .overview import certainty, deaths, diagnosed, headline
 
 _COLUMNS: Final = ("requirement", "verdict", "document", "section", "step", "statement", "cases", "why")
 #: Colours of a badge. The contrast of each with white text is at least 4.5:1 (WCAG 2 AA).
@@ -122,6 +122,11 @@ def summary_markdown(run: RunResult) -> str:
         for number, fault in enumerate(run.diagnosis.faults, 1):
             names = ", ".join(fault.requirements)
             lines.append(f"{number}. The implementation {_cell(fault.what)} ({names}); it {_cell(certainty(fault))}.")
+        for death in deaths(run):
+            first = death.cases[0].id
+            lines += ["", f"In {len(death.cases)} cases, first {first}, the implementation {_cell(death.how)}."]
+        if run.diagnosis.unexplained:
+            lines += ["", f"Unexplained: {', '.join(run.diagnosis.unexplained)}."]
     failing = [row for row in rows(run) if row.verdict in (Verdict.FAIL, Verdict.ERROR)]
     if failing:
         lines += ["", "## Requirements that fail", ""]

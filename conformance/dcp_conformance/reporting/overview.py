@@ -8,12 +8,10 @@ from typing import NamedTuple
 
 from dcp_spec.catalogue.readings import differs_from_reference, readings, told
 
-from dcp_conformance.model.results import CaseResult, Check, Probable, RunResult
+from dcp_conformance.model.results import CaseResult, Probable, RunResult
+from dcp_conformance.model.survival import SURVIVAL, bad_checks, only_died
 from dcp_conformance.model.verdict import Verdict
 
-#: Beginning of the expectation that an implementation still runs after a case.
-SURVIVAL = "the implementation survives"
-BAD = (Verdict.FAIL, Verdict.ERROR)
 #: Maximum number of cases that a sentence lists.
 _NAMED = 6
 
@@ -23,12 +21,18 @@ def headline(run: RunResult) -> str:
     count = Counter(run.requirements.values())
     passed, failed = count[Verdict.PASS], count[Verdict.FAIL]
     if not passed and not failed:
-        said = "No requirement was decided"
+        text = "No requirement was decided"
     else:
         one = "requirement passes" if passed == 1 else "requirements pass"
-        said = f"{passed} {one}, {failed or 'none'} {'fails' if failed < 2 else 'fail'}"
-        if run.diagnosis is not None and (faults := len(run.diagnosis.faults)):
-            said += f", explained by {faults} probable fault{'' if faults == 1 else 's'}"
+        text = f"{passed} {one}, {failed or 'none'} {'fails' if failed < 2 else 'fail'}"
+        found = run.diagnosis
+        if found is not None and (faults := len(found.faults)):
+            probable = f"{faults} probable fault{'' if faults == 1 else 's'}"
+            if found.unexplained or found.ended:
+                explained = found.failed - len(found.unexplained) - len(found.ended)
+                text += f"; {probable} explain{'s' if faults == 1 else ''} {explained} of {found.failed} failed cases"
+            else:
+                text += f", explained by {probable}"
     others = {
         Verdict.INCONCLUSIVE: "inconclusive",
         Verdict.ERROR: "in error",
@@ -36,7 +40,7 @@ def headline(run: RunResult) -> str:
         Verdict.TOO_LITTLE: "seen too rarely to decide",
     }
     more = [f"{count[each]} {_are(count[each])} {word}" for each, word in others.items() if count[each]]
-    return "; ".join(filter(None, [said, *more, undecided_deaths(run)]))
+    return "; ".join(filter(None, [text, *more, undecided_deaths(run)]))
 
 
 def diagnosed(run: RunResult) -> str:
@@ -45,11 +49,16 @@ def diagnosed(run: RunResult) -> str:
     if found is None or not found.failed:
         return ""
     failed = f"{found.failed} case{'' if found.failed == 1 else 's'}"
+    ended = f"in {len(found.ended)} the implementation only ended or stopped answering" if found.ended else ""
     if not found.faults:
-        return f"{failed} failed; no known fault explains {'it' if found.failed == 1 else 'them'}"
-    explained = found.failed - len(found.unexplained)
+        text = f"{failed} failed; no known fault explains {'it' if found.failed == 1 else 'them'}"
+        return "; ".join(filter(None, [text, ended]))
+    explained = found.failed - len(found.unexplained) - len(found.ended)
     faults = f"{len(found.faults)} probable fault{'' if len(found.faults) == 1 else 's'}"
-    return f"{faults} explain{'s' if len(found.faults) == 1 else ''} {explained} of {failed} that failed"
+    text = f"{faults} explain{'s' if len(found.faults) == 1 else ''} {explained} of {failed} that failed"
+    left = len(found.unexplained)
+    unexplained = f"{left} {_are(left)} unexplained" if left else ""
+    return "; ".join(filter(None, [text, ended, unexplained]))
 
 
 def certainty(fault: Probable) -> str:
@@ -58,6 +67,8 @@ def certainty(fault: Probable) -> str:
     text = f"explains {len(fault.explains)} failed case{'' if len(fault.explains) == 1 else 's'}"
     if fault.expected:
         text += f"; a node with only this fault fails {fault.expected} of the decided cases: {hits} of them failed"
+    if len(fault.explains) == 1:
+        text += "; another fault that only this case shows is as likely"
     return text
 
 
@@ -66,14 +77,14 @@ def _are(count: int) -> str:
 
 
 class Death(NamedTuple):
-    """Cases in which the implementation crashed in the same way."""
+    """Cases in which the implementation ended or stopped answering in the same way, and nothing else failed."""
 
     how: str
     cases: tuple[CaseResult, ...]
 
 
 def deaths(run: RunResult) -> list[Death]:
-    """Return the crashes that occurred in several cases, the most frequent first."""
+    """Return how the implementation ended or stopped answering in several cases, the most frequent first."""
     found: dict[str, list[CaseResult]] = {}
     for case in run.cases:
         if case.killed and case.death and only_died(case):
@@ -82,14 +93,8 @@ def deaths(run: RunResult) -> list[Death]:
     return sorted(groups, key=lambda group: -len(group.cases))
 
 
-def only_died(case: CaseResult) -> bool:
-    """Return whether the crash is the only thing that failed in a case."""
-    bad = bad_checks(case)
-    return bool(bad) and all(check.expected.startswith(SURVIVAL) for check in bad)
-
-
 def undecided_deaths(run: RunResult) -> str:
-    """Return a sentence with the cases that crashed the implementation without violating a requirement, or ""."""
+    """Return a sentence with the cases that the implementation did not survive and no requirement decides, or ""."""
     cases = [
         case.id
         for case in run.cases
@@ -100,11 +105,6 @@ def undecided_deaths(run: RunResult) -> str:
     listed = ", ".join(cases[:_NAMED]) + (f" and {len(cases) - _NAMED} more" if len(cases) > _NAMED else "")
     many = "1 case" if len(cases) == 1 else f"{len(cases)} cases"
     return f"the implementation did not survive {many}, which no requirement decides: {listed}"
-
-
-def bad_checks(case: CaseResult) -> list[Check]:
-    """Return the failed checks of a case, and those in error."""
-    return [check for check in case.checks if check.verdict in BAD]
 
 
 class Reading(NamedTuple):
