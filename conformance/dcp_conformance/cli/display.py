@@ -19,10 +19,10 @@ from dcp_conformance.check.wording import moment
 from dcp_conformance.model.case import Case
 from dcp_conformance.model.outcome import nothing_decided
 from dcp_conformance.model.results import CaseResult, Check, RunResult
+from dcp_conformance.model.survival import bad_checks
 from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reporting.overview import (
     Death,
-    bad_checks,
     certainty,
     deaths,
     diagnosed,
