@@ -58,7 +58,7 @@ def profile_options(function: F) -> F:
         default="auto",
         show_default=True,
         metavar="NAME|FILE|auto",
-        help=f"Wire profile: {', '.join(profile_names())}, a TOML file, or auto to find it out.",
+        help=f"Wire profile: {', '.join(profile_names())}, a TOML file, or auto to detect it.",
     )(function)
 
 

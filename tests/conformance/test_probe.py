@@ -85,7 +85,7 @@ def test_what_is_seen_without_one():
     assert pics.pics.several_containers is None
     assert pics.pics.runtime_parameters is None
     assert pics.sut == Pics().sut
-    assert "there is no upper tester: what can only be asked stays open" in remarks
+    assert "there is no upper tester: claims about services remain undecided" in remarks
     assert any(each.startswith("pixit.profile: a guess from ") for each in remarks)
     # The network identifier is in the beacons of this profile only.
     if codec("dcp-2.0").profile.has_header_field("networkId"):

@@ -26,7 +26,7 @@ main = CommandLine(
     },
     about="Test implementations of DCP (Drone Coordination Protocol), live or from recordings.",
     exit_status="0 everything as expected; 1 an unexpected fail or pass; 2 wrong usage, or nothing to run; 3 nothing "
-    "unexpected, but something inconclusive; 4 the tester's own trouble; 130 interrupted.",
+    "unexpected, but something inconclusive; 4 a fault of the tester; 130 interrupted.",
     failures=_FAILURES,
     extras={"jinja2": "conformance"},
     fault_status=4,

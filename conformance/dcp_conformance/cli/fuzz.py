@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 EXIT_STATUS = (
     "Exit status: 0 nothing found; 1 findings; 2 wrong usage; 3 the implementation was not healthy at the start, "
-    "or did not answer after a restart; 4 the tester's own trouble; 130 stopped by Ctrl-C or SIGTERM without a finding."
+    "or did not answer after a restart; 4 a fault of the tester; 130 stopped by Ctrl-C or SIGTERM without a finding."
 )
 #: Time limit in seconds for minimising a finding of a live implementation.
 _MINIMISING = 60.0

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 EXIT_STATUS = (
     "Exit status: 0 every cell that applies passes; 1 a cell fails; 2 wrong usage, or no cell applies; 3 a cell is "
-    "inconclusive; 4 the tester's own trouble; 130 interrupted. With --selftest, 0 means that every fault makes a cell "
+    "inconclusive; 4 a fault of the tester; 130 interrupted. With --selftest, 0 means that every fault makes a cell "
     "fail and no permitted variant does."
 )
 

@@ -20,7 +20,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 EXIT_STATUS = (
     "Exit status: 0 everything as expected; 1 an unexpected fail or pass; 2 wrong usage, or nothing to run; "
-    "3 nothing unexpected, but something inconclusive, or nothing decided at all; 4 the tester's own trouble; 130 "
+    "3 nothing unexpected, but something inconclusive, or nothing decided at all; 4 a fault of the tester; 130 "
     "interrupted by Ctrl-C, SIGTERM or SIGHUP, with a report of the executed cases."
 )
 

@@ -16,7 +16,7 @@ from .options import target_of, target_options
 @click.command(
     "probe",
     epilog="Exit status: 0 a frame or answer was received; 2 wrong usage, or a file that cannot be written; 3 neither "
-    "frame nor answer was received, or no profile explains the frames; 4 the tester's own trouble.",
+    "frame nor answer was received, or no profile explains the frames; 4 a fault of the tester.",
 )
 @target_options
 @click.option(

@@ -218,7 +218,9 @@ class Life:
         control = self._control
         if control is not None and self.ended():
             cause = control.why_dead()
-            return Loss(True, f"it is dead after this case{f': {cause}' if cause else ''}{_last_sign(bench)}", cause)
+            return Loss(
+                True, f"it is not running after this case{f': {cause}' if cause else ''}{_last_sign(bench)}", cause
+            )
         return Loss(False, self._silence(bench), doubtful=not {"answer", "service"} & self._shown)
 
     def _silence(self, bench: Bench) -> str:

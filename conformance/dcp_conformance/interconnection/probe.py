@@ -147,7 +147,7 @@ def draft(
 def _introduce(found: Draft, upper: UpperTester | None) -> bytes | None:
     """Take what UT-Hello reports. Return the node identifier."""
     if upper is None:
-        found.remarks.append("there is no upper tester: what can only be asked stays open")
+        found.remarks.append("there is no upper tester: claims about services remain undecided")
         return None
     about = upper.about
     for key, member in (("name", "name"), ("version", "version")):

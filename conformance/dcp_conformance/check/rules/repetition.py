@@ -25,6 +25,7 @@ from dcp_conformance.check.statements import (
 from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.model.circular import Circle
 from dcp_conformance.model.results import Mark
+from dcp_conformance.model.verdict import Verdict
 
 from .dialogue import Counter
 
@@ -98,7 +99,7 @@ class Repetitions(Invariant):
 
     A node that the recorder does not hear may have given a reason to send an instruction again. Therefore a single
     excess is no failure (see :class:`~dcp_conformance.check.counter.Counter`), and runs with missing beacons do not
-    count.
+    count. If creates name a producer without any recorded beacon, there is such a node, and the rule is inconclusive.
     """
 
     id = "CK_VD_REPEAT"
@@ -112,6 +113,8 @@ class Repetitions(Invariant):
         self._circle = Circle(context.profile.types.var_seqno.width)
         self._creation: dict[tuple[bytes, int], tuple[tuple[Any, ...], int]] = {}
         """(node, variable) -> producer and creation time, and repCnt, in the node's last create."""
+        self._producers: set[bytes] = set()
+        """Producers that creates name."""
         self._runs: dict[_Key, _Run] = {}
         self._frames: deque[_Frame] = deque()
         """Recent beacons. They are evaluated only for the few runs that exceed repCnt."""
@@ -147,6 +150,7 @@ class Repetitions(Invariant):
             if kind is CREATE and ((node, var_id) in self._creation or len(self._creation) < MOST_VARIABLES):
                 spec = each.record.spec
                 self._creation[node, var_id] = ((spec.prod_id, spec.creation_time), spec.rep_cnt)
+                self._producers.add(spec.prod_id)
             if kind is DELETE:
                 self._close(now, (node, var_id, CREATE), (node, var_id, UPDATE))
             elif self._deleting and (kind is CREATE or kind is UPDATE or kind is SUMMARY):
@@ -259,6 +263,8 @@ class Repetitions(Invariant):
         self._count(1 << 63)
         for rules, count in zip((_UNTOLD, _TOLD), self._ended, strict=True):
             self.exercised(*rules, times=count)
+        silent = sorted(each for each in self._producers if self.context.senders.get(each) is None)
+        verdict = Verdict.INCONCLUSIVE if silent else Verdict.FAIL
         for key, counter in self._counters.items():
             if not counter.convincing:
                 continue
@@ -269,7 +275,11 @@ class Repetitions(Invariant):
             )
             if told:
                 text += "; requests with the same number must not be answered"
-            self.violated(text, counter.examples, *(_TOLD if told else _UNTOLD))
+            if silent:
+                text += (
+                    f"; the recording has no beacon of the producer {name(silent[0])}, which may have asked for them"
+                )
+            self.violated(text, counter.examples, *(_TOLD if told else _UNTOLD), verdict=verdict)
 
 
 class Requests(Invariant):
