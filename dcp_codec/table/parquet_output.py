@@ -112,7 +112,12 @@ def options(schema: pa.Schema) -> dict[str, Any]:
       too, but DuckDB before 2.0 reads this encoding for floats only.
     * All columns are compressed with lz4: zstd at level 1 takes up to twice as long for octets with the same size.
     * Minimum and maximum of a row group are written for the time only, which queries use to select parts of recordings:
-      determining them takes a quarter as long as writing.
+      determining them takes a twelfth of the time of writing.
+
+    Other options were measured and do not help. PLAIN numbers without compression and statistics take half as long to
+    encode, but a fifth longer in total, because the files are many times as large. PLAIN instead of differences saves a
+    seventh of the time of writing, and the files become 2.7 times as large. Pages of version 2, smaller pages and other
+    batch sizes change the total by less than 4 %.
     """
     identifiers = [field.name for field in schema if pa.types.is_dictionary(field.type)]
     differences = [field.name for field in schema if _counts_up(field, schema)]
