@@ -132,9 +132,9 @@ def query(prot_id: int, control: str, as_json: bool) -> int:
 def watch(
     prot_ids: tuple[int, ...], count: int | None, seconds: float | None, sent: bool, control: str, as_json: bool
 ) -> int:
-    """Show the payloads received for registered protocols (except SRP and VarDis, which process their own).
+    """Show the payloads received for client protocols.
 
-    With --json, one object per line.
+    Payloads for SRP and VarDis are not shown, since these protocols process them. With --json, one object per line.
     """
     wanted = {"BP-ReceivePayload.indication"} | ({"BP-PayloadTransmitted.indication"} if sent else set())
 

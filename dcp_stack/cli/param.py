@@ -60,7 +60,10 @@ def _of(client: ControlClient, protocol: str) -> dict[str, Any]:
 @click.argument("value")
 @node_options
 def set_(name: str, value: str, control: str, as_json: bool) -> int:
-    """Set parameter NAME; a VALUE out of bounds is refused and the old one is kept."""
+    """Set parameter NAME to VALUE.
+
+    If VALUE is out of bounds, it is refused and the old value is kept.
+    """
     try:
         protocol = parameter(name).protocol
     except UnknownParameterError as error:

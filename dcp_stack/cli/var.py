@@ -229,9 +229,9 @@ def _described(client: ControlClient, variable: dict[str, Any]) -> dict[str, Any
 @watch_options("changes")
 @node_options
 def watch(var_ids: tuple[int, ...], count: int | None, seconds: float | None, control: str, as_json: bool) -> int:
-    """Show the current state of variables (all, or those with these IDs), and then every change.
+    """Show the state of variables, and then every change.
 
-    With --json, one object per line.
+    Without an ID, all variables are shown. With --json, one object per line.
     """
 
     def show(told: Notification) -> str:

@@ -123,7 +123,10 @@ def _only(parts: tuple[str, ...]) -> str:
 @jobs_option
 @campaign_options
 def stack_command(**options: Any) -> int:
-    """Fuzz the reference node in process, and compare it with an independent model after every step."""
+    """Fuzz the reference node in process.
+
+    After every step the node is compared with an independent model.
+    """
     make = partial(stack_campaign, options)
     with make() as campaign:
         return run_campaign(campaign, options, make=make)
@@ -247,10 +250,12 @@ NOBODY = b"\x02\x00\x00\x00\x00\x01"
 @no_jobs
 @campaign_options
 def live_command(**options: Any) -> int:
-    """Fuzz a live implementation, to find inputs that make it crash, hang or stop sending.
+    """Find inputs that crash or hang a live implementation.
 
-    Before the campaign the implementation must answer. With --start, --restart or --pid its process is watched and
-    restarted; without them the campaign ends when it dies. --rate is in frames per second.
+    An implementation that stops sending is reported, too.
+
+    Before the campaign the implementation must answer. With --start or --restart it is restarted after a crash;
+    without them the campaign ends at the first one. --rate is in frames per second.
     """
     return _live(options, differential=False)
 
@@ -261,10 +266,11 @@ def live_command(**options: Any) -> int:
 @no_jobs
 @campaign_options
 def differential_command(**options: Any) -> int:
-    """Compare an implementation with an independent model after each sequence.
+    """Compare an implementation with a model.
 
-    Both get the same sequence of frames and, with an upper tester, of service calls. Then summaries, values, statuses
-    and the neighbour table must agree, except where the specification leaves a choice. --rate is in frames per second.
+    The model is independent of the reference node. Both get the same sequence of frames and, with an upper tester, of
+    service calls. Then summaries, values, statuses and the neighbour table must agree, except where the specification
+    leaves a choice. --rate is in frames per second.
     """
     return _live(options, differential=True)
 
@@ -275,7 +281,9 @@ def differential_command(**options: Any) -> int:
 @_OWN_NODE
 @click.option("--attempts", type=click.IntRange(1), default=3, metavar="N", help="Attempts for each.  [default: 3]")
 def replay_command(artefacts: tuple[Path, ...], attempts: int, **options: Any) -> int:
-    """Repeat findings; print fixed, failed, flaky or error for each.
+    """Repeat findings, and print the result of each.
+
+    The result is fixed, failed, flaky or error.
 
     ARTEFACTS are files or folders. For artefacts of a live implementation, give its link and upper tester.
     """

@@ -22,11 +22,11 @@ if TYPE_CHECKING:
     from dcp_conformance.selftest.variants.variant import Variant
 
 EXIT_STATUS = (
-    "Exit status: 0 the reference node passes and every mutant is killed by a case that names its requirement; 1 not; "
-    "2 wrong usage; 4 a case ended in an error of the tester. With --variants, 0 means that no "
-    "variant fails a case and that every inconclusive verdict is explained. With --citations, 0 means that "
-    "every citation is proved by a case or test, or has a reason in the ledger that is still needed. With "
-    "--recordings, 0 means no finding in networks without a fault."
+    "Exit status: 0 the reference node passes and every mutant is killed by a case that names its requirement; "
+    "1 the node fails a case, or a mutant is not killed; 2 wrong usage; 4 a case ended in an error of the tester. "
+    "With --variants, 0 means that no variant fails a case and that every inconclusive verdict is explained. "
+    "With --citations, 0 means that every citation is proved by a case or test, or has a reason in the "
+    "ledger that is still needed. With --recordings, 0 means no finding in networks without a fault."
 )
 #: Maximum number of selected mutants that are shown in separate rows without --verbose.
 _FEW = 40
