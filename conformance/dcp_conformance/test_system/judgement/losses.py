@@ -70,8 +70,8 @@ class Losses:
     def own(self, *, numbers: bool = False, patience: float = 1.0) -> str:
         """Describe everything that the tester has missed in this case; empty if nothing is known.
 
-        ``numbers``: only losses that can explain a gap between the sequence numbers of beacons. ``patience``: lateness
-        of the tester up to so many beacon periods explains nothing.
+        ``numbers``: only losses that can explain a gap between the sequence numbers of beacons. ``patience``: number of
+        beacon periods by which the tester may be late without an effect.
         """
         lost = self.of_tester(numbers=numbers, patience=patience)
         if not numbers and (gaps := self.gaps()):

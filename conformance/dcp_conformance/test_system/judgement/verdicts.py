@@ -81,8 +81,8 @@ class Verdicts:
         ``numbers``: the check is about sequence numbers of beacons. A gap between them is a failure and not an excuse;
         only frames that the kernel dropped are an excuse.
 
-        ``patience``: lateness of the tester up to so many beacon periods cannot be the cause of the failure. More than
-        one if the stimuli have the same effect at any time, or were repeated.
+        ``patience``: number of beacon periods by which the tester may be late without an effect on this check. More
+        than one if the stimuli have the same effect at any time, or were repeated.
 
         ``field``: the check compares this field, see :meth:`.Excuses.relies_on`.
         """
