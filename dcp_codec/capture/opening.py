@@ -149,11 +149,13 @@ def _create_mcap(
 
 def _format_of(target: str | Path | BinaryIO) -> str:
     if not isinstance(target, (str, Path)) or target == "-":
-        raise CaptureError("standard output and streams have no suffix that says which format to write: name it")
+        raise CaptureError("standard output and streams have no suffix that names the format: give it (--format)")
     suffix = without_compression(target).suffix.lower()
     if suffix not in SUFFIXES:
         known = ", ".join(SUFFIXES)
-        raise CaptureError(f"{target}: its suffix does not say which format to write ({known}): name it")
+        raise CaptureError(
+            f"{target}: the suffix names no format (known: {known}); change it, or give the format (--format)"
+        )
     return SUFFIXES[suffix]
 
 

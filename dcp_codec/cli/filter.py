@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 from pathlib import Path
 
@@ -33,6 +34,7 @@ from .filters import Moment, frame_range, parse_time
 )
 @click.argument("source", required=False)
 @click.argument("target", required=False)
+@click.argument("surplus", nargs=-1, metavar="")
 @profile_options
 @click.option("-w", "--where", "text", metavar="EXPR", help="Keep DCP frames for which this holds.")
 @click.option("--frames", callback=frame_range, metavar="N[-M]", help="Keep these frame numbers.")
@@ -53,6 +55,7 @@ from .filters import Moment, frame_range, parse_time
 def command(
     source: str | None,
     target: str | None,
+    surplus: tuple[str, ...],
     profile: str,
     ether_type: int | None,
     text: str | None,
@@ -76,6 +79,10 @@ def command(
         codec = load_codec("cpp-2.0" if profile == "auto" else profile)
         click.echo("\n".join(name.removeprefix("payloads.") for name in field_names(codec.beacon_plan)))
         return 0
+    if surplus:
+        raise click.UsageError(
+            f"unexpected argument {surplus[0]!r}; give a condition with --where {shlex.quote(surplus[0])}"
+        )
     if source is None or target is None:
         raise click.UsageError("give SOURCE and TARGET")
     if text is None and other is False and profile == "auto":

@@ -339,8 +339,12 @@ def scale(plot: Plot, limits: tuple[float, float]) -> None:
     low, high = limits
     if plot.from_zero and low >= 0:
         low, high = 0.0, high or 1.0
-    # The range must not be so narrow that the labels of both ends are equal.
-    room = 0.06 * max(high - low, 1e-3, 1e-6 * abs(low), 1e-6 * abs(high))
+    # Labels have three decimals. The range must not be so narrow that those of neighbouring ticks are equal.
+    narrowest = max(0.01, 1e-6 * abs(low), 1e-6 * abs(high))
+    if high - low < narrowest:
+        low = low if plot.from_zero and low >= 0 else (low + high - narrowest) / 2
+        high = low + narrowest
+    room = 0.06 * (high - low)
     plot.figure.y_range = Range1d(low - (room if low or not plot.from_zero else 0), high + room)
 
 

@@ -135,7 +135,7 @@ def test_pcap_refuses_what_it_has_no_place_for():
     writer = create_capture(io.BytesIO(), format="pcap")
     for frame, message in [
         (Frame(1, 2**32 * 10**9, b"a", 1), "2106"),
-        (Frame(1, 1, b"a", 1, interface=1), "interface, 1; take pcapng"),
+        (Frame(1, 1, b"a", 1, interface=1), "interface number, 1; use pcapng"),
         (Frame(1, 0, b"", 0), "zeroed end"),
     ]:
         with pytest.raises(CaptureError, match=message):

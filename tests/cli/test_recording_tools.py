@@ -56,6 +56,22 @@ def test_filter_refuses_wrong_conditions_and_leaves_no_file(run, tmp_path):
     assert "bp.senderId" in run("filter", "--fields").out.splitlines()
 
 
+@pytest.mark.parametrize(
+    ("arguments", "hint"),
+    [
+        (("filter", CRUD, "a.pcap", "vardis.icType == 6"), "give a condition with --where 'vardis.icType == 6'"),
+        (("convert", CRUD, "a.bin"), "--format"),
+        (("merge", CRUD, CRUD, "-o", "a.pcap"), "--lossy"),
+    ],
+)
+def test_refusals_name_the_option_that_helps(run, tmp_path, monkeypatch, arguments, hint):
+    monkeypatch.chdir(tmp_path)
+    done = run(*arguments)
+    assert done.status == 2
+    assert hint in done.err
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_merge_orders_by_time(run, tmp_path):
     run("filter", CRUD, tmp_path / "a.pcapng", "-w", "bp.senderId == 02:00:00:00:00:01")
     run("filter", CRUD, tmp_path / "b.pcap", "-w", "bp.senderId != 02:00:00:00:00:01")

@@ -13,6 +13,7 @@ from dcp_conformance.model.survival import SURVIVAL
 from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reporting.overview import diagnosed, headline
 from dcp_conformance.selftest.diagnosis import measuring
+from dcp_conformance.selftest.diagnosis.dictionary_making import signature
 from dcp_conformance.selftest.diagnosis.measuring import draw, outcome
 from dcp_conformance.selftest.mutants import all_mutants
 from dcp_conformance.selftest.mutants.combination import combined
@@ -144,6 +145,20 @@ def test_the_dictionary_has_all_mutants_and_known_cases_only() -> None:
         assert each.fails <= cases
         assert each.what == every[name].what, f"run: dcp-conformance selftest --dictionary FILE {name}"
         assert each.requirements == every[name].requirements
+
+
+@pytest.mark.parametrize(
+    "mutant",
+    ["M-BP-HDR-03-reversed", "M-BP-TX-01-slow", "M-SRP-SEQ-01-eight-bits", "M-SRP-NT-03-own", "M-VD-RU-01-ignored"],
+)
+def test_the_signatures_of_the_dictionary_are_those_of_the_present_cases(mutant: str) -> None:
+    then = next(each for each in load().faults if each.id == mutant)
+    now = signature(all_mutants()[mutant]).fault
+    changed = (now.fails ^ then.fails) | (now.undecided ^ then.undecided)
+    assert len(changed) <= max(3, 0.1 * len(now.fails | now.undecided)), (
+        "the cases have changed: run `dcp-conformance selftest --dictionary "
+        "conformance/dcp_conformance/data/fault-dictionary.json` (about 20 minutes of processor time)"
+    )
 
 
 @pytest.mark.parametrize(

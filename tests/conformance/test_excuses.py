@@ -143,6 +143,16 @@ def test_a_tester_that_is_held_up_before_it_sends_is_late(periods: float, verdic
     assert verdict_of(bench) is verdict
 
 
+@pytest.mark.parametrize(("periods", "verdict"), [(3.9, Verdict.FAIL), (4.1, Verdict.INCONCLUSIVE)])
+def test_a_check_with_repeated_stimuli_tolerates_more_lateness(periods: float, verdict: Verdict):
+    bench, _, sut = rig()
+    peer = bench.peer()
+    bench.wait(1)
+    idle(sut, round(periods * PERIOD))
+    peer.send(peer.summary(bench.unknown_id(), 1))
+    assert verdict_of(bench, patience=4) is verdict
+
+
 def test_a_tester_that_is_held_up_while_it_sends_is_late():
     bench, lower, sut = rig()
     peer = bench.peer()

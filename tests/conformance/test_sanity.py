@@ -17,6 +17,7 @@ from dcp_conformance.reference.inprocess import InProcess, MakeNode, plain_node,
 from dcp_conformance.selftest.mutants import all_mutants
 from dcp_conformance.test_system.bench import Session
 from dcp_conformance.test_system.judgement.contact import Contact
+from dcp_conformance.test_system.steps import Steps
 
 from dcp_stack.node import Node
 
@@ -49,6 +50,18 @@ def sanity(sut: InProcess, profile: str = "dcp-2.0", **more: Any) -> tuple[CaseR
 def node(profile: str = "dcp-2.0", make: MakeNode = plain_node, **bp: Any) -> InProcess:
     config = reference_config(codec_of(profile))
     return InProcess(msgspec.structs.replace(config, bp=msgspec.structs.replace(config.bp, **bp)), make=make)
+
+
+def late_by(duration: int) -> Callable[[Steps], int]:
+    """Return a replacement of ``Steps.begin`` that reports each step as late by ``duration`` ns."""
+    begin = Steps.begin
+
+    def late(self: Steps) -> int:
+        time = begin(self)
+        self.late_ns = duration
+        return time
+
+    return late
 
 
 def talking(sut: InProcess) -> InProcess:
@@ -190,6 +203,13 @@ def test_it_answers_no_summary_but_other_stimuli(upper: bool):
     assert contact.answered >= {"create", "request"}
     assert contact.unanswered == {"summary"}
     assert "it answers a VarCreate" in result.reason
+
+
+def test_a_tester_that_is_a_little_late_still_finds_a_kind_of_stimulus_without_answer(monkeypatch):
+    """Under load the tester is late by more than a beacon period in nearly every execution of this case."""
+    monkeypatch.setattr(Steps, "begin", late_by(3 * 100_000_000))
+    result, _ = sanity(node(make=mutant("M-VD-PS-01-ignored")), upper=True)
+    assert [each.requirements for each in result.checks if each.verdict is Verdict.FAIL] == [("VD-PS-01",)]
 
 
 def test_it_delivers_payloads_but_vardis_sends_nothing():

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from bokeh.plotting import figure
 
 from dcp_codec import get_codec
 from dcp_codec.capture import Frame, create_capture
@@ -22,6 +23,7 @@ from dcp_codec.cli import main
 from dcp_codec.framing.envelope import Envelope
 from dcp_codec.report import analysis, variables
 from dcp_codec.report.chapter import chapter
+from dcp_codec.report.chart import Plot, scale
 from dcp_codec.report.colours import BACKGROUNDS, FOREGROUNDS, SCHEMES, SYMBOLS
 from dcp_codec.report.page import Chapter, render
 from dcp_codec.report.recorded import gather
@@ -468,3 +470,16 @@ def test_missing_package_is_named(run, monkeypatch, tmp_path):
     done = run(record(tmp_path / "a.pcap", []), "-o", tmp_path / "a.html")
     assert done.status == 2
     assert "bokeh is not installed: pip install 'dcp-conformance-kit[report]'" in done.err
+
+
+@pytest.mark.parametrize("from_zero", [False, True])
+@pytest.mark.parametrize("limits", [(0.0, 0.0), (0.0, 0.0004), (-0.001, 0.001), (12.5, 12.5), (4e7, 4e7), (0.0, 250.0)])
+def test_labels_of_three_decimals_distinguish_the_ticks_of_every_axis(limits, from_zero):
+    plot = Plot("a", "A", "", "", figure(), limits, over_time=True, from_zero=from_zero)
+    scale(plot, limits)
+    start, end = plot.figure.y_range.start, plot.figure.y_range.end
+    assert start <= limits[0]
+    assert limits[1] <= end
+    assert end - start >= 0.01
+    if from_zero and limits[0] >= 0:
+        assert start >= 0

@@ -44,5 +44,8 @@ class PcapWriter(CaptureWriter):
 
 def _what_is_lost(frame: Frame, nanoseconds: int) -> str:
     if nanoseconds:
-        return f"its last {nanoseconds} ns would be lost in microseconds; take nanoseconds, or allow the loss"
-    return f"pcap has no place for its interface, {frame.interface}; take pcapng, or allow the loss"
+        return (
+            f"its last {nanoseconds} ns would be lost in microseconds; use nanoseconds (--resolution ns), or permit "
+            "the loss (--lossy)"
+        )
+    return f"pcap cannot store its interface number, {frame.interface}; use pcapng, or permit the loss (--lossy)"

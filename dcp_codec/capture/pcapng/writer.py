@@ -58,7 +58,8 @@ class PcapngWriter(CaptureWriter):
         if lost and not self._lossy:
             raise self._refuse(
                 frame,
-                f"its last {lost} ns would be lost in microseconds; take nanoseconds, or allow the loss",
+                f"its last {lost} ns would be lost in microseconds; use nanoseconds (--resolution ns), or permit "
+                "the loss (--lossy)",
             )
         if not 0 <= frame.interface <= MAX_INTERFACE:
             raise self._refuse(frame, f"its interface, {frame.interface}, is not within 0..{MAX_INTERFACE}")

@@ -36,7 +36,7 @@ _MEASURES: Final = (
     (r"TC_VD_ROOM_.*", _FILLS),
     (r"TC_NET_CROWD_.*", _FILLS),
     (r"TC_VD_PAY_BV_0[67].*", _FILLS),
-    (r"TC_VD_CMP_BV_(01|02|04-creates|06|09|12|13|14|15).*", _FILLS),
+    (r"TC_VD_CMP_BV_(01|02|04.*|06|09|12|13|14|15).*", _FILLS),
     (r"TC_VD_SUM_BV_0[235].*", _FILLS),
     (r"TC_VD_SPLIT_BV_0[34]", _FILLS),
     (r"TC_VD_SCR_TI_15", _FILLS),
@@ -59,6 +59,7 @@ _FAMILIES: Final = (
     (re.compile(r"TC_VD_ID_BV_01-.*"), "boundary values of identifiers"),
     # A receiver may take other octets of such a payload for a record, of a variable of another case.
     (re.compile(r"TC_VD_ROB_BI_0[12].*"), "malformed containers"),
+    (re.compile(r"TC_VD_SCR_TI_(04|05|14).*"), "times of deletions"),
 )
 """Families: cases that are executed beside each other, but not beside other cases."""
 _PATTERNS: Final = tuple((re.compile(pattern), reason) for pattern, reason in _MEASURES)

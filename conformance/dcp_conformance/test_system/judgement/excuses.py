@@ -93,26 +93,27 @@ class Excuses:
         *,
         shown: bool = False,
         numbers: bool = False,
+        patience: float = 1.0,
         field: Misread | None = None,
     ) -> Excuse | None:
         """Return an excuse for a failed check that decides these requirements; None if the failure counts.
 
-        ``shown``, ``numbers`` and ``field``: see :meth:`~.verdicts.Verdicts.check`. Once losses or assumptions have
-        excused a failure, they excuse failures of both kinds: later ones may follow from the same loss.
+        ``shown``, ``numbers``, ``patience``, ``field``: see :meth:`~.verdicts.Verdicts.check`. Once losses or
+        assumptions have excused a failure, they excuse failures of both kinds: later ones may follow from it.
         """
         if fault := self.misread(requirements, shown=shown, field=field):
             return Excuse(f"this follows from another fault: {fault}")
         # The tester has lost nothing: later failures that are proved by received octets still count.
         if not shown and not numbers and (fault := self.unreadable(requirements)):
             return Excuse(fault)
-        if text := self.disturbance(shown=shown and not self._disturbed, numbers=numbers):
+        if text := self.disturbance(shown=shown and not self._disturbed, numbers=numbers, patience=patience):
             self._disturbed = True
             return Excuse(text, self.only_disturbed(numbers=numbers))
         if not shown and (fault := self.out_of_reach(requirements)):
             return Excuse(fault)
         return None
 
-    def disturbance(self, *, shown: bool = False, numbers: bool = False) -> str:
+    def disturbance(self, *, shown: bool = False, numbers: bool = False, patience: float = 1.0) -> str:
         """Describe losses and assumptions that excuse a failure; empty if there are none.
 
         An assumed parameter excuses both kinds of failure, because the expectation itself may be wrong. Losses and
@@ -121,7 +122,7 @@ class Excuses:
         """
         if shown and (misled := self._losses.misleading()):
             return misled
-        if not shown and (lost := self._losses.own(numbers=numbers)):
+        if not shown and (lost := self._losses.own(numbers=numbers, patience=patience)):
             return f"the tester has lost something: {lost}"
         return self._assumptions.text() or ("" if shown else "; ".join(self._assumptions.stimuli.values()))
 

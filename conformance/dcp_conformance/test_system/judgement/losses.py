@@ -67,18 +67,19 @@ class Losses:
         """Describe effects of an impaired link after which even received data may be wrong; empty without any."""
         return self._described(each for each in self.take_incidents() if each.misleads)
 
-    def own(self, *, numbers: bool = False) -> str:
+    def own(self, *, numbers: bool = False, patience: float = 1.0) -> str:
         """Describe everything that the tester has missed in this case; empty if nothing is known.
 
-        ``numbers``: only losses that can explain a gap between the sequence numbers of beacons.
+        ``numbers``: only losses that can explain a gap between the sequence numbers of beacons. ``patience``: number of
+        beacon periods by which the tester may be late without an effect.
         """
-        lost = self.of_tester(numbers=numbers)
+        lost = self.of_tester(numbers=numbers, patience=patience)
         if not numbers and (gaps := self.gaps()):
             lost.append(f"beacons were not heard ({gaps})")
         return ", ".join(lost)
 
-    def of_tester(self, *, numbers: bool = False) -> list[str]:
-        """Describe the faults of the tester or its link in this case. ``numbers``: see :meth:`own`."""
+    def of_tester(self, *, numbers: bool = False, patience: float = 1.0) -> list[str]:
+        """Describe the faults of the tester or its link in this case. ``numbers`` and ``patience``: see :meth:`own`."""
         incidents = self.take_incidents()
         faults = []
         # Only the loss of a beacon explains a missing sequence number, not the loss of a stimulus.
@@ -86,7 +87,7 @@ class Losses:
             faults.append(link)
         if self.dropped:
             faults.append(f"the kernel dropped {self.dropped} frames")
-        if not numbers and self._steps.late_ns > self._sut.period:
+        if not numbers and self._steps.late_ns > patience * self._sut.period:
             faults.append(f"it acted late by {self._steps.late_ns / MS:.0f} ms")
         return faults
 

@@ -67,6 +67,7 @@ class Verdicts:
         frames: Iterable[ReceivedBeacon | Instruction | Mark] = (),
         shown: object = False,
         numbers: bool = False,
+        patience: float = 1.0,
         field: Misread | None = None,
     ) -> bool:
         """Record whether a condition holds, and return it. Does not stop the case.
@@ -80,13 +81,16 @@ class Verdicts:
         ``numbers``: the check is about sequence numbers of beacons. A gap between them is a failure and not an excuse;
         only frames that the kernel dropped are an excuse.
 
+        ``patience``: number of beacon periods by which the tester may be late without an effect on this check. More
+        than one if the stimuli have the same effect at any time, or were repeated.
+
         ``field``: the check compares this field, see :meth:`.Excuses.relies_on`.
         """
         if holds:
             self._add(Verdict.PASS, expected, "", requirements, frames)
             return True
         decided = requirements or self._case.requirements
-        excuse = self._excuses.find(decided, shown=bool(shown), numbers=numbers, field=field)
+        excuse = self._excuses.find(decided, shown=bool(shown), numbers=numbers, patience=patience, field=field)
         if excuse is None:
             self._add(Verdict.FAIL, expected, observed, requirements, frames, shown=bool(shown))
         else:
@@ -118,9 +122,12 @@ class Verdicts:
         frames: Iterable[ReceivedBeacon | Instruction | Mark] = (),
         shown: object = False,
         numbers: bool = False,
+        patience: float = 1.0,
     ) -> NoReturn:
         """Record a failure as :meth:`check` does, and stop the case."""
-        self.check(False, expected, observed, *requirements, frames=frames, shown=shown, numbers=numbers)
+        self.check(
+            False, expected, observed, *requirements, frames=frames, shown=shown, numbers=numbers, patience=patience
+        )
         raise StopCase
 
     def inconclusive(self, expected: str, observed: str, /, *requirements: str) -> NoReturn:
