@@ -157,7 +157,8 @@ def test_the_signatures_of_the_dictionary_are_those_of_the_present_cases(mutant:
     changed = (now.fails ^ then.fails) | (now.undecided ^ then.undecided)
     assert len(changed) <= max(3, 0.1 * len(now.fails | now.undecided)), (
         "the cases have changed: run `dcp-conformance selftest --dictionary "
-        "conformance/dcp_conformance/data/fault-dictionary.json` (about 20 minutes of processor time)"
+        "conformance/dcp_conformance/data/fault-dictionary.json` (about 20 minutes of processor time), then "
+        "`dcp-conformance selftest --smoke-plan conformance/dcp_conformance/data/case-times.json`"
     )
 
 

@@ -59,7 +59,6 @@ _FAMILIES: Final = (
     (re.compile(r"TC_VD_ID_BV_01-.*"), "boundary values of identifiers"),
     # A receiver may take other octets of such a payload for a record, of a variable of another case.
     (re.compile(r"TC_VD_ROB_BI_0[12].*"), "malformed containers"),
-    (re.compile(r"TC_VD_SCR_TI_(04|05|14).*"), "times of deletions"),
 )
 """Families: cases that are executed beside each other, but not beside other cases."""
 _PATTERNS: Final = tuple((re.compile(pattern), reason) for pattern, reason in _MEASURES)
