@@ -35,7 +35,10 @@ def order_of(scalars: Sequence[Scalar]) -> str | None:
 
 
 def joins(run: Sequence[Scalar], scalar: Scalar) -> bool:
-    """Return whether ``scalar`` and ``run`` can share one ``struct`` format (a float cannot be swapped afterwards)."""
+    """Return whether ``scalar`` and ``run`` can share one ``struct`` format.
+
+    A float must have the byte order of the run: unlike the octets of an integer, it cannot be swapped afterwards.
+    """
     order = order_of(run)
     if scalar.kind == "float":
         return order is None or order == scalar.order

@@ -230,7 +230,7 @@ def _listen(lower: LowerTester, codecs: Sequence[Codec], seconds: float, ask: bo
 def _profile(
     found: Draft, upper: UpperTester | None, codecs: Sequence[Codec], arrivals: Sequence[Arrival], asked_for: str | None
 ) -> Codec | None:
-    """The profile: as the implementation says, else the likeliest; of several equally likely ones that asked for."""
+    """Return the profile that UT-Hello names, otherwise the most likely one; ``asked_for`` decides between equals."""
     told = upper.about.get("profile") if upper is not None else None
     by_name = {codec.profile.name: codec for codec in codecs}
     ranked = ranked_by(codecs, ((each.wall, each.octets) for each in arrivals)) if arrivals else None

@@ -346,7 +346,7 @@ class Scene:
         what: str = "",
         patience: float = 0.0,
     ) -> None:
-        """Check that all places (or ``places``) come to hold what ``producer`` holds, by beacons and services.
+        """Check that all places (or ``places``) get the variables of ``producer``, by beacons and services.
 
         ``among``: the number of variables in the network, which share the summaries of a beacon. ``patience``: seconds
         that are granted in addition, for what the stations still have to work off (a minute at most in real time).

@@ -151,7 +151,7 @@ class ProcessControl:
     # -- starting and ending -----------------------------------------------------------------------------------
 
     def start(self) -> None:
-        """Start it for the first time, if there is a command to.
+        """Start the implementation for the first time, if there is a start command.
 
         Raises ``UsageError`` if the command cannot be started, ``ConformanceError`` if it fails at once.
         """

@@ -207,7 +207,10 @@ class StreamUpperTester:
         return message
 
     def _stray(self, message: dict[str, Any]) -> None:
-        """Anything but the answer that is waited for: a notification, or the answer to what was given up."""
+        """Process a message other than the expected answer: a notification, or a late answer to an abandoned request.
+
+        Raises ``UpperTesterError`` for any other message.
+        """
         if "method" not in message:
             number = message.get("id")
             if isinstance(number, int) and number in self._given_up:

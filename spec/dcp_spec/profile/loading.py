@@ -139,7 +139,7 @@ def _build(raw: dict[str, Any], where: str) -> Profile:
 
 
 def _know_version(version: object, where: str) -> None:
-    """Refuse a version of the specification that this code base knows nothing of. A missing one is another error."""
+    """Raise ``ProfileError`` for an unknown version of the specification; None is reported by another check."""
     known = [str(each) for each in SpecVersion]
     if version is None or version in known:
         return

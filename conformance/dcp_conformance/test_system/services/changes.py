@@ -116,7 +116,7 @@ class Restoration:
 
     @property
     def spoilt(self) -> str:
-        """Why a change that can affect later cases is still in force after :meth:`restore`; empty if there is none.
+        """Reason why :meth:`restore` could not undo a change that can affect later cases; empty if there is none.
 
         Remaining registrations and subscriptions do not affect them.
         """
