@@ -7,10 +7,11 @@ import pytest
 from dcp_conformance.diagnosis import Dictionary, Fault, explain, load
 from dcp_conformance.diagnosis.dictionary import decode, encode
 from dcp_conformance.errors import UpperTesterError
-from dcp_conformance.model.case import all_cases
+from dcp_conformance.model.case import DECLARED, DENIED, all_cases
 from dcp_conformance.model.results import CaseResult, Check, Mark, RunResult
 from dcp_conformance.model.survival import SURVIVAL
 from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.reporting.exports import summary_markdown
 from dcp_conformance.reporting.overview import diagnosed, headline
 from dcp_conformance.selftest.diagnosis import measuring
 from dcp_conformance.selftest.diagnosis.dictionary_making import signature
@@ -32,7 +33,7 @@ def results(fails: str = "", passes: str = "", undecided: str = "") -> list[Case
     return [
         CaseResult(
             id=name,
-            purpose="",
+            purpose=f"Purpose of {name}",
             section="",
             kind="BV",
             requirements=("VD-RU-03",),
@@ -94,6 +95,18 @@ def test_what_no_fault_explains_is_left() -> None:
     assert named(found) == ["X"]
     assert found.unexplained == ("q",)
     assert found.failed == 3
+
+
+def test_declared_deviations_need_no_fault() -> None:
+    declared = [msgspec.structs.replace(each, id=name) for each in results("a") for name in (DECLARED, DENIED)]
+    found = explain([*results("a", "b"), *declared], Dictionary((fault("X", "a"),)))
+    assert (named(found), found.failed, found.unexplained) == (["X"], 1, ())
+
+
+def test_the_summary_tells_what_was_observed_in_unexplained_cases() -> None:
+    cases = tuple(results("ab", "c"))
+    run = RunResult(cases=cases, diagnosis=explain(cases, Dictionary((fault("X", "a"),))))
+    assert "Unexplained:\n\n* b: Purpose of b. Expected this; observed that.\n" in summary_markdown(run)
 
 
 def test_faults_with_the_same_consequences_are_alternatives() -> None:

@@ -16,6 +16,7 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Mapping
 
+from dcp_conformance.model.case import DECLARED, DENIED
 from dcp_conformance.model.results import CaseResult, Check, Diagnosis, Probable
 from dcp_conformance.model.survival import SURVIVAL, did_not_survive, only_died
 from dcp_conformance.model.verdict import Verdict
@@ -38,11 +39,14 @@ _LEAST = 0.5
 def explain(results: Iterable[CaseResult], dictionary: Dictionary) -> Diagnosis:
     """Return the probable faults that explain the failed cases of a run.
 
-    Only the verdicts fail, pass and info are evidence; cases with another verdict are ignored.
+    Only the verdicts fail, pass and info are evidence; cases with another verdict are ignored. So are the cases about
+    deviations that the profile or the PICS declares: they fail without any behaviour of the implementation.
     """
     failed: dict[str, CaseResult] = {}
     passed: set[str] = set()
     for result in results:
+        if result.id in (DECLARED, DENIED):
+            continue
         if result.verdict is Verdict.FAIL:
             failed[result.id] = result
         elif result.verdict in (Verdict.PASS, Verdict.INFO):

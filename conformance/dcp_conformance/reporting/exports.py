@@ -77,7 +77,17 @@ def _why(name: str, verdict: Verdict, cases: list[CaseResult]) -> str:
         return ""
     checks = (check for case in cases for check in case.checks if check.verdict is verdict)
     check = next((each for each in checks if name in each.requirements), None)
-    return f"expected {check.expected}; observed {check.observed}" if check is not None else ""
+    if check is None:
+        return ""
+    entry = requirements().get(name)
+    expected = "" if entry is not None and entry.statement == check.expected else f"expected {check.expected}; "
+    return f"{expected}observed {check.observed}"
+
+
+def _observed(case: CaseResult) -> str:
+    """Return what the first failed check of a case expected and observed."""
+    check = next((each for each in case.checks if each.verdict is Verdict.FAIL), None)
+    return f"Expected {check.expected}; observed {check.observed}." if check is not None else ""
 
 
 def requirements_csv(run: RunResult) -> str:
@@ -126,7 +136,10 @@ def summary_markdown(run: RunResult) -> str:
             first = death.cases[0].id
             lines += ["", f"In {len(death.cases)} cases, first {first}, the implementation {_cell(death.how)}."]
         if run.diagnosis.unexplained:
-            lines += ["", f"Unexplained: {', '.join(run.diagnosis.unexplained)}."]
+            lines += ["", "Unexplained:", ""]
+            cases = {case.id: case for case in run.cases}
+            for name in run.diagnosis.unexplained:
+                lines.append(f"* {name}: {_cell(cases[name].purpose)}. {_cell(_observed(cases[name]))}")
     failing = [row for row in rows(run) if row.verdict in (Verdict.FAIL, Verdict.ERROR)]
     if failing:
         lines += ["", "## Requirements that fail", ""]
