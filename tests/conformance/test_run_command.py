@@ -181,6 +181,7 @@ class TestWhatIsRun:
             (["--expected", "no-such.toml"], "no-such.toml"),
             (["--interface", "nosuch0"], "there is no such interface; there are lo"),
             (["--link", "udp:nowhere"], "nowhere"),
+            (["--impair", "foo=1"], "foo: unknown key"),
             (["--in-process", "--link", "udp"], "--in-process tests the reference node"),
             (["--ether-type", "IP"], "'ip' is not an EtherType; write it in hex, as in 0x4953"),
             (["--ut", "unix:node.sock"], "--ut is for your own implementation: give its --interface or --link"),
@@ -197,6 +198,8 @@ class TestWhatIsRun:
         done = dcp_conformance("run", *arguments)
         assert done.status == USAGE, done.out
         assert message in done.err
+        # Nothing was executed: a summary would hide the message.
+        assert "requirement" not in done.out
 
     def test_near_names_are_told_once(self):
         with pytest.raises(UsageError) as raised:

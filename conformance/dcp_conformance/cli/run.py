@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from dcp_codec.common.commandline import say
+from dcp_conformance.errors import UsageError
 
 from .options import EXIT_STATUS, as_typed, selection_of, selection_options, target_of, target_options
 
@@ -144,6 +145,9 @@ def _report(run: ConformanceRun, folder: Path | None) -> None:
     """Write the report, and show the summary even if the report cannot be written."""
     from .display import print_summary
 
+    if run.usage and not run.results and folder is None:
+        # Nothing was executed: the message says everything.
+        raise UsageError(run.trouble)
     result = run.result()
     page = ""
     try:

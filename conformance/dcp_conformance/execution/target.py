@@ -112,7 +112,16 @@ class Target:
 
 
 def describe(options: TargetOptions) -> tuple[Codec, Pics]:
-    """Return codec and PICS of the options without opening any connection. Raise :class:`UsageError`."""
+    """Return codec and PICS of the options without opening any connection.
+
+    Raise :class:`UsageError` for invalid or contradictory options.
+    """
+    parse_directions(options.impair)
+    if options.in_process and options.foreign:
+        raise UsageError("--in-process tests the reference node; it needs no --interface or --link")
+    for name in () if options.foreign else ("ut", "start", "stop", "restart", "pid"):
+        if getattr(options, name) is not None:
+            raise UsageError(f"--{name} is for your own implementation: give its --interface or --link")
     pics = load_pics(options.pics) if options.pics is not None else Pics()
     name = options.profile or pics.pixit.profile or DEFAULT_PROFILE
     if name == UNKNOWN_PROFILE:
@@ -161,13 +170,6 @@ def open_target(options: TargetOptions) -> Iterator[Target]:
     if not (options.foreign or options.in_process or options.beacon_period_ms):
         options = replace(options, beacon_period_ms=OWN_PERIOD)
     codec, pics = describe(options)
-    # Reject invalid impairments before any connection is opened.
-    parse_directions(options.impair)
-    if options.in_process and options.foreign:
-        raise UsageError("--in-process tests the reference node; it needs no --interface or --link")
-    for name in () if options.foreign else ("ut", "start", "stop", "restart", "pid"):
-        if getattr(options, name) is not None:
-            raise UsageError(f"--{name} is for your own implementation: give its --interface or --link")
     with contextlib.ExitStack() as stack:
         if options.in_process:
             session, control, notes = _in_process(options, codec, pics)

@@ -45,7 +45,7 @@ def open_udp(
     try:
         to = ipaddress.IPv4Address(group or DEFAULT_GROUP)
     except ValueError as error:
-        raise UsageError(f"{name}: not an IPv4 address: {error}") from None
+        raise UsageError(f"udp:{group}: not an IPv4 address ({error}); the form is udp[:GROUP[:PORT]]") from None
     if not 1 <= number <= 0xFFFF:
         raise UsageError(f"{name}: the port is not within 1..65535")
     return UDPLowerTester(to, number, _address_of(name, interface), link, ttl)
