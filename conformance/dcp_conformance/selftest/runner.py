@@ -312,8 +312,6 @@ def _baseline_task(profile: str) -> Baseline:
 
 
 def _trials_task(mutant: str, profiles: tuple[str, ...] | None, full: bool, every: bool) -> list[Trial]:
-    # Services of a mutant may fail by intention: do not log their tracebacks.
-    logging.getLogger("dcp_stack.control.server").setLevel(logging.CRITICAL)
     return trials(_mutants()[mutant], profiles, full=full, every=every)
 
 
@@ -383,10 +381,15 @@ def _profiles(mutant: Mutant, profiles: Sequence[str]) -> tuple[str, ...]:
     return tuple(each for each in profiles if mutant.exists_in(_codec(each).profile.spec_version))
 
 
+def _without_tracebacks() -> None:
+    """Do not log the tracebacks of services: those of a mutant may fail by intention."""
+    logging.getLogger("dcp_stack.control.server").setLevel(logging.CRITICAL)
+
+
 @contextmanager
 def process_pool(jobs: int) -> Iterator[ProcessPoolExecutor]:
     """Provide a pool of ``jobs`` processes; on exit, cancel the tasks that have not started."""
-    pool = ProcessPoolExecutor(jobs)
+    pool = ProcessPoolExecutor(jobs, initializer=_without_tracebacks)
     try:
         yield pool
     finally:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import os
 import signal
 from collections.abc import Callable, Sequence
@@ -49,8 +48,6 @@ def make(
 
 
 def _task(name: str) -> Outcome:
-    # Services of a mutant may fail by intention: do not log their tracebacks.
-    logging.getLogger("dcp_stack.control.server").setLevel(logging.CRITICAL)
     return signature(all_mutants()[name])
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import os
 import random
 from collections.abc import Callable, Sequence
@@ -95,7 +94,6 @@ def measure(
 
 
 def _task(group: tuple[str, ...]) -> Outcome:
-    logging.getLogger("dcp_stack.control.server").setLevel(logging.CRITICAL)
     return outcome(group, load())
 
 
