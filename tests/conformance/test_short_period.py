@@ -136,6 +136,12 @@ def test_no_case_waits_for_repetitions_that_are_over(monkeypatch, pattern: str) 
     assert vain == []
 
 
+@pytest.mark.parametrize("mutant", ["M-VD-SCR-04-counts-left", "M-VD-SCR-04-createQ", "M-VD-SCR-04-updateQ"])
+def test_repetitions_outlast_a_timeout_also_if_the_beacon_period_can_be_shortened(mutant: str) -> None:
+    chosen = [each for each in cases() if each.id in ("TC_VD_SCR_TI_09", "TC_VD_SCR_TI_16")]
+    assert compare(all_mutants()[mutant], "dcp-2.0", chosen, companions=0).killed == (True, True)
+
+
 def test_timeouts_are_measured_with_a_short_scrubbing_period_also_at_a_short_beacon_period() -> None:
     # Beside others they would have to wait for the configured one, which hides a variable that is deleted too early.
     found = compare(all_mutants()["M-VD-SCR-03-half"], "dcp-2.0", [each for each in cases() if "_SCR_TI_" in each.id])

@@ -25,8 +25,9 @@ ALONE: Final = frozenset(
 )
 """Services that change the implementation as a whole."""
 
-_CONFIGURED: Final = re.compile(r"TC_BP_(TX_TI|PAR|INI)_.*")
-"""Cases about the configured beacon period."""
+_CONFIGURED: Final = re.compile(r"TC_BP_(TX_TI|PAR|INI)_.*|TC_VD_SCR_TI_(09|16)")
+"""Cases about the configured beacon period, and cases with repetitions that must outlast a timeout: with a short period
+they would be over before it."""
 
 _FILLS: Final = "it fills payloads, and depends on the room in them"
 _LISTENS: Final = "it judges the whole content of beacons"
