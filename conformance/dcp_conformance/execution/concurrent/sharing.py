@@ -42,7 +42,7 @@ _MEASURES: Final = (
     (r"TC_VD_SPLIT_BV_0[34]", _FILLS),
     (r"TC_VD_SCR_TI_15", _FILLS),
     (r"TC_VD_ID_BV_01-.*", _FILLS),
-    (r"TC_VD_SCR_TI_(04|05|14).*", "it measures when a variable is deleted"),
+    (r"TC_VD_SCR_TI_(04|05|08|14).*", "it measures when a variable is deleted"),
     (r"TC_BP_RXP_BV_05-.*", _REPLACES),
     (r"TC_(SRP|VD)_SRV_BO_01", _REPLACES),
     (r"TC_SRP_NT_TI_0[34]", "it shortens the timeout of neighbours"),
