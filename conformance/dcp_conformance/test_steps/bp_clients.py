@@ -22,6 +22,9 @@ from dcp_conformance.upper_tester import Answer, Notification
 
 from .beacon_gaps import between_beacons
 
+#: Maximum delay of a notification in ns that waits allow for.
+_MOST_DELAY = 1_000_000_000
+
 OK = "BP-STATUS-OK"
 ALREADY_REGISTERED = "BP-STATUS-PROTOCOL-ALREADY-REGISTERED"
 ILLEGAL_SIZE = "BP-STATUS-ILLEGAL-MAX-PAYLOAD-SIZE"
@@ -312,9 +315,26 @@ def octets_of(notification: Notification) -> bytes:
         return b""
 
 
+def notification_delay(bench: Bench) -> int:
+    """Return the time in ns by which the upper tester may delay a notification: that of a slow call.
+
+    The specification does not limit how long the implementation's adapter takes.
+    """
+    return min(bench.session.slow_call, _MOST_DELAY)
+
+
+def wait_for_notifications(bench: Bench) -> None:
+    """Wait for the notifications about the last beacon, which may arrive slightly later than the beacon."""
+    bench.waiting.wait_ns(round(0.3 * bench.period) + notification_delay(bench))
+
+
 def until(bench: Bench, holds: Callable[[], bool], periods: float | None = None) -> bool:
-    """Wait until a condition holds that depends on notifications; return whether it does."""
-    deadline = bench.now() + round((bench.sut.reaction if periods is None else periods) * bench.period)
+    """Wait until a condition holds that depends on notifications; return whether it does.
+
+    A slow upper tester may add its delay to ``periods``.
+    """
+    wait = round((bench.sut.reaction if periods is None else periods) * bench.period)
+    deadline = bench.now() + wait + notification_delay(bench)
     while not holds():
         if bench.now() >= deadline:
             return False

@@ -7,7 +7,7 @@ from typing import Any, Final
 import msgspec
 
 from dcp_conformance.reference.inprocess import InProcess, VirtualUpperTester
-from dcp_conformance.upper_tester import Answer
+from dcp_conformance.upper_tester import Answer, Notification
 
 from .variant import Application, Setup, UpperTesting
 
@@ -63,6 +63,8 @@ class Upper(VirtualUpperTester):
     def __init__(self, sut: InProcess, testing: UpperTesting) -> None:
         self._testing = testing
         self._node = sut
+        self._late: list[Notification] = []
+        """Notifications on their way, with the times of their arrival."""
         super().__init__(sut)
         self.methods = (self.methods - testing.without) | _ALWAYS
         self.about = {**self.about, "methods": sorted(self.methods)}
@@ -82,6 +84,14 @@ class Upper(VirtualUpperTester):
             changed: Answer = self._testing.answers(method, params, answer)
             return changed
         return answer
+
+    def poll(self) -> list[Notification]:
+        """Return the notifications that have arrived: each is delayed as long as a call takes."""
+        delay = round(self._testing.call_ms * 1e6)
+        self._late += [msgspec.structs.replace(each, time=each.time + delay) for each in super().poll()]
+        arrived = [each for each in self._late if each.time <= self._node.now]
+        self._late = self._late[len(arrived) :]
+        return arrived
 
     def another(self) -> VirtualUpperTester | None:  # type: ignore[override]
         """Return a second connection of the same kind; None if the upper tester allows only one."""

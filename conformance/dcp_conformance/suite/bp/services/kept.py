@@ -37,6 +37,7 @@ from dcp_conformance.test_steps.bp_clients import (
     registered,
     until,
     unused_protocol_id,
+    wait_for_notifications,
 )
 from dcp_conformance.test_steps.confirm_times import check_confirm_time
 from dcp_conformance.test_steps.sequences import part_of
@@ -271,7 +272,7 @@ def told_of_several(bench: Bench) -> None:
 
         between_beacons(bench, "submission of four payloads", act, client.in_frame)
         bench.until_quiet(client.in_frame, since=start)
-        bench.wait(0.3)
+        wait_for_notifications(bench)
         frames, payloads = client.frames(start), len(client.sent(start))
         needed(bench, frames, "beacons with the payloads")
         count = len(indications(bench, TRANSMITTED, client.prot_id)) - told
