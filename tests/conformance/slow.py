@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import msgspec
 from dcp_conformance.execution.runner import Runner
 from dcp_conformance.model.pics import Pics
-from dcp_conformance.reference.inprocess import InProcess, MakeNode, plain_node, reference_config
+from dcp_conformance.reference.inprocess import InProcess, MakeNode, VirtualUpperTester, plain_node, reference_config
 from dcp_conformance.selftest.variants.surroundings import Upper, slow
 from dcp_conformance.selftest.variants.timing import polling
 from dcp_conformance.test_system.bench import MS, Session
+from dcp_conformance.upper_tester import Answer
 
 from dcp_stack.config import VardisConfig
 
 from .rig import codec_of
 
-__all__ = ["SlowUpper", "polling", "runner_for"]
+__all__ = ["LateAnswers", "SlowUpper", "polling", "runner_for"]
 
 
 class SlowUpper(Upper):
@@ -22,6 +25,19 @@ class SlowUpper(Upper):
 
     def __init__(self, sut: InProcess, delay: int, *, without: tuple[str, ...] = ()) -> None:
         super().__init__(sut, slow(delay / MS, frozenset(without)))
+
+
+class LateAnswers(Upper):
+    """An upper tester whose requests arrive at once, and whose answers and notifications are late by ``delay`` (ns)."""
+
+    def __init__(self, sut: InProcess, delay: int) -> None:
+        self._delay = delay
+        super().__init__(sut, slow(delay / MS))
+
+    def call(self, method: str, params: dict[str, Any]) -> Answer:
+        answer = VirtualUpperTester.call(self, method, params)
+        self._node.elapse(self._delay)
+        return answer
 
 
 def runner_for(

@@ -6,13 +6,17 @@ from collections.abc import Mapping
 from typing import Any
 
 import pytest
+from dcp_conformance.execution.runner import Runner
 from dcp_conformance.execution.selection import ordered
 from dcp_conformance.model.case import DECLARED, DENIED
+from dcp_conformance.model.pics import Pics
 from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.reference.inprocess import InProcess, reference_config
 from dcp_conformance.selftest.mutants import all_mutants
+from dcp_conformance.test_system.bench import MS, Session
 
-from .rig import known_cases
-from .slow import polling, runner_for
+from .rig import codec_of, known_cases
+from .slow import LateAnswers, polling, runner_for
 
 SLOW: Mapping[str, dict[str, Any]] = {
     "one payload per 50 ms": {"make": polling(50)},
@@ -47,6 +51,17 @@ def test_nobody_fails_for_being_slow(how: str, profile: str):
         undecided = [(case_id, reason) for case_id, reason in undecided if TOO_SLOW_FOR_A_GAP not in reason]
     assert len(undecided) <= MOST_UNDECIDED, undecided
     assert sum(each.verdict is Verdict.PASS for each in results) > 650
+
+
+@pytest.mark.parametrize("profile", ["dcp-1.3", "dcp-2.0"])
+@pytest.mark.parametrize(("late_ms", "verdict"), [(40, Verdict.PASS), (150, Verdict.INCONCLUSIVE)])
+def test_an_offset_of_the_clock_that_is_known_only_roughly_fails_nobody(profile: str, late_ms: int, verdict: Verdict):
+    codec = codec_of(profile)
+    sut = InProcess(reference_config(codec))
+    runner = Runner(Session(codec, sut.lower_tester(), LateAnswers(sut, late_ms * MS), Pics()), sut)
+    runner.prepare()
+    result = runner.run(known_cases()["TC_BP_PTI_TI_01"])
+    assert result.verdict is verdict, result.reason
 
 
 @pytest.mark.parametrize("call_ms", [0, 5, 500])
