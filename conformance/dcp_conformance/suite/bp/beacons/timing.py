@@ -283,8 +283,8 @@ _QUICK = 10
     "seqno does not wrap around at one octet",
     requirements="BP-HDR-08",
     stimulus=(
-        "a client repeats a payload at a quarter of the beacon period (at least 10 ms) until the implementation has sent more than "
-        "256 beacons"
+        "a client repeats a payload at a quarter of the beacon period, at least 10 ms, until the implementation has "
+        "sent more than 256 beacons"
     ),
     expect="a sequence number above 255, and no restart",
     window=150,
