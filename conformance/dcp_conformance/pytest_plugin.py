@@ -6,7 +6,7 @@
 (passed, failed, skipped) are derived from the verdicts.
 
 With pytest-xdist (``-n 2``) each worker tests its own reference node, and the process that has started the workers
-collects the results (:mod:`dcp_conformance.execution.pytest_workers`).
+collects the results (:mod:`dcp_conformance.execution.workers.pytest_workers`).
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ from dcp_conformance.errors import UsageError
 from dcp_conformance.model.case import CASES
 from dcp_conformance.model.verdict import Verdict
 
-from .execution.pytest_items import CASES_DIRECTORY, DRIVER, CaseFile, CaseItem, Driver
 from .execution.run import ConformanceRun
 from .execution.selection import Selection
 from .execution.target import TargetOptions
+from .execution.workers.pytest_items import CASES_DIRECTORY, DRIVER, CaseFile, CaseItem, Driver
 
 _PACKAGE_DIRECTORY = Path(__file__).parent
 #: Short and long form of each verdict in the terminal output of pytest.
@@ -103,7 +103,7 @@ def _has_workers(config: pytest.Config) -> bool:
 
 def _driver_of(config: pytest.Config) -> Driver:
     """Create a run from the options of pytest, and return its plugin object. Raise ``pytest.UsageError``."""
-    from .execution.pytest_workers import Controller, Worker
+    from .execution.workers.pytest_workers import Controller, Worker
 
     option = config.getoption
     pics, expected, artefacts = option("--dcp-pics"), option("--dcp-expected"), option("--dcp-artefacts")

@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 from dcp_conformance.cli.display import print_summary
 from dcp_conformance.errors import UpperTesterError
-from dcp_conformance.execution.life import Loss
 from dcp_conformance.execution.runner import Runner
+from dcp_conformance.execution.survival.life import Loss
 from dcp_conformance.model.case import Case, Kind, Needs
 from dcp_conformance.model.pics import Pics, Testing
 from dcp_conformance.model.results import CaseResult, RunResult

@@ -10,7 +10,7 @@ from pathlib import Path
 import msgspec
 import pytest
 from dcp_conformance.cli.display import Display, data, print_summary
-from dcp_conformance.execution.pytest_items import CaseVerdictError
+from dcp_conformance.execution.workers.pytest_items import CaseVerdictError
 from dcp_conformance.model.outcome import assemble
 from dcp_conformance.model.pics import Pics
 from dcp_conformance.model.results import CaseResult, RunResult, Sut

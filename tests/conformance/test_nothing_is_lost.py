@@ -13,11 +13,11 @@ import pytest
 from dcp_conformance.cli import display
 from dcp_conformance.errors import ConformanceError, UpperTesterError
 from dcp_conformance.execution.concurrent.scheduler import Scheduler
-from dcp_conformance.execution.parallel import WorkerEnd, messages
-from dcp_conformance.execution.run import ConformanceRun
+from dcp_conformance.execution.run import ConformanceRun, WorkerEnd
 from dcp_conformance.execution.runner import Runner
 from dcp_conformance.execution.selection import Selection
 from dcp_conformance.execution.target import TargetOptions
+from dcp_conformance.execution.workers.parallel import messages
 from dcp_conformance.model.case import SANITY, Case
 from dcp_conformance.model.pics import Pics, Testing
 from dcp_conformance.model.results import CaseResult, Mark

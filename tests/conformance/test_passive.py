@@ -11,8 +11,7 @@ from pathlib import Path
 import msgspec
 import pytest
 from dcp_conformance import check, passive
-from dcp_conformance.execution.parallel import WorkerEnd
-from dcp_conformance.execution.run import ConformanceRun
+from dcp_conformance.execution.run import ConformanceRun, WorkerEnd
 from dcp_conformance.execution.runner import Runner
 from dcp_conformance.execution.selection import Selection
 from dcp_conformance.execution.target import TargetOptions

@@ -14,10 +14,10 @@ from pathlib import Path
 import pytest
 from dcp_conformance.errors import UsageError
 from dcp_conformance.execution.expected import ExpectedResults
-from dcp_conformance.execution.parallel import run_in_workers, workers_for
 from dcp_conformance.execution.run import ConformanceRun
 from dcp_conformance.execution.selection import Selection, select
 from dcp_conformance.execution.target import TargetOptions, open_target
+from dcp_conformance.execution.workers.parallel import run_in_workers, workers_for
 from dcp_conformance.model.case import SANITY, all_cases
 from dcp_conformance.model.outcome import (
     AS_EXPECTED,

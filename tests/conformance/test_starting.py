@@ -7,8 +7,8 @@ import socket
 from pathlib import Path
 
 import pytest
-from dcp_conformance.execution.life import READY_PATIENCE, SILENT, START_PATIENCE, Life
 from dcp_conformance.execution.runner import Runner
+from dcp_conformance.execution.survival.life import READY_PATIENCE, SILENT, START_PATIENCE, Life
 from dcp_conformance.execution.target import TargetOptions
 from dcp_conformance.model.case import SANITY
 from dcp_conformance.model.pics import Pics

@@ -13,7 +13,7 @@ from dcp_conformance.errors import ConformanceError
 from dcp_conformance.interop.cell import Cell, run_cell
 from dcp_conformance.interop.definition import PAIR, all_tests
 from dcp_conformance.interop.implementations import Implementation, built_in
-from dcp_conformance.interop.real import RealWorld
+from dcp_conformance.interop.nodes.real import RealWorld
 from dcp_conformance.interop.results import CellResult
 from dcp_conformance.model.verdict import Verdict
 

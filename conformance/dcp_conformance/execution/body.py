@@ -19,7 +19,7 @@ from dcp_conformance.model.case import SANITY
 from dcp_conformance.model.results import Check
 from dcp_conformance.model.verdict import Verdict
 
-from .attribution import Trial, likely_stimulus
+from .survival.attribution import Trial, likely_stimulus
 
 
 @contextmanager

@@ -13,7 +13,7 @@ from dcp_conformance.model.verdict import Verdict, worst
 from dcp_conformance.test_system.judgement.verdicts import in_force
 from dcp_conformance.test_system.traffic import Event
 
-from .attribution import Trial
+from .survival.attribution import Trial
 
 #: Maximum number of characters of the parameters or the answer of a call in the evidence.
 _SHOWN: Final = 400

@@ -14,7 +14,7 @@ import traceback
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import msgspec
 
@@ -33,8 +33,18 @@ from .selection import Selection, left_out, matches, select
 from .signals import deferred
 from .target import TargetOptions, describe, open_target
 
-if TYPE_CHECKING:
-    from .parallel import WorkerEnd
+
+class WorkerEnd(NamedTuple):
+    """The last message of a worker process, which has executed a share of the cases."""
+
+    sut: Sut | None
+    notes: tuple[str, ...]
+    trouble: str
+    """Why the worker could not begin or complete its share; empty if it did."""
+    usage: bool
+    """Whether the user caused the trouble."""
+    passive: tuple[CaseResult, ...] = ()
+    """Results of the passive rules."""
 
 
 class _Key(NamedTuple):

@@ -24,11 +24,11 @@ from dcp_conformance.sut.link import link_switch
 from dcp_conformance.test_system.bench import Bench, Session
 from dcp_conformance.test_system.session import FLOOR
 
-from .attribution import Trial, attribute, blamed, came_back, with_failures_of
 from .body import delete_variables, recorded, run_body
 from .case_results import result_of
-from .life import Life
 from .remarks import deaths_alike, executed_again, left_changed
+from .survival.attribution import Trial, attribute, blamed, came_back, with_failures_of
+from .survival.life import Life
 
 #: Maximum time in seconds between a case and the death that it causes, and maximum number of suspected cases.
 SLOW_DEATH = 3.0
@@ -57,7 +57,8 @@ class Runner:
     """Executes cases in succession against one implementation.
 
     If the implementation is dead after a case, the case is repeated alone before the death is attributed to it
-    (:mod:`dcp_conformance.execution.attribution`). With a command to restart the implementation the run continues.
+    (:mod:`dcp_conformance.execution.survival.attribution`). With a command to restart the implementation the run
+    continues.
     """
 
     def __init__(
@@ -80,7 +81,7 @@ class Runner:
         self.deaths_side_by_side = 0
         """Number of times that the implementation was lost while cases were executed side by side."""
         self._deaths: dict[str, list[str]] = {}
-        """Cases in which the implementation ended, by :attr:`dcp_conformance.execution.life.Loss.group`."""
+        """Cases in which the implementation ended, by :attr:`dcp_conformance.execution.survival.life.Loss.group`."""
         self._recent: deque[_Done] = deque(maxlen=_SUSPECTS)
         """The last cases since the start of the implementation."""
         self._revised: list[CaseResult] = []

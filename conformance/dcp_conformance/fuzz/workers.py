@@ -14,9 +14,9 @@ reach as much as one process with the same number of tests: of 300 pairs of fiel
 there was no difference. With an exchange every 16 sequences, two workers reached 278, 271 and 284.
 
 **Processes are spawned** by this one: they do not inherit its sockets and files, and the kernel ends them with it. The
-fork server of the workers of a run (:mod:`dcp_conformance.execution.parallel`) is not used: a signal to the whole
-process group would end the server, and with it the workers, before they have reported their findings. It would save
-less than half a second for each worker.
+fork server of the workers of a run (:mod:`dcp_conformance.execution.workers.parallel`) is not used: a signal to the
+whole process group would end the server, and with it the workers, before they have reported their findings. It would
+save less than half a second for each worker.
 """
 
 from __future__ import annotations

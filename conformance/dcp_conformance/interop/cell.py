@@ -106,13 +106,13 @@ def _world(cell: Cell, test: NetworkTest) -> World:
     common = meeting_profile(*cell.implementations)
     profiles = [common or each.profile for each in roles]
     if cell.world == "virtual":
-        from .virtual import VirtualWorld
+        from .nodes.virtual import VirtualWorld
 
         made = [
             (name, *virtual_setup(each, profile)) for name, each, profile in zip(names, roles, profiles, strict=True)
         ]
         return VirtualWorld(made, test.shape, cell.seed)
-    from .real import RealWorld
+    from .nodes.real import RealWorld
 
     def on_wait(text: str) -> None:
         say(f"{cell.a} with {cell.b}: {test.id}: {text}", err=True)

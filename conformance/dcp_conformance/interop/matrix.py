@@ -22,7 +22,7 @@ from .cell import Cell, WorldKind, obstacle, run_cell
 from .definition import NetworkTest, all_tests
 from .implementations import Implementation, codec_of
 from .results import INTERRUPTED, CellResult, ImplementationResult, MatrixResult
-from .workers import run_in_workers
+from .workers.pool import run_in_workers
 
 OnCell = Callable[[CellResult, int, int], None]
 """Called with each result, how many there are, and of how many."""
@@ -192,7 +192,7 @@ def _executed(
     jobs = jobs or default_jobs(cells[0].world)
     job = partial(_job, seeds=seeds, folder=folder)
     if dask is not None:
-        from .cluster import run_on_cluster
+        from .workers.cluster import run_on_cluster
 
         yield from run_on_cluster(job, cells, dask, jobs)
     elif jobs == 1 and cells[0].world == "virtual":

@@ -25,7 +25,7 @@ from .cell import Cell, obstacle, run_cell
 from .definition import all_tests, select_tests
 from .implementations import built_in, meeting_profile
 from .matrix import default_jobs
-from .workers import run_in_workers
+from .workers.pool import run_in_workers
 
 #: Faults that show between nodes: what spreads, what is asked for and answered, what is kept, what harms others.
 FAULTS: Final = (

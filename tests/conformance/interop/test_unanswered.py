@@ -10,7 +10,7 @@ from dcp_conformance.interop import matrix
 from dcp_conformance.interop.cell import Cell
 from dcp_conformance.interop.definition import all_tests
 from dcp_conformance.interop.implementations import built_in
-from dcp_conformance.interop.processes import Station
+from dcp_conformance.interop.nodes.processes import Station
 from dcp_conformance.upper_tester import Answer
 
 

@@ -8,8 +8,8 @@ from dcp_conformance.interop.bounds import cycle_time, expected_time, spreading_
 from dcp_conformance.interop.cell import Cell, run_cell
 from dcp_conformance.interop.definition import all_tests
 from dcp_conformance.interop.implementations import built_in, virtual_setup
-from dcp_conformance.interop.real import RealWorld
-from dcp_conformance.interop.virtual import VirtualWorld
+from dcp_conformance.interop.nodes.real import RealWorld
+from dcp_conformance.interop.nodes.virtual import VirtualWorld
 from dcp_conformance.interop.world import Limits
 from dcp_conformance.model.verdict import Verdict
 

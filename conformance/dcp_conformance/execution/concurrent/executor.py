@@ -6,10 +6,10 @@ from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Final, NamedTuple
 
-from dcp_conformance.execution.attribution import Trial
 from dcp_conformance.execution.body import delete_variables, recorded, run_body
 from dcp_conformance.execution.case_results import result_of
 from dcp_conformance.execution.runner import SLOW_DEATH, Runner
+from dcp_conformance.execution.survival.attribution import Trial
 from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.lower_tester import Arrival
 from dcp_conformance.model.applicability import why_not

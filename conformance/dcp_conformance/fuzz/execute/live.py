@@ -11,7 +11,7 @@ from typing import Final
 
 from dcp_codec.errors import DecodeError
 from dcp_conformance.errors import ConformanceError, LowerTesterError, UpperTesterError, UsageError
-from dcp_conformance.execution.life import DEATH_PATIENCE
+from dcp_conformance.execution.survival.life import DEATH_PATIENCE
 from dcp_conformance.execution.target import Target as Opened
 from dcp_conformance.frames.received import var_id_of
 from dcp_conformance.fuzz.steps import ROBUSTNESS, Call, Effect, Frame, Step, Wait

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
+from dcp_conformance.execution import run
 from dcp_conformance.model.case import all_cases
 from dcp_conformance.reference import process
-
-from . import run
 
 __all__ = ["process", "run"]
 

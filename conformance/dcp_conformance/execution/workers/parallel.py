@@ -18,26 +18,12 @@ from typing import Any, NamedTuple
 
 import msgspec
 
+from dcp_conformance.execution.run import ConformanceRun, WorkerEnd
+from dcp_conformance.execution.selection import Selection
+from dcp_conformance.execution.signals import deferred
+from dcp_conformance.execution.target import TargetOptions
 from dcp_conformance.model.case import SANITY, Case
-from dcp_conformance.model.results import CaseResult, Sut
-
-from .run import ConformanceRun
-from .selection import Selection
-from .signals import deferred
-from .target import TargetOptions
-
-
-class WorkerEnd(NamedTuple):
-    """The last message of a worker."""
-
-    sut: Sut | None
-    notes: tuple[str, ...]
-    trouble: str
-    """Why the worker could not begin or complete its share; empty if it did."""
-    usage: bool
-    """Whether the user caused the trouble."""
-    passive: tuple[CaseResult, ...] = ()
-    """Results of the passive rules."""
+from dcp_conformance.model.results import CaseResult
 
 
 class Revised(NamedTuple):

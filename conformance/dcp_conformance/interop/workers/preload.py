@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from . import cell, definition, implementations, virtual
+from dcp_conformance.interop import cell, definition, implementations
+from dcp_conformance.interop.nodes import virtual
 
 definition.all_tests()
 

@@ -11,12 +11,11 @@ from typing import Any
 import msgspec
 import pytest
 
+from dcp_conformance.execution.run import ConformanceRun, WorkerEnd
 from dcp_conformance.model.case import Case
 from dcp_conformance.model.results import CaseResult
 
-from .parallel import WorkerEnd
 from .pytest_items import Driver
-from .run import ConformanceRun
 
 #: The key of a worker's :class:`End` in ``workeroutput``, as JSON.
 _END = "dcp_conformance"

@@ -14,17 +14,17 @@ from typing import Any, Final
 from dcp_codec.framing.locate import OtherTraffic, locate
 from dcp_codec.impairment import PERFECT, Impairment
 from dcp_conformance.errors import ConformanceError, LowerTesterError
+from dcp_conformance.interop.definition import Shape
+from dcp_conformance.interop.implementations import Implementation, codec_of, command_of, upper_tester_of
+from dcp_conformance.interop.judge import address_of, ether_frame
+from dcp_conformance.interop.world import Place, Received, Sent
 from dcp_conformance.upper_tester import Answer
 from dcp_stack.relay import INTERFACE, RelayError, RelayFabric
 from dcp_stack.sim.testbed import namespaces
 from dcp_stack.sim.virtual.network import node_id
 
-from .definition import Shape
-from .implementations import Implementation, codec_of, command_of, upper_tester_of
-from .judge import address_of, ether_frame
 from .processes import Station
 from .taps import Taps, inside
-from .world import Place, Received, Sent
 
 #: Seconds after which the world says what it waits for.
 _QUIET: Final = 3.0

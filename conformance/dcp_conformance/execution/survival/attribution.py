@@ -213,7 +213,7 @@ def survival(trial: Trial) -> tuple[str, ...]:
 
     These are the requirements of the case about survival. Without any, a frame violates the requirement to survive its
     payload, and a service call violates the requirement about the service
-    (:mod:`dcp_conformance.execution.service_requirements`).
+    (:mod:`dcp_conformance.execution.survival.service_requirements`).
     """
     case = trial.case
     if case.needs.link:

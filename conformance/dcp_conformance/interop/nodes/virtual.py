@@ -13,14 +13,13 @@ import msgspec
 
 from dcp_codec.impairment import Impairment, Network
 from dcp_conformance.errors import UpperTesterError
+from dcp_conformance.interop.definition import Shape
+from dcp_conformance.interop.world import Limits, Place, Received, Sent
 from dcp_conformance.reference.inprocess import EPOCH
 from dcp_conformance.selftest.variants.surroundings import Tested
 from dcp_conformance.selftest.variants.variant import Setup
 from dcp_conformance.upper_tester import Answer
 from dcp_stack.sim.virtual.network import node_id
-
-from .definition import Shape
-from .world import Limits, Place, Received, Sent
 
 #: How long a frame takes, in ns: a receiver never answers at the instant of the transmission.
 _FLIGHT: Final = 20_000

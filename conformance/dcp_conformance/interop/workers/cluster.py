@@ -9,9 +9,8 @@ from typing import Any, Final
 
 from dcp_conformance.errors import ConformanceError, UsageError
 from dcp_conformance.execution.signals import Stop
-
-from .cell import Cell
-from .results import CellResult
+from dcp_conformance.interop.cell import Cell
+from dcp_conformance.interop.results import CellResult
 
 #: Seconds that a scheduler has to answer.
 _PATIENCE: Final = 10

@@ -1,0 +1,1 @@
+"""Whether the implementation still runs and answers, and which case has ended it."""

@@ -1,0 +1,1 @@
+"""Several processes or machines that execute the cells of a matrix."""
