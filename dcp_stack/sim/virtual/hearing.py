@@ -6,7 +6,7 @@ for all its receivers (:class:`Parsed`), and each receiver only appends it to a 
 neighbour table and counters from the list when they are read, or when the list becomes long.
 
 A VarDis payload is known after it was processed once and all its records were ignored: the same octets are ignored
-again until the database changes. ``tests/stack/test_sim_hearing.py`` compares these nodes with plain ones.
+again until the database changes. ``tests/stack/sim/test_hearing.py`` compares these nodes with plain ones.
 """
 
 from __future__ import annotations

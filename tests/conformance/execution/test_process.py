@@ -1,0 +1,294 @@
+"""Starting, watching, restarting and ending an implementation."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import re
+import shlex
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from dcp_conformance.errors import ConformanceError, UsageError
+from dcp_conformance.sut.process import ProcessControl, started_at
+from dcp_conformance.upper_tester.channels import split
+
+from ...waiting import PATIENCE, eventually
+
+
+def program(tmp_path: Path, code: str, name: str = "sut") -> str:
+    """A command that runs this code; ``here`` is a folder to leave traces in."""
+    path = tmp_path / f"{name}.py"
+    path.write_text(f"import os, signal, sys, time\nfrom pathlib import Path\nhere = Path({str(tmp_path)!r})\n{code}\n")
+    return f"{shlex.quote(sys.executable)} {path}"
+
+
+FOREVER = "(here / 'pid').write_text(str(os.getpid()))\ntime.sleep(600)"
+
+
+def pid_in(tmp_path: Path) -> int:
+    """The process that has left its number."""
+    path = tmp_path / "pid"
+    eventually(lambda: path.exists() and path.read_text(), "the program leaves its number")
+    return int(path.read_text())
+
+
+@pytest.fixture
+def control():
+    """Makes controls, and closes them."""
+    made: list[ProcessControl] = []
+
+    def make(*arguments, **keys) -> ProcessControl:
+        made.append(ProcessControl(*arguments, **keys))
+        return made[-1]
+
+    yield make
+    for each in made:
+        each.close()
+        each.close()
+
+
+def test_a_process_is_started_watched_and_ended(tmp_path, control):
+    it = control(start=program(tmp_path, FOREVER), settle=0)
+    assert it.can_restart
+    # Nothing is started before it is wanted.
+    assert it.alive() is None
+    it.start()
+    pid = pid_in(tmp_path)
+    assert (it.alive(), it.why_dead()) == (True, "")
+    it.close()
+    assert started_at(pid) is None
+
+
+@pytest.mark.parametrize(
+    ("end", "why"),
+    [
+        ("os.kill(os.getpid(), signal.SIGSEGV)", "it ended with signal SIGSEGV"),
+        ("sys.exit('no memory')", "it ended with exit status 1; its output: .*no memory"),
+        ("sys.exit(0)", "it ended with exit status 0; its output: hello"),
+        ("raise KeyError('seqno')", "exit status 1; its output: .*KeyError: 'seqno'"),
+    ],
+)
+def test_a_death_is_noticed_with_its_reason(tmp_path, control, end, why):
+    code = f"print('hello', flush=True)\nwhile not (here / 'end').exists(): time.sleep(0.01)\n{end}"
+    it = control(start=program(tmp_path, code), settle=0)
+    it.start()
+    assert it.alive()
+    (tmp_path / "end").touch()
+    eventually(lambda: it.alive() is False, "it dies")
+    assert re.search(why, it.why_dead())
+    (tmp_path / "end").unlink()
+    it.restart()
+    assert (it.alive(), it.why_dead()) == (True, "")
+
+
+def test_last_words_are_bounded(tmp_path, control):
+    code = "print('x' * 100, flush=True)\nfor n in range(100000): print('line', n)\nsys.stdout.flush(); sys.exit(2)"
+    it = control(start=program(tmp_path, f"while not (here / 'end').exists(): time.sleep(0.01)\n{code}"))
+    it.start()
+    (tmp_path / "end").touch()
+    eventually(lambda: it.alive() is False, "it dies")
+    assert "line 99999" in it.why_dead()
+    assert len(it.why_dead()) < 6000
+
+
+def test_old_words_are_given_back_without_cutting_the_file(tmp_path, control):
+    """Cutting it would lose what is said between looking and cutting."""
+    it = control(start=program(tmp_path, "time.sleep(60)"), settle=0)
+    it.start()
+    assert it._output is not None
+    said = b"x" * 101 + b"\n" + b"line\n" * 2_000_000 + b"the last line\n"
+    os.write(it._output.fileno(), said)
+    assert it.alive() is True
+    status = os.fstat(it._output.fileno())
+    assert status.st_size == len(said)
+    assert status.st_blocks * 512 < 1_000_000
+    assert "the last line" in it._last_words()
+
+
+def test_much_output_does_not_fill_the_disk(tmp_path, control):
+    code = "block = 'y' * 65535 + chr(10)\nwhile True: print(block, flush=True); time.sleep(0.001)"
+    it = control(start=program(tmp_path, code), settle=0)
+    it.start()
+    assert it._output is not None
+    taken = []
+
+    def given_back() -> bool:
+        assert it.alive()
+        taken.append(os.fstat(it._output.fileno()).st_blocks * 512)
+        return sum(later < earlier for earlier, later in itertools.pairwise(taken)) > 2
+
+    eventually(given_back, "room is given back, again and again")
+    assert os.fstat(it._output.fileno()).st_size > 2_000_000
+    assert min(taken[1:]) < 1_000_000
+
+
+def test_a_command_that_fails_at_once(tmp_path, control):
+    it = control(start=program(tmp_path, "sys.exit('no such interface')"), settle=PATIENCE)
+    with pytest.raises(ConformanceError, match="ended at once with exit status 1; its output: no such interface"):
+        it.start()
+
+
+def test_a_launcher(tmp_path, control):
+    """A command that starts a service and ends."""
+    service = program(tmp_path, FOREVER, "service")
+    launch = f"import subprocess\nsubprocess.Popen({shlex.split(service)!r}, start_new_session=True)"
+    stop = f"kill {'$'}(cat {tmp_path}/pid); rm {tmp_path}/pid"
+    it = control(start=program(tmp_path, launch, "launch"), stop=stop, pidfile=tmp_path / "pid", settle=PATIENCE)
+    it.start()
+    first = pid_in(tmp_path)
+    assert it.alive() is True
+    it.restart()
+    second = pid_in(tmp_path)
+    assert second != first
+    # The command that stops it does not wait for its end.
+    eventually(lambda: started_at(first) is None, "the first one ends")
+    assert it.alive() is True
+    os.kill(second, signal.SIGKILL)
+    eventually(lambda: it.alive() is False, "it is gone")
+    assert it.why_dead() == f"process {second} is gone"
+    # Without a process to look at, nothing is known.
+    blind = control(start="true", settle=PATIENCE)
+    blind.start()
+    assert (blind.alive(), blind.why_dead()) == (None, "")
+
+
+@pytest.mark.parametrize("stubborn", [False, True])
+def test_what_a_launcher_has_detached_is_ended_with_it(tmp_path, control, stubborn):
+    """Without a command that stops it, a restart would leave two of them on the link."""
+    ignore = "signal.signal(signal.SIGTERM, signal.SIG_IGN)\n" if stubborn else ""
+    service = program(tmp_path, ignore + FOREVER, "service")
+    launch = f"import subprocess\nsubprocess.Popen({shlex.split(service)!r}, start_new_session=True)"
+    it = control(start=program(tmp_path, launch, "launch"), settle=PATIENCE)
+    it.start()
+    first = pid_in(tmp_path)
+    (tmp_path / "pid").unlink()
+    it.restart()
+    assert started_at(first) is None
+    second = pid_in(tmp_path)
+    it.close()
+    assert started_at(second) is None
+
+
+def test_a_launcher_on_a_busy_machine(tmp_path, control):
+    """It ends with status 0 long after the settling time: what it has launched is not dead."""
+    service = program(tmp_path, FOREVER, "service")
+    launch = (
+        f"import subprocess\nsubprocess.Popen({shlex.split(service)!r}, start_new_session=True)\n"
+        "while not (here / 'go').exists(): time.sleep(0.01)"
+    )
+    it = control(start=program(tmp_path, launch, "launch"), stop=f"kill $(cat {tmp_path}/pid)", settle=0.01)
+    it.start()
+    pid_in(tmp_path)
+    assert it.alive() is True
+    (tmp_path / "go").touch()
+    eventually(lambda: it.alive() is None, "the launcher ends")
+    assert it.why_dead() == ""
+
+
+def test_a_program_that_ends_in_peace_is_dead_all_the_same(tmp_path, control):
+    """Status 0 after the settling time, and nothing that it has started is left."""
+    code = "while not (here / 'go').exists(): time.sleep(0.01)"
+    it = control(start=program(tmp_path, code), settle=0.01)
+    it.start()
+    assert it.alive() is True
+    (tmp_path / "go").touch()
+    eventually(lambda: it.alive() is False, "it ends")
+    assert it.why_dead() == "it ended with exit status 0; it wrote nothing"
+
+
+def test_restarting_by_a_command(tmp_path, control):
+    calls = []
+    it = control(restart=f"echo again >> {tmp_path}/log && echo ok")
+    it.after_restart.append(lambda: calls.append(1))
+    assert it.can_restart
+    assert it.alive() is None
+    it.restart()
+    it.restart()
+    assert (tmp_path / "log").read_text() == "again\nagain\n"
+    assert calls == [1, 1]
+    failing = control(restart="echo 'unit not found' >&2; exit 5")
+    with pytest.raises(
+        ConformanceError, match="--restart: the command ended with exit status 5; its output: unit not found"
+    ):
+        failing.restart()
+    missing = control(restart="/no/such/program")
+    with pytest.raises(UsageError, match="--restart: /no/such/program cannot be started: No such file"):
+        missing.restart()
+    nothing = control()
+    assert not nothing.can_restart
+    with pytest.raises(ConformanceError, match="no command to restart"):
+        nothing.restart()
+
+
+def test_watching_a_process(control):
+    with subprocess.Popen(["sleep", "600"]) as other:
+        it = control(pid=other.pid)
+        assert (it.alive(), it.can_restart) == (True, False)
+        other.kill()
+        # Before it is waited for it is still there, and dead.
+        eventually(lambda: it.alive() is False, "it is dead")
+        assert it.why_dead() == f"process {other.pid} is gone"
+    with pytest.raises(UsageError, match=f"--pid {other.pid}: there is no such process"):
+        control(pid=other.pid)
+
+
+def test_a_number_that_is_used_again_is_another_process(control):
+    it = control(pid=os.getpid())
+    assert it.alive()
+    pid, started = it._watched
+    it._watched = (pid, started - 1)
+    assert it.alive() is False
+
+
+def test_a_pidfile_that_names_nothing(tmp_path, control):
+    path = tmp_path / "sut.pid"
+    with pytest.raises(UsageError, match="it names no process that runs"):
+        control(pidfile=path)
+    # Empty: whoever writes it has only begun.
+    for text in ("soon\n", "", "-1"):
+        path.write_text(text)
+        with pytest.raises(UsageError, match="it names no process that runs"):
+            control(pidfile=path)
+    path.write_text(f"{os.getpid()} and more\n")
+    assert control(pidfile=path).alive() is True
+
+
+def test_all_that_it_started_ends_with_it(tmp_path, control):
+    code = (
+        "import subprocess\nchild = subprocess.Popen(['sleep', '600'])\n"
+        "signal.signal(signal.SIGTERM, signal.SIG_IGN)\n(here / 'pid').write_text(str(child.pid))\ntime.sleep(600)"
+    )
+    it = control(start=program(tmp_path, code), settle=0)
+    it.start()
+    child = pid_in(tmp_path)
+    begun = time.monotonic()
+    it.close()
+    # It takes no notice of SIGTERM, and its child has never heard of it.
+    assert time.monotonic() - begun < PATIENCE
+    eventually(lambda: started_at(child) is None, "the child ends")
+
+
+def test_not_even_sigkill_leaves_it_behind(tmp_path):
+    inner = program(tmp_path, FOREVER, "inner")
+    outer = (
+        "from dcp_conformance.sut.process import ProcessControl\n"
+        f"it = ProcessControl(start={inner!r}, ends_with_tester=True, settle=0)\nit.start()\ntime.sleep(600)"
+    )
+    with subprocess.Popen(shlex.split(program(tmp_path, outer, "outer"))) as tester:
+        pid = pid_in(tmp_path)
+        tester.kill()
+    eventually(lambda: started_at(pid) is None, "it ends with the tester")
+
+
+def test_commands():
+    assert split("--start", "a 'b c' --d=e/f") == ["a", "b c", "--d=e/f"]
+    for command in ("a | b", "a && b", "x=1 a", "a > b", "echo $HOME", "a; b", "a *"):
+        assert split("--start", command) == ["/bin/sh", "-c", command]
+    for command, message in (("", "which command"), ("a 'b", "No closing quotation")):
+        with pytest.raises(UsageError, match=message):
+            split("--start", command)

@@ -1,0 +1,145 @@
+"""Waiting for an implementation that was started: how long, what the user is told, and what is not held against it."""
+
+from __future__ import annotations
+
+import os
+import socket
+from pathlib import Path
+
+import pytest
+from dcp_conformance.execution.runner import Runner
+from dcp_conformance.execution.survival.life import READY_PATIENCE, SILENT, START_PATIENCE, Life
+from dcp_conformance.execution.target import TargetOptions
+from dcp_conformance.model.case import SANITY
+from dcp_conformance.model.pics import Pics
+from dcp_conformance.model.results import Check
+from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.reference.inprocess import InProcess, reference_config
+from dcp_conformance.sut.process import has_link_socket
+from dcp_conformance.test_system.bench import Session
+
+from ..rig import codec_of, known_cases
+
+NEVER = 10_000.0
+
+
+class Starting(InProcess):
+    """Hears nothing until some seconds after its start; its sockets can be seen from ``opens`` s on."""
+
+    def __init__(self, hears_after: float, opens: float = NEVER) -> None:
+        super().__init__(reference_config(codec_of("dcp-2.0")))
+        self._begun = self.now
+        self._hears_after, self._opens = hears_after, opens
+
+    @property
+    def passed(self) -> float:
+        """Seconds since it was started."""
+        return (self.now - self._begun) / 1e9
+
+    def deliver(self, octets: bytes) -> None:
+        if self.passed >= self._hears_after:
+            super().deliver(octets)
+
+    def on_link(self) -> bool:
+        return self.passed >= self._opens
+
+
+def started(sut: Starting, timeout: float | None = None) -> tuple[str, list[str]]:
+    """Why waiting has ended (empty: it answers), and what the user was told."""
+    said: list[str] = []
+    session = Session(codec_of("dcp-2.0"), sut.lower_tester(), None, Pics())
+    return Life(session, sut, timeout).await_start(known_cases()[SANITY], said.append), said
+
+
+def test_what_answers_at_once_is_not_waited_for():
+    sut = Starting(0, 0)
+    assert started(sut) == ("", [])
+    assert sut.passed < 1
+
+
+def test_the_user_is_told_what_is_waited_for():
+    sut = Starting(NEVER)
+    why, [said] = started(sut)
+    assert why == f"does not answer within {START_PATIENCE:g} s"
+    assert START_PATIENCE <= sut.passed < START_PATIENCE + 2
+    assert said == (
+        "waiting for the implementation to start: its process runs, nothing heard on in process; "
+        "at most 26 s more (--start-timeout)"
+    )
+
+
+@pytest.mark.parametrize("opens", [0.0, 10.0])
+def test_what_has_opened_the_link_and_does_not_answer_has_started(opens: float):
+    sut = Starting(NEVER, opens)
+    why, [said] = started(sut)
+    assert "does not answer, though it opened the link" in why
+    assert opens + READY_PATIENCE <= sut.passed < opens + READY_PATIENCE + 2
+    assert ("it has opened the link" in said) == (opens < SILENT)
+
+
+@pytest.mark.parametrize("timeout", [5.0, 60.0])
+def test_what_the_user_tells_is_what_is_waited(timeout: float):
+    sut = Starting(NEVER, 0)
+    assert started(sut, timeout)[0] == f"does not answer within {timeout:g} s"
+    assert timeout <= sut.passed < timeout + 2
+
+
+def test_a_slow_starter_is_waited_for():
+    sut = Starting(20)
+    assert started(sut)[0] == ""
+    assert 20 <= sut.passed < 22
+    sut = Starting(50, 0)
+    assert started(sut, 60)[0] == ""
+
+
+def test_what_has_died_is_not_waited_for():
+    sut = Starting(NEVER)
+    sut.died = "RuntimeError: a word"
+    assert started(sut) == ("is dead again: RuntimeError: a word", [])
+    assert sut.passed < 2
+
+
+def test_the_option_is_part_of_the_command_that_runs_a_case_again():
+    assert "--start-timeout 90" in TargetOptions(link="udp", start="x", start_timeout=90.0).command_line()
+
+
+# -- sockets -----------------------------------------------------------------------------------------------------------
+
+
+def test_a_socket_on_the_port_of_the_link_is_seen():
+    here = Path("/proc") / str(os.getpid())
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as made:
+        made.bind(("127.0.0.1", 0))
+        port = made.getsockname()[1]
+        assert has_link_socket(here, port)
+    assert not has_link_socket(here, port)
+    assert not has_link_socket(Path("/proc/0"), port)
+
+
+def test_a_packet_socket_is_seen():
+    here = Path("/proc") / str(os.getpid())
+    assert not has_link_socket(here, None)
+    try:
+        made = socket.socket(socket.AF_PACKET, socket.SOCK_RAW, 0)
+    except PermissionError:
+        pytest.skip("packet sockets need CAP_NET_RAW")
+    with made:
+        assert has_link_socket(here, None)
+
+
+# -- the sanity case ---------------------------------------------------------------------------------------------------
+
+
+def sanity(sut: InProcess) -> tuple[Check, ...]:
+    session = Session(codec_of("dcp-2.0"), sut.lower_tester(), None, Pics())
+    runner = Runner(session, sut)
+    runner.prepare()
+    return runner.run(known_cases()[SANITY]).checks
+
+
+def test_what_comes_up_during_the_sanity_case_is_not_accused_of_silence():
+    """The first summaries were sent before it was there, and the VarCreates after them are answered."""
+    # The measurement asks in vain for 5 s; three questions of 8 periods follow.
+    for after in (5.5, 7.0, 7.6, 8.0):
+        [check] = sanity(Starting(after))
+        assert check.verdict is Verdict.PASS, (after, check.observed)

@@ -1,0 +1,194 @@
+"""What is asked behind a case: does the implementation still live?"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+from dcp_conformance.execution.runner import Runner
+from dcp_conformance.model.case import Case, Kind
+from dcp_conformance.model.pics import Pics, Testing
+from dcp_conformance.model.results import CaseResult
+from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.reference.inprocess import InProcess, reference_config
+from dcp_conformance.selftest.mutants import all_mutants
+from dcp_conformance.test_system.bench import Bench, Session
+
+from ..rig import codec_of, known_cases, one_case
+
+
+def case_of(body: Callable[[Bench], None]) -> Case:
+    return Case("TC_DCP_X_BV_01", "", ("VD-PS-01",), Kind.VALID, "", "", 4, "", __name__, body, destructive=True)
+
+
+def all_used(bench: Bench) -> None:
+    """Leaves no identifier that the implementation could be asked about."""
+    bench.identifiers.created.update(range(256))
+    bench.require(True, "all identifiers were used", "")
+
+
+def run(body: Callable[[Bench], None], *, upper: bool = True, talking: bool = True) -> CaseResult:
+    sut = InProcess(reference_config(codec_of("dcp-2.0")))
+    if talking:
+        assert sut.upper_tester().call("RTDB-Create", {"varId": 1, "repCnt": 3, "descr": "d", "value": "01"}).ok
+    session = Session(codec_of("dcp-2.0"), sut.lower_tester(), sut.upper_tester() if upper else None, Pics())
+    runner = Runner(session, sut)
+    runner.prepare()
+    return runner.run(case_of(body))
+
+
+def test_beacons_are_enough_when_no_variable_is_left_to_ask_about():
+    result = run(all_used, upper=False)
+    verdict, killed = result.verdict, result.killed
+    assert verdict is Verdict.PASS
+    assert not killed
+
+
+def test_services_are_enough_when_there_is_nothing_to_say_either():
+    result = run(all_used, talking=False)
+    verdict, killed = result.verdict, result.killed
+    assert verdict is Verdict.PASS
+    assert not killed
+
+
+def test_the_identifiers_of_the_last_variables_are_found():
+    def all_but_one(bench: Bench) -> None:
+        bench.identifiers.created.update(set(range(256)) - {254})
+        found = (bench.identifiers.has_unknown_ids(), bench.identifiers.unknown_ids(1))
+        bench.identifiers.created.add(254)
+        bench.require(
+            (*found, bench.identifiers.has_unknown_ids()) == (True, [254], False), "the last one is found", str(found)
+        )
+
+    verdict = run(all_but_one).verdict
+    assert verdict is Verdict.PASS
+
+
+def test_a_death_violates_no_freedom():
+    """How an implementation reacts to an unknown type is its own choice (VD-RX-05): to survive it is what is asked."""
+    result = one_case("TC_VD_ROB_BI_01-type-0", make=all_mutants()["M-VD-ROB-01-dies-of-type"].make)
+    assert result.killed
+    failed = {each for check in result.checks if check.verdict is Verdict.FAIL for each in check.requirements}
+    assert failed == {"VD-ROB-01"}
+
+
+class Slow(InProcess):
+    """Takes a while to be there after a restart."""
+
+    seconds = 3.0
+    ready = 0
+
+    def restart(self) -> None:
+        super().restart()
+        self.ready = self.now + round(self.seconds * 1e9)
+
+    def deliver(self, octets: bytes) -> None:
+        if self.now >= self.ready:
+            super().deliver(octets)
+
+
+class Gone(Slow):
+    """Is never there again."""
+
+    seconds = 1e6
+
+
+NEXT = "TC_VD_STATE_BV_01-unknown.rx-summary"
+
+
+def died_and_then(kind: type[InProcess], pics: Pics | None = None) -> tuple[Runner, CaseResult]:
+    """The runner, and the result of what is run behind a death."""
+    sut = kind(reference_config(codec_of("dcp-2.0")), make=all_mutants()["M-VD-ROB-01-dies-of-type"].make)
+    runner = Runner(Session(codec_of("dcp-2.0"), sut.lower_tester(), None, pics or Pics()), sut)
+    runner.prepare()
+    killed = runner.run(known_cases()["TC_VD_ROB_BI_01-type-0"]).killed
+    assert killed
+    return runner, runner.run(known_cases()[NEXT])
+
+
+def test_who_was_restarted_gets_time_to_be_there():
+    runner, result = died_and_then(Slow)
+    verdict = result.verdict
+    assert verdict is Verdict.PASS, result.reason
+    assert "was restarted" in runner.notes[-1]
+    # Its evidence begins with the case.
+    assert len([event for event in result.evidence if event.direction == "sent"]) < 4
+
+
+def test_who_is_restarted_before_each_case_gets_time_too():
+    pics = Pics(pixit=Testing(reset="restart"))
+    verdict = died_and_then(Slow, pics)[1].verdict
+    assert verdict is Verdict.PASS
+
+
+def test_who_does_not_come_back_is_not_blamed_for_more():
+    runner, result = died_and_then(Gone)
+    verdict = result.verdict
+    assert verdict is Verdict.INCONCLUSIVE
+    assert runner.dead.endswith("died in TC_VD_ROB_BI_01-type-0; after a restart it does not answer within 30 s")
+    assert runner.dead in runner.notes
+    assert "TC_VD_ROB_BI_01-type-0" in result.reason
+
+
+class Stillborn(InProcess):
+    """Is dead after a restart."""
+
+    def restart(self) -> None:
+        super().restart()
+        self.died = "a file is missing"
+
+
+@pytest.mark.parametrize(
+    ("kind", "why"), [(Gone, "does not answer within 30 s"), (Stillborn, "is dead again: a file is missing")]
+)
+def test_no_case_fails_that_could_not_begin(kind: type[InProcess], why: str):
+    """Who is not there after a restart has not died of a case."""
+    sut = kind(reference_config(codec_of("dcp-2.0")))
+    pics = Pics(pixit=Testing(reset="restart"))
+    runner = Runner(Session(codec_of("dcp-2.0"), sut.lower_tester(), None, pics), sut)
+    runner.prepare()
+    result = runner.run(known_cases()[NEXT])
+    verdict = result.verdict
+    assert verdict is Verdict.INCONCLUSIVE
+    assert why in result.reason
+    assert not result.killed
+
+
+def test_a_death_is_told_with_the_last_sign_of_life():
+    """Of many frames that were sent, those behind the last beacon may have been the deadly ones."""
+
+    def deadly(bench: Bench) -> None:
+        peer = bench.peer()
+        bench.must("RTDB-Create", varId=bench.identifiers.own_var_id(), repCnt=3, descr="d", value="01")
+        bench.require(bench.beacons(2, 5), "beacons", "")
+        peer.send(bench.builder.container(peer.summary(1, 1), ic_type=0))
+        peer.send(peer.summary(1, 1))
+
+    sut = InProcess(reference_config(codec_of("dcp-2.0")), make=all_mutants()["M-VD-ROB-01-dies-of-type"].make)
+    runner = Runner(Session(codec_of("dcp-2.0"), sut.lower_tester(), sut.upper_tester(), Pics()), sut)
+    runner.prepare()
+    result = runner.run(case_of(deadly))
+    assert result.killed
+    assert result.reason.endswith("; its last beacon came before frame 3 of 4")
+
+
+class Renamed(InProcess):
+    """Draws a new identifier with each start, as a node does that was not given one."""
+
+    def restart(self) -> None:
+        node_id = (int.from_bytes(self.config.node_id) + 1).to_bytes(6)
+        self.config = reference_config(self.config.codec, node_id=node_id)
+        super().restart()
+
+
+def test_who_draws_a_new_identifier_is_known_by_it_after_a_restart_within_a_case():
+    def verdicts(pics: Pics) -> list[Verdict]:
+        sut = Renamed(reference_config(codec_of("dcp-2.0")))
+        runner = Runner(Session(codec_of("dcp-2.0"), sut.lower_tester(), sut.upper_tester(), pics), sut)
+        runner.prepare()
+        return [runner.run(known_cases()[name]).verdict for name in ("TC_VD_INI_BV_04", "TC_DCP_SANITY_BV_01")]
+
+    assert verdicts(Pics()) == [Verdict.PASS, Verdict.PASS]
+    # Who has said how it is called is held to it.
+    told = Pics(pixit=Testing(node_id="02:00:00:00:00:01"))
+    assert verdicts(told) == [Verdict.INCONCLUSIVE, Verdict.FAIL]

@@ -1,0 +1,121 @@
+"""Cases about SRP and about the services of VarDis: what they say of claims, of slow nodes, and of wrong ones."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from dcp_conformance.execution.runner import Runner
+from dcp_conformance.model.pics import Capabilities, Pics
+from dcp_conformance.model.results import CaseResult
+from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.reference.inprocess import InProcess, VirtualUpperTester, reference_config
+from dcp_conformance.test_system.bench import Session
+from dcp_conformance.upper_tester import Answer
+
+from ..rig import codec_of, ids_of, known_cases, one_case
+
+MODULES = (
+    "srp.record",
+    "srp.table",
+    "srp.soft_state",
+    "srp.forwarding",
+    "srp.init",
+    "vardis.services.create",
+    "vardis.reception.recreate",
+    "vardis.services.update",
+    "vardis.services.delete",
+    "vardis.services.read",
+    "vardis.services.management",
+    "vardis.services.parameters",
+    "vardis.lifecycle.init",
+)
+CASES = ids_of(*MODULES)
+GOOD = (Verdict.PASS, Verdict.INFO, Verdict.NOT_APPLICABLE)
+MS = 1_000_000
+CLAIMS = [
+    ("neighbour_statistics", "TC_SRP_NT_BV_03", True),
+    ("describe_extra_fields", "TC_VD_DDB_BV_02", True),
+    ("srp_seqno_filter", "TC_SRP_RX_BV_03-lower", False),
+    ("empty_description", "TC_VD_CRE_BV_07", True),
+]
+
+
+@pytest.mark.parametrize(("name", "case_id", "truth"), CLAIMS)
+@pytest.mark.parametrize("claimed", [True, False])
+def test_claims_about_what_is_open_are_checked(name, case_id, truth, claimed):
+    pics = Pics(pics=Capabilities(**{name: claimed}))
+    expected = Verdict.PASS if claimed is truth else Verdict.FAIL
+    assert one_case(case_id, pics=pics).verdict is expected
+
+
+# -- slow ones ---------------------------------------------------------------------------------------------------------
+
+
+class SlowUpperTester(VirtualUpperTester):
+    """Each request takes 60 ms on its way to the node and back, as with a command that has to be started."""
+
+    def call(self, method: str, params: dict[str, Any]) -> Answer:
+        self._pass(30 * MS)
+        answer = super().call(method, params)
+        self._pass(30 * MS)
+        return answer
+
+    def another(self) -> SlowUpperTester:
+        return SlowUpperTester(self._sut)
+
+    def _pass(self, duration: int) -> None:
+        sut = self._sut
+        end = sut.now + duration
+        while (due := sut.node.poll_timeout()) is not None and due <= end:
+            sut.now = max(sut.now, due)
+            sut.guarded(lambda: sut.node.handle_timeout(sut.now, sut.wall()))
+        sut.now = max(sut.now, end)
+
+
+def case_over(upper: type[VirtualUpperTester], case_id: str, profile: str) -> CaseResult:
+    codec = codec_of(profile)
+    sut = InProcess(reference_config(codec))
+    session = Session(codec, sut.lower_tester(), upper(sut), Pics())
+    runner = Runner(session, sut)
+    runner.prepare()
+    return runner.run(known_cases()[case_id])
+
+
+@pytest.mark.parametrize("profile", ["dcp-1.1", "dcp-1.3", "dcp-2.0"])
+@pytest.mark.parametrize("case_id", CASES)
+def test_slow_services_pass_too(case_id, profile):
+    result = case_over(SlowUpperTester, case_id, profile)
+    # Where BP cannot be deactivated meanwhile, what must fall between two beacons does not, and is not judged.
+    not_judged = result.verdict is Verdict.INCONCLUSIVE and "between two beacons" in result.reason
+    assert result.verdict in GOOD or not_judged, f"{result.reason}\n{result.error_detail}"
+
+
+# -- upper testers that break the contract -----------------------------------------------------------------------------
+
+
+class NumbersForLists(VirtualUpperTester):
+    """Gives the number of entries in place of the entries."""
+
+    def call(self, method: str, params: dict[str, Any]) -> Answer:
+        answer = super().call(method, params)
+        short = {name: len(each) if isinstance(each, list | dict) else each for name, each in answer.result.items()}
+        return answer if method == "UT-Hello" else Answer(answer.status, short, answer.code, answer.message)
+
+
+@pytest.mark.parametrize(
+    "case_id",
+    [
+        "TC_SRP_RX_BV_02",
+        "TC_SRP_NT_BV_01",
+        "TC_SRP_INI_BV_01",
+        "TC_VD_INI_BV_02",
+        "TC_VD_DDB_BV_01",
+        "TC_VD_DVA_BV_01",
+        "TC_VD_UPD_BV_07",
+    ],
+)
+def test_answers_of_another_shape_are_no_finding_about_the_implementation(case_id):
+    result = case_over(NumbersForLists, case_id, "dcp-2.0")
+    assert result.verdict is Verdict.INCONCLUSIVE, f"{result.verdict} {result.reason}\n{result.error_detail}"
+    assert "must be a" in result.reason

@@ -1,0 +1,106 @@
+"""The whole suite against nodes that are slow but legal: nobody fails for being slow. In virtual time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import pytest
+from dcp_conformance.execution.runner import Runner
+from dcp_conformance.execution.selection import ordered
+from dcp_conformance.model.case import DECLARED, DENIED
+from dcp_conformance.model.pics import Pics
+from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.reference.inprocess import InProcess, reference_config
+from dcp_conformance.selftest.mutants import all_mutants
+from dcp_conformance.test_system.bench import MS, Session
+
+from ..rig import codec_of, known_cases
+from ..slow import LateAnswers, polling, runner_for
+
+SLOW: Mapping[str, dict[str, Any]] = {
+    "one payload per 50 ms": {"make": polling(50)},
+    "one payload per 120 ms": {"make": polling(120)},
+    "one payload per 25 ms, room for 10": {"make": polling(25, room=10)},
+    "buffer check period of 400 ms": {"buffer_check_period_ms": 400},
+    "buffer check period of 2 s": {"buffer_check_period_ms": 2000},
+    "500 ms for each call": {"call_ms": 500},
+}
+#: Variables whose timeout is over before a slow implementation first speaks, and what slow calls come too late for.
+MOST_UNDECIDED = 8
+#: Up to 1.1 BP cannot be deactivated while stimuli are made that must fall between two beacons.
+TOO_SLOW_FOR_A_GAP = "between two beacons: a beacon in between in each attempt; calls take up to 500 ms"
+
+
+@pytest.mark.parametrize(
+    ("how", "profile"),
+    [
+        *((each, "dcp-2.0") for each in SLOW),
+        ("one payload per 25 ms, room for 10", "cpp-1.2"),
+        ("500 ms for each call", "dcp-1.1"),
+    ],
+)
+def test_nobody_fails_for_being_slow(how: str, profile: str):
+    runner = runner_for(profile, **SLOW[how])
+    # What a profile declares is no behaviour of a node.
+    results = [runner.run(each) for each in ordered(known_cases().values()) if each.id not in (DECLARED, DENIED)]
+    wrong = [(each.id, each.reason) for each in results if each.verdict in (Verdict.FAIL, Verdict.ERROR)]
+    assert wrong == []
+    undecided = [(each.id, each.reason) for each in results if each.verdict is Verdict.INCONCLUSIVE]
+    if profile == "dcp-1.1":
+        undecided = [(case_id, reason) for case_id, reason in undecided if TOO_SLOW_FOR_A_GAP not in reason]
+    assert len(undecided) <= MOST_UNDECIDED, undecided
+    assert sum(each.verdict is Verdict.PASS for each in results) > 650
+
+
+@pytest.mark.parametrize("profile", ["dcp-1.3", "dcp-2.0"])
+@pytest.mark.parametrize(("late_ms", "verdict"), [(40, Verdict.PASS), (150, Verdict.INCONCLUSIVE)])
+def test_an_offset_of_the_clock_that_is_known_only_roughly_fails_nobody(profile: str, late_ms: int, verdict: Verdict):
+    codec = codec_of(profile)
+    sut = InProcess(reference_config(codec))
+    runner = Runner(Session(codec, sut.lower_tester(), LateAnswers(sut, late_ms * MS), Pics()), sut)
+    runner.prepare()
+    result = runner.run(known_cases()["TC_BP_PTI_TI_01"])
+    assert result.verdict is verdict, result.reason
+
+
+@pytest.mark.parametrize("call_ms", [0, 5, 500])
+@pytest.mark.parametrize("case_id", ["TC_VD_SEQ_BV_04", "TC_VD_UPD_BV_02"])
+def test_numbers_that_wrap_early_are_found_however_slow_the_upper_tester_is(case_id: str, call_ms: float):
+    """Three hundred calls, in which beacons come that wait to be read."""
+    mutant = all_mutants()["M-VD-UPD-07-wraps-early"]
+    result = runner_for(make=mutant.make, call_ms=call_ms).run(known_cases()[case_id])
+    assert result.verdict is Verdict.FAIL, result.reason
+    failed = {each for check in result.checks if check.verdict is Verdict.FAIL for each in check.requirements}
+    assert failed & set(mutant.requirements)
+    good = runner_for(call_ms=call_ms).run(known_cases()[case_id])
+    assert good.verdict is Verdict.PASS, good.reason
+
+
+@pytest.mark.parametrize(
+    "mutant",
+    [
+        "M-SRP-RX-06-forwarded",
+        "M-BP-QM-01-drops-head",
+        "M-BP-QM-02-discards-new",
+        "M-BP-QM-01-one-place-more",
+        "M-BP-QM-07-several",
+        "M-BP-QRY-02-one-more",
+        "M-BP-TX-04-loses",
+        "M-VD-RC-03-not-again",
+        "M-VD-PU-08-request-kept",
+        "M-VD-SCR-03-half",
+    ],
+)
+@pytest.mark.parametrize("how", ["buffer check period of 400 ms", "500 ms for each call"])
+def test_faults_of_slow_nodes_are_found(mutant: str, how: str):
+    """What must fall between two beacons does, or is not judged."""
+    fault = all_mutants()[mutant]
+    runner = runner_for(fault.profile, make=fault.make, **SLOW[how])
+    cases = [each for each in ordered(known_cases().values()) if set(each.requirements) & set(fault.requirements)]
+    for case in cases:
+        result = runner.run(case)
+        failed = {each for check in result.checks if check.verdict is Verdict.FAIL for each in check.requirements}
+        if failed & set(fault.requirements):
+            return
+    pytest.fail(f"none of {len(cases)} cases has noticed it")

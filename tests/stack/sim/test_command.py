@@ -1,0 +1,196 @@
+"""``dcp-node simulate``, and what ``dcp-node testbed`` says before it needs any rights."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from dcp_stack.cli import main
+
+LINE = Path(__file__).parents[3] / "examples" / "line.toml"
+
+
+@pytest.fixture
+def run(capsys):
+    def call(*arguments: object) -> tuple[int, str, str]:
+        with pytest.raises(SystemExit) as ended:
+            main([str(each) for each in arguments])
+        shown = capsys.readouterr()
+        return ended.value.code, shown.out, shown.err
+
+    return call
+
+
+def test_a_scenario_as_text(run):
+    status, output, errors = run("simulate", LINE)
+    assert (status, errors) == (0, "")
+    assert output.startswith("five in a line: 5 nodes, dcp-2.0, 24 s, simulate, seed 1\n")
+    assert "node 4 is switched on" in output
+    assert "times real time" in output
+    assert "NOT MET" not in output
+
+
+def test_json_and_the_same_digest_for_the_same_seed(run):
+    first, second, other = (
+        json.loads(run("simulate", "-n", 9, "--topology", "grid", "--duration", 8, "--json", "--seed", seed)[1])
+        for seed in (5, 5, 6)
+    )
+    assert first["digest"] == second["digest"] != other["digest"]
+    assert first["met"] is True
+    assert first["speed_up"] > 0
+    assert [each["node"] for each in first["traffic"]] == list(range(9))
+
+
+def test_what_became_of_the_beacons_adds_up(run):
+    # Two that hear each other; the medium has delivered all, lost all, or something in between.
+    for loss in (0, 0.5, 1):
+        arguments = ("simulate", "-n", 2, "--duration", 8, "--loss", loss)
+        report = json.loads(run(*arguments, "--json")[1])
+        sent = sum(each["beacons_sent"] for each in report["traffic"])
+        received = sum(each["beacons_received"] for each in report["traffic"])
+        lost = round(report["expected"] * report["shares"].get("lost", 0))
+        assert report["expected"] == sent == received + lost
+        (medium,) = (line for line in run(*arguments)[1].splitlines() if line.startswith("medium"))
+        assert medium.startswith(f"medium     {sent} deliveries to neighbours: {received} delivered (")
+        assert (f", {lost} lost (" in medium) == (lost > 0)
+
+
+def test_options_replace_what_the_scenario_says(run):
+    status, output, _ = run("simulate", LINE, "--loss", 1, "--json")
+    report = json.loads(output)
+    assert status == 1
+    assert report["shares"]["lost"] == 1
+    assert not report["met"]
+    # Nodes 5 and 6 hear their neighbours, and the line goes on.
+    assert len(json.loads(run("simulate", LINE, "--nodes", 7, "--json")[1])["traffic"]) == 7
+
+
+def test_recordings(run, tmp_path):
+    status, _, _ = run(
+        "simulate", "-n", 3, "--duration", 3, "--record", tmp_path / "new", "--record-medium", tmp_path / "all.mcap"
+    )
+    assert status == 0
+    assert sorted(path.name for path in (tmp_path / "new").iterdir()) == ["node-0.mcap", "node-1.mcap", "node-2.mcap"]
+    assert (tmp_path / "all.mcap").stat().st_size > 1000
+
+
+def test_a_recording_that_ends_early_is_told(tmp_path):
+    """Files may become so long and no longer: as on a full disk."""
+    # Without -B the interpreter would leave compiled modules that are cut off, for all who come after.
+    simulate = [sys.executable, "-B", "-m", "dcp_stack.cli", "simulate", "-n", "4", "--duration", "30"]
+    limited = ["sh", "-c", 'ulimit -f 20; exec "$@"', "sh", *simulate, "--record-medium", str(tmp_path / "all.mcap")]
+    done = subprocess.run(limited, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert f"{tmp_path}/all.mcap: cannot be written: File too large" in done.stderr
+    # The rest is there.
+    assert "met      no node raises an exception" in done.stdout
+
+
+def test_a_network_of_one(run):
+    assert run("simulate", "-n", 1, "--duration", 2)[0] == 0
+
+
+@pytest.mark.parametrize("what", ["simulate", "testbed"])
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        ([], "give a SCENARIO file or a number of nodes"),
+        (["--scenario", "/nowhere.toml"], "/nowhere.toml: there is no such file"),
+        (["2", "--topology", "ring"], "topology 'ring' is none of"),
+        (["2", "--profile", "dcp-3.0"], "unknown profile 'dcp-3.0'"),
+        (["2", "--loss", "2"], "--loss"),
+        (["2", "--duration", "0"], "--duration"),
+        (["two"], ""),
+    ],
+)
+def test_wrong_usage_is_said_in_a_line(run, what, arguments, complaint):
+    if what == "simulate":
+        arguments = [each for each in arguments if each != "--scenario"]
+        arguments = ["--nodes", *arguments] if arguments[:1] == ["2"] else arguments
+    status, output, errors = run(what, *arguments)
+    assert (status, output) == (2, "")
+    assert complaint in errors
+    assert "Traceback" not in errors
+
+
+def test_too_many_processes(run):
+    status, _, errors = run("testbed", "--scenario", LINE, "--topology", "line", "201")
+    assert status == 2
+    assert "200" in errors
+
+
+@pytest.mark.parametrize(
+    ("table", "complaint"),
+    [
+        (
+            '[[events]]\nat_s = 1\ndo = "update"\nnode = 0\nvariable = 1\ntext = "a"\nevery_s = 5e-324',
+            "every_s: must be finite",
+        ),
+        (
+            '[[events]]\nat_s = 1\ndo = "update"\nnode = 0\nvariable = 1\ntext = "a"\nevery_s = inf',
+            "every_s: must be finite",
+        ),
+        ('[[events]]\nat_s = nan\ndo = "heal"', "at_s: nan is not within"),
+        ('[[expect]]\nthat = "converged"\nwithin_s = inf', "within_s: must be finite"),
+        ('[[expect]]\nthat = "converged"\nwithin_s = nan', "within_s: must be finite"),
+        ('[[expect]]\nthat = "beacon-rate"\nper_s = nan', "per_s: must be finite"),
+    ],
+)
+def test_times_without_end_are_refused_before_anything_is_played(run, tmp_path, table, complaint):
+    path = tmp_path / "scenario.toml"
+    path.write_text(f"nodes = 2\nduration_s = 3\n{table}\n")
+    status, output, errors = run("simulate", path)
+    assert (status, output) == (2, "")
+    assert complaint in errors
+    assert "Traceback" not in errors
+
+
+def test_a_recording_of_the_medium_claims_nothing_about_losses(run, tmp_path, capsys):
+    from dcp_codec.cli import main as codec
+
+    medium, folder = tmp_path / "medium.mcap", tmp_path / "nodes"
+    run("simulate", "-n", 2, "--duration", 5, "--loss", 0.5, "--record-medium", medium, "--record", folder)
+
+    def stats(*arguments: object) -> str:
+        with pytest.raises(SystemExit):
+            codec(["stats", *map(str, arguments)])
+        return capsys.readouterr().out
+
+    assert {each["lost"] for each in json.loads(stats(medium, "--format", "json"))["senders"].values()} == {None}
+    assert "lost: unknown; this recording has each transmission once" in stats(medium)
+    # What a node recorded itself has the losses of its own reception.
+    own = json.loads(stats(folder / "node-0.mcap", "--format", "json"))["senders"]
+    assert own["02:00:00:00:00:00"]["lost"] == 0
+    assert own["02:00:00:00:00:01"]["lost"] > 5
+
+
+@pytest.mark.parametrize("vantage", ["medium", "node"])
+def test_nor_does_the_page_of_such_a_recording(run, tmp_path, vantage):
+    pytest.importorskip("bokeh")
+    from dcp_codec.cli import main as codec
+
+    medium, folder, page = tmp_path / "medium.mcap", tmp_path / "nodes", tmp_path / "page.html"
+    run("simulate", "-n", 2, "--duration", 5, "--loss", 0.5, "--record-medium", medium, "--record", folder)
+    with pytest.raises(SystemExit) as ended:
+        codec(["report", str(medium if vantage == "medium" else folder / "node-0.mcap"), "--out", str(page)])
+    assert not ended.value.code
+    text = page.read_text()
+    assert ("Losses are unknown: this recording has each transmission once" in text) == (vantage == "medium")
+    assert "No sequence number of a beacon is missing" not in text
+
+
+def test_the_default_scenario_knows_how_far_values_have_to_go(run):
+    """Values need 1.5 beacon periods a hop: 5 s are too few for 62 hops, and nothing is amiss."""
+    report = json.loads(
+        run("simulate", "-n", 60, "--topology", "line", "--duration", 16, "--variables", 1, "--json")[1]
+    )
+    (expected,) = report["provenance"]["scenario"]["expect"]
+    assert expected["within_s"] == pytest.approx(1 + 0.2 * 59)
+    assert report["met"]
+    # Too short for that: nothing is expected, rather than something that cannot be.
+    short = json.loads(run("simulate", "-n", 60, "--topology", "line", "--duration", 8, "--json")[1])
+    assert short["provenance"]["scenario"]["expect"] == []

@@ -1,0 +1,48 @@
+"""The examples do what they say."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from dcp_stack.sim.scenario.loading import load_scenario
+from dcp_stack.sim.scenario.report import lines
+from dcp_stack.sim.virtual.player import simulate
+
+EXAMPLES = Path(__file__).parents[3] / "examples"
+STATION = EXAMPLES / "base-station"
+
+
+@pytest.mark.parametrize(
+    "path", sorted(EXAMPLES.glob("**/*.toml")), ids=lambda path: path.parent.name + "/" + path.name
+)
+def test_every_scenario_comes_out_as_it_expects(path):
+    report = simulate(load_scenario(path))
+    assert report.met, "\n".join(lines(report))
+
+
+def station(*arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, str(STATION / "base_station.py"), *arguments]
+    return subprocess.run(command, capture_output=True, text=True, timeout=600)
+
+
+def test_the_base_station_shows_what_its_readme_shows():
+    done = station("simulate")
+    assert done.returncode == 0, done.stderr
+    # What it took of real time is another every time.
+    shown = re.sub(r"in \d+\.\d+ s", "in N s", done.stdout)
+    session = re.search(r"base_station\.py simulate\n(.*?)```", (STATION / "README.md").read_text(), re.DOTALL)
+    assert session is not None
+    for part in re.sub(r"in \d+\.\d+ s", "in N s", session[1]).split("...\n"):
+        assert part in shown
+
+
+def test_the_base_station_says_what_is_missing():
+    done = station("monitor", "--control", "/nowhere.sock")
+    assert done.returncode == 3
+    assert "there is no such socket" in done.stderr
+    assert station("drone").returncode == 2
