@@ -12,7 +12,7 @@ import os
 import signal
 import time
 from collections.abc import Callable, Iterator
-from typing import Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
 
@@ -27,6 +27,10 @@ from dcp_stack.positions import PositionSource
 
 from .channels import ControlSocket, StandardStreams
 from .reactor import READ, Reactor
+
+if TYPE_CHECKING:
+    # Loaded only if metrics are requested.
+    from .metrics import MetricsServer
 
 log = logging.getLogger(__name__)
 
@@ -53,22 +57,6 @@ _NEIGHBOURS: Final = (NeighbourSeen, NeighbourExpired)
 SIGNALS: Final = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 
 
-class Attachment(Protocol):
-    """Another object to attach to the reactor, such as the metrics server."""
-
-    def attach(self, reactor: Reactor) -> None:
-        """Register descriptors with ``reactor``."""
-        ...
-
-    def tick(self, now: int) -> None:
-        """Do periodic work; called about once a second with the monotonic time in ns."""
-        ...
-
-    def close(self) -> None:
-        """Close all descriptors."""
-        ...
-
-
 class Driver:
     """A running node with its surroundings. It closes all objects that are passed to its constructor."""
 
@@ -80,8 +68,9 @@ class Driver:
         recorder: RotatingRecorder | None = None,
         positions: PositionSource | None = None,
         neighbour_file: NeighbourFileWriter | None = None,
-        attachments: tuple[Attachment, ...] = (),
+        metrics: MetricsServer | None = None,
     ) -> None:
+        """``recorder``: records the frames that the link receives and sends."""
         self.node = node
         self.link = link
         self.server = ControlServer(node, runtime=self.describe)
@@ -92,7 +81,7 @@ class Driver:
         self._recorder = recorder
         self._positions = positions
         self._neighbour_file = neighbour_file
-        self._attachments = attachments
+        self._metrics = metrics
         self._controls: list[ControlSocket | StandardStreams] = []
         self._stopping = False
         self._wake: int | None = None
@@ -127,8 +116,8 @@ class Driver:
             self.node.start(*_times())
             if self._positions is not None:
                 self._poll_positions()
-            for attachment in self._attachments:
-                attachment.attach(self.reactor)
+            if self._metrics is not None:
+                self._metrics.attach(self.reactor)
             self._after_turn(*_times())
             on_ready()
             while not self._stopping:
@@ -204,6 +193,9 @@ class Driver:
         node = self.node
         receptions = self.link.receive()
         self._flooded = len(receptions) > FLOOD
+        if self._recorder is not None:
+            for each in receptions:
+                self._recorder.saw(each.octets, each.wall, outgoing=False, source=each.source)
         # Difference of the clocks: the kernel stamps frames with wall time.
         offset = time.time_ns() - time.monotonic_ns()
         for number, reception in enumerate(receptions):
@@ -249,10 +241,17 @@ class Driver:
                 # Checked first: by far the most frequent effect.
                 continue
             if isinstance(effect, SendBeacon):
-                self.link.send(effect.octets)
+                self._send(effect.octets)
             elif isinstance(effect, _NEIGHBOURS):
                 self._dirty = True
         self.server.indicate(effects, now=now, wall=wall)
+
+    def _send(self, octets: bytes) -> None:
+        """Send a beacon, and record it if it was sent."""
+        # Taken before sending: in the recording an answer must not be older than the frame it answers.
+        wall = time.time_ns()
+        if self.link.send(octets) and self._recorder is not None:
+            self._recorder.saw(octets, wall, outgoing=True, source=self.link.source)
 
     # -- surroundings ---------------------------------------------------------------------------------------------
 
@@ -295,13 +294,13 @@ class Driver:
             self._dirty = True
 
     def _housekeep(self, now: int) -> None:
-        """Do the work of each second: recording, obstacles, attachments, stalled clients."""
+        """Do the work of each second: recording, obstacles, metrics, stalled clients."""
         self._housekeeping = now + HOUSEKEEPING_INTERVAL
         if self._recorder is not None:
             self._recorder.tick()
         self._tell_obstacles(now)
-        for attachment in self._attachments:
-            attachment.tick(now)
+        if self._metrics is not None:
+            self._metrics.tick(now)
         for control in self._controls:
             for channel in control.channels:
                 if channel.stalled_since is not None:
@@ -357,9 +356,7 @@ class Driver:
         with contextlib.ExitStack() as closing:
             closing.callback(self.reactor.close)
             closing.callback(self.link.close)
-            if self._recorder is not None:
-                closing.callback(self._recorder.close)
-            for each in (self._positions, self._neighbour_file, *self._attachments, *self._controls):
+            for each in (self._recorder, self._positions, self._neighbour_file, self._metrics, *self._controls):
                 if each is not None:
                     closing.callback(each.close)
 

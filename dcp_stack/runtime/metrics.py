@@ -75,15 +75,16 @@ class MetricsError(Exception):
 class NodeCollector:
     """The collector of a node's metrics, with the method ``collect`` that prometheus_client calls."""
 
-    def __init__(self, server: ControlServer, link: Link) -> None:
+    def __init__(self, server: ControlServer, link: Link, recorder: RotatingRecorder | None = None) -> None:
         self._server = server
         self._link = link
+        self._recorder = recorder
 
     def collect(self) -> Iterator[Metric]:
         """Yield all metrics. No label has a received value: other stations could create any number of series."""
         from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, InfoMetricFamily
 
-        node, link = self._server.node, self._link
+        node, link, recorder = self._server.node, self._link, self._recorder
         config = node.config
         about = {
             "node_id": config.node_id.hex(":"),
@@ -113,11 +114,10 @@ class NodeCollector:
         yield drops
         for name, number in msgspec.structs.asdict(link.counters).items():
             yield CounterMetricFamily(f"dcp_link_{name}", _meaning(name), value=number)
-        recorder = getattr(link, "watcher", None)
-        if isinstance(recorder, RotatingRecorder):
+        if recorder is not None:
             yield GaugeMetricFamily("dcp_recording_active", "Whether frames are being recorded.", recorder.recording)
-            for name in ("frames", "frames_lost", "interruptions"):
-                yield CounterMetricFamily(f"dcp_recording_{name}", _RECORDING[name], value=getattr(recorder, name))
+            for name, meaning in _RECORDING.items():
+                yield CounterMetricFamily(f"dcp_recording_{name}", meaning, value=getattr(recorder, name))
         yield GaugeMetricFamily("dcp_link_up", "Whether the link can carry frames.", link.up)
         yield GaugeMetricFamily("dcp_bp_active", "Whether BP is active.", node.bp.active)
         sessions = len(self._server.sessions)
