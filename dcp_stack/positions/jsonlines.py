@@ -8,7 +8,7 @@ from typing import Final
 
 import msgspec
 
-from .base import Sample, Source
+from .base import PositionSource, Sample
 from .fields import FieldError, SafetyFields
 
 LONGEST_LINE: Final = 65_536
@@ -17,7 +17,7 @@ _CHUNK: Final = 65_536
 _CHUNKS_PER_POLL: Final = 16
 
 
-class JsonLines(Source):
+class JsonLines(PositionSource):
     """Reads one JSON object per line, with fields of the profile, roles or aliases as keys.
 
     Invalid lines are counted by kind (``bad-json``, ``bad-field``, ``too-long``). The descriptor is not set to
