@@ -12,7 +12,7 @@ import os
 import signal
 import time
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import msgspec
 
@@ -25,12 +25,8 @@ from dcp_stack.neighbour_file import NeighbourFileWriter
 from dcp_stack.node import Node
 from dcp_stack.positions import PositionSource
 
-from .channels import ControlSocket, StandardStreams
+from .channels import Listener, StandardStreams
 from .reactor import READ, Reactor
-
-if TYPE_CHECKING:
-    # Loaded only if metrics are requested.
-    from .metrics import MetricsServer
 
 log = logging.getLogger(__name__)
 
@@ -68,7 +64,6 @@ class Driver:
         recorder: RotatingRecorder | None = None,
         positions: PositionSource | None = None,
         neighbour_file: NeighbourFileWriter | None = None,
-        metrics: MetricsServer | None = None,
     ) -> None:
         """``recorder``: records the frames that the link receives and sends."""
         self.node = node
@@ -81,8 +76,7 @@ class Driver:
         self._recorder = recorder
         self._positions = positions
         self._neighbour_file = neighbour_file
-        self._metrics = metrics
-        self._controls: list[ControlSocket | StandardStreams] = []
+        self._controls: list[Listener | StandardStreams] = []
         self._stopping = False
         self._wake: int | None = None
         self._arrived = self.started
@@ -96,8 +90,8 @@ class Driver:
         self._told: set[tuple[str, int, str]] = set()
         self._obstacles_told = self.started - OBSTACLE_INTERVAL
 
-    def add_control(self, control: ControlSocket | StandardStreams) -> None:
-        """Accept clients from ``control``."""
+    def add_control(self, control: Listener | StandardStreams) -> None:
+        """Accept clients from ``control``, and close it at the end."""
         self._controls.append(control)
         control.attach(self.server, self.reactor)
 
@@ -116,8 +110,6 @@ class Driver:
             self.node.start(*_times())
             if self._positions is not None:
                 self._poll_positions()
-            if self._metrics is not None:
-                self._metrics.attach(self.reactor)
             self._after_turn(*_times())
             on_ready()
             while not self._stopping:
@@ -294,17 +286,14 @@ class Driver:
             self._dirty = True
 
     def _housekeep(self, now: int) -> None:
-        """Do the work of each second: recording, obstacles, metrics, stalled clients."""
+        """Do the work of each second: recording, obstacles, slow clients."""
         self._housekeeping = now + HOUSEKEEPING_INTERVAL
         if self._recorder is not None:
             self._recorder.tick()
         self._tell_obstacles(now)
-        if self._metrics is not None:
-            self._metrics.tick(now)
         for control in self._controls:
             for channel in control.channels:
-                if channel.stalled_since is not None:
-                    channel.busy = True
+                channel.busy = True
 
     def _tell_obstacles(self, now: int) -> None:
         """Log obstacles: each kind, variable and neighbour once, at most one line per ``OBSTACLE_INTERVAL``."""
@@ -356,7 +345,7 @@ class Driver:
         with contextlib.ExitStack() as closing:
             closing.callback(self.reactor.close)
             closing.callback(self.link.close)
-            for each in (self._recorder, self._positions, self._neighbour_file, self._metrics, *self._controls):
+            for each in (self._recorder, self._positions, self._neighbour_file, *self._controls):
                 if each is not None:
                     closing.callback(each.close)
 

@@ -123,12 +123,12 @@ def _open(settings: Settings, make: MakeNode, stack: contextlib.ExitStack) -> Dr
         recorder=recorder,
         positions=positions,
         neighbour_file=neighbours,
-        metrics=metrics,
     )
     if metrics is not None:
         from .metrics import NodeCollector
 
         metrics.serve(NodeCollector(driver.server, link, recorder))
+        driver.add_control(metrics)
         log.info("metrics at http://127.0.0.1:%d/metrics", metrics.port)
     if control is not None:
         share(control.path, settings.control_group, settings.control_mode)
