@@ -51,8 +51,8 @@ uint32 seqno                          # CREATE, UPDATE: sequence number of the v
 uint8[] value                         # CREATE, UPDATE: octets of the value
 string prod_id                        # CREATE: producer
 string descr                          # CREATE: description; octets that are not UTF-8 are written \\xff
-uint32 rep_cnt                        # CREATE: beacons that repeat an instruction
-uint64 timeout_ms                     # CREATE: deleted when not updated for so long; 0 = never
+uint32 rep_cnt                        # CREATE: number of beacons that contain each instruction
+uint64 timeout_ms                     # CREATE: deleted after this time without an update; 0 = never
 """,
 }
 
