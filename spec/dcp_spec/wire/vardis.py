@@ -83,11 +83,15 @@ def instruction_records(profile: Profile) -> dict[str, Record]:
     var_id = {"varId": _var_id(profile)}
     return {
         "SUMMARIES": _record(
-            profile, "VarSumm", {**var_id, "seqno": _seqno(profile, "sequence number of the newest value that the sender has")}
+            profile,
+            "VarSumm",
+            {**var_id, "seqno": _seqno(profile, "sequence number of the newest value that the sender has")},
         ),
         "UPDATES": var_update(profile),
         "REQUEST-VARUPDATES": _record(
-            profile, "VarReqUpdate", {**var_id, "seqno": _seqno(profile, "sequence number of the outdated value that the sender has")}
+            profile,
+            "VarReqUpdate",
+            {**var_id, "seqno": _seqno(profile, "sequence number of the outdated value that the sender has")},
         ),
         "REQUEST-VARCREATES": _record(profile, "VarReqCreate", var_id),
         "CREATE-VARIABLES": _record(
