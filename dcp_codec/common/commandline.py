@@ -64,6 +64,17 @@ class LazyGroup(click.Group):
         command: click.Command = importlib.import_module(f"{self._package}.{cmd_name.replace('-', '_')}").command
         return command
 
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        if args[0] not in self._table and not ctx.resilient_parsing:
+            # Imported only for an unknown command, as click does for an unknown option.
+            from difflib import get_close_matches
+
+            if near := get_close_matches(args[0], self._table):
+                ctx.fail(f"No such command {args[0]!r}. Did you mean {' or '.join(map(repr, near))}?")
+        return super().resolve_command(ctx, args)
+
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002 - as above
         # The table has all that is needed; importing every module for its help would be slow.
         with formatter.section("Commands"):

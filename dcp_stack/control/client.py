@@ -15,6 +15,7 @@ from .jsonrpc import RpcError, parse, request_message
 
 PATIENCE = 10.0
 """Default time in s for an answer of the node."""
+CLOSED = "the node has closed the connection: it has ended, or its log has the reason, such as too many clients"
 LONGEST_ANSWER = 1 << 30
 """Maximum length of a line from the node in octets: a database of 65,536 variables has about ten million."""
 
@@ -158,7 +159,7 @@ class ControlClient:
         except OSError as error:
             raise ControlError(f"{self.path}: {_why_not(error)}") from None
         if not data:
-            raise ControlError(f"{self.path}: the node has closed the connection")
+            raise ControlError(f"{self.path}: {CLOSED}")
         self._lines.add(data)
         return True
 
@@ -190,5 +191,5 @@ def _why_not(error: OSError) -> str:
     if isinstance(error, PermissionError):
         return "permission denied; only the user of the node and its control_group may use the socket"
     if isinstance(error, ConnectionResetError | BrokenPipeError):
-        return "the node has closed the connection"
+        return CLOSED
     return error.strerror or str(error)

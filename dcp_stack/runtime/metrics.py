@@ -14,7 +14,7 @@ import socket
 import time
 from collections import Counter
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, get_args
 
 import msgspec
 
@@ -22,6 +22,7 @@ from dcp_codec.common.extras import advice
 from dcp_stack.control.server import ControlServer
 from dcp_stack.links.base import Link
 from dcp_stack.links.rotation import RotatingRecorder
+from dcp_stack.vardis.delivery import Kind
 
 from .reactor import READ, WRITE, Reactor
 
@@ -136,7 +137,7 @@ class NodeCollector:
             about_obstacles = "Variables that do not reach a neighbour, by reason."
             obstacles = GaugeMetricFamily("dcp_vardis_obstacles", about_obstacles, labels=["reason"])
             reasons = Counter(each.kind for each in node.vardis.obstacles(time.monotonic_ns()))
-            for reason in ("asked-again", "unconfirmed", "superseded"):
+            for reason in get_args(Kind):
                 obstacles.add_metric([reason], reasons[reason])
             yield obstacles
 

@@ -29,7 +29,7 @@ PATIENCE: Final = 10_000_000_000
 MOST_ENTRIES: Final = 256
 """Maximum number of counted pairs of neighbour and variable, so that received records cannot exhaust memory."""
 
-Kind = Literal["asked-again", "unconfirmed", "superseded"]
+Kind = Literal["asked-again", "unconfirmed", "superseded", "taken-over"]
 
 
 class Obstacle(msgspec.Struct, frozen=True, rename="camel"):
@@ -38,6 +38,7 @@ class Obstacle(msgspec.Struct, frozen=True, rename="camel"):
     ``asked-again``: ``peer`` (its node identifier in hexadecimal) has requested the variable ``count`` times, and it
     was sent each time. ``unconfirmed``: ``count`` summaries had an older sequence number, and none has had that of the
     update ``for_ms`` ms ago. ``superseded``: other nodes have a creation with a later time and ignore this one.
+    ``taken-over``: node ``peer`` has created the variable again, and is its producer now (H4).
     """
 
     kind: Kind
@@ -63,6 +64,11 @@ class Obstacle(msgspec.Struct, frozen=True, rename="camel"):
                     f"variable {self.var_id}: other nodes have a creation with a later time and ignore this one; "
                     "create it again, and check the clock"
                 )
+            case "taken-over":
+                return (
+                    f"variable {self.var_id}: {self.peer} has created it again and is its producer now; "
+                    "this node cannot update it any more"
+                )
 
 
 class _Waiting:
@@ -87,6 +93,7 @@ class Delivery:
         self._waiting: dict[int, _Waiting] = {}
         self._created: dict[int, int] = {}
         self._superseded: set[int] = set()
+        self._taken: dict[int, bytes] = {}
 
     def clear(self) -> None:
         """Forget all variables."""
@@ -94,12 +101,14 @@ class Delivery:
         self._waiting.clear()
         self._created.clear()
         self._superseded.clear()
+        self._taken.clear()
 
     # -- changes at this node -----------------------------------------------------------------------------------
 
     def created(self, var_id: int) -> None:
         """Note that this node has created the variable."""
         self._forget(var_id)
+        self._taken.pop(var_id, None)
 
     def updated(self, var_id: int, seqno: int, now: int) -> None:
         """Note that this node has updated the variable. Neighbours have to confirm the oldest unconfirmed update."""
@@ -158,6 +167,10 @@ class Delivery:
         if known is not None and creation_time > known:
             self._superseded.add(var_id)
 
+    def taken_over(self, var_id: int, producer: bytes) -> None:
+        """Note that a received creation by ``producer`` has replaced the variable of this node."""
+        self._taken[var_id] = producer
+
     def latest_creation(self, var_id: int) -> int | None:
         """Return the latest received creation time of a variable with this node as producer, None without any."""
         return self._created.get(var_id)
@@ -179,3 +192,5 @@ class Delivery:
                 yield Obstacle("unconfirmed", var_id, count=waiting.behind, for_ms=age // 1_000_000)
         for var_id in self._superseded:
             yield Obstacle("superseded", var_id)
+        for var_id, producer in self._taken.items():
+            yield Obstacle("taken-over", var_id, producer.hex(":"))

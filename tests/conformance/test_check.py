@@ -775,6 +775,17 @@ class TestCaptures:
                 check.observed.startswith(node) for check in failed[rule].checks if check.verdict is Verdict.FAIL
             )
 
+    def test_padding_of_zeros_is_told_from_addresses(self):
+        air = Script("cpp-2.0")
+        packing(air, wrong=True)
+        run = judged(air.frames, air.profile, Pics())
+        found = " ".join(check.observed for check in case_of(run, "CK_DATA_PACKED").checks)
+        assert "virtual table pointer (zero)" in found
+        run, _ = judge_recording(CAPTURES / "a_bus3.mcap", None, Pics())
+        found = " ".join(check.observed for check in case_of(run, "CK_DATA_PACKED").checks)
+        assert "virtual table pointer (0x" in found
+        assert "virtual table pointer (zero)" not in found
+
     def test_hazards_of_the_design_are_observed_and_nobodys_fault(self):
         run, _ = judge_recording(CAPTURES / "a_bus3_v1.3.6.mcap", None, Pics())
         seen = [check for check in case_of(run, "CK_VD_REQUEST").checks if check.verdict is Verdict.INFO]

@@ -18,7 +18,7 @@ import pytest
 
 from dcp_codec import Codec
 from dcp_codec.capture import open_capture
-from dcp_stack.control import ControlError
+from dcp_stack.control import ControlClient, ControlError
 from dcp_stack.links.udp import open_udp
 from dcp_stack.neighbour_file import NeighbourFileReader
 
@@ -255,6 +255,8 @@ def test_too_many_clients(node):
         except OSError:
             refused += 1
     assert refused == 7
+    with pytest.raises(ControlError, match="too many clients"), ControlClient(running.path) as late:
+        late.call("UT-Hello")
     for each in crowd:
         each.close()
     eventually(lambda: good.call("UT-Status")["runtime"]["sessions"] == 1, "the crowd is forgotten")

@@ -209,6 +209,7 @@ def test_waiting_for_a_node_that_never_comes(run, tmp_path):
 def test_wrong_usage_is_2(run, tmp_path, monkeypatch):
     monkeypatch.delenv("DCP_NODE_CONTROL", raising=False)
     assert run("nonsense").status == 2
+    assert "Did you mean 'status'" in run("stauts").err
     control = ["--control", tmp_path / "none.sock"]
     assert "--value HEX or --text TEXT" in run("var", "create", "7", "--descr", "x", *control).err
     assert "--descr" in run("var", "create", "7", "--value", "00", *control).err

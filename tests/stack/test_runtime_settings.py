@@ -5,10 +5,11 @@ from __future__ import annotations
 import tomllib
 from pathlib import Path
 
+import msgspec
 import pytest
 
 from dcp_codec import Codec
-from dcp_stack.config import BPConfig
+from dcp_stack.config import BPConfig, VardisConfig
 from dcp_stack.runtime.settings import (
     Settings,
     SettingsError,
@@ -20,6 +21,7 @@ from dcp_stack.runtime.settings import (
     random_node_id,
     settings_text,
 )
+from dcp_stack.sim.virtual.network import Network
 
 FULL = """
 node_id = "02:00:00:00:00:01"
@@ -188,3 +190,20 @@ def test_among_other_implementations_a_node_starts_with_what_their_profile_recom
     assert limits(**{"vardis.max_summaries": 0}) == (600, 0, None)
     assert limits(**{"vardis.recommended": False}) == (None, None, None)
     assert node_config(Settings(), Codec("dcp-2.0")).vardis.max_payload_size is None
+
+
+@pytest.mark.parametrize(("recommended", "known"), [(True, 60), (False, 5)])
+def test_many_long_variables_reach_nodes_that_discard_long_payloads(recommended, known):
+    settings = load_settings(None, {"profile": "cpp-2.0", "vardis.recommended": recommended})
+    codec = Codec("cpp-2.0")
+    # The limits that nodes of the C++ implementation usually have.
+    others = VardisConfig(max_payload_size=600, max_repetitions=1)
+    net = Network(3, codec, vardis=others, readings={"X49": "discard-larger"})
+    first = net.stations[0]
+    first.config = msgspec.structs.replace(first.config, vardis=node_config(settings, codec).vardis)
+    for number in range(3):
+        net.start(number)
+    for variable in range(60):
+        first.node.vardis.create(variable, None, 1, b"d" * 32, bytes(32), now=net.now, wall=net.wall)
+    net.run_until(2_000_000_000)
+    assert [len(each.node.vardis.describe_database().variables) for each in net.stations] == [60, known, known]

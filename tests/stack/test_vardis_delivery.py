@@ -106,6 +106,28 @@ def test_nobody_there_confirms_nothing() -> None:
     assert found(rig) == []
 
 
+def test_a_variable_that_another_node_takes_over() -> None:
+    rig = Rig()
+    rig.create()
+    rig.receive(rig.vc(prod_id=OTHER, created=WALL + SECOND))
+    rig.receive(rig.vc(prod_id=OTHER, created=WALL + 2 * SECOND))
+    assert found(rig) == [
+        "variable 7: 02:00:00:00:00:02 has created it again and is its producer now; "
+        "this node cannot update it any more"
+    ]
+    rig.vardis.shutdown()
+    rig.vardis.start(rig.now, rig.wall)
+    assert found(rig) == []
+
+
+def test_a_deleted_variable_that_another_node_creates_is_not_taken_over() -> None:
+    rig = Rig()
+    rig.create()
+    rig.delete()
+    rig.receive(rig.vc(prod_id=OTHER, created=WALL + SECOND))
+    assert found(rig) == []
+
+
 @pytest.mark.req("VD-CRE-09")
 def test_a_restart_with_a_clock_that_is_behind() -> None:
     rig = Rig()

@@ -103,7 +103,8 @@ class Packing(Invariant):
             octets += field.length
             pointer = _pointer(field.raw)
             what = self._opaque[field.name].note or "unexplained"
-            found.append(f"{what} ({pointer:#x}, an address in memory)" if pointer is not None else what)
+            value = f" ({pointer:#x}, an address in memory)" if pointer is not None else ""
+            found.append(what + (value if any(field.raw) else " (zero)"))
             marks.append(Mark(seen.number, field.offset, field.length, field.path))
         if found:
             text = f"{name(seen.sender)}: {octets} octets of the state report are in no field: {', '.join(found)}"
