@@ -29,6 +29,9 @@ _CONFIGURED: Final = re.compile(r"TC_BP_(TX_TI|PAR|INI)_.*|TC_VD_SCR_TI_(09|16)"
 """Cases about the configured beacon period, and cases with repetitions that must outlast a timeout: with a short period
 they would be over before it."""
 
+_RELATIVE: Final = re.compile(r"TC_BP_(TX_TI_02|HDR_BV_10).*")
+"""Cases that set the beacon period to a multiple or a fraction of the one in force, and restore that one."""
+
 _FILLS: Final = "it fills payloads, and depends on the room in them"
 _LISTENS: Final = "it judges the whole content of beacons"
 _REPLACES: Final = "it deregisters SRP or VarDis"
@@ -87,6 +90,8 @@ def family(case: Case) -> str:
 def at_short_period(case: Case) -> bool:
     """Return whether the case can be executed with a shorter beacon period without an effect on its verdict."""
     needs = case.needs
+    if _RELATIVE.fullmatch(case.id):
+        return True
     if needs.restart or needs.link or case.long or case.destructive or "BP-SetParameter" in needs.ut:
         return False
     if _CONFIGURED.fullmatch(case.id):
