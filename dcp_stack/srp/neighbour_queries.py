@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from .neighbour_table import NeighbourTableEntry
 
 
-#: The times and statistics of an entry that are shown as they are.
+#: The times and statistics of an entry that are shown unchanged.
 _SHOWN: Final = (
     *("reception_time", "received_at", "first_seen", "received", "repeated", "lost", "restarts"),
     *("mean_gap", "mean_interval"),
