@@ -18,10 +18,10 @@ VARIABLE: Final = "dcp_msgs/msg/VariableEvent"
 
 _NEIGHBOUR = """\
 # A node in a neighbour table.
-string node_id                        # as the profile writes identifiers, such as 02:00:00:00:00:01
+string node_id                        # in the notation of the profile, such as 02:00:00:00:00:01
 builtin_interfaces/Time last_heard    # time of capture of its last beacon
-uint32 beacons                        # beacons heard since the start of the recording
-bool has_report                       # whether a state report was heard; without one the fields below mean nothing
+uint32 beacons                        # beacons received since the start of the recording
+bool has_report                       # whether a state report was received; if not, the fields below are invalid
 uint32 report_seqno                   # sequence number of its last state report
 builtin_interfaces/Time report_time   # time of capture of that report
 bool has_position                     # whether that report has a finite Cartesian position
@@ -32,7 +32,7 @@ geometry_msgs/Point position          # in metres, in the frame of reference of 
 _OWN: Final = {
     POSE: "std_msgs/Header header\ngeometry_msgs/Pose pose\n",
     NEIGHBOURS: """\
-# What the recorder knew of the nodes around it: all that were heard within `window`, by identifier.
+# Neighbour table of the recorder: the nodes whose beacons it received within `window`, by identifier.
 std_msgs/Header header
 float32 window                        # seconds
 dcp_msgs/Neighbour[] neighbours
@@ -51,8 +51,8 @@ uint32 seqno                          # CREATE, UPDATE: sequence number of the v
 uint8[] value                         # CREATE, UPDATE: octets of the value
 string prod_id                        # CREATE: producer
 string descr                          # CREATE: description; octets that are not UTF-8 are written \\xff
-uint32 rep_cnt                        # CREATE: beacons that repeat an instruction
-uint64 timeout_ms                     # CREATE: deleted when not updated for so long; 0 = never
+uint32 rep_cnt                        # CREATE: number of beacons that contain each instruction
+uint64 timeout_ms                     # CREATE: deleted after this time without an update; 0 = never
 """,
 }
 

@@ -36,14 +36,20 @@ ERRORS_SCHEMA = pa.schema(
     [
         pa.field("frame", pa.int64(), metadata={"doc": "number of the frame in the recording, from 1"}),
         pa.field("time", TIME, metadata={"doc": "time of capture, UTC", "unit": "ns"}),
-        pa.field("sender", IDENTIFIER, metadata={"doc": "sender of the beacon, where it can be read"}),
-        pa.field("payload", pa.uint32(), metadata={"doc": "index of the bad payload block, null for the header"}),
-        pa.field("reason", pa.dictionary(pa.int32(), pa.string()), metadata={"doc": "kind of the error, a fixed word"}),
-        pa.field("path", pa.string(), metadata={"doc": "the field, with indices"}),
+        pa.field("sender", IDENTIFIER, metadata={"doc": "sender of the beacon; null if it cannot be read"}),
+        pa.field("payload", pa.uint32(), metadata={"doc": "index of the invalid payload block; null for the header"}),
+        pa.field(
+            "reason", pa.dictionary(pa.int32(), pa.string()), metadata={"doc": "kind of the error, a fixed identifier"}
+        ),
+        pa.field("path", pa.string(), metadata={"doc": "path of the field, with indices"}),
         pa.field("offset", pa.int64(), metadata={"doc": "start of the field, in octets from the start of the frame"}),
-        pa.field("needed", pa.int64(), metadata={"doc": "octets, or the number that is right"}),
-        pa.field("available", pa.int64(), metadata={"doc": "octets, or the number that is there"}),
-        pa.field("requirement", pa.dictionary(pa.int32(), pa.string()), metadata={"doc": "id of the catalogue"}),
+        pa.field("needed", pa.int64(), metadata={"doc": "required octets, or the correct number"}),
+        pa.field("available", pa.int64(), metadata={"doc": "available octets, or the number found"}),
+        pa.field(
+            "requirement",
+            pa.dictionary(pa.int32(), pa.string()),
+            metadata={"doc": "identifier of the violated requirement"},
+        ),
     ]
 )
 

@@ -32,6 +32,8 @@ def why_not(bench: Bench, case: Case) -> str:
         missing = [method for method in needs.ut if method not in session.upper.methods]
         if missing:
             return f"the upper tester does not offer {', '.join(missing)}"
+    if "UT-Reset" in needs.ut and session.pics.pixit.reset == "none":
+        return 'the PIXIT excludes resets ([pixit] reset = "none")'
     for name in needs.pics:
         claimed = getattr(bench.sut.pics, name)
         if claimed is None:

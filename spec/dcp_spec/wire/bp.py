@@ -37,7 +37,7 @@ def header(profile: Profile, payloads: Any) -> Record:
             "magicNo",
             Expect(integer(types.magic_no), BP_MAGIC_NO, reason="bad-magic", requirement="BP-RX-02"),
             requirement="BP-HDR-02",
-            doc="tells beacons from other traffic",
+            doc="distinguishes beacons from other traffic",
         ),
         "senderId": Field(
             "senderId",
@@ -59,7 +59,7 @@ def header(profile: Profile, payloads: Any) -> Record:
             length,
             requirement="BP-HDR-06",
             unit="octets",
-            doc="all payload blocks with their headers",
+            doc="length of all payload blocks with their headers",
         ),
         "numPayloads": Field(
             "numPayloads",
@@ -72,7 +72,7 @@ def header(profile: Profile, payloads: Any) -> Record:
             integer(types.bp_seqno),
             requirement="BP-HDR-08",
             role="seqno",
-            doc="counts the sender's beacons",
+            doc="counter of the sender's beacons",
         ),
     }
     return Record("BPHeader", *members(profile.bp.header, fields), requirement="BP-HDR-10")
@@ -94,7 +94,7 @@ def payload_block(profile: Profile, clients: Mapping[int, tuple[str, Any]]) -> R
             SizeOf(integer(types.bp_length), of="content", target=content),
             requirement="BP-HDR-11",
             unit="octets",
-            doc="client payload without this header",
+            doc="length of the client payload without this header",
         ),
     }
     block = members(profile.bp.payload_header, fields)

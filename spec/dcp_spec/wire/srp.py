@@ -70,14 +70,14 @@ def state_report(profile: Profile) -> Record:
             requirement="SRP-TYP-05",
             role="timestamp",
             unit=types.timestamp.unit,
-            doc="when the application handed the data down",
+            doc="time at which the application submitted the data",
         ),
         "seqno": Field(
             "seqno",
             integer(types.srp_seqno),
             requirement="SRP-TYP-01",
             role="seqno",
-            doc="counts the reports of this node",
+            doc="counter of the node's reports",
         ),
     }
     return Record("ExtendedSafetyData", *members(profile.srp.record, fields), requirement="SRP-RX-01")

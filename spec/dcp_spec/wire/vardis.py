@@ -28,7 +28,7 @@ def spec_fields(profile: Profile) -> dict[str, Field]:
             "repCnt",
             integer(types.var_rep_cnt),
             requirement="VD-TYP-05",
-            doc="beacons that repeat an instruction",
+            doc="number of beacons that contain each instruction",
         ),
         "creationTime": Field(
             "creationTime",
@@ -36,14 +36,14 @@ def spec_fields(profile: Profile) -> dict[str, Field]:
             requirement="VD-TYP-05",
             role="timestamp",
             unit=types.timestamp.unit,
-            doc="when the producer created the variable",
+            doc="time at which the producer created the variable",
         ),
         "timeout": Field(
             "timeout",
             integer(types.var_timeout),
             requirement="VD-TYP-04",
             unit="ms",
-            doc="deleted when not updated for so long; 0 = never",
+            doc="deleted after this time without an update; 0 = never",
         ),
         "descr": Field("descr", octets(types.string, text=True), requirement="DATA-07", doc="description, UTF-8"),
     }
@@ -83,11 +83,15 @@ def instruction_records(profile: Profile) -> dict[str, Record]:
     var_id = {"varId": _var_id(profile)}
     return {
         "SUMMARIES": _record(
-            profile, "VarSumm", {**var_id, "seqno": _seqno(profile, "newest value that the sender has")}
+            profile,
+            "VarSumm",
+            {**var_id, "seqno": _seqno(profile, "sequence number of the newest value that the sender has")},
         ),
         "UPDATES": var_update(profile),
         "REQUEST-VARUPDATES": _record(
-            profile, "VarReqUpdate", {**var_id, "seqno": _seqno(profile, "outdated value of the requester")}
+            profile,
+            "VarReqUpdate",
+            {**var_id, "seqno": _seqno(profile, "sequence number of the outdated value that the sender has")},
         ),
         "REQUEST-VARCREATES": _record(profile, "VarReqCreate", var_id),
         "CREATE-VARIABLES": _record(

@@ -9,7 +9,7 @@ import pytest
 from dcp_conformance.execution.runner import Runner
 from dcp_conformance.execution.selection import ordered
 from dcp_conformance.model.case import DECLARED, DENIED, Case, Kind
-from dcp_conformance.model.pics import Pics
+from dcp_conformance.model.pics import Pics, Testing
 from dcp_conformance.model.results import CaseResult
 from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, VirtualUpperTester, reference_config
@@ -84,6 +84,19 @@ def test_up_to_1_3_identifiers_are_never_used_up(profile: str):
     results = [runner.run(each) for each in cases]
     wrong = [each for each in results if each.verdict not in FINE and not still_reporting(profile, each)]
     assert [f"{each.id}: {each.reason}" for each in wrong] == []
+
+
+def test_a_pixit_without_resets_excludes_cases_that_need_one():
+    """The upper tester has UT-Reset, but the user does not want it to be called."""
+    sut = InProcess(reference_config(codec_of("dcp-2.0")))
+    pics = Pics(pixit=Testing(reset="none"))
+    runner = Runner(Session(codec_of("dcp-2.0"), sut.lower_tester(), VirtualUpperTester(sut), pics))
+    runner.prepare()
+    result = runner.run(known_cases()["TC_VD_PAY_BV_05"])
+    assert (result.verdict, result.reason) == (
+        Verdict.NOT_APPLICABLE,
+        'the PIXIT excludes resets ([pixit] reset = "none")',
+    )
 
 
 def _case(body: Callable[[Bench], None]) -> Case:
