@@ -16,7 +16,7 @@ from dcp_conformance.model.case import CASES, SANITY, Case, cases_of
 from dcp_conformance.model.results import CaseResult
 from dcp_conformance.model.verdict import Verdict
 
-CASES_DIRECTORY = Path(__file__).parents[1] / "suite"
+CASES_DIRECTORY = Path(__file__).parents[2] / "suite"
 
 
 class Driver:
