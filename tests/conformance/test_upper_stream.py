@@ -88,11 +88,11 @@ LIES = {
     ),
     "no methods": ("del hello['methods']", "has no methods, which must be a list of names"),
     "version is a number": ("hello['version'] = 3", "has no version, which must be text"),
-    "a method that is no name": ("hello['methods'] = [1]", "lists a method that is no text"),
+    "a method that is no name": ("hello['methods'] = [1]", "lists a method that is not text"),
     "hello fails": ("hello['status'] = 'VARDIS-STATUS-INACTIVE'", "UT-Hello is answered with VARDIS-STATUS-INACTIVE"),
     "hello without status": ("del hello['status']", "a result without a status"),
     "not JSON": ("print('starting up...', flush=True)", "not JSON .*: starting up"),
-    "JSON that is no message": ("print('[1]', flush=True)", r"JSON that is no message: \[1\]"),
+    "JSON that is no message": ("print('[1]', flush=True)", r"JSON that is not a message: \[1\]"),
     "neither nor": ("say(method=5)", "neither a response nor a notification"),
     "deep JSON": ("print('[' * 100000, flush=True)", "not JSON"),
 }
@@ -404,15 +404,15 @@ def test_it_is_waited_for(tmp_path):
 
 
 USELESS = {
-    "nothing:here": "no upper tester; there are",
+    "nothing:here": "not an upper tester; expected one of",
     "unix": "no upper tester",
     "unix:": "no upper tester",
     "exec:  ": "no upper tester",
     "exec:'unclosed": "cannot be read: No closing quotation",
     "exec:/no/such/program --now": "/no/such/program cannot be started: No such file",
-    "tcp:4711": "no HOST:PORT",
-    "tcp:host:0": "no HOST:PORT",
-    "tcp:host:70000": "no HOST:PORT",
+    "tcp:4711": "expected tcp:HOST:PORT",
+    "tcp:host:0": "expected tcp:HOST:PORT",
+    "tcp:host:70000": "expected tcp:HOST:PORT",
     "unix:/no/such/folder/x.sock": "there is no directory /no/such/folder",
     "unix:/tmp/" + "x" * 120: "at most 107 octets",
     "commands:/no/such.toml": "cannot be read: No such file or directory; built in are: cpp-tools",
