@@ -405,9 +405,9 @@ def test_it_is_waited_for(tmp_path):
 
 USELESS = {
     "nothing:here": "not an upper tester; expected one of",
-    "unix": "no upper tester",
-    "unix:": "no upper tester",
-    "exec:  ": "no upper tester",
+    "unix": "not an upper tester",
+    "unix:": "not an upper tester",
+    "exec:  ": "not an upper tester",
     "exec:'unclosed": "cannot be read: No closing quotation",
     "exec:/no/such/program --now": "/no/such/program cannot be started: No such file",
     "tcp:4711": "expected tcp:HOST:PORT",
