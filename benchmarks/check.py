@@ -12,7 +12,6 @@ import resource
 import time
 from collections.abc import Iterator
 
-from dcp_conformance.check.garbage import few_collections
 from dcp_conformance.check.judge import Judge
 from dcp_conformance.model.pics import Pics
 from flights import Attack, Flight
@@ -21,6 +20,7 @@ from rich.table import Table
 
 from dcp_codec.capture import Frame
 from dcp_codec.codec import Codec
+from dcp_codec.common.garbage import few_collections
 from dcp_codec.framing.locate import OtherTraffic, locate
 
 PROFILE = "dcp-2.0"

@@ -167,17 +167,8 @@ class NodeConfig(msgspec.Struct, frozen=True, kw_only=True, dict=True):
 
     def reading(self, identifier: str) -> str:
         """Return the alternative in ``readings`` for an ambiguous text, or the default of the reading."""
-        chosen = self._chosen.get(identifier)
-        if chosen is None:
-            default = reading(identifier).default
-            chosen = self._chosen[identifier] = self.readings.get(identifier) or (
-                "" if default is None else default.name
-            )
-        return chosen
-
-    @functools.cached_property
-    def _chosen(self) -> dict[str, str]:
-        return {}
+        default = reading(identifier).default
+        return self.readings.get(identifier) or ("" if default is None else default.name)
 
 
 def _sizes(config: NodeConfig) -> Sizes:

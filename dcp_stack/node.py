@@ -47,12 +47,12 @@ class Node:
         initial = self.config.srp.safety_data if self.config.srp is not None else None
         if self.srp is not None and initial is not None:
             self.srp.update_safety_data(initial, now=now, wall=wall)
-        self._settle(now, wall)
+        self.settle(now, wall)
 
     def handle_frame(self, octets: bytes, *, now: int, wall: int) -> None:
         """Process a received bearer payload. Never raises, for any octets."""
         self.bp.handle_beacon(octets, now=now, wall=wall)
-        self._settle(now, wall)
+        self.settle(now, wall)
 
     def handle_timeout(self, now: int, wall: int) -> None:
         """Do everything that is due at ``now``; a call before :meth:`poll_timeout` has no effect."""
@@ -62,7 +62,7 @@ class Node:
         if self.vardis is not None:
             self.vardis.handle_timeout(now, wall)
         self.bp.handle_timeout(now, wall)
-        self._settle(now, wall)
+        self.settle(now, wall)
 
     def poll_timeout(self) -> int | None:
         """Return when ``handle_timeout`` is due next (monotonic ns), None if nothing is pending."""
@@ -72,10 +72,6 @@ class Node:
             if when is not None and (due is None or when < due):
                 due = when
         return due
-
-    def settle(self, now: int, wall: int) -> None:
-        """Deliver the indications that service calls on ``bp``, ``srp`` or ``vardis`` caused; call it after them."""
-        self._settle(now, wall)
 
     def take_effects(self) -> list[Effect]:
         """Return the effects since the last call, in order, without the indications that SRP and VarDis handled."""
@@ -88,7 +84,7 @@ class Node:
             self.vardis.shutdown()
         if self.srp is not None:
             self.srp.shutdown()
-        self._settle(now, wall)
+        self.settle(now, wall)
 
     def reset(self, now: int, wall: int) -> None:
         """Return to the state after :meth:`start`: empty tables, counters and sequence numbers reset."""
@@ -97,8 +93,11 @@ class Node:
         self._build(now, wall)
         self.start(now, wall)
 
-    def _settle(self, now: int, wall: int) -> None:
-        """Deliver indications to SRP and VarDis, and the effects that these emit, in order of emission."""
+    def settle(self, now: int, wall: int) -> None:
+        """Deliver indications to SRP and VarDis, and the effects that these emit, in order of emission.
+
+        Call it after calls of services of ``bp``, ``srp`` or ``vardis``.
+        """
         pending = self._pending
         if not pending:
             return

@@ -53,7 +53,8 @@ def parameters_of(method: str, given: Any) -> m.Params:
 def perform(node: Node, method: str, params: Any, times: Times) -> m.Result:
     """Carry out ``method``; ``params`` must have its type. Raises only RpcError, also for values that are refused."""
     try:
-        return _HANDLERS[method](node, params, times)
+        answer = _HANDLERS[method](node, params, times)
+        return answer if isinstance(answer, m.Result) else METHODS[method].result(status=answer)
     except NoResponseError as error:
         raise RpcError(ErrorCode.NO_ANSWER, str(error)) from None
     except UnknownServiceError as error:
@@ -134,9 +135,8 @@ def _query(node: Node, params: m.ForProtocol, _times: Times) -> m.Result:
     return m.QueryNumberBufferedPayloadsConfirm(status=confirm.status, number=_member(confirm.number))
 
 
-def _transmit(node: Node, params: m.TransmitPayload, times: Times) -> m.Result:
-    confirm = node.bp.transmit_payload(params.prot_id, octets_of(params.payload), now=times.now)
-    return m.BPConfirm(status=confirm.status)
+def _transmit(node: Node, params: m.TransmitPayload, times: Times) -> BPStatus:
+    return node.bp.transmit_payload(params.prot_id, octets_of(params.payload), now=times.now).status
 
 
 def _bp_parameters(node: Node, _params: m.Nothing, _times: Times) -> m.Result:
@@ -144,15 +144,15 @@ def _bp_parameters(node: Node, _params: m.Nothing, _times: Times) -> m.Result:
     return m.BPParametersConfirm(status=BPStatus.OK, parameters=shown)
 
 
-def _set_parameter(entity: BeaconingProtocol | StateReporting | Vardis, params: m.SetParameter, done: T) -> T:
-    """Set a parameter; return ``done``.
+def _set_parameter(entity: BeaconingProtocol | StateReporting | Vardis, params: m.SetParameter, ok: T) -> T:
+    """Set a parameter; return the status ``ok``.
 
     Raises RpcError for a refused value: the specification defines no status for it (BP-PAR-07).
     """
     violation = entity.set_parameter(params.name, params.value)
     if violation is not None:
         raise RpcError(ErrorCode.REFUSED, str(violation), msgspec.structs.asdict(violation))
-    return done
+    return ok
 
 
 # -- SRP --------------------------------------------------------------------------------------------------------------
@@ -165,13 +165,13 @@ def _srp(node: Node) -> StateReporting:
     return node.srp
 
 
-def _update_safety_data(node: Node, params: m.UpdateSafetyData, times: Times) -> m.Result:
+def _update_safety_data(node: Node, params: m.UpdateSafetyData, times: Times) -> SRPStatus:
     srp = _srp(node)
     values = {name: _field_value(node, name, value) for name, value in params.s_data.items()}
     confirm = srp.update_safety_data(values, now=times.now, wall=times.wall)
     if confirm is None:
         raise RpcError(ErrorCode.NO_ANSWER, "SRP does not answer before it is initialized (reading X10)")
-    return m.SRPConfirm(status=confirm.status)
+    return confirm.status
 
 
 def _field_value(node: Node, name: str, value: m.Number) -> Any:
@@ -238,7 +238,7 @@ def _vardis(node: Node) -> Vardis:
     return node.vardis
 
 
-def _create(node: Node, params: m.Create, times: Times) -> m.Result:
+def _create(node: Node, params: m.Create, times: Times) -> VardisStatus:
     producer = None if params.prod_id is UNSET else octets_of(params.prod_id)
     confirm = _vardis(node).create(
         params.var_id,
@@ -251,16 +251,15 @@ def _create(node: Node, params: m.Create, times: Times) -> m.Result:
         now=times.now,
         wall=times.wall,
     )
-    return m.VardisConfirm(status=confirm.status)
+    return confirm.status
 
 
-def _update(node: Node, params: m.Update, times: Times) -> m.Result:
-    confirm = _vardis(node).update(params.var_id, octets_of(params.value), now=times.now, wall=times.wall)
-    return m.VardisConfirm(status=confirm.status)
+def _update(node: Node, params: m.Update, times: Times) -> VardisStatus:
+    return _vardis(node).update(params.var_id, octets_of(params.value), now=times.now, wall=times.wall).status
 
 
-def _delete(node: Node, params: m.ForVariable, times: Times) -> m.Result:
-    return m.VardisConfirm(status=_vardis(node).delete(params.var_id, now=times.now, wall=times.wall).status)
+def _delete(node: Node, params: m.ForVariable, times: Times) -> VardisStatus:
+    return _vardis(node).delete(params.var_id, now=times.now, wall=times.wall).status
 
 
 def _read(node: Node, params: m.ForVariable, _times: Times) -> m.Result:
@@ -338,42 +337,41 @@ def _hello(node: Node, _params: m.Nothing, _times: Times) -> m.Result:
     )
 
 
-def _reset(node: Node, _params: m.Nothing, times: Times) -> m.Result:
+def _reset(node: Node, _params: m.Nothing, times: Times) -> str:
     node.reset(times.now, times.wall)
-    return m.UTConfirm(status=m.UT_OK)
+    return m.UT_OK
 
 
-_HANDLERS: Final[dict[str, Callable[[Node, Any, Times], m.Result]]] = {
+#: Method -> a function that returns the result, or only its status.
+_HANDLERS: Final[dict[str, Callable[[Node, Any, Times], m.Result | str]]] = {
     "UT-Hello": _hello,
     "UT-Reset": _reset,
     "BP-RegisterProtocol": _register,
-    "BP-DeregisterProtocol": lambda node, params, _: m.BPConfirm(status=node.bp.deregister(params.prot_id).status),
+    "BP-DeregisterProtocol": lambda node, params, _: node.bp.deregister(params.prot_id).status,
     "BP-ListRegisteredProtocols": _list_registered,
     "BP-TransmitPayload": _transmit,
-    "BP-ClearBuffer": lambda node, params, _: m.BPConfirm(status=node.bp.clear_buffer(params.prot_id).status),
+    "BP-ClearBuffer": lambda node, params, _: node.bp.clear_buffer(params.prot_id).status,
     "BP-QueryNumberBufferedPayloads": _query,
-    "BP-MGMT-Activate": lambda node, _, times: m.BPConfirm(status=node.bp.activate(times.now).status),
-    "BP-MGMT-Deactivate": lambda node, _, __: m.BPConfirm(status=node.bp.deactivate().status),
+    "BP-MGMT-Activate": lambda node, _, times: node.bp.activate(times.now).status,
+    "BP-MGMT-Deactivate": lambda node, _, __: node.bp.deactivate().status,
     "BP-GetParameters": _bp_parameters,
-    "BP-SetParameter": lambda node, params, _: _set_parameter(node.bp, params, m.BPConfirm(status=BPStatus.OK)),
+    "BP-SetParameter": lambda node, params, _: _set_parameter(node.bp, params, BPStatus.OK),
     "SRP-UpdateSafetyData": _update_safety_data,
     "SRP-NeighbourTable": _neighbour_table,
     "SRP-GetParameters": lambda node, _, __: m.SRPParametersConfirm(
         status=SRPStatus.OK, parameters=_srp(node).parameters()
     ),
-    "SRP-SetParameter": lambda node, params, _: _set_parameter(_srp(node), params, m.SRPConfirm(status=SRPStatus.OK)),
+    "SRP-SetParameter": lambda node, params, _: _set_parameter(_srp(node), params, SRPStatus.OK),
     "RTDB-DescribeDatabase": _describe_database,
     "RTDB-DescribeVariable": _describe_variable,
     "RTDB-Create": _create,
     "RTDB-Update": _update,
     "RTDB-Delete": _delete,
     "RTDB-Read": _read,
-    "VD-MGMT-Activate": lambda node, _, __: m.VardisConfirm(status=_management(node).activate().status),
-    "VD-MGMT-Deactivate": lambda node, _, __: m.VardisConfirm(status=_management(node).deactivate().status),
+    "VD-MGMT-Activate": lambda node, _, __: _management(node).activate().status,
+    "VD-MGMT-Deactivate": lambda node, _, __: _management(node).deactivate().status,
     "VD-GetParameters": lambda node, _, __: m.VardisParametersConfirm(
         status=VardisStatus.OK, parameters=_vardis(node).parameters()
     ),
-    "VD-SetParameter": lambda node, params, _: _set_parameter(
-        _vardis(node), params, m.VardisConfirm(status=VardisStatus.OK)
-    ),
+    "VD-SetParameter": lambda node, params, _: _set_parameter(_vardis(node), params, VardisStatus.OK),
 }

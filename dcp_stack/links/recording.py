@@ -1,4 +1,4 @@
-"""A link that records its frames, in both directions, to an MCAP file."""
+"""Recording of the frames of a link, in both directions, to an MCAP file."""
 
 from __future__ import annotations
 
@@ -8,14 +8,13 @@ import time
 from collections.abc import Callable, Mapping
 from itertools import chain, count
 from pathlib import Path
-from typing import Protocol, runtime_checkable
 
 from dcp_codec.capture import MAX_TIME_NS, CaptureError, CaptureWriter, Frame, create_capture
 from dcp_codec.codec import Codec
 from dcp_codec.foxglove.channels import DecodedChannels, capture_metadata
 from dcp_codec.framing.envelope import Envelope
 
-from .base import Link, LinkCounters, LinkError, Reception, TimedLink, Watcher
+from .base import LinkError
 
 log = logging.getLogger(__name__)
 
@@ -44,11 +43,11 @@ def recording_path(place: str | Path, node_id: bytes, wall: int) -> Path:
 class Recorder:
     """A :class:`~dcp_stack.links.base.Watcher` that writes frames to an MCAP file, raw and decoded.
 
-    It keeps one chunk (128 KiB) in memory, and the index of chunks for the end of the MCAP file: 0.6 to 1 KB for each
-    flush, which at 30 frames/s is 2 to 3 MB in the first hour and 6 to 10 MB in the first day. Each node with a
-    position takes another 50 octets. There is no thread: the user calls :meth:`tick` regularly, as
-    :class:`RecordingLink` does. If frames cannot be written (disk full), the recording ends: the error is logged once
-    and kept in ``problem``. Nothing is raised after the file was created.
+    It keeps one chunk (128 KiB) in memory, and the index of chunks for the end of the MCAP file: 0.6 to 1 KB for
+    each flush, which at 30 frames/s is 2 to 3 MB in the first hour and 6 to 10 MB in the first day. Each node with
+    a position takes another 50 octets. There is no thread: the user calls :meth:`tick` regularly. If frames cannot
+    be written (disk full), the recording ends: the error is logged once and kept in ``problem``. Nothing is raised
+    after the file was created.
     """
 
     def __init__(
@@ -142,102 +141,3 @@ class Recorder:
         """Log an error of the file and keep it in ``problem``."""
         self.problem = str(error)
         log.error("recording ends after %d frames: %s", self.frames, error)
-
-
-@runtime_checkable
-class Recording(Watcher, Protocol):
-    """A watcher that writes files."""
-
-    def tick(self) -> None:
-        """Flush recorded frames if it is time; called regularly."""
-        ...
-
-    def close(self) -> None:
-        """Finish the file; may be called twice."""
-        ...
-
-
-class RecordingLink:
-    """``link`` with a watcher: all frames that it receives and sends are also passed to ``watcher``.
-
-    Closing it closes the link and, if it is a :class:`Recording`, the recording.
-    """
-
-    def __init__(
-        self,
-        link: Link,
-        watcher: Watcher,
-        *,
-        source: bytes | None = None,
-        wall: Callable[[], int] = time.time_ns,
-    ) -> None:
-        """``source``: the address recorded for our own frames, by default that of the link."""
-        self.link = link
-        self.watcher = watcher
-        self._source = source
-        self._wall = wall
-        self._recording = watcher if isinstance(watcher, Recording) else None
-
-    @property
-    def name(self) -> str:
-        """The name of the link."""
-        return self.link.name
-
-    @property
-    def counters(self) -> LinkCounters:
-        """The counters of the link."""
-        return self.link.counters
-
-    @property
-    def max_packet_size(self) -> int:
-        """The longest bearer payload of the link in octets."""
-        return self.link.max_packet_size
-
-    @property
-    def source(self) -> bytes:
-        """The address of the link."""
-        return self.link.source
-
-    @property
-    def up(self) -> bool:
-        """Whether the link can carry frames."""
-        return self.link.up
-
-    def fileno(self) -> int:
-        """Return the descriptor of the link; -1 if it has none."""
-        return self.link.fileno()
-
-    def poll_timeout(self) -> int | None:
-        """Return the time of the next arrival in ns of the link's clock; None if the link has a descriptor."""
-        return self.link.poll_timeout() if isinstance(self.link, TimedLink) else None
-
-    def receive(self) -> list[Reception]:
-        """Return the frames that have arrived, and record them."""
-        receptions = self.link.receive()
-        for reception in receptions:
-            self.watcher.saw(reception.octets, reception.wall, outgoing=False, source=reception.source)
-        self._tick()
-        return receptions
-
-    def send(self, octets: bytes) -> bool:
-        """Broadcast ``octets``; record it only if it was sent. Return False if it was not."""
-        # Taken before sending: in the recording an answer must not be older than the frame it answers.
-        wall = self._wall()
-        sent = self.link.send(octets)
-        if sent:
-            self.watcher.saw(octets, wall, outgoing=True, source=self._source or self.link.source)
-        self._tick()
-        return sent
-
-    def close(self) -> None:
-        """Close the link and finish the recording."""
-        try:
-            self.link.close()
-        finally:
-            if self._recording is not None:
-                self._recording.close()
-
-    def _tick(self) -> None:
-        """Let the recording flush if it is time."""
-        if self._recording is not None:
-            self._recording.tick()

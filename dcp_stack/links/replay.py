@@ -107,7 +107,7 @@ class ReplayLink:
         return receptions
 
     def send(self, octets: bytes) -> bool:
-        """Count a transmission; it reaches no receiver. To record it, wrap the link in a ``RecordingLink``."""
+        """Count a transmission; it reaches no receiver."""
         if self._closed or len(octets) > self.max_packet_size:
             self.counters.send_errors += 1
             return False

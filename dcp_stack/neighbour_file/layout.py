@@ -56,22 +56,16 @@ def fence() -> None:
         pass
 
 
-def _aligned(size: int) -> int:
-    """Return the next multiple of 64 (a cache line) that is not less than ``size``."""
-    return -(-size // 64) * 64
-
-
 class FileSizes(msgspec.Struct, frozen=True):
     """Sizes and offsets of one file, in octets. ``field_count``: numeric fields of the profile's safety data."""
 
     capacity: int
     field_count: int
-    entry_size: int
 
-    @classmethod
-    def of(cls, capacity: int, field_count: int) -> FileSizes:
-        """Return the sizes of a file for ``capacity`` entries."""
-        return cls(capacity, field_count, _aligned(ENTRY_FIXED + 8 * field_count))
+    @property
+    def entry_size(self) -> int:
+        """Size of an entry: a multiple of 64 (a cache line)."""
+        return -(-(ENTRY_FIXED + 8 * self.field_count) // 64) * 64
 
     @property
     def slots(self) -> int:

@@ -97,7 +97,7 @@ class NeighbourFileReader:
             mapped.close()
             raise NeighbourFileError(f"{self.path}: is not a neighbour table of layout version {layout.LAYOUT_VERSION}")
         _, _, slots, slot_size, slot_header, entry_size, capacity, field_count, id_length, node_id, profile = header
-        sizes = layout.FileSizes.of(capacity, field_count)
+        sizes = layout.FileSizes(capacity, field_count)
         if (slots, slot_size, slot_header, entry_size) != (
             sizes.slots,
             sizes.slot_size,

@@ -44,7 +44,7 @@ class NeighbourFileWriter:
             raise NeighbourFileError(f"{path}: a node identifier has at most {layout.NODE_ID_SIZE} octets here")
         self.path = Path(path)
         self._fields = tuple(field.name for field in profile.srp.safety_data if field.type != "opaque")
-        self._sizes = layout.FileSizes.of(capacity, len(self._fields))
+        self._sizes = layout.FileSizes(capacity, len(self._fields))
         self._values = struct.Struct(f"<{len(self._fields)}d")
         self._padding = bytes(self._sizes.entry_size - layout.ENTRY_FIXED - self._values.size)
         self._generation = 0

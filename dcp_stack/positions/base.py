@@ -1,9 +1,10 @@
-"""The interface of a position source, and the base class of most sources."""
+"""The base class of position sources."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections import Counter
-from typing import Any, Protocol
+from typing import Any
 
 Sample = dict[str, Any]
 """Values for all fields of the profile's SafetyDataT by name, for ``StateReporting.update_safety_data``."""
@@ -13,7 +14,7 @@ class SourceError(ValueError):
     """A source cannot be opened; the message has the source, the reason and a remedy."""
 
 
-class PositionSource(Protocol):
+class PositionSource(ABC):
     """A source of a node's own position.
 
     A source has no clock and never waits. The first :meth:`poll` starts it, and later ones return samples that are due
@@ -21,46 +22,11 @@ class PositionSource(Protocol):
     may change with each poll. After opening, invalid input never raises: it is counted and reported as a complaint.
     """
 
-    name: str
-    """The text by which the source was opened."""
-
-    @property
-    def finished(self) -> bool:
-        """Whether the source will not provide any more samples."""
-        ...
-
-    @property
-    def counts(self) -> Counter[str]:
-        """Number of complaints of each kind."""
-        ...
-
-    def poll(self, now: int, wall: int) -> list[Sample]:
-        """Return new samples, the oldest first (``now`` monotonic ns, ``wall`` ns since 1970)."""
-        ...
-
-    def poll_timeout(self) -> int | None:
-        """Return when to poll next (monotonic ns); None if only ``fileno()`` indicates it, or after the last sample."""
-        ...
-
-    def fileno(self) -> int:
-        """Return a descriptor that is readable when samples may be available; -1 if there is none."""
-        ...
-
-    def take_complaints(self) -> list[str]:
-        """Return sentences about problems since the last call; each kind of problem is reported once."""
-        ...
-
-    def close(self) -> None:
-        """Release all resources; may be called twice."""
-        ...
-
-
-class Source:
-    """Base class of sources: counts complaints, and has the defaults for a source without a descriptor."""
-
     def __init__(self, name: str) -> None:
+        """``name`` is the text by which the source was opened."""
         self.name = name
         self.counts: Counter[str] = Counter()
+        """Number of complaints of each kind."""
         self._untold: list[str] = []
 
     @property
@@ -68,8 +34,16 @@ class Source:
         """Whether the source will not provide any more samples."""
         return False
 
+    @abstractmethod
+    def poll(self, now: int, wall: int) -> list[Sample]:
+        """Return new samples, the oldest first (``now`` monotonic ns, ``wall`` ns since 1970)."""
+
+    @abstractmethod
+    def poll_timeout(self) -> int | None:
+        """Return when to poll next (monotonic ns); None if only ``fileno()`` indicates it, or after the last sample."""
+
     def fileno(self) -> int:
-        """Return -1: samples depend only on time."""
+        """Return a descriptor that is readable when samples may be available; -1 if samples depend only on time."""
         return -1
 
     def complain(self, kind: str, sentence: str) -> None:
@@ -83,5 +57,5 @@ class Source:
         untold, self._untold = self._untold, []
         return untold
 
-    def close(self) -> None:
-        """Release nothing: a source without a descriptor has no resources."""
+    def close(self) -> None:  # noqa: B027 - most sources have no resources
+        """Release all resources; may be called twice."""

@@ -8,7 +8,9 @@ from typing import Final
 
 import msgspec
 
-from .base import Sample, Source
+from dcp_codec.common.lines import LineBuffer, LineTooLongError
+
+from .base import PositionSource, Sample
 from .fields import FieldError, SafetyFields
 
 LONGEST_LINE: Final = 65_536
@@ -17,7 +19,7 @@ _CHUNK: Final = 65_536
 _CHUNKS_PER_POLL: Final = 16
 
 
-class JsonLines(Source):
+class JsonLines(PositionSource):
     """Reads one JSON object per line, with fields of the profile, roles or aliases as keys.
 
     Invalid lines are counted by kind (``bad-json``, ``bad-field``, ``too-long``). The descriptor is not set to
@@ -29,8 +31,7 @@ class JsonLines(Source):
         super().__init__(name)
         self._fields = fields
         self._fd = fd
-        self._rest = bytearray()
-        self._skipping = False
+        self._lines = LineBuffer(LONGEST_LINE)
         self._line = 0
 
     @property
@@ -53,12 +54,12 @@ class JsonLines(Source):
             chunk = self._read()
             if chunk is None:
                 break
+            self._lines.add(chunk)
             if not chunk:
                 # The last line counts even without a line end.
-                chunk, self._fd = b"\n", -1
-            self._take(chunk, found)
-            if self._fd < 0:
-                break
+                self._lines.end()
+                self._fd = -1
+            self._take(found)
         return found
 
     def _read(self) -> bytes | None:
@@ -74,20 +75,19 @@ class JsonLines(Source):
             self.complain("read-error", f"reading ended ({error})")
             return b""
 
-    def _take(self, chunk: bytes, found: list[Sample]) -> None:
-        """Split octets into lines, and append their samples to ``found``."""
-        self._rest += chunk
-        *lines, rest = self._rest.split(b"\n")
-        for line in lines:
-            self._line += 1
-            if self._skipping or len(line) > LONGEST_LINE:
-                self._skipping = False
+    def _take(self, found: list[Sample]) -> None:
+        """Append the samples of all complete lines to ``found``."""
+        while True:
+            try:
+                line = self._lines.next()
+                if line is None:
+                    return
+                self._line += 1
+                if line.strip():
+                    self._parse(line, found)
+            except LineTooLongError:
+                self._line += 1
                 self.complain("too-long", f"line {self._line} has more than {LONGEST_LINE} octets and was ignored")
-            elif line.strip():
-                self._parse(bytes(line), found)
-        if len(rest) > LONGEST_LINE:
-            self._skipping, rest = True, bytearray()
-        self._rest = rest
 
     def _parse(self, line: bytes, found: list[Sample]) -> None:
         """Append the sample of one line to ``found``, or complain about the line."""

@@ -16,11 +16,11 @@ import math
 import os
 import socket
 from collections.abc import Callable
-from typing import Any, Final, Literal, Protocol
+from typing import Any, Final, Literal
 
 from dcp_codec.common.extras import advice
 
-from .base import Sample, Source, SourceError
+from .base import PositionSource, Sample, SourceError
 from .fields import FieldError, SafetyFields
 from .geometry import NS_PER_S, Vector
 from .tracks import as_sample
@@ -39,27 +39,8 @@ Origin = tuple[float, float, float]
 """Latitude and longitude in degrees, altitude above mean sea level in m."""
 
 
-class Port(Protocol):
-    """An open connection that never waits."""
-
-    def fileno(self) -> int:
-        """Return the descriptor of the connection."""
-        ...
-
-    def recv(self) -> bytes:
-        """Return the octets that have arrived, an empty string at the end of the stream.
-
-        Raises BlockingIOError if no octets have arrived, OSError if the connection fails.
-        """
-        ...
-
-    def close(self) -> None:
-        """Close the connection."""
-        ...
-
-
 class _SocketPort:
-    """A UDP socket bound to an address, or a TCP connection to one."""
+    """A UDP socket bound to an address, or a TCP connection to one. It never waits."""
 
     def __init__(self, kind: socket.SocketKind, host: str, port: int) -> None:
         family, _, _, _, address = socket.getaddrinfo(host or "0.0.0.0", port, type=kind)[0]  # noqa: S104 - as asked
@@ -90,7 +71,7 @@ class _SocketPort:
 
 
 class _SerialPort:
-    """A serial line in raw mode."""
+    """A serial line in raw mode. It never waits."""
 
     def __init__(self, device: str, baud: int) -> None:
         import termios
@@ -119,7 +100,12 @@ class _SerialPort:
         os.close(self._fd)
 
 
-def port_opener(connection: str) -> Callable[[], Port]:
+_Port = _SocketPort | _SerialPort
+"""An open connection. Its method ``recv`` returns the octets that have arrived, an empty string at the end of the
+stream; it raises BlockingIOError if no octets have arrived, OSError if the connection fails."""
+
+
+def port_opener(connection: str) -> Callable[[], _Port]:
     """Return a function that opens ``udpin:HOST:PORT``, ``tcp:HOST:PORT`` or ``serial:DEVICE:BAUD``.
 
     Raises SourceError for any other text. The function raises OSError.
@@ -148,7 +134,7 @@ def _parser() -> Any:
     return made
 
 
-class MavlinkStream(Source):
+class MavlinkStream(PositionSource):
     """Provides position and velocity of one vehicle. After a failure it reopens the connection, once per second."""
 
     def __init__(
@@ -170,7 +156,7 @@ class MavlinkStream(Source):
         self._fields, self._system, self._frame, self._origin = fields, system, frame, origin
         self._open = port_opener(connection)
         self._mav = _parser()
-        self._port: Port | None = None
+        self._port: _Port | None = None
         self._retry: int | None = None
         self._quiet_until: int | None = None
         try:

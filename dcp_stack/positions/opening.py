@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from dcp_codec.codec import Codec, get_codec
+from dcp_stack.options import Options
 
 from .base import PositionSource, SourceError
 from .fields import SafetyFields
@@ -63,74 +64,6 @@ class _Request(NamedTuple):
     stdin: int | None
 
 
-class _Options:
-    """The options of a spec: ``key=value`` parts after the first part, which may itself contain commas."""
-
-    def __init__(self, rest: str, known: frozenset[str]) -> None:
-        """Split ``rest`` into :attr:`head` and options with ``known`` keys. Raises SourceError for a repeated key."""
-        parts = rest.split(",")
-        first = len(parts)
-        while first > 1 and parts[first - 1].partition("=")[0].strip() in known and "=" in parts[first - 1]:
-            first -= 1
-        self.head = ",".join(parts[:first])
-        self._values: dict[str, str] = {}
-        for part in parts[first:]:
-            key, _, value = part.partition("=")
-            if key.strip() in self._values:
-                raise SourceError(f"{key.strip()} is given twice")
-            self._values[key.strip()] = value.strip()
-
-    def text(self, key: str) -> str | None:
-        """Return the value of an option, None if it is not given."""
-        return self._values.get(key)
-
-    def number(self, key: str, default: float) -> float:
-        """Return an option as a finite number. Raises SourceError for any other text."""
-        text = self._values.get(key)
-        if text is None:
-            return default
-        try:
-            value = float(text)
-        except ValueError:
-            value = math.nan
-        if not math.isfinite(value):
-            raise SourceError(f"{key} takes a number, not {text!r}")
-        return value
-
-    def integer(self, key: str, low: int, high: int) -> int | None:
-        """Return an option as an integer within bounds, None if it is not given. Raises SourceError."""
-        text = self._values.get(key)
-        if text is None:
-            return None
-        if not text.isdecimal() or not low <= int(text) <= high:
-            raise SourceError(f"{key} takes an integer from {low} to {high}, not {text!r}")
-        return int(text)
-
-    def flag(self, key: str, *, default: bool) -> bool:
-        """Return an option as yes or no. Raises SourceError for any other text."""
-        text = self._values.get(key)
-        if text is None:
-            return default
-        if text.lower() not in ("yes", "no", "1", "0", "true", "false"):
-            raise SourceError(f"{key} takes yes or no, not {text!r}")
-        return text.lower() in ("yes", "1", "true")
-
-    def place(self) -> Vector:
-        """Return the options x, y and z as a position in m; 0 for an option that is not given."""
-        return (self.number("x", 0.0), self.number("y", 0.0), self.number("z", 0.0))
-
-
-def _options(rest: str, known: frozenset[str]) -> _Options:
-    """Return the options of a spec whose first part has no commas. Raises SourceError for an unknown option."""
-    for part in rest.split(",")[1:]:
-        key, equals, _ = part.partition("=")
-        if not equals:
-            raise SourceError(f"{part!r} is not of the form key=value")
-        if key.strip() not in known:
-            raise SourceError(f"no option {key.strip()!r}; known options are {', '.join(sorted(known))}")
-    return _Options(rest, known)
-
-
 _COMMON: Final = frozenset({"rate", "speed", "x", "y", "z"})
 #: Track -> its options in addition to the common ones.
 _TRACKS: Final = {
@@ -150,8 +83,9 @@ def _track(request: _Request) -> PositionSource:
         raise SourceError(f"no track {shape!r}; known tracks are {', '.join(_TRACKS)}")
     if not request.fields.has_position:
         raise SourceError(f"profile {request.codec.profile.name} has no fields for a position")
-    given = _options(request.rest, _COMMON | _TRACKS[shape])
-    place, speed = given.place(), given.number("speed", 5.0)
+    given = Options(request.rest, _COMMON | _TRACKS[shape])
+    place = (given.number("x", 0.0), given.number("y", 0.0), given.number("z", 0.0))
+    speed = given.number("speed", 5.0)
     path: tracks.Path
     match shape:
         case "line":
@@ -185,7 +119,7 @@ def _csv(request: _Request) -> PositionSource:
     """Open a replay of a CSV file."""
     from .replay import Replay, read_csv
 
-    given = _Options(request.rest, frozenset({"speed", "loop"}))
+    given = Options(request.rest, ("speed", "loop"), of_a_file=True)
     samples = read_csv(Path(given.head), request.fields)
     return Replay(request.spec, samples, speed=given.number("speed", 1.0), loop=given.flag("loop", default=False))
 
@@ -194,7 +128,7 @@ def _capture(request: _Request) -> PositionSource:
     """Open a replay of the state reports in a recording."""
     from .replay import Replay, read_capture
 
-    given = _Options(request.rest, frozenset({"node", "profile", "speed", "loop"}))
+    given = Options(request.rest, ("node", "profile", "speed", "loop"), of_a_file=True)
     profile = given.text("profile")
     recorded = request.codec if profile is None else get_codec(profile)
     samples = read_capture(Path(given.head), recorded, given.text("node"), request.fields)
@@ -217,7 +151,7 @@ def _mavlink(request: _Request) -> PositionSource:
 
     if not request.fields.has_position:
         raise SourceError(f"profile {request.codec.profile.name} has no fields for a position")
-    given = _options(request.rest, frozenset({"system", "frame", "origin"}))
+    given = Options(request.rest, ("system", "frame", "origin"))
     frame = given.text("frame") or "enu"
     if frame not in ("enu", "ned"):
         raise SourceError(f"frame is enu or ned, not {frame!r}")

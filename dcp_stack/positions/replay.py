@@ -15,7 +15,7 @@ from dcp_codec.framing.locate import OtherTraffic, locate
 from dcp_codec.jsonform import node_id_text
 from dcp_codec.values import Beacon, ExtendedSafetyData
 
-from .base import Sample, Source, SourceError
+from .base import PositionSource, Sample, SourceError
 from .fields import FieldError, SafetyFields
 from .geometry import NS_PER_S
 from .tracks import as_sample
@@ -30,7 +30,7 @@ TIME_COLUMNS: Final[Mapping[str, int]] = {
 }
 
 
-class Replay(Source):
+class Replay(PositionSource):
     """Provides samples at given times (ns, increasing), relative to the first poll.
 
     ``loop`` repeats them: between the last sample and the first of the next round there is one mean interval.

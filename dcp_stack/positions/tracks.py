@@ -7,7 +7,7 @@ import random
 from itertools import pairwise
 from typing import Final, Protocol
 
-from .base import Sample, Source
+from .base import PositionSource, Sample
 from .fields import SafetyFields
 from .geometry import NS_PER_S, Vector, distance, moved
 
@@ -146,7 +146,7 @@ class RandomWalk:
             self.velocity = self._velocity()
 
 
-class Track(Source):
+class Track(PositionSource):
     """Provides ``rate`` samples of a path per s. A late poll returns one sample, for the current time."""
 
     def __init__(self, name: str, path: Path, fields: SafetyFields, *, rate: float = RATE) -> None:

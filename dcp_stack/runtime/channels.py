@@ -1,4 +1,4 @@
-"""Connections of control clients: a Unix socket, or standard input and output."""
+"""Connections of clients: listening sockets for control and metrics, or standard input and output."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import socket
 import stat
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Final
+from typing import Final, Protocol
 
 from dcp_stack.control.places import is_answered
-from dcp_stack.control.server import HIGH_WATER, ControlServer, ControlSession
+from dcp_stack.control.server import HIGH_WATER, ControlServer
 
 from .privileges import roots_alone
 from .reactor import READ, WRITE, Reactor
@@ -32,13 +32,45 @@ class ControlSocketError(Exception):
     """The control socket cannot be created; the message names it and the cause."""
 
 
+class Session(Protocol):
+    """The state of one client; :class:`~dcp_stack.control.server.ControlSession` is one."""
+
+    output: bytearray
+    """Octets for the client."""
+    overrun: bool
+    """Whether the client is too slow and should be disconnected."""
+
+    @property
+    def wants_input(self) -> bool:
+        """Whether to read more input."""
+
+    @property
+    def finished(self) -> bool:
+        """Whether the client should be disconnected: all its requests are answered, and the answers sent."""
+
+    def receive(self, data: bytes) -> None:
+        """Add octets from the client."""
+
+    def end_of_input(self) -> None:
+        """Mark the end of input."""
+
+    def process(self, *, now: int, wall: int) -> bool:
+        """Answer some requests (times in ns); return whether more could be answered at once. Never raises."""
+
+    def sent(self, count: int) -> None:
+        """Remove the first ``count`` octets of ``output``, which were sent."""
+
+    def close(self) -> None:
+        """Note that the client has gone."""
+
+
 class Channel:
     """One client: its session, and the descriptors for input and output."""
 
     def __init__(
         self,
         name: str,
-        session: ControlSession,
+        session: Session,
         reactor: Reactor,
         fds: tuple[int, int],
         on_close: Callable[[Channel], None],
@@ -53,11 +85,6 @@ class Channel:
         self._closed = False
         self._stalled_since: int | None = None
         self._watch()
-
-    @property
-    def stalled_since(self) -> int | None:
-        """The time since when the client has not read its pending output (monotonic ns); None if it reads."""
-        return self._stalled_since
 
     def on_ready(self, events: int) -> None:
         """Send and receive what is possible; called when a descriptor is ready."""
@@ -80,7 +107,7 @@ class Channel:
             # Requests that waited for the output to shrink can be answered now.
             self.busy |= held_back and len(self.session.output) <= HIGH_WATER
         if self.session.overrun:
-            log.warning("client %s does not read its notifications; disconnected", self.name)
+            log.warning("client %s is too slow; disconnected", self.name)
             self.close()
         elif self.session.finished:
             self.close()
@@ -147,7 +174,64 @@ class Channel:
         self._on_close(self)
 
 
-class ControlSocket:
+class Listener:
+    """The clients of a listening socket."""
+
+    def __init__(self, name: str, listening: socket.socket, limit: int) -> None:
+        """``name`` is for the log; ``limit``: maximum number of clients at the same time."""
+        self._name = name
+        self._socket = listening
+        self._limit = limit
+        self._channels: dict[Channel, socket.socket] = {}
+        self._count = 0
+        listening.setblocking(False)
+
+    def attach(self, server: ControlServer, reactor: Reactor) -> None:
+        """Start to accept clients of ``server``."""
+        self._server, self._reactor = server, reactor
+        reactor.watch(self._socket.fileno(), READ, self._accept)
+
+    def open_session(self) -> Session:
+        """Return the session of a new client."""
+        return self._server.open()
+
+    @property
+    def channels(self) -> list[Channel]:
+        """The connected clients."""
+        return list(self._channels)
+
+    def _accept(self, _events: int) -> None:
+        for _ in range(8):
+            try:
+                client, _ = self._socket.accept()
+            except BlockingIOError:
+                return
+            except OSError as error:
+                log.warning("%s: cannot accept another client: %s", self._name, error.strerror)
+                return
+            if len(self._channels) >= self._limit:
+                log.warning("%s: the limit of %d clients is reached; refused another one", self._name, self._limit)
+                client.close()
+                continue
+            client.setblocking(False)
+            self._count += 1
+            fd = client.fileno()
+            channel = Channel(f"{self._name}#{self._count}", self.open_session(), self._reactor, (fd, fd), self._closed)
+            self._channels[channel] = client
+            log.debug("client %s connected", channel.name)
+
+    def _closed(self, channel: Channel) -> None:
+        self._channels.pop(channel).close()
+        log.debug("client %s disconnected", channel.name)
+
+    def close(self) -> None:
+        """Close all clients and the socket."""
+        for channel in self.channels:
+            channel.close()
+        self._socket.close()
+
+
+class ControlSocket(Listener):
     """A listening Unix socket; only the user of the node may connect (mode 0600)."""
 
     def __init__(self, path: str | Path) -> None:
@@ -167,9 +251,7 @@ class ControlSocket:
         except ControlSocketError:
             self._socket.close()
             raise
-        self._socket.setblocking(False)
-        self._channels: dict[Channel, socket.socket] = {}
-        self._count = 0
+        super().__init__(str(path), self._socket, MAX_CLIENTS)
 
     def _bind(self) -> None:
         """Bind the socket, after removing a stale one. Raises ControlSocketError if the path is in use."""
@@ -195,49 +277,13 @@ class ControlSocket:
             raise ControlSocketError(f"{self.path}: not only root can change its folder, so its owner stays")
         os.chown(self.path, uid, gid, follow_symlinks=False)
 
-    def attach(self, server: ControlServer, reactor: Reactor) -> None:
-        """Start to accept clients."""
-        self._server, self._reactor = server, reactor
-        reactor.watch(self._socket.fileno(), READ, self._accept)
-
-    @property
-    def channels(self) -> list[Channel]:
-        """The connected clients."""
-        return list(self._channels)
-
-    def _accept(self, _events: int) -> None:
-        for _ in range(8):
-            try:
-                client, _ = self._socket.accept()
-            except BlockingIOError:
-                return
-            except OSError as error:
-                log.warning("%s: cannot accept another client: %s", self.path, error.strerror)
-                return
-            if len(self._channels) >= MAX_CLIENTS:
-                log.warning("%s: the limit of %d clients is reached; refused another one", self.path, MAX_CLIENTS)
-                client.close()
-                continue
-            client.setblocking(False)
-            self._count += 1
-            fd = client.fileno()
-            channel = Channel(str(self._count), self._server.open(), self._reactor, (fd, fd), self._closed)
-            self._channels[channel] = client
-            log.debug("client %s connected", channel.name)
-
-    def _closed(self, channel: Channel) -> None:
-        self._channels.pop(channel).close()
-        log.debug("client %s disconnected", channel.name)
-
     def close(self) -> None:
         """Close all clients and remove the socket."""
-        for channel in self.channels:
-            channel.close()
         with contextlib.suppress(OSError):
             # Another node may have replaced our socket by its own.
             if _identity(self.path) == self._identity:
                 self.path.unlink()
-        self._socket.close()
+        super().close()
 
 
 class StandardStreams:

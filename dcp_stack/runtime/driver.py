@@ -12,7 +12,7 @@ import os
 import signal
 import time
 from collections.abc import Callable, Iterator
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 import msgspec
 
@@ -25,7 +25,7 @@ from dcp_stack.neighbour_file import NeighbourFileWriter
 from dcp_stack.node import Node
 from dcp_stack.positions import PositionSource
 
-from .channels import ControlSocket, StandardStreams
+from .channels import Listener, StandardStreams
 from .reactor import READ, Reactor
 
 log = logging.getLogger(__name__)
@@ -53,22 +53,6 @@ _NEIGHBOURS: Final = (NeighbourSeen, NeighbourExpired)
 SIGNALS: Final = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 
 
-class Attachment(Protocol):
-    """Another object to attach to the reactor, such as the metrics server."""
-
-    def attach(self, reactor: Reactor) -> None:
-        """Register descriptors with ``reactor``."""
-        ...
-
-    def tick(self, now: int) -> None:
-        """Do periodic work; called about once a second with the monotonic time in ns."""
-        ...
-
-    def close(self) -> None:
-        """Close all descriptors."""
-        ...
-
-
 class Driver:
     """A running node with its surroundings. It closes all objects that are passed to its constructor."""
 
@@ -80,8 +64,8 @@ class Driver:
         recorder: RotatingRecorder | None = None,
         positions: PositionSource | None = None,
         neighbour_file: NeighbourFileWriter | None = None,
-        attachments: tuple[Attachment, ...] = (),
     ) -> None:
+        """``recorder``: records the frames that the link receives and sends."""
         self.node = node
         self.link = link
         self.server = ControlServer(node, runtime=self.describe)
@@ -92,8 +76,7 @@ class Driver:
         self._recorder = recorder
         self._positions = positions
         self._neighbour_file = neighbour_file
-        self._attachments = attachments
-        self._controls: list[ControlSocket | StandardStreams] = []
+        self._controls: list[Listener | StandardStreams] = []
         self._stopping = False
         self._wake: int | None = None
         self._arrived = self.started
@@ -107,8 +90,8 @@ class Driver:
         self._told: set[tuple[str, int, str]] = set()
         self._obstacles_told = self.started - OBSTACLE_INTERVAL
 
-    def add_control(self, control: ControlSocket | StandardStreams) -> None:
-        """Accept clients from ``control``."""
+    def add_control(self, control: Listener | StandardStreams) -> None:
+        """Accept clients from ``control``, and close it at the end."""
         self._controls.append(control)
         control.attach(self.server, self.reactor)
 
@@ -127,8 +110,6 @@ class Driver:
             self.node.start(*_times())
             if self._positions is not None:
                 self._poll_positions()
-            for attachment in self._attachments:
-                attachment.attach(self.reactor)
             self._after_turn(*_times())
             on_ready()
             while not self._stopping:
@@ -204,6 +185,9 @@ class Driver:
         node = self.node
         receptions = self.link.receive()
         self._flooded = len(receptions) > FLOOD
+        if self._recorder is not None:
+            for each in receptions:
+                self._recorder.saw(each.octets, each.wall, outgoing=False, source=each.source)
         # Difference of the clocks: the kernel stamps frames with wall time.
         offset = time.time_ns() - time.monotonic_ns()
         for number, reception in enumerate(receptions):
@@ -249,10 +233,17 @@ class Driver:
                 # Checked first: by far the most frequent effect.
                 continue
             if isinstance(effect, SendBeacon):
-                self.link.send(effect.octets)
+                self._send(effect.octets)
             elif isinstance(effect, _NEIGHBOURS):
                 self._dirty = True
         self.server.indicate(effects, now=now, wall=wall)
+
+    def _send(self, octets: bytes) -> None:
+        """Send a beacon, and record it if it was sent."""
+        # Taken before sending: in the recording an answer must not be older than the frame it answers.
+        wall = time.time_ns()
+        if self.link.send(octets) and self._recorder is not None:
+            self._recorder.saw(octets, wall, outgoing=True, source=self.link.source)
 
     # -- surroundings ---------------------------------------------------------------------------------------------
 
@@ -295,17 +286,14 @@ class Driver:
             self._dirty = True
 
     def _housekeep(self, now: int) -> None:
-        """Do the work of each second: recording, obstacles, attachments, stalled clients."""
+        """Do the work of each second: recording, obstacles, slow clients."""
         self._housekeeping = now + HOUSEKEEPING_INTERVAL
         if self._recorder is not None:
             self._recorder.tick()
         self._tell_obstacles(now)
-        for attachment in self._attachments:
-            attachment.tick(now)
         for control in self._controls:
             for channel in control.channels:
-                if channel.stalled_since is not None:
-                    channel.busy = True
+                channel.busy = True
 
     def _tell_obstacles(self, now: int) -> None:
         """Log obstacles: each kind, variable and neighbour once, at most one line per ``OBSTACLE_INTERVAL``."""
@@ -357,9 +345,7 @@ class Driver:
         with contextlib.ExitStack() as closing:
             closing.callback(self.reactor.close)
             closing.callback(self.link.close)
-            if self._recorder is not None:
-                closing.callback(self._recorder.close)
-            for each in (self._positions, self._neighbour_file, *self._attachments, *self._controls):
+            for each in (self._recorder, self._positions, self._neighbour_file, *self._controls):
                 if each is not None:
                     closing.callback(each.close)
 

@@ -6,14 +6,14 @@ metrics are requested (10 MB). There is no thread: a scrape is answered between 
 
 from __future__ import annotations
 
-import contextlib
 import errno
 import io
 import logging
+import os
 import socket
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any, Final, get_args
 
 import msgspec
@@ -24,7 +24,7 @@ from dcp_stack.links.base import Link
 from dcp_stack.links.rotation import RotatingRecorder
 from dcp_stack.vardis.delivery import Kind
 
-from .reactor import READ, WRITE, Reactor
+from .channels import Listener
 
 if TYPE_CHECKING:
     from prometheus_client.core import Metric
@@ -75,15 +75,16 @@ class MetricsError(Exception):
 class NodeCollector:
     """The collector of a node's metrics, with the method ``collect`` that prometheus_client calls."""
 
-    def __init__(self, server: ControlServer, link: Link) -> None:
+    def __init__(self, server: ControlServer, link: Link, recorder: RotatingRecorder | None = None) -> None:
         self._server = server
         self._link = link
+        self._recorder = recorder
 
     def collect(self) -> Iterator[Metric]:
         """Yield all metrics. No label has a received value: other stations could create any number of series."""
         from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, InfoMetricFamily
 
-        node, link = self._server.node, self._link
+        node, link, recorder = self._server.node, self._link, self._recorder
         config = node.config
         about = {
             "node_id": config.node_id.hex(":"),
@@ -113,11 +114,10 @@ class NodeCollector:
         yield drops
         for name, number in msgspec.structs.asdict(link.counters).items():
             yield CounterMetricFamily(f"dcp_link_{name}", _meaning(name), value=number)
-        recorder = getattr(link, "watcher", None)
-        if isinstance(recorder, RotatingRecorder):
+        if recorder is not None:
             yield GaugeMetricFamily("dcp_recording_active", "Whether frames are being recorded.", recorder.recording)
-            for name in ("frames", "frames_lost", "interruptions"):
-                yield CounterMetricFamily(f"dcp_recording_{name}", _RECORDING[name], value=getattr(recorder, name))
+            for name, meaning in _RECORDING.items():
+                yield CounterMetricFamily(f"dcp_recording_{name}", meaning, value=getattr(recorder, name))
         yield GaugeMetricFamily("dcp_link_up", "Whether the link can carry frames.", link.up)
         yield GaugeMetricFamily("dcp_bp_active", "Whether BP is active.", node.bp.active)
         sessions = len(self._server.sessions)
@@ -147,7 +147,7 @@ def _meaning(counter: str) -> str:
     return _MEANINGS.get(counter, f"{counter.replace('-', ' ').capitalize()}.")
 
 
-class MetricsServer:
+class MetricsServer(Listener):
     """An HTTP server for ``GET /metrics`` on 127.0.0.1."""
 
     def __init__(self, port: int) -> None:
@@ -160,18 +160,13 @@ class MetricsServer:
             raise MetricsError(advice("prometheus_client")) from None
         self._exposition: Any = exposition
         self._parser: Any = http.server.BaseHTTPRequestHandler
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
         try:
-            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            self._socket.bind(("127.0.0.1", port))
-            self._socket.listen(8)
-            self._socket.setblocking(False)
+            listening = socket.create_server(("127.0.0.1", port), backlog=MAX_SCRAPERS)
         except OSError as error:
-            self._socket.close()
-            why = "the port is in use" if error.errno == errno.EADDRINUSE else error.strerror
+            why = "the port is in use" if error.errno == errno.EADDRINUSE else os.strerror(error.errno or 0)
             raise MetricsError(f"metrics: 127.0.0.1:{port}: {why}") from None
+        super().__init__("metrics", listening, MAX_SCRAPERS)
         self._collector: NodeCollector | None = None
-        self._scrapers: dict[socket.socket, _Scrape] = {}
 
     @property
     def port(self) -> int:
@@ -183,62 +178,9 @@ class MetricsServer:
         """Set the source of the metrics."""
         self._collector = collector
 
-    def attach(self, reactor: Reactor) -> None:
-        """Start to accept scrapers."""
-        self._reactor = reactor
-        reactor.watch(self._socket.fileno(), READ, self._accept)
-
-    def tick(self, now: int) -> None:
-        """Drop scrapers that exceed ``PATIENCE``."""
-        for client, scrape in list(self._scrapers.items()):
-            if now - scrape.since > PATIENCE:
-                self._end(client)
-
-    def close(self) -> None:
-        """Close the server and all connections."""
-        for client in list(self._scrapers):
-            self._end(client)
-        self._socket.close()
-
-    def _accept(self, _events: int) -> None:
-        """Accept one scraper, unless too many are connected."""
-        with contextlib.suppress(OSError):
-            client, _ = self._socket.accept()
-            if len(self._scrapers) >= MAX_SCRAPERS:
-                client.close()
-                return
-            client.setblocking(False)
-            self._scrapers[client] = _Scrape()
-            self._reactor.watch(client.fileno(), READ, lambda events: self._on_ready(client, events))
-
-    def _on_ready(self, client: socket.socket, events: int) -> None:
-        """Read the request of a scraper, then write the answer."""
-        scrape = self._scrapers[client]
-        try:
-            if events & READ and not scrape.answer:
-                data = client.recv(MAX_REQUEST)
-                scrape.request += data
-                if not data or len(scrape.request) > MAX_REQUEST:
-                    self._end(client)
-                    return
-                if b"\r\n\r\n" not in scrape.request:
-                    return
-                scrape.answer = self._answer(bytes(scrape.request))
-                self._reactor.watch(client.fileno(), WRITE, lambda events: self._on_ready(client, events))
-            elif events & WRITE:
-                scrape.answer = scrape.answer[client.send(scrape.answer) :]
-                if not scrape.answer:
-                    self._end(client)
-        except BlockingIOError:
-            return
-        except OSError:
-            self._end(client)
-
-    def _end(self, client: socket.socket) -> None:
-        """Close the connection of a scraper."""
-        del self._scrapers[client]
-        self._reactor.forget(client.fileno())
-        client.close()
+    def open_session(self) -> Scrape:
+        """Return the session of a new scraper."""
+        return Scrape(self._answer)
 
     def _answer(self, request: bytes) -> bytes:
         """Return the whole HTTP response to a request."""
@@ -275,10 +217,50 @@ class MetricsServer:
             return "500 Internal Server Error", b"see the log of the node\n", plain
 
 
-class _Scrape:
-    """A request in progress, and the rest of its answer."""
+class Scrape:
+    """One request and its answer, as a session of a channel."""
 
-    def __init__(self) -> None:
-        self.request = bytearray()
-        self.answer = b""
-        self.since = time.monotonic_ns()
+    def __init__(self, answer: Callable[[bytes], bytes]) -> None:
+        """``answer`` returns the whole HTTP response to a request."""
+        self.output = bytearray()
+        self.overrun = False
+        self._answer = answer
+        self._request = bytearray()
+        self._since: int | None = None
+        self._ended = False
+        """Whether the request was answered, or will never be complete."""
+
+    @property
+    def wants_input(self) -> bool:
+        """Whether the request is not complete."""
+        return not self._ended
+
+    @property
+    def finished(self) -> bool:
+        """Whether the exchange has ended."""
+        return self._ended and not self.output
+
+    def receive(self, data: bytes) -> None:
+        """Add octets of the request; answer it if it is complete."""
+        self._request += data
+        complete = b"\r\n\r\n" in self._request
+        self._ended = complete or len(self._request) > MAX_REQUEST
+        if complete:
+            self.output += self._answer(bytes(self._request))
+
+    def end_of_input(self) -> None:
+        """End the exchange: the request will not become complete."""
+        self._ended = True
+
+    def process(self, *, now: int, wall: int) -> bool:  # noqa: ARG002 - the same call for every session
+        """Note whether the scraper exceeds ``PATIENCE``. Return False: it has only one request."""
+        self._since = self._since or now
+        self.overrun = now - self._since > PATIENCE
+        return False
+
+    def sent(self, count: int) -> None:
+        """Remove octets of the answer that were sent."""
+        del self.output[:count]
+
+    def close(self) -> None:
+        """Do nothing: no other object knows the session."""

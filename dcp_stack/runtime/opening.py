@@ -17,7 +17,7 @@ from dcp_codec.codec import Codec
 from dcp_stack.config import NodeConfig
 from dcp_stack.links.base import Link, LinkError
 from dcp_stack.links.opening import open_link
-from dcp_stack.links.recording import Recorder, RecordingLink, recording_path
+from dcp_stack.links.recording import Recorder, recording_path
 from dcp_stack.links.rotation import Limits, RotatingRecorder, numbered_after, recordings_of
 from dcp_stack.neighbour_file import NeighbourFileError, NeighbourFileWriter
 from dcp_stack.node import Node
@@ -71,7 +71,7 @@ def _open(settings: Settings, make: MakeNode, stack: contextlib.ExitStack) -> Dr
     codec = codec_of(settings)
     spec = _link_spec(settings)
     config = node_config(settings, codec, default_id=_address_of(settings.interface))
-    link: Link = open_link(spec, config)
+    link = open_link(spec, config)
     stack.callback(link.close)
     config = _fitted(config, link)
     rng = random.Random(settings.seed)  # noqa: S311 - for jitter, not for secrets
@@ -117,19 +117,18 @@ def _open(settings: Settings, make: MakeNode, stack: contextlib.ExitStack) -> Dr
     recorder = _recorder(settings, config, codec, wall)
     if recorder is not None:
         stack.callback(recorder.close)
-        link = RecordingLink(link, recorder)
     driver = Driver(
         node,
         link,
         recorder=recorder,
         positions=positions,
         neighbour_file=neighbours,
-        attachments=() if metrics is None else (metrics,),
     )
     if metrics is not None:
         from .metrics import NodeCollector
 
-        metrics.serve(NodeCollector(driver.server, link))
+        metrics.serve(NodeCollector(driver.server, link, recorder))
+        driver.add_control(metrics)
         log.info("metrics at http://127.0.0.1:%d/metrics", metrics.port)
     if control is not None:
         share(control.path, settings.control_group, settings.control_mode)

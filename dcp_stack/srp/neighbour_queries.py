@@ -9,7 +9,7 @@ motions start at the reception, and positions are late by the delay of the beare
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 import msgspec
 
@@ -20,6 +20,13 @@ from dcp_stack.timestamps import StampClock
 
 if TYPE_CHECKING:
     from .neighbour_table import NeighbourTableEntry
+
+
+#: The times and statistics of an entry that are shown unchanged.
+_SHOWN: Final = (
+    *("reception_time", "received_at", "first_seen", "received", "repeated", "lost", "restarts"),
+    *("mean_gap", "mean_interval"),
+)
 
 
 class Near(msgspec.Struct, frozen=True, gc=False):
@@ -62,20 +69,14 @@ class NeighbourQueries:
         The velocity is what the report says, or where the profile has no field for it, that between the last two
         reports of different sequence numbers by the stamps of their node.
         """
-        position = self.position(entry)
-        if position is None:
-            return None
-        if self.fields.has_velocity:
-            return Motion(position, self.fields.velocity(entry.ext_sd.s_data), entry.fresh_at)
-        return Motion(position, self._estimate(entry, position), entry.fresh_at, estimated=True)
-
-    def _estimate(self, entry: NeighbourTableEntry, position: Vector) -> Vector | None:
-        if entry.before is None or (start := self.fields.position(entry.before.s_data)) is None:
-            return None
-        # Receptions jitter by a whole beacon period, about the time between two reports; stamps do not. They only
-        # have to be by one clock, which need not be ours.
-        elapsed = self.stamps.between(entry.before.t_stamp, entry.ext_sd.t_stamp)
-        return velocity_between(start, position, elapsed if elapsed > 0 else entry.fresh_at - entry.before_at)
+        before, elapsed = entry.before, 0
+        if before is not None:
+            # Receptions jitter by a whole beacon period, about the time between two reports; stamps do not. They only
+            # have to be by one clock, which need not be ours.
+            elapsed = self.stamps.between(before.t_stamp, entry.ext_sd.t_stamp)
+            elapsed = elapsed if elapsed > 0 else entry.fresh_at - entry.before_at
+        earlier = None if before is None else before.s_data
+        return _motion(self.fields, entry.ext_sd.s_data, entry.fresh_at, earlier, elapsed)
 
     def delay(self, entry: NeighbourTableEntry) -> int | None:
         """Return the ns from the stamp of a report to its reception: delay of BP and bearer if clocks agree.
@@ -142,15 +143,7 @@ class NeighbourQueries:
             },
             "t_stamp": entry.ext_sd.t_stamp,
             "seqno": entry.ext_sd.seqno,
-            "reception_time": entry.reception_time,
-            "received_at": entry.received_at,
-            "first_seen": entry.first_seen,
-            "received": entry.received,
-            "repeated": entry.repeated,
-            "lost": entry.lost,
-            "restarts": entry.restarts,
-            "mean_gap": entry.mean_gap,
-            "mean_interval": entry.mean_interval,
+            **{name: getattr(entry, name) for name in _SHOWN},
             "delay": self.delay(entry),
             "position": motion.position if motion is not None else None,
             "velocity": motion.velocity if motion is not None else None,
@@ -187,12 +180,17 @@ class OwnMotion:
         if self._last is None:
             return None
         data, at = self._last
-        position = self._fields.position(data)
-        if position is None:
-            return None
-        if self._fields.has_velocity:
-            return Motion(position, self._fields.velocity(data), at)
-        start = None if self._before is None else self._fields.position(self._before[0])
-        if self._before is None or start is None:
-            return Motion(position, None, at, estimated=True)
-        return Motion(position, velocity_between(start, position, at - self._before[1]), at, estimated=True)
+        before, before_at = self._before or (None, at)
+        return _motion(self._fields, data, at, before, at - before_at)
+
+
+def _motion(fields: SafetyFields, data: SafetyData, at: int, before: SafetyData | None, elapsed: int) -> Motion | None:
+    """Return the motion of a node with ``data`` at the time ``at``, and with ``before`` ``elapsed`` ns earlier."""
+    position = fields.position(data)
+    if position is None:
+        return None
+    if fields.has_velocity:
+        return Motion(position, fields.velocity(data), at)
+    start = None if before is None else fields.position(before)
+    velocity = None if start is None else velocity_between(start, position, elapsed)
+    return Motion(position, velocity, at, estimated=True)

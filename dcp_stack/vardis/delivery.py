@@ -18,6 +18,7 @@ import msgspec
 
 if TYPE_CHECKING:
     from .core import Sequence
+    from .database import DBEntry
 
 ASKED_OFTEN: Final = 20
 """Answered requests of one neighbour for one variable that are reported. Frame loss of one half would cause as many
@@ -167,9 +168,10 @@ class Delivery:
         if known is not None and creation_time > known:
             self._superseded.add(var_id)
 
-    def taken_over(self, var_id: int, producer: bytes) -> None:
-        """Note that a received creation by ``producer`` has replaced the variable of this node."""
-        self._taken[var_id] = producer
+    def adopted(self, before: DBEntry | None, after: DBEntry, own_id: bytes) -> None:
+        """Process the creation by another node that has replaced the entry ``before``; ``own_id`` is this node."""
+        if before is not None and not before.is_deleted and before.spec.prod_id == own_id:
+            self._taken[after.spec.var_id] = after.spec.prod_id
 
     def latest_creation(self, var_id: int) -> int | None:
         """Return the latest received creation time of a variable with this node as producer, None without any."""

@@ -87,8 +87,7 @@ class Receiver:
         ##= VD-PC-07
         stored = self._database.insert(record.spec, record.upd.value, record.upd.seqno, now=now, wall=wall)
         self._core.changed("created", stored)
-        if entry is not None and not entry.is_deleted and entry.spec.prod_id == self._core.own_id:
-            self._core.delivery.taken_over(var_id, record.spec.prod_id)
+        self._core.delivery.adopted(entry, stored, self._core.own_id)
 
     def _ahead(self, record: VarCreate, wall: int) -> int:
         """Return by how many ns the creation time of a VarCreate is ahead of the local clock; usually negative.

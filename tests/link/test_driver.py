@@ -10,10 +10,13 @@ import time
 import pytest
 from dcp_spec.constants import ICType
 
+from dcp_codec.capture import open_capture
 from dcp_codec.codec import get_codec
 from dcp_codec.values import Beacon, BPHeader, Container, ExtendedSafetyData, Payload, VarReqCreate, VarSumm
 from dcp_stack.config import BPConfig, NodeConfig
 from dcp_stack.links.base import LinkCounters, Reception
+from dcp_stack.links.recording import Recorder
+from dcp_stack.links.rotation import RotatingRecorder
 from dcp_stack.node import Node
 from dcp_stack.runtime.driver import FLOOD, Driver
 
@@ -151,6 +154,45 @@ def test_soft_state_is_as_old_as_its_frame():
     entry = node.srp._table.lookup(neighbour)
     assert (time.monotonic_ns() - entry.received_at) >= waited
     assert node.srp._table.expire(time.monotonic_ns(), waited) == [neighbour]
+
+
+class Refusing(ListedLink):
+    """Sends the second beacon, and not the first."""
+
+    source = bytes.fromhex("02000000000a")
+
+    def send(self, octets: bytes) -> bool:
+        self.sent.append(octets)
+        if len(self.sent) < 2:
+            return False
+        assert self.driver is not None
+        self.driver.stop()
+        return True
+
+
+def test_what_is_received_and_sent_is_recorded(tmp_path):
+    """In both directions, from the address of its sender, if it was sent; with its time."""
+    wall, now = time.time_ns(), time.monotonic_ns()
+    neighbour = bytes.fromhex("020000000002")
+    link = Refusing([Reception(b"no beacon", wall, neighbour)])
+    config = NodeConfig(node_id=bytes.fromhex("020000000001"), codec=CODEC, bp=BPConfig(beacon_period_ms=10))
+    node = Node(config, rng=random.Random(1), now=now, wall=wall)
+    path = tmp_path / "a.mcap"
+    recorder = RotatingRecorder(lambda path: Recorder(path, CODEC), path, lambda: path)
+    driver = link.driver = Driver(node, link, recorder=recorder)
+    vardis = node.vardis
+    assert vardis is not None
+    driver.run(lambda: vardis.create(1, None, 9, b"own", b"v", 0, now=now, wall=wall))
+    assert not recorder.recording
+    with open_capture(path) as capture:
+        frames = list(capture)
+    to_all = b"\xff" * 6
+    assert [each.data for each in frames] == [
+        to_all + neighbour + b"\x49\x53" + b"no beacon",
+        to_all + link.source + b"\x49\x53" + link.sent[1],
+    ]
+    assert frames[0].time_ns == wall
+    assert frames[1].time_ns >= wall
 
 
 class PipeLink(ListedLink):

@@ -9,9 +9,8 @@ import pytest
 
 from dcp_codec.capture import Frame, open_capture
 from dcp_codec.codec import Codec
-from dcp_stack.links.base import LinkError, TimedLink
-from dcp_stack.links.memory import WALL_START, Medium
-from dcp_stack.links.recording import FLUSH_INTERVAL, Recorder, RecordingLink, recording_path
+from dcp_stack.links.base import LinkError
+from dcp_stack.links.recording import FLUSH_INTERVAL, Recorder, recording_path
 from dcp_stack.links.replay import ReplayLink
 
 CAPTURES = Path(__file__).resolve().parents[2] / "captures"
@@ -50,31 +49,6 @@ def test_a_folder_gets_a_new_recording_for_each_start(tmp_path):
     assert recording_path(tmp_path / "flight.mcap", MAC, wall) == tmp_path / "flight.mcap"
     # Meant as a folder, which the message about what is missing can then say.
     assert recording_path(f"{tmp_path}/none/", MAC, wall).parent == tmp_path / "none"
-
-
-def test_both_directions_are_recorded(tmp_path, codec, beacons):
-    medium = Medium(1)
-    inner, peer = medium.join(), medium.join()
-    recorder = Recorder(tmp_path / "a.mcap", codec, about={"link": inner.name})
-    link = RecordingLink(inner, recorder, source=MAC, wall=lambda: WALL_START + medium.now)
-    assert isinstance(link, TimedLink)
-    assert (link.name, link.max_packet_size, link.fileno(), link.source) == ("memory:0", 1500, -1, inner.source)
-    assert link.send(beacons[0])
-    medium.broadcast(peer.index, beacons[1], 7)
-    medium.advance(7)
-    assert link.poll_timeout() == 7
-    assert [each.octets for each in link.receive()] == [beacons[1]]
-    # What was not sent is not in the recording.
-    assert not link.send(bytes(1501))
-    assert (link.counters.sent, link.counters.send_errors, recorder.frames) == (1, 1, 2)
-    link.close()
-    link.close()
-    assert not inner.send(b"")
-    head = b"\xff" * 6
-    assert [(each.number, each.time_ns - WALL_START, each.data) for each in frames_of(tmp_path / "a.mcap")] == [
-        (1, 0, head + MAC + b"\x49\x53" + beacons[0]),
-        (2, 7, head + peer.source + b"\x49\x53" + beacons[1]),
-    ]
 
 
 def test_the_recording_explains_itself_and_is_decoded(tmp_path, codec, beacons):
@@ -153,18 +127,6 @@ def test_a_long_recording_has_fewer_chunks_than_seconds(tmp_path, codec, beacons
     assert len(frames_of(tmp_path / "a.mcap")) == 4 * 3600
 
 
-def test_the_link_flushes_by_being_used(tmp_path, codec, beacons):
-    now = 0
-    medium = Medium(1)
-    link = RecordingLink(medium.join(), Recorder(tmp_path / "a.mcap", codec, clock=lambda: now))
-    link.send(beacons[0])
-    now = FLUSH_INTERVAL
-    assert link.receive() == []
-    with open_capture(tmp_path / "a.mcap") as capture:
-        assert len(list(capture)) == 1
-    link.close()
-
-
 @pytest.fixture
 def small_disk():
     """Files of this process cannot become longer than 20,000 octets."""
@@ -174,20 +136,18 @@ def small_disk():
     resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
-def test_a_full_disk_ends_the_recording_and_not_the_link(tmp_path, codec, beacons, caplog, small_disk):
+def test_a_full_disk_ends_the_recording_and_nothing_else(tmp_path, codec, beacons, caplog, small_disk):
     now = 0
-    medium = Medium(1)
     recorder = Recorder(tmp_path / "a.mcap", codec, clock=lambda: now)
-    link = RecordingLink(medium.join(), recorder)
     for _ in range(30):
         now += FLUSH_INTERVAL
         for octets in beacons[:10]:
-            assert link.send(octets)
+            recorder.saw(octets, now, outgoing=True, source=MAC)
+        recorder.tick()
     assert not recorder.recording
     assert "a.mcap: cannot be written" in recorder.problem
     assert [record.levelname for record in caplog.records if "recording ends" in record.message] == ["ERROR"]
-    assert link.counters.sent == 300
-    link.close()
+    recorder.close()
     with open_capture(tmp_path / "a.mcap") as capture:
         assert 0 < len(list(capture)) <= recorder.frames
 

@@ -395,7 +395,7 @@ def test_endless_lines_take_no_memory(pipe):
     for _ in range(40):
         os.write(writing, b"x" * 10_000)
         source.poll(0, 0)
-        assert len(source._rest) <= LONGEST_LINE
+        assert len(source._lines) <= LONGEST_LINE
     os.write(writing, b'\n{"x": 1}\n')
     assert source.poll(0, 0) == [{"x": 1, "y": 0, "z": 0}]
     assert source.counts == {"too-long": 1}

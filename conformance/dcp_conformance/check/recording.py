@@ -16,6 +16,7 @@ from dcp_codec.capture import CaptureError, open_capture
 from dcp_codec.cli.common import progress
 from dcp_codec.codec import Codec
 from dcp_codec.common.commandline import say
+from dcp_codec.common.garbage import few_collections
 from dcp_codec.framing.ethertype import parse_ether_type
 from dcp_codec.framing.frames import with_ether_type
 from dcp_codec.framing.locate import OtherTraffic, locate
@@ -24,7 +25,6 @@ from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.model.pics import Pics
 from dcp_conformance.model.results import RunResult
 
-from .garbage import few_collections
 from .judge import Judge
 from .versions import Versions, undecided, weakness
 

@@ -13,7 +13,9 @@ from __future__ import annotations
 
 import functools
 import random
+from collections import Counter
 from collections.abc import Callable
+from itertools import chain
 from typing import Any, Final
 
 import msgspec
@@ -123,10 +125,10 @@ class HearingBP(BeaconingProtocol):
         count("frames-received", len(heard))
         count("beacons-received", len(heard))
         count("octets-received", sum(each.beacon.octets for each in heard))
+        for protocol_id, number in Counter(chain.from_iterable(each.beacon.blocks for each in heard)).items():
+            count(f"payloads-received/{protocol_id}", number)
         for each in heard:
             record(sender_id, each.beacon.seqno, each.now)
-            for protocol_id in each.beacon.blocks:
-                count(f"payloads-received/{protocol_id}")
 
     def counters(self) -> dict[str, int]:
         """Return the same as :meth:`BeaconingProtocol.counters`, waiting beacons included."""

@@ -8,9 +8,11 @@ import random
 from collections.abc import Callable, Mapping
 from typing import Any, TypeVar
 
+import msgspec
 from dcp_spec.profile.definition import Profile
 
 from dcp_codec.codec import Codec
+from dcp_codec.common.garbage import few_collections
 from dcp_stack.config import BPConfig, NodeConfig, SRPConfig, VardisConfig
 from dcp_stack.effects import Effect, NeighbourExpired, SendBeacon, VariableChanged
 from dcp_stack.links.base import Watcher
@@ -128,7 +130,8 @@ class Network:
             link.closed = True
             self.stations.append(Station(index, link, config, rng))
         if share_decoding and self.stations:
-            self._parse = Parser(self.stations[0].config).parse
+            # Its cache makes that of the shared codec superfluous.
+            self._parse = Parser(msgspec.structs.replace(self.stations[0].config, codec=codec)).parse
 
     def __len__(self) -> int:
         return len(self.stations)
@@ -231,6 +234,10 @@ class Network:
 
         Calls ``stop`` after each event. Returns True as soon as it returns True, otherwise False at ``end``.
         """
+        with few_collections():
+            return self._run_until(end, stop)
+
+    def _run_until(self, end: int, stop: Callable[[], bool] | None) -> bool:
         heap, medium = self._heap, self.medium
         while True:
             flight = medium.poll_timeout()

@@ -1,4 +1,4 @@
-"""Thresholds of the garbage collector while a recording is judged."""
+"""Thresholds of the garbage collector while many objects are kept."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ import gc
 from collections.abc import Iterator
 
 import pytest
-from dcp_conformance.check.garbage import few_collections
+
+from dcp_codec.common.garbage import few_collections
 
 
 @pytest.fixture(autouse=True)

@@ -1,7 +1,7 @@
-"""Fewer garbage collections while a recording is judged.
+"""Fewer garbage collections while a recording is judged or a network is simulated.
 
-The rules keep many records for long, and create nearly no reference cycles. Python's default thresholds would search
-these records for cycles every few hundred beacons, at about a tenth of the total time.
+Both keep many objects for long, and create nearly no reference cycles. Python's default thresholds would search these
+objects for cycles every few hundred beacons, at about a tenth of the total time.
 """
 
 from __future__ import annotations
