@@ -292,7 +292,7 @@ def _share(codec: Codec, octets: bytes, start: int) -> tuple[float, Beacon | Non
     sound = len(beacon.payloads) - len(bad)
     header = any(each.path.startswith("bp.") for each in found.problems)
     if not sound:
-        # Only BP's part is readable; how much of a wrong layout fits by chance is no evidence.
+        # Only BP's part is readable; how much of a wrong layout fits by chance is not evidence.
         return _HINT * (_BAD_HEADER if header else 1.0), None
     share = _HINT + (_PART - _HINT) * sound / len(beacon.payloads)
     return share * (_BAD_HEADER if header else 1.0), beacon

@@ -139,7 +139,7 @@ def open_source(source: str | Path | BinaryIO) -> ByteSource:
         # Unbuffered: the window is the buffer.
         stream = Path(source).open("rb", buffering=0)  # noqa: SIM115 - the source closes it
     except (OSError, ValueError) as error:
-        raise CaptureError(f"{source}: {explain(error)}") from error
+        raise CaptureError(f"{source}: cannot be read: {explain(error)}") from error
     return ByteSource(stream, str(source), _file_size(stream), owned=True)
 
 
@@ -150,13 +150,7 @@ def stream_name(stream: BinaryIO) -> str:
 
 
 def explain(error: Exception) -> str:
-    """Return the reason why a file could not be opened, for messages."""
-    if isinstance(error, FileNotFoundError):
-        return "there is no such file"
-    if isinstance(error, IsADirectoryError):
-        return "is a directory, not a capture file"
-    if isinstance(error, PermissionError):
-        return "no permission"
+    """Return the reason why a file could not be opened, read or written, for messages."""
     if isinstance(error, OSError) and error.strerror:
         return error.strerror
     return str(error) or type(error).__name__

@@ -129,7 +129,7 @@ def _create_mcap(
     from .mcap.writer import COMPRESSIONS, McapWriter, OpenAttachment
 
     if compression not in COMPRESSIONS:
-        raise ValueError(f"compression {compression!r} is none of {', '.join(COMPRESSIONS)}")
+        raise ValueError(f"unknown compression {compression!r}; expected one of {', '.join(COMPRESSIONS)}")
     if attachment is not None and same_file(attachment, target):
         raise CaptureError(f"{attachment}: cannot be attached to itself")
     original = None if attachment is None else OpenAttachment(attachment)

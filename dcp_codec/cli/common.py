@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 from dcp_spec.profile.definition import Link
-from dcp_spec.profile.loading import ProfileError, profile_names
+from dcp_spec.profile.loading import ProfileError
 
 from dcp_codec.capture import CaptureError, CaptureReader, Frame, open_capture
 from dcp_codec.codec import Codec, get_codec
-from dcp_codec.common.commandline import UNUSABLE, ExpectedError
+from dcp_codec.common.commandline import ETHER_TYPE_HELP, UNUSABLE, ExpectedError
 from dcp_codec.framing.ethertype import parse_ether_type
 from dcp_codec.framing.frames import FrameDissector, with_ether_type
 
@@ -50,7 +50,7 @@ def profile_options(function: F) -> F:
         "--ether-type",
         callback=ether_type,
         metavar="HEX",
-        help="EtherType of the beacons, such as 0x4953, if it is not that of the profile.",
+        help=ETHER_TYPE_HELP,
     )(function)
     return click.option(
         "-p",
@@ -58,7 +58,7 @@ def profile_options(function: F) -> F:
         default="auto",
         show_default=True,
         metavar="NAME|FILE|auto",
-        help=f"Wire profile: {', '.join(profile_names())}, a TOML file, or auto to detect it.",
+        help="Wire profile: a name ('dcp-codec profiles' lists them), a TOML file, or auto to detect it.",
     )(function)
 
 
@@ -110,7 +110,7 @@ def note_guess(name: str, found: Guess) -> None:
     """Report which profile was guessed, and whether the guess is weak."""
     note(f"{name}: profile {found}")
     if found.warning is not None:
-        note(f"{name}: {found.warning}: dcp-codec guess {shlex.quote(name)}shows what it does not explain")
+        note(f"{name}: {found.warning}: dcp-codec guess {shlex.quote(name)} shows what it does not explain")
 
 
 def choose(

@@ -15,7 +15,7 @@ from dcp_codec.capture import FORMATS, CaptureError, convert, extract_attachment
 from dcp_codec.capture import attachments as list_attachments
 from dcp_codec.capture.bytesink import same_file
 from dcp_codec.codec import Codec, get_codec
-from dcp_codec.common.commandline import UNUSABLE, ExpectedError
+from dcp_codec.common.commandline import LOSSY_HELP, UNUSABLE, ExpectedError
 
 from .common import interruptible, link_of, load_codec, note, note_guess, profile_options
 from .recordings import extras
@@ -33,24 +33,30 @@ from .recordings import extras
     "--to",
     "form",
     type=click.Choice([*sorted(FORMATS), "ros2"]),
-    help="Format of TARGET, when its name does not say. ros2 is an MCAP with ROS 2 messages only: poses, neighbour "
-    "tables, variables.",
+    help="Format of TARGET, by default that of its suffix. ros2 is an MCAP file with ROS 2 messages only: poses, "
+    "neighbour tables, variables.",
 )
 @click.option(
     "--resolution",
     type=click.Choice(["ns", "us"]),
     default="ns",
     show_default=True,
-    help="Time stamps of a pcap or pcapng.",
+    help="Resolution of the time stamps in a pcap or pcapng.",
 )
-@click.option("--lossy", is_flag=True, help="Write what the format cannot hold as well as it can.")
+@click.option("--lossy", is_flag=True, help=LOSSY_HELP)
 @click.option(
     "--decoded/--no-decoded", default=True, show_default=True, help="Add channels with decoded messages to an MCAP."
 )
 @click.option("--attach/--no-attach", default=True, show_default=True, help="Attach the original file to an MCAP.")
-@click.option("--compression", type=click.Choice(["zstd", "lz4", "none"]), default="zstd", show_default=True)
 @click.option(
-    "--extract", is_flag=True, help="Instead write the original file that is attached to SOURCE, byte for byte."
+    "--compression",
+    type=click.Choice(["zstd", "lz4", "none"]),
+    default="zstd",
+    show_default=True,
+    help="Compression of an MCAP.",
+)
+@click.option(
+    "--extract", is_flag=True, help="Write the original file that is attached to SOURCE instead, byte for byte."
 )
 def command(
     source: str,

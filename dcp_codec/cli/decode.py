@@ -61,7 +61,7 @@ class _Renderer(Protocol):
 @click.argument("files", nargs=-1, metavar="FILE...")
 @click.option("--hex", "hex_text", metavar="HEX", help="Decode these octets: a whole Ethernet frame or a bare beacon.")
 @click.option(
-    "-i", "--interface", metavar="IF", help="Decode live traffic of this interface (needs scapy; Ctrl-C ends)."
+    "-i", "--interface", metavar="IF", help="Decode the frames on this Ethernet interface until Ctrl-C (needs scapy)."
 )
 @profile_options
 @click.option(
@@ -71,11 +71,13 @@ class _Renderer(Protocol):
     type=click.Choice(["tree", "list", "csv", "jsonl"]),
     default="tree",
     show_default=True,
-    help="A tree of fields, one line per frame, one row per record, or one JSON object per frame.",
+    help="Output: a tree of fields, one line per frame, one row per record, or one JSON object per frame.",
 )
-@click.option("--sender", multiple=True, metavar="ID", help="Only beacons of this sender (may be given several times).")
-@click.option("--protocol", multiple=True, metavar="NAME", help="Only beacons with srp, vardis or protocol number N.")
-@click.option("--container", multiple=True, metavar="NAME", help="Only beacons with this container, e.g. UPDATES.")
+@click.option("--sender", multiple=True, metavar="ID", help="Only beacons of this sender; may be given several times.")
+@click.option(
+    "--protocol", multiple=True, metavar="NAME", help="Only beacons with a payload of srp, vardis or a protocol number."
+)
+@click.option("--container", multiple=True, metavar="NAME", help="Only beacons with this container, such as UPDATES.")
 @click.option("--variable", multiple=True, type=int, metavar="ID", help="Only beacons about this variable.")
 @click.option("--frames", callback=frame_range, metavar="N[-M]", help="Only these frame numbers.")
 @click.option(
@@ -87,18 +89,22 @@ class _Renderer(Protocol):
 )
 @click.option("--to", "end", callback=parse_time, metavar="TIME", help="Not after (as --from).")
 @click.option("--errors-only", is_flag=True, help="Only malformed beacons.")
-@click.option("-c", "--count", type=click.IntRange(min=1), metavar="N", help="Stop after N shown frames.")
-@click.option("--hexdump/--no-hexdump", default=True, show_default=True, help="Show the octets under each tree.")
+@click.option("-c", "--count", type=click.IntRange(min=1), metavar="N", help="End after N shown frames.")
+@click.option("--hexdump/--no-hexdump", default=True, show_default=True, help="Show the octets below each tree.")
 @click.option(
     "--time",
     "clock",
     type=click.Choice(["utc", "epoch", "relative"]),
     default="utc",
     show_default=True,
-    help="How the list shows time.",
+    help="Times in the list.",
 )
 @click.option(
-    "--color", type=click.Choice(["auto", "always", "never"]), default="auto", show_default=True, help="Colours."
+    "--color",
+    type=click.Choice(["auto", "always", "never"]),
+    default="auto",
+    show_default=True,
+    help="Colour the output; auto: on a terminal.",
 )
 def command(
     files: tuple[str, ...],

@@ -12,7 +12,7 @@ import click
 
 from dcp_codec.capture import CaptureError, Frame, create_capture
 from dcp_codec.codec import Codec
-from dcp_codec.common.commandline import UNUSABLE, ExpectedError
+from dcp_codec.common.commandline import ETHER_TYPE_HELP, PROFILE_HELP, UNUSABLE, ExpectedError
 from dcp_codec.errors import EncodeError
 from dcp_codec.jsonform import beacon_from_json
 
@@ -28,10 +28,15 @@ _BROADCAST = b"\xff" * 6
     "input.",
 )
 @click.argument("file", default="-", metavar="[FILE|-]")
-@click.option("-p", "--profile", required=True, metavar="NAME|FILE", help="Wire profile to encode with.")
-@click.option("--ether-type", callback=parse_ether_type, metavar="HEX", help="Another EtherType than the profile's.")
-@click.option("-o", "--out", metavar="FILE", help="Write a recording (.mcap, .pcap, .pcapng) instead of hex lines.")
-@click.option("--bare", is_flag=True, help="Only the beacon, without Ethernet header (hex output).")
+@click.option("-p", "--profile", required=True, metavar="NAME|FILE", help=PROFILE_HELP)
+@click.option("--ether-type", callback=parse_ether_type, metavar="HEX", help=ETHER_TYPE_HELP)
+@click.option(
+    "-o",
+    "--out",
+    metavar="FILE",
+    help="Write a recording (.mcap, .pcap, .pcapng).  [default: hex lines to standard output]",
+)
+@click.option("--bare", is_flag=True, help="Write only the beacon as hex, without the Ethernet header.")
 def command(file: str, profile: str, ether_type: int | None, out: str | None, bare: bool) -> int:
     """Encode beacons given as JSON objects, as 'decode --format jsonl' prints them: one object, a list, or lines.
 
@@ -67,7 +72,7 @@ def _open(file: str) -> BinaryIO:
     try:
         return Path(file).open("rb")
     except OSError as error:
-        raise ExpectedError(f"{file}: cannot read it ({error.strerror})", UNUSABLE) from None
+        raise ExpectedError(f"{file}: cannot be read: {error.strerror}", UNUSABLE) from None
 
 
 def _objects(source: BinaryIO, name: str) -> Iterator[Any]:

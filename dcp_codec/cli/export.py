@@ -11,7 +11,7 @@ from typing import Any
 import click
 
 from dcp_codec.codec import Codec
-from dcp_codec.common.commandline import ExpectedError
+from dcp_codec.common.commandline import PROFILE_HELP, ExpectedError
 
 from .common import load_codec
 
@@ -27,17 +27,20 @@ _KINDS = {
 
 @click.command("export")
 @click.argument("kind", type=click.Choice(list(_KINDS)))
-@click.option("-p", "--profile", required=True, metavar="NAME|FILE", help="Wire profile to export.")
-@click.option("-o", "--out", metavar="FILE", help="Write to this file instead of standard output.")
+@click.option("-p", "--profile", required=True, metavar="NAME|FILE", help=PROFILE_HELP)
+@click.option("-o", "--out", metavar="FILE", help="Write to this file.  [default: standard output]")
 def command(kind: str, profile: str, out: str | None) -> int:
     """Write the wire format of a profile for another tool.
 
     \b
-    lua         Wireshark/tshark: put the file into ~/.local/lib/wireshark/plugins, or tshark -X lua_script:FILE
-    ksy         Kaitai Struct: kaitai-struct-compiler -t LANGUAGE FILE
-    jsonschema  JSON Schema of what 'decode --format jsonl' prints
-    markdown    tables of all records with bit offsets, for people
-    scapy       scapy -c FILE: a scapy session with the DCP layers
+    lua         Wireshark dissector, also for tshark -X lua_script:FILE
+    ksy         Kaitai Struct, for kaitai-struct-compiler -t LANGUAGE FILE
+    jsonschema  JSON Schema of the output of 'decode --format jsonl'
+    markdown    tables of all records with bit offsets
+    scapy       a scapy session with the DCP layers, for scapy -c FILE
+
+    'dcp-codec wireshark install' installs dissectors. Exit status: 0 all good, 2 wrong usage, or a file that cannot be
+    written.
     """
     codec = load_codec(profile)
     text = _text(kind, codec, profile)
@@ -47,7 +50,7 @@ def command(kind: str, profile: str, out: str | None) -> int:
     try:
         Path(out).write_text(text if text.endswith("\n") else text + "\n", encoding="utf-8")
     except OSError as error:
-        raise ExpectedError(f"{out}: cannot write it ({error.strerror})") from None
+        raise ExpectedError(f"{out}: cannot be written: {error.strerror}") from None
     return 0
 
 

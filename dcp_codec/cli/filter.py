@@ -11,7 +11,7 @@ import click
 from dcp_codec.analysis.conditions import Where, WhereError, field_names
 from dcp_codec.capture import FORMATS, CaptureError, create_capture
 from dcp_codec.codec import Codec
-from dcp_codec.common.commandline import ExpectedError
+from dcp_codec.common.commandline import LOSSY_HELP, ExpectedError
 from dcp_codec.framing.locate import OtherTraffic
 
 from .common import (
@@ -36,7 +36,7 @@ from .filters import Moment, frame_range, parse_time
 @click.argument("target", required=False)
 @click.argument("surplus", nargs=-1, metavar="")
 @profile_options
-@click.option("-w", "--where", "text", metavar="EXPR", help="Keep DCP frames for which this holds.")
+@click.option("-w", "--where", "text", metavar="EXPR", help="Keep DCP frames that meet this condition.")
 @click.option("--frames", callback=frame_range, metavar="N[-M]", help="Keep these frame numbers.")
 @click.option(
     "--from",
@@ -48,10 +48,14 @@ from .filters import Moment, frame_range, parse_time
 @click.option("--to", "end", callback=parse_time, metavar="TIME", help="Not after (as --from).")
 @click.option("--other", is_flag=True, help="Also keep frames that are not DCP.")
 @click.option(
-    "--format", "form", type=click.Choice(sorted(FORMATS)), help="Format of TARGET, if its name does not say."
+    "-f",
+    "--format",
+    "form",
+    type=click.Choice(sorted(FORMATS)),
+    help="Format of TARGET.  [default: by its suffix]",
 )
-@click.option("--lossy", is_flag=True, help="Write what the format cannot hold as well as it can.")
-@click.option("--fields", "list_fields", is_flag=True, help="List the names that conditions can use.")
+@click.option("--lossy", is_flag=True, help=LOSSY_HELP)
+@click.option("--fields", "list_fields", is_flag=True, help="List the fields that conditions can use.")
 def command(
     source: str | None,
     target: str | None,

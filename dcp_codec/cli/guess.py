@@ -20,7 +20,12 @@ from .common import ether_type as parse_ether_type
 
 @click.command("guess")
 @click.argument("files", nargs=-1, required=True, metavar="FILE...")
-@click.option("--ether-type", callback=parse_ether_type, metavar="HEX", help="EtherType of the beacons, as in 0x4953.")
+@click.option(
+    "--ether-type",
+    callback=parse_ether_type,
+    metavar="HEX",
+    help="EtherType of the beacons, such as 0x4953.  [default: that of each profile]",
+)
 @click.option(
     "-n",
     "--sample",
@@ -28,9 +33,18 @@ from .common import ether_type as parse_ether_type
     type=click.IntRange(min=1),
     default=SAMPLE,
     show_default=True,
+    metavar="N",
     help="Maximum number of frames to examine.",
 )
-@click.option("-f", "--format", "form", type=click.Choice(["text", "json"]), default="text", show_default=True)
+@click.option(
+    "-f",
+    "--format",
+    "form",
+    type=click.Choice(["text", "json"]),
+    default="text",
+    show_default=True,
+    help="Format of the output.",
+)
 def command(files: tuple[str, ...], ether_type: int | None, limit: int, form: str) -> int:
     """Rank the built-in wire profiles by how well they explain the first frames of a recording.
 

@@ -8,7 +8,7 @@ import click
 
 from dcp_codec.capture import CaptureError
 from dcp_codec.common.atomic_write import write_whole
-from dcp_codec.common.commandline import ExpectedError
+from dcp_codec.common.commandline import FORCE_HELP, ExpectedError
 
 from .common import note
 
@@ -24,9 +24,9 @@ from .common import note
     "--out",
     type=click.Path(path_type=Path),
     metavar="FILE.json",
-    help="The layout. [default: the name of FILE with .foxglove.json, here; - is standard output]",
+    help="Write the layout to this file; -: standard output.  [default: in the current folder, NAME.foxglove.json]",
 )
-@click.option("--force", is_flag=True, help="Replace what is at --out.")
+@click.option("--force", is_flag=True, help=FORCE_HELP)
 def command(file: Path, out: Path | None, force: bool) -> int:
     """Write a Foxglove layout for FILE, an MCAP file written by convert.
 
@@ -47,6 +47,6 @@ def command(file: Path, out: Path | None, force: bool) -> int:
     try:
         write_whole(target, text.encode())
     except OSError as error:
-        raise ExpectedError(f"{target}: {error.strerror or error}") from None
+        raise ExpectedError(f"{target}: cannot be written: {error.strerror or error}") from None
     note(f"{target}: import it in Foxglove, where {file.name} is open")
     return 0

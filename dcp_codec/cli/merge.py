@@ -11,7 +11,7 @@ import click
 import msgspec
 
 from dcp_codec.capture import FORMATS, CaptureError, Frame, create_capture
-from dcp_codec.common.commandline import ExpectedError
+from dcp_codec.common.commandline import LOSSY_HELP, ExpectedError
 
 from .common import interruptible, note, open_input, report_capture_problems
 
@@ -22,10 +22,23 @@ from .common import interruptible, note, open_input, report_capture_problems
     "written).",
 )
 @click.argument("files", nargs=-1, required=True, metavar="FILE...")
-@click.option("-o", "--out", required=True, type=click.Path(path_type=Path), metavar="FILE", help="The new recording.")
-@click.option("--format", "form", type=click.Choice(sorted(FORMATS)), help="Its format, if its name does not say.")
-@click.option("--keep-interfaces", is_flag=True, help="Keep interface numbers.  [default: one for each FILE]")
-@click.option("--lossy", is_flag=True, help="Write what the format cannot hold as well as it can.")
+@click.option(
+    "-o",
+    "--out",
+    required=True,
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="Write the merged recording to this file.",
+)
+@click.option(
+    "-f",
+    "--format",
+    "form",
+    type=click.Choice(sorted(FORMATS)),
+    help="Format of the output.  [default: by the suffix of --out]",
+)
+@click.option("--keep-interfaces", is_flag=True, help="Keep interface numbers.  [default: a new one for each FILE]")
+@click.option("--lossy", is_flag=True, help=LOSSY_HELP)
 def command(files: tuple[str, ...], out: Path, form: str | None, *, keep_interfaces: bool, lossy: bool) -> int:
     """Merge recordings into one, frame by frame in the order of their time stamps.
 

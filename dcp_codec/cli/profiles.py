@@ -34,13 +34,27 @@ def _ether_type(_ctx: click.Context, _param: click.Parameter, value: str | None)
 )
 @click.argument("name", required=False, metavar="[NAME|FILE|new]")
 @click.argument("new_name", required=False, metavar="[NEW-NAME]")
-@click.option("-f", "--format", "form", type=click.Choice(["text", "json", "toml"]), default="text", show_default=True)
-@click.option("--from", "recording", metavar="RECORDING", help="With new: the recording to describe.")
 @click.option(
-    "-o", "--out", type=click.Path(path_type=Path), metavar="FILE", help="With new: the file.  [default: NEW-NAME.toml]"
+    "-f",
+    "--format",
+    "form",
+    type=click.Choice(["text", "json", "toml"]),
+    default="text",
+    show_default=True,
+    help="Format of the output.",
 )
-@click.option("--ether-type", callback=_ether_type, metavar="HEX", help="With new: EtherType of the beacons.")
-@click.option("--force", is_flag=True, help="With new: replace the file.")
+@click.option("--from", "recording", metavar="RECORDING", help="With new: draft a profile for this recording.")
+@click.option(
+    "-o",
+    "--out",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="With new: write the draft to FILE.  [default: NEW-NAME.toml]",
+)
+@click.option(
+    "--ether-type", callback=_ether_type, metavar="HEX", help="With new: EtherType of the beacons, such as 0x4953."
+)
+@click.option("--force", is_flag=True, help="With new: replace an existing output.")
 def command(
     name: str | None,
     new_name: str | None,
@@ -124,7 +138,7 @@ def _new(name: str, recording: str, out: Path, ether_type: int | None, *, force:
     try:
         write_whole(out, draft.text.encode())
     except OSError as error:
-        raise ExpectedError(f"{out} cannot be written: {error.strerror}") from None
+        raise ExpectedError(f"{out}: cannot be written: {error.strerror}") from None
     click.echo(f"{out}: extends {draft.extends}")
     click.echo(f"  {draft.decoded} of {draft.frames} frames decode with it, {draft.before} with {draft.extends} itself")
     for each in draft.left:

@@ -29,17 +29,33 @@ from .common import load_codec, note
     required=True,
     type=click.Path(path_type=Path),
     metavar="FILE",
-    help="Recording; .pcapng, .pcap or .mcap, compressed if .gz or .zst follows.",
+    help="Write the recording to this file: .pcapng, .pcap or .mcap, compressed if .gz or .zst follows.",
 )
-@click.option("-p", "--profile", metavar="NAME|FILE", help="Only frames with its EtherType or UDP.  [default: all]")
-@click.option("--ether-type", callback=parse_ether_type, metavar="HEX", help="Only frames with this EtherType.")
+@click.option(
+    "-p",
+    "--profile",
+    metavar="NAME|FILE",
+    help="Record only frames with the EtherType of this profile, or UDP.  [default: all]",
+)
+@click.option(
+    "--ether-type",
+    callback=parse_ether_type,
+    metavar="HEX",
+    help="Record only frames with this EtherType, such as 0x4953.",
+)
 @click.option("-c", "--count", type=click.IntRange(min=1), metavar="N", help="End after N frames.")
 @click.option(
     "--ring-size", type=click.FloatRange(min=0.001), metavar="MB", help="Begin a new file after MB megabytes."
 )
 @click.option("--ring-time", type=click.FloatRange(min=0.1), metavar="S", help="Begin a new file after S seconds.")
-@click.option("--ring-files", type=click.IntRange(min=1), metavar="N", help="Keep the last N files, delete older ones.")
-@click.option("--format", "form", type=click.Choice(sorted(FORMATS)), help="Format, if the name does not say.")
+@click.option("--ring-files", type=click.IntRange(min=1), metavar="N", help="Keep only the last N files.")
+@click.option(
+    "-f",
+    "--format",
+    "form",
+    type=click.Choice(sorted(FORMATS)),
+    help="Format of the output.  [default: by the suffix of --out]",
+)
 def command(
     interface: str,
     out: Path,

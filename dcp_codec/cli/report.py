@@ -10,7 +10,7 @@ import click
 
 from dcp_codec.capture import CaptureError
 from dcp_codec.common.atomic_write import refuse_irregular, write_whole
-from dcp_codec.common.commandline import ExpectedError
+from dcp_codec.common.commandline import FORCE_HELP, ExpectedError
 
 from .common import note, profile_options
 from .recordings import check_input, extras, octets_progress, tell
@@ -27,7 +27,7 @@ _MANY = 20
     "report",
     epilog="FILE is an MCAP, pcap or pcapng recording, a folder with some, or a pattern in quotes; - is standard "
     "input. What the plots show: docs/report.md. Exit status: 0 all good, 1 malformed DCP frames were seen, 2 wrong "
-    "usage or input that could not be read to its end (what could be read is on the page).",
+    "usage or input that could not be read to its end (the page shows the readable part).",
 )
 @click.argument("files", nargs=-1, required=True, metavar="FILE...")
 @click.option(
@@ -35,10 +35,11 @@ _MANY = 20
     "--out",
     type=click.Path(path_type=Path, dir_okay=False),
     metavar="FILE.html",
-    help="The page. [default: the name of the recording with .html, here; report.html for several]",
+    help="Write the page to this file.  [default: in the current folder, NAME.html of the recording; report.html for "
+    "several]",
 )
 @profile_options
-@click.option("--force", is_flag=True, help="Replace what is at --out.")
+@click.option("--force", is_flag=True, help=FORCE_HELP)
 def command(files: tuple[str, ...], out: Path | None, profile: str, ether_type: int | None, force: bool) -> int:
     """Show which node holds which values, losses and missing values, in plots to zoom.
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from dcp_codec.common.commandline import ExpectedError
+from dcp_codec.common.commandline import FORCE_HELP, ExpectedError
 
 from .common import load_codec, note, profile_options
 from .recordings import check_input, extras, need_duckdb, octets_progress, tell
@@ -37,15 +37,17 @@ def _known_tables(names: tuple[str, ...] | None, profile: str) -> None:
     known = TABLES if profile == "auto" else table_names(load_codec(profile).profile)
     for name in names or ():
         if name not in known:
-            raise click.BadParameter(f"{name!r} is none of {', '.join(known)}", param_hint="'--tables'")
+            raise click.BadParameter(
+                f"unknown table {name!r}; expected one of {', '.join(known)}", param_hint="'--tables'"
+            )
 
 
 @click.command(
     "table",
     epilog="FILE is an MCAP, pcap or pcapng recording, a folder with some, or a pattern in quotes; - is standard "
     "input. Tables and example queries: docs/tables.md. Exit status: 0 all good, 1 malformed DCP frames were seen "
-    "(they are the rows of the table 'errors'), 2 wrong usage or input that could not be read to its end (what could "
-    "be read is written).",
+    "(table 'errors' lists them), 2 wrong usage or input that could not be read to its end (the "
+    "readable part is written).",
 )
 @click.argument("files", nargs=-1, required=True, metavar="FILE...")
 @click.option(
@@ -54,7 +56,7 @@ def _known_tables(names: tuple[str, ...] | None, profile: str) -> None:
     required=True,
     type=click.Path(path_type=Path),
     metavar="DIR|FILE",
-    help="A folder for all tables, a .duckdb database, or a .parquet or .csv file for one table.",
+    help="Write to a folder, to a .duckdb database, or one table to a .parquet or .csv file.",
 )
 @profile_options
 @click.option(
@@ -62,27 +64,27 @@ def _known_tables(names: tuple[str, ...] | None, profile: str) -> None:
     "--format",
     "form",
     type=click.Choice(["parquet", "csv", "duckdb"]),
-    help="Format of the tables. [default: what the suffix of --out says, or parquet]",
+    help="Format of the tables.  [default: by the suffix of --out, or parquet]",
 )
-@click.option("--tables", multiple=True, callback=_tables, metavar="NAME,...", help="Only these tables.")
+@click.option("--tables", multiple=True, callback=_tables, metavar="NAME,...", help="Write only these tables.")
 @click.option(
     "-j",
     "--jobs",
     type=click.IntRange(min=1),
     metavar="N",
-    help="Recordings that are decoded at a time. [default: the cores there are; 1 where there is little to decode]",
+    help="Number of concurrent processes.  [default: one for each processor; 1 for less than 64 MiB]",
 )
 @click.option(
     "--engine",
     type=click.Choice(["local", "dask"]),
     default="local",
     show_default=True,
-    help="Processes of this machine, or the workers of a Dask cluster.",
+    help="Decode in processes of this machine, or by the workers of a Dask cluster.",
 )
 @click.option(
-    "--scheduler", metavar="ADDRESS", help="The Dask scheduler, such as tcp://host:8786. [default: a local one]"
+    "--scheduler", metavar="ADDRESS", help="Dask scheduler, such as tcp://host:8786.  [default: start a local one]"
 )
-@click.option("--force", is_flag=True, help="Replace what is at --out.")
+@click.option("--force", is_flag=True, help=FORCE_HELP)
 def command(
     files: tuple[str, ...],
     out: Path,

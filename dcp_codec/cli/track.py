@@ -41,18 +41,35 @@ def _reference(_ctx: click.Context, _param: click.Parameter, value: str | None) 
     epilog="Exit status: 0 all good, 2 wrong usage, no positions, or input that could not be read to its end.",
 )
 @click.argument("file")
-@click.option("-o", "--out", required=True, type=click.Path(path_type=Path), metavar="FILE", help=".csv, .gpx or .kml")
+@click.option(
+    "-o",
+    "--out",
+    required=True,
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="Write the positions to this file: .csv, .gpx or .kml.",
+)
 @profile_options
 @click.option(
     "--reference",
     callback=_reference,
     metavar="LAT,LON[,ALT]",
-    help="Where x = y = z = 0 lies, in degrees and metres. GPX and KML need it.",
+    help="Position of x = y = z = 0, in degrees and metres; required for GPX and KML.",
 )
 @click.option(
-    "--every", type=click.FloatRange(min=0), default=0.0, metavar="S", help="One position per node and S seconds."
+    "--every",
+    type=click.FloatRange(min=0),
+    default=0.0,
+    metavar="S",
+    help="Write one position per node and S seconds.  [default: all]",
 )
-@click.option("-f", "--format", "form", type=click.Choice(["csv", "gpx", "kml"]), help="If the name does not say.")
+@click.option(
+    "-f",
+    "--format",
+    "form",
+    type=click.Choice(["csv", "gpx", "kml"]),
+    help="Format of the output.  [default: by the suffix of --out]",
+)
 def command(
     file: str,
     out: Path,
@@ -86,7 +103,7 @@ def command(
     try:
         write_whole(out, octets)
     except OSError as error:
-        raise ExpectedError(f"{out} cannot be written: {error.strerror}") from None
+        raise ExpectedError(f"{out}: cannot be written: {error.strerror}") from None
     note(f"{out}: {count} positions")
     return status
 

@@ -14,7 +14,7 @@ from dcp_codec.common.commandline import ExpectedError
 )
 @click.argument("manifest", type=click.Path(dir_okay=False, path_type=Path))
 def command(manifest: Path) -> int:
-    """Verify recordings: hashes, attachments, that every beacon decodes and re-encodes identically, and the counts.
+    """Verify recordings: hashes, attachments, that every beacon decodes and encodes to the same octets, and the counts.
 
     The recordings of this project are verified with: dcp-codec verify captures/manifest.toml
     """

@@ -19,7 +19,11 @@ _PATIENCE = 30
 _USUAL = Path("~/.local/lib/wireshark/plugins")
 
 
-@click.command("wireshark", epilog="Several dissectors can be loaded at once: each beacon is shown by one that fits.")
+@click.command(
+    "wireshark",
+    epilog="Several dissectors can be loaded at once: each beacon is shown by one that fits. Exit status: 0 all good, "
+    "2 wrong usage, or a file that cannot be written.",
+)
 @click.argument("action", type=click.Choice(["install", "remove", "where"]))
 @click.option(
     "-p",
@@ -27,13 +31,13 @@ _USUAL = Path("~/.local/lib/wireshark/plugins")
     "profiles",
     multiple=True,
     metavar="NAME|FILE",
-    help="Profile to install or remove; may be given several times.  [default: all built-in profiles]",
+    help="Wire profile to install or remove; may be given several times.  [default: all built-in profiles]",
 )
 @click.option(
     "--folder",
     type=click.Path(path_type=Path),
     metavar="DIR",
-    help="The folder of Lua plugins.  [default: the personal one of 'tshark -G folders']",
+    help="Folder of Lua plugins.  [default: the personal one of 'tshark -G folders']",
 )
 def command(action: str, profiles: tuple[str, ...], folder: Path | None) -> int:
     """Install dissectors in the folder of personal Lua plugins of Wireshark and tshark.
@@ -60,7 +64,7 @@ def command(action: str, profiles: tuple[str, ...], folder: Path | None) -> int:
             place.mkdir(parents=True, exist_ok=True)
             write_whole(path, wireshark_dissector(codec).encode())
         except OSError as error:
-            raise ExpectedError(f"{path}: {error.strerror}") from None
+            raise ExpectedError(f"{path}: cannot be written: {error.strerror}") from None
         click.echo(str(path))
     if action == "install":
         click.echo("Wireshark loads them when it starts, or with Analyze > Reload Lua Plugins.")

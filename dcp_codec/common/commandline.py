@@ -28,6 +28,11 @@ from .printable import plain
 UNUSABLE = 2
 #: Exit status of an interrupted command, as shells report it.
 _INTERRUPTED = 130
+#: Help of options that several commands have; commands add the default to that of ``--profile``.
+PROFILE_HELP = "Wire profile: a name ('dcp-codec profiles' lists them) or a TOML file."
+ETHER_TYPE_HELP = "EtherType of the beacons, such as 0x4953.  [default: that of the profile]"
+FORCE_HELP = "Replace an existing output."
+LOSSY_HELP = "Write as much as the format can store."
 
 
 def say(text: str, *, err: bool = False, nl: bool = True) -> None:

@@ -274,7 +274,7 @@ def _contents(node: Node, group: Group) -> Iterator[tuple[str, str, str, str]]:
         case Fill():
             yield node.name, "octets", "", meaning(node)
         case _:
-            raise TypeError(f"{type(node).__name__} is no content")
+            raise TypeError(f"{type(node).__name__} is not a content")
 
 
 def _type(scalar: Scalar) -> str:

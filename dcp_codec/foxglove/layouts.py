@@ -47,7 +47,7 @@ def layout_of(path: Path) -> Json:
             positions = _positions(reader, poses)
             senders = _senders(reader) if topics.get(BEACONS) == "json" else []
     except OSError as error:
-        raise CaptureError(f"{path}: {error.strerror or error}") from error
+        raise CaptureError(f"{path}: cannot be read: {error.strerror or error}") from error
     except McapError as error:
         raise CaptureError(f"{path}: is not an MCAP file that can be read from its end ({error})") from error
     if not any(topic.startswith("/dcp/") and topic != "/dcp/frames" for topic in topics):

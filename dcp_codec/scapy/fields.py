@@ -131,7 +131,7 @@ class ScalarField(PlanField):
         for number, name in self.names.items():
             if x.upper() == name.upper():
                 return number
-        raise ValueError(f"{self.name}: {x!r} is none of {', '.join(self.names.values())}")
+        raise ValueError(f"{self.name}: unknown name {x!r}; expected one of {', '.join(self.names.values())}")
 
     def i2repr(self, _pkt: Any, x: Any) -> str:
         if not isinstance(x, int):

@@ -126,7 +126,7 @@ def load_manifest(path: Path) -> Manifest:
     try:
         return msgspec.convert(tomllib.loads(path.read_text(encoding="utf-8")), Manifest)
     except OSError as error:
-        raise GoldensError(f"{path}: cannot be read ({error.strerror})") from None
+        raise GoldensError(f"{path}: cannot be read: {error.strerror}") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, msgspec.ValidationError) as error:
         raise GoldensError(f"{path}: {error}") from None
 

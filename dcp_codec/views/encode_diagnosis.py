@@ -177,7 +177,9 @@ class _Explainer:
         case = content.cases.get(siblings[content.key], content.default)
         if case is None:
             known = ", ".join(str(number) for number in sorted(content.cases))
-            raise EncodeError(_join(path, content.key), f"{siblings[content.key]} is none of {known}")
+            raise EncodeError(
+                _join(path, content.key), f"unknown number {siblings[content.key]}; expected one of {known}"
+            )
         return case.name
 
     def derived(self, scalar: Scalar, value: Any, size: int, path: str) -> None:

@@ -267,7 +267,7 @@ class _Generator:
                 self._only_octets(value)
                 out.add(value)
             case _:
-                raise TypeError(f"{type(node).__name__} is no structural member")
+                raise TypeError(f"{type(node).__name__} is not a structural member")
 
     def _choose(self, node: Select, scope: _Scope, case: Callable[[Node], None]) -> None:
         keyword = "if"

@@ -65,10 +65,19 @@ def _table(result: dict[str, Any]) -> str:
 
 @command.command("register", epilog=EXIT_STATUS)
 @click.argument("prot_id", type=int, metavar="PROTID")
-@click.option("--name", default="", callback=utf8, help="Name of the protocol.")
-@click.option("--max-size", type=int, default=100, show_default=True, help="Maximum payload length in octets.")
+@click.option("--name", default="", callback=utf8, metavar="TEXT", help="Name of the protocol.")
+@click.option(
+    "--max-size", type=int, default=100, show_default=True, metavar="N", help="Maximum payload length in octets."
+)
 @click.option("--mode", type=click.Choice([*MODES]), default="once", show_default=True, help="Queueing mode.")
-@click.option("--entries", type=int, default=8, show_default=True, help="Length of the queue, for the queueing modes.")
+@click.option(
+    "--entries",
+    type=int,
+    default=8,
+    show_default=True,
+    metavar="N",
+    help="Length of the queue, for the queueing modes.",
+)
 @click.option("--multiple", is_flag=True, help="Allow several payloads in one beacon.")
 @node_options
 def register(

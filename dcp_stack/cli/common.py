@@ -57,8 +57,7 @@ def control_option(function: F) -> F:
         envvar="DCP_NODE_CONTROL",
         callback=_found,
         metavar="PATH",
-        help="Control socket of the node.  [env: DCP_NODE_CONTROL; default: the socket of a node that runs without "
-        "--control]",
+        help="Control socket of the node.  [env: DCP_NODE_CONTROL; default: that of a node without --control]",
     )(function)
 
 
@@ -72,7 +71,7 @@ class Seconds(click.FloatRange):
 
     name = "seconds"
 
-    def __init__(self, least: float, most: float = 1e8, *, min_open: bool = False) -> None:
+    def __init__(self, least: float, most: float = 100_000_000, *, min_open: bool = False) -> None:
         super().__init__(min=least, max=most, min_open=min_open)
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:

@@ -35,7 +35,7 @@ SHOWN: Final = 200
 
 
 @click.command("monitor", epilog=EXIT_STATUS)
-@click.option("--interval", type=Seconds(0.1), default=1.0, show_default=True, metavar="S")
+@click.option("--interval", type=Seconds(0.1), default=1, show_default=True, metavar="S", help="Time between updates.")
 @click.option("--count", type=click.IntRange(min=1), metavar="N", help="End after N updates.")
 @node_options
 def command(interval: float, count: int | None, control: str, as_json: bool) -> int:

@@ -13,7 +13,14 @@ from .common import EXIT_STATUS, Seconds, columns, connect, counted, finish, is_
 
 @click.command("neighbours", epilog=EXIT_STATUS)
 @click.option("--watch", is_flag=True, help="Show the table repeatedly.")
-@click.option("--interval", type=Seconds(0.05), default=1.0, show_default=True, metavar="S")
+@click.option(
+    "--interval",
+    type=Seconds(0.05),
+    default=1,
+    show_default=True,
+    metavar="S",
+    help="With --watch: time between tables.",
+)
 @click.option("--count", type=click.IntRange(min=1), metavar="N", help="With --watch: end after N tables.")
 @node_options
 def command(watch: bool, interval: float, count: int | None, control: str, as_json: bool) -> int:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 import msgspec
 
-from dcp_codec.common.commandline import ExpectedError
+from dcp_codec.common.commandline import PROFILE_HELP, ExpectedError
 from dcp_stack.control.places import SYSTEM, default_socket, is_answered
 
 if TYPE_CHECKING:
@@ -26,10 +26,14 @@ log = logging.getLogger("dcp_stack.node")
     "stdio); 2 the node could not be started. Options override the file. See docs/dcp-node.md.",
 )
 @click.option("-c", "--config", metavar="FILE", help="Settings in TOML; unknown keys are refused.")
-@click.option("-i", "--interface", metavar="IF", help="Send and receive Ethernet frames on interface IF.")
-@click.option("--link", metavar="LINK", help="Another link: udp[:GROUP[:PORT]], replay:FILE, or eth:IF with options.")
+@click.option("-i", "--interface", metavar="IF", help="Ethernet interface of the node.")
+@click.option(
+    "--link",
+    metavar="LINK",
+    help="Link instead of --interface: udp[:GROUP[:PORT]], replay:FILE, or eth:IF with options.",
+)
 @click.option("--node-id", metavar="ID", help="Node identifier.  [default: address of IF, or random]")
-@click.option("-p", "--profile", metavar="NAME|FILE", help="Wire profile.  [default: dcp-2.0]")
+@click.option("-p", "--profile", metavar="NAME|FILE", help=PROFILE_HELP + "  [default: dcp-2.0]")
 @click.option(
     "--control",
     metavar="PATH|stdio|none",
@@ -45,10 +49,16 @@ log = logging.getLogger("dcp_stack.node")
 @click.option("--record", metavar="FILE.mcap|DIR/", help="Record sent and received frames; in DIR to a new file.")
 @click.option("--metrics", type=click.IntRange(0, 65535), metavar="PORT", help="Serve OpenMetrics at 127.0.0.1:PORT.")
 @click.option("--user", metavar="NAME", help="Change to this user once everything is open (requires root).")
-@click.option("--seed", type=int, metavar="N", help="Seed of the jitter, for repeatable runs.")
-@click.option("--log-level", type=click.Choice(["debug", "info", "warning", "error"]), help="[default: info]")
-@click.option("--log-format", type=click.Choice(["text", "json"]), help="[default: text, as key=value]")
-@click.option("--log-file", metavar="FILE", help="Append the log to this file instead of stderr.")
+@click.option("--seed", type=int, metavar="N", help="Random seed of the jitter.  [default: a new one for each start]")
+@click.option(
+    "--log-level",
+    type=click.Choice(["debug", "info", "warning", "error"]),
+    help="Least level of logged messages.  [default: info]",
+)
+@click.option(
+    "--log-format", type=click.Choice(["text", "json"]), help="Format of the log; text: key=value.  [default: text]"
+)
+@click.option("--log-file", metavar="FILE", help="Append the log to this file.  [default: stderr]")
 @click.option("--daemon", is_flag=True, help="Run in the background; the command ends when the node is ready.")
 @click.option("--print-config", is_flag=True, help="Print the settings as TOML and end.")
 def command(config: str | None, network_id: str | None, daemon: bool, print_config: bool, **flags: Any) -> int:
@@ -57,7 +67,8 @@ def command(config: str | None, network_id: str | None, daemon: bool, print_conf
     Shells start a background command (with &) with SIGINT ignored: end such a node with 'dcp-node stop' or SIGTERM.
 
     \b
-      dcp-node run --interface wlan0 --daemon && dcp-node var create 7 --text hello --descr greeting
+      dcp-node run --interface wlan0 --daemon
+      dcp-node var create 7 --text hello --descr greeting
       dcp-node run --link udp --node-id 02:00:00:00:00:01 --control /tmp/node1.sock
       dcp-node run --interface wlan0 --profile cpp-2.0 --record flight.mcap
     """

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from dcp_codec.common.commandline import UNUSABLE, ExpectedError
+from dcp_codec.common.commandline import PROFILE_HELP, UNUSABLE, ExpectedError
 
 from .common import Seconds
 
@@ -78,9 +78,9 @@ def scenario_of(
     "that could not be completed.",
 )
 @click.argument("scenario", required=False, metavar="[SCENARIO]")
-@click.option("-n", "--nodes", type=click.IntRange(min=1), help="Number of nodes.")
-@click.option("--topology", metavar="full|line|grid[:COLUMNS]|FILE", help="Neighbourhoods.  [default: full]")
-@click.option("-p", "--profile", metavar="NAME|FILE", help="Wire profile.  [default: dcp-2.0]")
+@click.option("-n", "--nodes", type=click.IntRange(min=1), metavar="N", help="Number of nodes.")
+@click.option("--topology", metavar="full|line|grid[:COLUMNS]|FILE", help="Nodes that are neighbours.  [default: full]")
+@click.option("-p", "--profile", metavar="NAME|FILE", help=PROFILE_HELP + "  [default: dcp-2.0]")
 @click.option("--loss", type=click.FloatRange(0, 1), metavar="P", help="Share of frames lost at each receiver.")
 @click.option("--duration", type=Seconds(0, min_open=True), metavar="S", help="Duration in virtual seconds.")
 @click.option(
@@ -89,12 +89,13 @@ def scenario_of(
     metavar="S",
     help="Evaluate values, consistency and traffic only after this virtual second.",
 )
-@click.option("--seed", type=int, help="Seed of all random decisions.  [default: 1]")
+@click.option("--seed", type=int, metavar="N", help="Random seed.  [default: 1]")
 @click.option(
     "--variables",
     type=click.IntRange(0, 255),
     default=2,
     show_default=True,
+    metavar="N",
     help="Number of variables, updated every 5 s; only without a SCENARIO.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")

@@ -18,7 +18,7 @@ _LOOK = 0.05
 
 
 @click.command("stop", epilog=EXIT_STATUS)
-@click.option("--timeout", type=Seconds(0), default=10.0, show_default=True, metavar="S", help="Maximum waiting time.")
+@click.option("--timeout", type=Seconds(0), default=10, show_default=True, metavar="S", help="Maximum waiting time.")
 @control_option
 def command(timeout: float, control: str) -> int:
     """End a node as SIGTERM does, and wait for its end: it deregisters its protocols and closes the recording."""

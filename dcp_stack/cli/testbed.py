@@ -17,7 +17,7 @@ from typing import Any
 
 import click
 
-from dcp_codec.common.commandline import ExpectedError
+from dcp_codec.common.commandline import PROFILE_HELP, ExpectedError
 
 from .common import Seconds, note
 from .simulate import NOT_MET, scenario_of
@@ -42,17 +42,19 @@ class _InterruptedError(BaseException):
 )
 @click.argument("nodes", required=False, type=click.IntRange(1, 200), metavar="[N]")
 @click.option("--scenario", metavar="FILE", help="Scenario with events and expectations (docs/scenarios.md).")
-@click.option("--topology", metavar="bus|line|grid[:COLUMNS]|FILE", help="Neighbourhoods.  [default: bus]")
-@click.option("-p", "--profile", metavar="NAME|FILE", help="Wire profile.  [default: dcp-2.0]")
+@click.option("--topology", metavar="bus|line|grid[:COLUMNS]|FILE", help="Nodes that are neighbours.  [default: bus]")
+@click.option("-p", "--profile", metavar="NAME|FILE", help=PROFILE_HELP + "  [default: dcp-2.0]")
 @click.option("--loss", type=click.FloatRange(0, 1), metavar="P", help="Share of frames lost at each receiver.")
-@click.option("--duration", type=Seconds(0, 86_400, min_open=True), metavar="S", help="[default: 30]")
-@click.option("--seed", type=int, help="Seed of the jitter of all nodes.  [default: 1]")
+@click.option(
+    "--duration", type=Seconds(0, 86_400, min_open=True), metavar="S", help="Duration in seconds.  [default: 30]"
+)
+@click.option("--seed", type=int, metavar="N", help="Random seed.  [default: 1]")
 @click.option(
     "--links",
     type=click.Choice(["auto", "kernel", "relay"]),
     default="auto",
     show_default=True,
-    help="Carry frames by the kernel (bridges, netem), or by a relay that can also lose in bursts and corrupt.",
+    help="Carry frames by the kernel (bridges, netem), or by a relay, which can also corrupt frames and lose bursts.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 @click.option(

@@ -53,9 +53,16 @@ def command() -> None:
 @click.option(
     "--repcnt",
     type=int,
+    metavar="N",
     help="Number of beacons that contain each change.  [default: 3, or less if profile or parameter require it]",
 )
-@click.option("--timeout", type=int, default=0, metavar="MS", help="Delete it after MS without update; 0: never.")
+@click.option(
+    "--timeout",
+    type=int,
+    default=0,
+    metavar="MS",
+    help="Delete it after this time without update; 0: never.  [default: 0]",
+)
 @click.option(
     "--field",
     "fields",

@@ -17,9 +17,12 @@ _AGAIN = 0.05
 
 
 @click.command("wait", epilog=EXIT_STATUS)
-@click.option("--timeout", type=Seconds(0), default=30.0, show_default=True, metavar="S", help="Maximum waiting time.")
+@click.option("--timeout", type=Seconds(0), default=30, show_default=True, metavar="S", help="Maximum waiting time.")
 @click.option(
-    "--control", envvar="DCP_NODE_CONTROL", metavar="PATH", help="Control socket of the node.  [env: DCP_NODE_CONTROL]"
+    "--control",
+    envvar="DCP_NODE_CONTROL",
+    metavar="PATH",
+    help="Control socket of the node.  [env: DCP_NODE_CONTROL; default: that of a node without --control]",
 )
 def command(timeout: float, control: str | None) -> int:
     """Wait until the node answers at its control socket, for scripts that start it in the background."""

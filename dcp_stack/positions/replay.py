@@ -93,7 +93,7 @@ def read_csv(path: Path, fields: SafetyFields) -> list[tuple[int, Sample]]:
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
-        raise SourceError(f"{path}: cannot be read ({reason})") from None
+        raise SourceError(f"{path}: cannot be read: {reason}") from None
     rows = csv.reader(text.splitlines(), skipinitialspace=True, strict=True)
     lines = ((rows.line_num, row) for row in rows if any(row) and not row[0].startswith("#"))
     try:

@@ -208,7 +208,7 @@ class StateReporting:
     def set_parameter(self, name: str, value: object) -> Violation | None:
         """Set a parameter from now on; a returned violation means that the old value was kept.
 
-        Raises ``UnknownParameterError`` for a name that is none of SRP's configurable parameters.
+        Raises ``UnknownParameterError`` for a name that is not a configurable parameter of SRP.
         """
         if name != TIMEOUT:
             raise UnknownParameterError(f"SRP has no parameter {name!r}; it has {TIMEOUT}")

@@ -56,7 +56,7 @@ class VariableServices:
         now: int,
         wall: int,
     ) -> Confirm:
-        """``RTDB-Create``. ``prod_id`` None is this node. ``descr``: UTF-8. ``timeout_ms``: 0 is no timeout.
+        """``RTDB-Create``. ``prod_id`` None is this node. ``descr``: UTF-8. ``timeout_ms``: 0 means without timeout.
 
         Versions before 2.0 have no timeout. ``own_fields``: values of fields that the profile adds to VarSpec, by
         name; omitted ones are zero or empty.

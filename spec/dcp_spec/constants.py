@@ -60,8 +60,8 @@ class SpecVersion(StrEnum):
     """A published version of the specification, or the draft 2.0, oldest first.
 
     The members compare by their numbers with <, <=, > and >=, also with a plain string such as "1.10". A string that is
-    no version raises ValueError. A new version is one line here; what it has beyond the one before it is in `features`
-    and in its profile.
+    not a version raises ValueError. A new version is one line here; what it has beyond the one before it is in
+    `features` and in its profile.
     """
 
     V1_0 = "1.0"
@@ -93,7 +93,7 @@ def _version_numbers(version: str) -> tuple[int, ...]:
     try:
         return tuple(int(number) for number in version.split("."))
     except ValueError:
-        raise ValueError(f"{version!r} is no version of the specification; a version is numbers such as 1.3") from None
+        raise ValueError(f"{version!r} is not a version of the specification; expected numbers, such as 1.3") from None
 
 
 class ProtocolId(IntEnum):

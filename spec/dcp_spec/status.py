@@ -116,7 +116,7 @@ class BPStatus(StatusCode):
         _V.V1_1,
         None,
         0x1007,
-        "The queueing mode is none of the defined ones.",
+        "The queueing mode is not one of the defined modes.",
     )
 
 

@@ -39,8 +39,8 @@ def test_what_it_is_instead(tmp_path, contents, message):
 
 def test_missing_files_directories_and_impossible_names(tmp_path):
     for path, message in [
-        (tmp_path / "none.pcap", "there is no such file"),
-        (tmp_path, "is a directory"),
+        (tmp_path / "none.pcap", "cannot be read: No such file"),
+        (tmp_path, "Is a directory"),
         (tmp_path / ("x" * 5000), "too long"),
         ("a\0b", "null"),
     ]:
@@ -53,7 +53,7 @@ def test_no_permission(tmp_path):
     path = tmp_path / "secret.pcap"
     path.write_bytes(PCAP)
     path.chmod(0)
-    with pytest.raises(CaptureError, match="no permission"):
+    with pytest.raises(CaptureError, match="Permission denied"):
         open_capture(path)
 
 

@@ -179,8 +179,8 @@ def test_the_interface_is_lost_in_pcap_when_allowed():
         ({"format": "mcap", "resolution": "us"}, "nanoseconds and nothing else"),
         ({"format": "pcap", "messages": object()}, "only MCAP"),
         ({"format": "pcapng", "attachment": Path(__file__)}, "only MCAP"),
-        ({"format": "mcap", "attachment": Path("/nowhere/at/all")}, "no such file"),
-        ({"format": "mcap", "attachment": Path("/")}, "is a directory"),
+        ({"format": "mcap", "attachment": Path("/nowhere/at/all")}, "No such file"),
+        ({"format": "mcap", "attachment": Path("/")}, "Is a directory"),
     ],
 )
 def test_what_can_not_be_done_leaves_an_existing_file_alone(tmp_path, options, message):
@@ -207,7 +207,7 @@ def test_targets_that_can_not_be(tmp_path):
     ]:
         with pytest.raises(CaptureError, match=message):
             create_capture(target)
-    with pytest.raises(CaptureError, match="is a directory"):
+    with pytest.raises(CaptureError, match="Is a directory"):
         create_capture(tmp_path, format="pcap")
 
 

@@ -143,7 +143,7 @@ def test_a_file_that_cannot_be_read_does_not_hide_the_next(run, tmp_path, captur
     result = run(command, tmp_path / "empty.pcap", capture, tmp_path / "none.pcap")
     assert result.status == 2
     assert "empty.pcap: is empty" in result.err
-    assert "none.pcap: there is no such file" in result.err
+    assert "none.pcap: cannot be read: No such file" in result.err
     assert "a.pcap: profile cpp-2.0" in result.err or "a.pcap: cpp-2.0" in result.out
     result = run("stats", "-f", "json", tmp_path / "empty.pcap", capture)
     assert [each["beacons"] for each in json.loads(result.out)] == [5]
@@ -331,7 +331,7 @@ def test_every_profile_exports_to_every_kind(run, tmp_path, kind, profile):
 def test_export_that_cannot_be_written(run, tmp_path):
     result = run("export", "markdown", "-p", "cpp-2.0", "-o", tmp_path / "no" / "such" / "folder")
     assert result.status == 2
-    assert "cannot write it" in result.err
+    assert "cannot be written" in result.err
 
 
 def test_profiles_lists_all(run):

@@ -418,7 +418,7 @@ def test_udp_as_people_write_it():
     assert parse_udp("udp:239.1.2.3:77,interface=eth0", UDP) == ("239.1.2.3", 77, "eth0", UDP)
     assert parse_udp("udp::77", UDP) == ("", 77, None, UDP)
     for text in ("tcp:1.2.3.4", "udp:a:b", "udp:1.2.3.4:5:6", "udp,port=5"):
-        with pytest.raises(UsageError, match="is no link"):
+        with pytest.raises(UsageError, match="is not a link"):
             parse_udp(text, UDP)
     # Group and port are those of dcp-node, unless the profile has a port.
     with open_udp(link=ETHERNET) as usual, open_udp(link=UDP) as fixed:

@@ -75,7 +75,7 @@ def test_a_version_without_a_last_one_is_followed_by_any():
 
 
 def test_what_is_no_version_cannot_be_compared():
-    with pytest.raises(ValueError, match="'new' is no version of the specification"):
+    with pytest.raises(ValueError, match="'new' is not a version of the specification"):
         _ = SpecVersion.V2_0 < "new"
 
 

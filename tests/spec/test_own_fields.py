@@ -52,7 +52,7 @@ def test_own_fields_are_declared_deviations(tmp_path: Path) -> None:
     found = deviations(load_profile(write_profile("odd-own", tmp_path)))
     assert found["BP-HDR-10"].startswith("the header is version, magicNo, hops")
     assert found["BP-HDR-11"] == "the header of a payload also has priority"
-    assert found["SRP-FMT-01"] == "a payload of SRP is no state report but counter, pattern, battery"
+    assert found["SRP-FMT-01"] == "a payload of SRP is not a state report, but counter, pattern, battery"
     assert "a VarSumm is seqno, varId, age" in found["VD-TYP-07"]
     assert found["VD-IC-02"] == "container type 9 is GEO-FENCE; container type 10 is Ping"
 
@@ -78,7 +78,7 @@ def test_a_pattern_in_place_of_reports_leaks_no_memory() -> None:
         ('[vardis.records]\nVarSumm = ["varId"]', "vardis.records.VarSumm lacks seqno"),
         (
             '[vardis.records]\nVarSumm = ["varId", "seqno", "value"]',
-            "vardis.records.VarSumm has 'value', which is none",
+            "vardis.records.VarSumm has 'value'; expected one of",
         ),
         ('[vardis.records]\nVarSumm = ["varId", "seqno", { name = "var_id", opaque = 1 }]', "'var_id' is taken"),
         (
@@ -91,7 +91,7 @@ def test_a_pattern_in_place_of_reports_leaks_no_memory() -> None:
             "the name of a container type of the specification",
         ),
         ('[[vardis.own_containers]]\nname = "var-summ"\nnumber = 9\nrecord = ["varId"]', "which is taken (VarSumm)"),
-        ('[[vardis.own_containers]]\nname = "a b"\nnumber = 9\nrecord = ["varId"]', "this is no plain name"),
+        ('[[vardis.own_containers]]\nname = "a b"\nnumber = 9\nrecord = ["varId"]', "this is not a plain name"),
     ],
 )
 def test_what_contradicts_itself_is_refused(text: str, message: str, tmp_path: Path) -> None:

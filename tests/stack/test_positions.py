@@ -680,7 +680,7 @@ def test_local_coordinates_against_a_sphere_of_the_same_curvature():
         ("track:walk,extent=0", "extent must be greater"),
         ("csv:/no/such/file", "No such file"),
         ("csv:", "cannot be read"),
-        ("capture:/no/such/file", "no such file"),
+        ("capture:/no/such/file", "No such file"),
         (f"capture:{CAPTURES}/a_bus3.mcap,profile=none", "none"),
         (f"capture:{CAPTURES}/a_bus3.mcap,profile=cpp-2.0", "which node? Add node=ID, one of 02:00:00:00:00:01, "),
         (f"capture:{CAPTURES}/a_bus3.mcap,profile=cpp-2.0,node=5", "no state report of 5; the nodes are 02:00"),

@@ -283,12 +283,15 @@ def test_one_of_several_cannot_be_read(run, tmp_path, archive):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("absent.pcap", "-o", "out"), "there is no such file"),
+        (("absent.pcap", "-o", "out"), "cannot be read: No such file"),
         (("empty", "-o", "out"), "the folder has no recordings"),
         (("*.pcap", "-o", "out"), "no file matches this pattern"),
         ((C_LATEJOIN, "-o", "one.csv"), "a file holds one table"),
         ((C_LATEJOIN, "-o", "one.csv", "--tables", "beacons,updates"), "a file holds one table"),
-        ((C_LATEJOIN, "-o", "out", "--tables", "nonsense"), "'nonsense' is none of beacons, payloads"),
+        (
+            (C_LATEJOIN, "-o", "out", "--tables", "nonsense"),
+            "unknown table 'nonsense'; expected one of beacons, payloads",
+        ),
         ((C_LATEJOIN, "-o", "out", "-p", "nonsense"), "nonsense"),
         ((C_LATEJOIN, "-o", "out", "--scheduler", "tcp://x:1"), "--scheduler is for --engine dask"),
         (("-", "-o", "out"), "name the --profile"),

@@ -314,5 +314,5 @@ def test_what_is_no_recording(tmp_path):
         (tmp_path / name).write_bytes(octets)
         with pytest.raises(CaptureError, match=name):
             Recording(tmp_path / name)
-    with pytest.raises(CaptureError, match="no such file"):
+    with pytest.raises(CaptureError, match="No such file"):
         Recording(tmp_path / "absent")

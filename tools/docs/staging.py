@@ -38,7 +38,7 @@ def stage(root: Path, target: Path) -> None:
 
 
 def with_links(text: str, source: str, page: str, places: dict[str, str]) -> str:
-    """Return a document with its links changed; a link to a file that is no page becomes the name of the file."""
+    """Return a document with its links changed; a link to a file that is not a page becomes the name of the file."""
 
     def changed(match: re.Match[str]) -> str:
         image, label, link = match.groups()

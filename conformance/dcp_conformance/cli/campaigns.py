@@ -47,7 +47,7 @@ jobs_option = click.option(
     type=_Jobs(1, 256),
     default=1,
     metavar="N|auto",
-    help="Worker processes; auto: one for each processor.  [default: 1, this one]",
+    help="Number of concurrent processes; auto: one for each processor.  [default: 1]",
 )
 
 
@@ -64,10 +64,13 @@ def campaign_options(function: F) -> F:
     for option in reversed(
         [
             click.option(
-                "--max-time", type=click.FloatRange(min=0, min_open=True), metavar="S", help="Seconds.  [default: 60]"
+                "--max-time",
+                type=click.FloatRange(min=0, min_open=True),
+                metavar="S",
+                help="End after S seconds.  [default: 60, without another limit]",
             ),
-            click.option("--max-cases", type=click.IntRange(1), metavar="N", help="Tests."),
-            click.option("--max-findings", type=click.IntRange(1), metavar="N", help="Stop after N findings."),
+            click.option("--max-cases", type=click.IntRange(1), metavar="N", help="End after N tests."),
+            click.option("--max-findings", type=click.IntRange(1), metavar="N", help="End after N findings."),
             click.option(
                 "--rate", type=click.FloatRange(min=0, min_open=True), metavar="N", help="Maximum tests per second."
             ),
@@ -80,7 +83,10 @@ def campaign_options(function: F) -> F:
             ),
             click.option("--dry-run", is_flag=True, help="Write the frames to --out instead of sending them."),
             click.option(
-                "--out", type=click.Path(path_type=Path), metavar="FILE", help="For --dry-run: .mcap, .pcap or .pcapng."
+                "--out",
+                type=click.Path(path_type=Path),
+                metavar="FILE",
+                help="With --dry-run: recording (.mcap, .pcap or .pcapng).",
             ),
             click.option("--resume", is_flag=True, help="Continue the campaign in --artefacts."),
             click.option(
@@ -90,7 +96,9 @@ def campaign_options(function: F) -> F:
                 metavar="[FILE]",
                 help="Show the coverage of the inputs; also write it to FILE (JSON).",
             ),
-            click.option("--artefacts", type=click.Path(path_type=Path), metavar="DIR", help="Folder for findings."),
+            click.option(
+                "--artefacts", type=click.Path(path_type=Path), metavar="DIR", help="Write findings to this folder."
+            ),
             click.option("--quiet", "-q", is_flag=True, help="Show only findings."),
         ]
     ):

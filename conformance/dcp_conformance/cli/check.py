@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 import msgspec
 
-from dcp_codec.common.commandline import say
+from dcp_codec.common.commandline import ETHER_TYPE_HELP, PROFILE_HELP, say
 
 from .options import EXIT_STATUS, Factor, as_typed
 
@@ -19,22 +19,25 @@ if TYPE_CHECKING:
 
 
 @click.command("check", epilog=EXIT_STATUS)
-@click.argument("captures", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option("--profile", metavar="NAME|FILE", help="Wire profile.  [default: guessed for each recording]")
-@click.option("--ether-type", metavar="HEX", help="Another EtherType than the profile's.")
+@click.argument("captures", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="FILE...")
+@click.option("-p", "--profile", metavar="NAME|FILE", help=PROFILE_HELP + "  [default: detected for each recording]")
+@click.option("--ether-type", metavar="HEX", help=ETHER_TYPE_HELP)
 @click.option(
-    "--pics", type=click.Path(path_type=Path), metavar="FILE", help="Claims (PICS) and facts for testing (PIXIT), TOML."
+    "--pics",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="TOML file with claims (PICS) and test parameters (PIXIT).",
 )
 @click.option(
     "--beacon-period",
-    type=Factor(1e6),
+    type=Factor(1_000_000),
     metavar="MS",
-    help="The beacon period.  [default: estimated from the recording]",
+    help="Beacon period of the nodes.  [default: estimated from the recording]",
 )
-@click.option("--expected", type=click.Path(path_type=Path), metavar="FILE", help="Results that are expected (TOML).")
+@click.option("--expected", type=click.Path(path_type=Path), metavar="FILE", help="TOML file with expected results.")
 @click.option("--report-dir", type=click.Path(path_type=Path), metavar="DIR", help="Write the report there.")
 @click.option("--requirements", "show_requirements", is_flag=True, help="Show which requirements were exercised.")
-@click.option("--quiet", "-q", is_flag=True, help="Only the findings.")
+@click.option("--quiet", "-q", is_flag=True, help="Show only findings.")
 def command(
     captures: tuple[Path, ...],
     profile: str | None,

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 )
 @click.argument("old", type=click.Path(path_type=Path))
 @click.argument("new", type=click.Path(path_type=Path))
-@click.option("--json", "as_json", is_flag=True, help="The differences as JSON.")
+@click.option("--json", "as_json", is_flag=True, help="Print the differences as JSON.")
 def command(old: Path, new: Path, *, as_json: bool) -> int:
     """Show which verdicts differ between two runs.
 

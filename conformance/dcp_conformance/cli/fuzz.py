@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from dcp_codec.common.commandline import say
+from dcp_codec.common.commandline import PROFILE_HELP, say
 from dcp_conformance.errors import UsageError
 
 from .campaigns import campaign_options, jobs_option, material, no_jobs, profile_text, run_campaign, swept, write_tests
@@ -43,7 +43,9 @@ def command() -> None:
     """
 
 
-_PROFILE = click.option("--profile", default="dcp-2.0", metavar="NAME|FILE", help="Wire profile.  [default: dcp-2.0]")
+_PROFILE = click.option(
+    "-p", "--profile", default="dcp-2.0", metavar="NAME|FILE", help=PROFILE_HELP + "  [default: dcp-2.0]"
+)
 _SEED = click.option("--seed", type=int, default=1, metavar="N", help="Random seed.  [default: 1]")
 
 
@@ -245,7 +247,11 @@ NOBODY = b"\x02\x00\x00\x00\x00\x01"
 @target_options
 @_OWN_NODE
 @click.option(
-    "--batch", type=click.IntRange(1), default=20, metavar="N", help="Sequences between checks.  [default: 20]"
+    "--batch",
+    type=click.IntRange(1),
+    default=20,
+    metavar="N",
+    help="Number of sequences between two checks.  [default: 20]",
 )
 @no_jobs
 @campaign_options
@@ -255,7 +261,7 @@ def live_command(**options: Any) -> int:
     An implementation that stops sending is reported, too.
 
     Before the campaign the implementation must answer. With --start or --restart it is restarted after a crash;
-    without them the campaign ends at the first one. --rate is in frames per second.
+    without them the campaign ends at the first one. --rate is in frames per second (default 500).
     """
     return _live(options, differential=False)
 
@@ -270,16 +276,26 @@ def differential_command(**options: Any) -> int:
 
     The model is independent of the reference node. Both get the same sequence of frames and, with an upper tester, of
     service calls. Then summaries, values, statuses and the neighbour table must agree, except where the specification
-    leaves a choice. --rate is in frames per second.
+    leaves a choice. --rate is in frames per second (default 500).
     """
     return _live(options, differential=True)
 
 
-@command.command("replay", epilog=EXIT_STATUS)
+@command.command(
+    "replay",
+    epilog="Exit status: 0 every finding is fixed; 1 a finding failed again, or is flaky; 2 wrong usage; 4 a finding "
+    "could not be repeated, or a fault of the tester.",
+)
 @click.argument("artefacts", nargs=-1, required=True, type=click.Path(path_type=Path))
 @target_options
 @_OWN_NODE
-@click.option("--attempts", type=click.IntRange(1), default=3, metavar="N", help="Attempts for each.  [default: 3]")
+@click.option(
+    "--attempts",
+    type=click.IntRange(1),
+    default=3,
+    metavar="N",
+    help="Number of attempts for each finding.  [default: 3]",
+)
 def replay_command(artefacts: tuple[Path, ...], attempts: int, **options: Any) -> int:
     """Repeat findings, and print the result of each.
 

@@ -26,14 +26,30 @@ EXIT_STATUS = (
 
 @click.command("interop", epilog=EXIT_STATUS)
 @click.argument("file", required=False, type=click.Path(path_type=Path))
-@click.option("--virtual", is_flag=True, help="Virtual time on a simulated medium instead of processes.")
+@click.option("--virtual", is_flag=True, help="Run in virtual time on a simulated medium instead of processes.")
 @click.option("--test", "tests", multiple=True, metavar="ID|GLOB", help="Only these network tests.")
 @click.option("--short", is_flag=True, help="Only the short selection of network tests.")
-@click.option("--with", "names", multiple=True, metavar="IMPL", help="Also node:PROFILE, mutant:ID or variant:ID.")
+@click.option(
+    "--with",
+    "names",
+    multiple=True,
+    metavar="IMPL",
+    help="Add an implementation: node:PROFILE, mutant:ID or variant:ID.",
+)
 @click.option("--only", multiple=True, metavar="IMPL:IMPL:TEST", help="Only this cell.")
-@click.option("--seed", type=int, default=1, show_default=True, metavar="N", help="First seed of links and scenarios.")
-@click.option("--seeds", type=click.IntRange(1), default=1, show_default=True, metavar="N", help="Seeds of each cell.")
-@click.option("--jobs", type=click.IntRange(1), metavar="N", help="Concurrent cells.  [default: by processors]")
+@click.option(
+    "--seed", type=int, default=1, show_default=True, metavar="N", help="Random seed; with --seeds, the first one."
+)
+@click.option(
+    "--seeds", type=click.IntRange(1), default=1, show_default=True, metavar="N", help="Number of seeds for each cell."
+)
+@click.option(
+    "-j",
+    "--jobs",
+    type=click.IntRange(1),
+    metavar="N",
+    help="Number of concurrent cells.  [default: six for each processor; --virtual: one]",
+)
 @click.option("--dask", metavar="ADDRESS|local", help="Run the cells by the workers of a Dask cluster (--virtual).")
 @click.option(
     "--report-dir", type=click.Path(path_type=Path), metavar="DIR", help="Write reports and recordings there."

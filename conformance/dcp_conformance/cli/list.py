@@ -12,9 +12,9 @@ from dcp_codec.common.commandline import say
 from .options import selection_of, selection_options
 
 
-@click.command("list")
+@click.command("list", epilog="Exit status: 0 cases were shown; 2 wrong usage, or no case is selected.")
 @selection_options
-@click.option("--json", "as_json", is_flag=True, help="Show all data of the cases as JSON.")
+@click.option("--json", "as_json", is_flag=True, help="Print all data of the cases as JSON.")
 @click.option("--requirements", "by_requirement", is_flag=True, help="List the deciding cases of each requirement.")
 def command(**options: Any) -> int:
     """Show all test cases, or the selected ones.

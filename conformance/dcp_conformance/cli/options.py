@@ -11,10 +11,14 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+from dcp_codec.common.commandline import ETHER_TYPE_HELP, PROFILE_HELP, say
 from dcp_conformance.execution.selection import PLANS, Selection
 
 if TYPE_CHECKING:
     from dcp_conformance.execution.target import TargetOptions
+
+#: Key of the value of ``--output`` in the context of a command.
+_OUTPUT = "dcp_conformance.output"
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -54,22 +58,46 @@ def as_typed(*words: str) -> str:
     return command.encode("utf-8", "backslashreplace").decode()
 
 
+def out_option(text: str) -> Callable[[F], F]:
+    """Add the option ``--out FILE`` with the help ``text``, and the deprecated name ``--output`` of it."""
+
+    def add(function: F) -> F:
+        old = click.option(
+            "--output", type=click.Path(path_type=Path), hidden=True, expose_value=False, callback=_output
+        )
+        new = click.option("-o", "--out", type=click.Path(path_type=Path), metavar="FILE", callback=_out, help=text)
+        return new(old(function))
+
+    return add
+
+
+def _output(context: click.Context, _parameter: click.Parameter, value: Path | None) -> None:
+    if value is not None:
+        say("dcp-conformance: --output is deprecated; use --out", err=True)
+        context.meta[_OUTPUT] = value
+
+
+def _out(context: click.Context, _parameter: click.Parameter, value: Path | None) -> Path | None:
+    return value if value is not None else context.meta.get(_OUTPUT)
+
+
 def target_options(function: F) -> F:
     """Add the options that select the SUT and the access to it."""
     return _applied(
         function,
         [
-            click.option("--interface", "-i", metavar="IF", help="Network interface of the implementation."),
-            click.option("--link", metavar="udp[:GROUP:PORT]", help="UDP multicast instead of an interface."),
+            click.option("--interface", "-i", metavar="IF", help="Ethernet interface of the tester."),
+            click.option("--link", metavar="udp[:GROUP[:PORT]]", help="Link instead of --interface: UDP multicast."),
             click.option(
                 "--in-process", is_flag=True, help="Test the reference node in this process, in virtual time."
             ),
             click.option(
-                "--profile", metavar="NAME|FILE", help="Wire profile.  [default: that of the PICS, or dcp-2.0]"
+                "-p",
+                "--profile",
+                metavar="NAME|FILE",
+                help=PROFILE_HELP + "  [default: that of the PICS, or dcp-2.0]",
             ),
-            click.option(
-                "--ether-type", metavar="HEX", callback=_ether_type, help="Another EtherType than the profile's."
-            ),
+            click.option("--ether-type", metavar="HEX", callback=_ether_type, help=ETHER_TYPE_HELP),
             click.option(
                 "--ut", metavar="HOW", help="Upper tester: unix:PATH, tcp:HOST:PORT, exec:COMMAND, commands:FILE."
             ),
@@ -77,21 +105,32 @@ def target_options(function: F) -> F:
                 "--pics",
                 type=click.Path(path_type=Path),
                 metavar="FILE",
-                help="Claims (PICS) and facts for testing (PIXIT), TOML.",
+                help="TOML file with claims (PICS) and test parameters (PIXIT).",
             ),
             click.option("--start", metavar="COMMAND", help="Command that starts the implementation."),
-            click.option("--stop", metavar="COMMAND", help="Command that stops it."),
-            click.option("--restart", metavar="COMMAND", help="Command that restarts it after a crash."),
-            click.option("--pid", type=int, metavar="PID", help="Its process id, to detect a crash."),
+            click.option("--stop", metavar="COMMAND", help="Command that stops the implementation."),
+            click.option(
+                "--restart", metavar="COMMAND", help="Command that restarts the implementation after a crash."
+            ),
+            click.option("--pid", type=int, metavar="PID", help="Process id of the implementation, to detect a crash."),
             click.option(
                 "--start-timeout",
                 type=Factor(3600),
                 metavar="S",
-                help="Timeout of the first answer after a start.  [default: 30 s, less if it has opened the link]",
+                help="Maximum time until the first answer after a start.  [default: 30; 8 after it opened the link]",
             ),
-            click.option("--beacon-period", type=Factor(1e6), metavar="MS", help="Its beacon period.  [default: 100]"),
             click.option(
-                "--timing-scale", type=Factor(1e3), default=1.0, metavar="X", help="Stretch all time windows."
+                "--beacon-period",
+                type=Factor(1_000_000),
+                metavar="MS",
+                help="Beacon period of the implementation.  [default: that of the PICS, or 100; reference node: 20]",
+            ),
+            click.option(
+                "--timing-scale",
+                type=Factor(1000),
+                default=1.0,
+                metavar="X",
+                help="Factor for all time windows.  [default: 1]",
             ),
             click.option("--seed", type=int, default=1, metavar="N", help="Random seed.  [default: 1]"),
         ],
@@ -105,17 +144,24 @@ def selection_options(function: F) -> F:
         [
             click.argument("cases", nargs=-1),
             click.option(
-                "--section", "-s", multiple=True, metavar="TEXT", help="Cases of sections whose heading has this text."
+                "--section",
+                "-s",
+                multiple=True,
+                metavar="TEXT",
+                help="Only cases of sections whose heading has this text.",
             ),
             click.option(
-                "--requirement", "-r", multiple=True, metavar="ID", help="Cases that decide this requirement."
+                "--requirement", "-r", multiple=True, metavar="ID", help="Only cases that decide this requirement."
             ),
-            click.option("--exclude", "-x", multiple=True, metavar="CASE", help="Leave out these cases."),
+            click.option(
+                "--exclude", "-x", multiple=True, metavar="CASE", help="Leave out these cases (identifier or glob)."
+            ),
             click.option(
                 "--plan",
                 type=click.Choice(PLANS),
                 default="full",
-                help="smoke: cases that detect most known faults in 10 s; long: also cases that take long.",
+                help="smoke: cases that detect most known faults in 10 s; long: also cases that take minutes.  "
+                "[default: full]",
             ),
         ],
     )

@@ -10,7 +10,7 @@ import click
 from dcp_codec.common.commandline import say
 from dcp_conformance.errors import UsageError
 
-from .options import target_of, target_options
+from .options import out_option, target_of, target_options
 
 
 @click.command(
@@ -27,10 +27,8 @@ from .options import target_of, target_options
     help="Duration of listening.  [default: 10]",
 )
 @click.option("--passive", is_flag=True, help="Only listen: do not ask a silent implementation for variables.")
-@click.option(
-    "--output", "-o", type=click.Path(path_type=Path), metavar="FILE", help="Write the PICS to FILE.  [default: stdout]"
-)
-def command(*, seconds: float, passive: bool, output: Path | None, **options: Any) -> int:
+@out_option("Write the PICS to this file.  [default: standard output]")
+def command(*, seconds: float, passive: bool, out: Path | None, **options: Any) -> int:
     """Draft the PICS and PIXIT of an implementation by observation and queries.
 
     Observed and reported values are filled in with the reason. Every other entry is a comment with a question for you.
@@ -67,8 +65,8 @@ def command(*, seconds: float, passive: bool, output: Path | None, **options: An
                 upper.close()
     finally:
         lower.close()
-    write_pics(pics, output, remarks)
-    if output is not None:
+    write_pics(pics, out, remarks)
+    if out is not None:
         for remark in remarks:
             say(remark, err=True)
     if pics.pixit.profile == UNKNOWN_PROFILE:

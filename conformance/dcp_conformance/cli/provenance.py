@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterable, Iterator
+import time
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -16,6 +17,9 @@ if TYPE_CHECKING:
     from dcp_conformance.provenance.report import ProvenanceResult, RequirementChange, StatementChange
 
 _WIDTH: Final = 80
+#: Time in seconds until the first note about the search, and between further notes.
+_FIRST_NOTE: Final = 2.0
+_NEXT_NOTE: Final = 10.0
 _TITLES: Final = {
     "gone": "Gone",
     "changed": "Changed",
@@ -27,23 +31,25 @@ _TITLES: Final = {
 
 @click.command(
     "provenance",
-    epilog="Exit status: 0 every statement that a requirement is based on is at the place in the catalogue, and no "
-    "statement that is probably a rule was added or changed; 1 there are differences to review; 2 wrong usage, or no "
-    "specification found.",
+    epilog="Exit status: 0 the specification has every statement that a requirement is based on at the place in the "
+    "catalogue, and no new or changed statement that is probably a rule; 1 there are differences to review; 2 wrong "
+    "usage, or no specification found.",
 )
 @click.argument("checkout", type=click.Path(path_type=Path), metavar="[SPEC_CHECKOUT]", required=False)
 @click.option("--rev", metavar="REV", help="Read this tag, branch or commit of the git repository there.")
-@click.option("--requirement", multiple=True, metavar="ID", help="Only show the place of ID in each version.")
+@click.option(
+    "--requirement", multiple=True, metavar="ID", help="Only show the places of this requirement in each version."
+)
 @click.option("--all", "everything", is_flag=True, help="Also show new and changed statements that are not rules.")
-@click.option("--json", "as_json", is_flag=True, help="Show all data as JSON.")
+@click.option("--json", "as_json", is_flag=True, help="Print all data as JSON.")
 def command(
     checkout: Path | None, *, rev: str | None, requirement: tuple[str, ...], everything: bool, as_json: bool
 ) -> int:
     """Compare the requirement catalogue with another version of the specification.
 
     SPEC_CHECKOUT is a folder with the Markdown files of the specification (at any depth), or a git repository of it,
-    also a bare one. Each change is shown with the requirements that are based on the statement, and these with the
-    cases that decide them and the code of the reference node that cites them.
+    also a bare one. The command shows each change with the requirements that are based on the statement. For each of
+    these requirements it shows the cases that decide it, and the code of the reference node that cites it.
     """
     if requirement:
         return _show(requirement)
@@ -52,7 +58,7 @@ def command(
     from dcp_conformance.provenance.checkout import read_checkout
     from dcp_conformance.provenance.report import compare
 
-    result = compare(read_checkout(checkout, rev))
+    result = compare(read_checkout(checkout, rev, on_folder=SearchNotes()))
     if as_json:
         import msgspec
 
@@ -61,6 +67,22 @@ def command(
         for line in _text(result, everything=everything):
             say(line)
     return result.exit_status()
+
+
+class SearchNotes:
+    """Reports on stderr which folder is being searched, after 2 s and then every 10 s."""
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self._next = clock() + _FIRST_NOTE
+        self._folders = 0
+
+    def __call__(self, folder: Path) -> None:
+        """Count ``folder``; report it if it is time to do so."""
+        self._folders += 1
+        if self._clock() >= self._next:
+            self._next = self._clock() + _NEXT_NOTE
+            say(f"searching for the specification: {self._folders} folders so far, now {folder}", err=True)
 
 
 def _show(names: Iterable[str]) -> int:

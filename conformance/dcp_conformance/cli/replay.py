@@ -21,16 +21,20 @@ _LONG = 600
 
 
 @click.command("replay", epilog=EXIT_STATUS)
-@click.argument("capture", type=click.Path(path_type=Path))
+@click.argument("capture", type=click.Path(path_type=Path), metavar="FILE")
 @target_options
-@click.option("--node", metavar="ID", help="The recorded node whose part the implementation takes.")
+@click.option("--node", metavar="ID", help="Recorded node whose part the implementation takes.")
 @click.option(
-    "--speed", type=click.FloatRange(min=0), default=1.0, metavar="X", help="2: twice as fast; 0: without pauses."
+    "--speed",
+    type=click.FloatRange(min=0),
+    default=1.0,
+    metavar="X",
+    help="Speed; 2: twice as fast, 0: without pauses.  [default: 1]",
 )
 @click.option("--no-services", is_flag=True, help="Do not repeat the service calls of the node's applications.")
 @click.option("--report-dir", type=click.Path(path_type=Path), metavar="DIR", help="Write the report there.")
 def command(capture: Path, **options: Any) -> int:
-    """Replay a recording to an implementation, and judge its reactions.
+    """Replay the recording FILE to an implementation, and judge its reactions.
 
     The implementation takes the part of one recorded node. The tester sends the frames of all others and, with an upper
     tester, repeats the service calls of that node's applications. An independent model of the specification judges the

@@ -11,7 +11,7 @@ import click
 from dcp_codec.common.commandline import say
 from dcp_conformance.errors import UsageError
 
-from .options import target_options
+from .options import out_option, target_options
 
 if TYPE_CHECKING:
     from dcp_conformance.model.results import RunResult
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @click.command("report", epilog="Exit status: 0 done; 2 results that cannot be read, or a page that cannot be written.")
 @click.argument("results", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option("--output", "-o", type=click.Path(path_type=Path), metavar="FILE", help="Write the page to FILE (HTML).")
+@out_option("Write the page to this file (HTML).")
 @click.option(
     "--issues",
     type=click.Path(path_type=Path, file_okay=False),
@@ -48,11 +48,11 @@ if TYPE_CHECKING:
     "implementation as for the run.",
 )
 @target_options
-def command(results: tuple[Path, ...], output: Path | None, issues: Path | None, minimise: bool, **options: Any) -> int:
+def command(results: tuple[Path, ...], out: Path | None, issues: Path | None, minimise: bool, **options: Any) -> int:
     """Generate the page of a run again, or compare several runs in one table.
 
     RESULTS are results.json files, or the folders that contain them. For several runs, a table of implementations and
-    requirements is shown; with --output it is written as a page.
+    requirements is shown; with --out it is written as a page.
     """
     from dcp_conformance.reporting import load_results
     from dcp_conformance.reporting.files import codec_of
@@ -67,21 +67,21 @@ def command(results: tuple[Path, ...], output: Path | None, issues: Path | None,
         if len(runs) != 1:
             raise UsageError("--issues, --requirements, --summary and --badge are for the results of one run")
         _export(runs[0], issues, exports, options if minimise else None)
-        if output is None:
+        if out is None:
             return 0
     if len(runs) == 1:
         from .display import print_summary
 
-        if output is not None:
-            _write(output, render(runs[0], codec_of(runs[0])))
-        print_summary(runs[0], report=str(output or ""))
+        if out is not None:
+            _write(out, render(runs[0], codec_of(runs[0])))
+        print_summary(runs[0], report=str(out or ""))
         return 0
     from rich.table import Table
 
     from .display import STYLES, console, data
 
-    if output is not None:
-        _write(output, render_matrix(runs))
+    if out is not None:
+        _write(out, render_matrix(runs))
     table = Table(box=None, pad_edge=False, header_style="bold")
     table.add_column("requirement", no_wrap=True)
     for label in labels(runs):

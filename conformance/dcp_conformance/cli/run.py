@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 @selection_options
 @target_options
 @click.option("--report-dir", type=click.Path(path_type=Path), metavar="DIR", help="Write the report there.")
-@click.option("--expected", type=click.Path(path_type=Path), metavar="FILE", help="Results that are expected (TOML).")
+@click.option("--expected", type=click.Path(path_type=Path), metavar="FILE", help="TOML file with expected results.")
 @click.option(
     "--artefacts",
     type=click.Path(path_type=Path),
@@ -37,14 +37,14 @@ if TYPE_CHECKING:
     help="Start with the cases that failed or were undecided in an earlier report (its folder, or results.json).",
 )
 @click.option("--failed-only", is_flag=True, help="With --failed, run only these cases.")
-@click.option("--repeat", type=click.IntRange(1), default=1, metavar="N", help="Run all cases N times.")
+@click.option("--repeat", type=click.IntRange(1), default=1, metavar="N", help="Run all cases N times.  [default: 1]")
 @click.option("--until-fail", is_flag=True, help="Stop at the first fail.")
 @click.option(
     "--jobs",
     "-j",
     type=click.IntRange(1, 64),
     metavar="N",
-    help="Concurrent processes of the reference node.  [default: two for each processor, 4 to 16]",
+    help="Number of concurrent processes of the reference node.  [default: two for each processor, 4 to 16]",
 )
 @click.option(
     "--side-by-side",
@@ -56,8 +56,8 @@ if TYPE_CHECKING:
     "--impair",
     multiple=True,
     metavar="KEY=VALUE,...",
-    help="Impair the link during the cases: loss=0.1,burst=3,delay=5ms,jitter=2ms,duplicate=0.01,reorder=0.02,"
-    "corrupt=0.001; with the prefix to: or from: in one direction (docs/impairment.md).",
+    help="Impair the link during the cases, for example loss=0.1,burst=3,delay=5ms. Keys: loss, burst, delay, jitter, "
+    "duplicate, reorder, corrupt; with the prefix to: or from: in one direction (docs/impairment.md).",
 )
 @click.option("--dry-run", is_flag=True, help="Only show the selected cases.")
 @click.option("--verbose", "-v", is_flag=True, help="Show a line for every case.")

@@ -34,9 +34,17 @@ _FEW = 40
 
 @click.command("selftest", epilog=EXIT_STATUS)
 @click.argument("mutants", nargs=-1)
-@click.option("--profile", multiple=True, metavar="NAME", help="Only on this profile.  [default: all versions]")
+@click.option(
+    "-p", "--profile", multiple=True, metavar="NAME", help="Use only this wire profile.  [default: all versions]"
+)
 @click.option("--full", is_flag=True, help="Run all cases against each mutant, not only those of its requirement.")
-@click.option("--jobs", type=click.IntRange(1), metavar="N", help="Processes.  [default: one for each processor]")
+@click.option(
+    "-j",
+    "--jobs",
+    type=click.IntRange(1),
+    metavar="N",
+    help="Number of concurrent processes.  [default: one for each processor]",
+)
 @click.option("--report-dir", type=click.Path(path_type=Path), metavar="DIR", help="Write selftest.json there.")
 @click.option(
     "--document",
@@ -56,8 +64,8 @@ _FEW = 40
     multiple=True,
     default=(1,),
     show_default=True,
-    metavar="S",
-    help="Seed of the draw of --generated; several make several draws.",
+    metavar="N",
+    help="Random seed of --generated and --diagnose; may be given several times.",
 )
 @click.option(
     "--check-ledger",

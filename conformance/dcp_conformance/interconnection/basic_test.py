@@ -311,7 +311,7 @@ def _swapped_number(bench: Bench) -> tuple[ReceivedBeacon, int, int] | None:
 
 
 def _odd_answer(bench: Bench) -> str:
-    """A record about a variable that the tester has summarised, and that is no request for it; empty if none came."""
+    """Return a record about a variable that the tester has summarised, except a request for it; empty if none came."""
     asked = {
         var_id
         for kind, var_id in stimuli(bench.codec, bench.traffic.events, bench.identifiers.created)

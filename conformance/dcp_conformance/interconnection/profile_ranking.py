@@ -13,7 +13,7 @@ from dcp_codec.codec import Codec, get_codec
 
 #: A profile in which no block can be read of more than this share of the frames explains nothing.
 EXPLAINED: Final = 0.3
-#: Scores of profiles that lie closer together are no reason to doubt the chosen one.
+#: Maximum difference in score between the best and the chosen profile that raises no doubt about the choice.
 _CLOSE: Final = 0.05
 
 

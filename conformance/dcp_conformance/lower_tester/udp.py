@@ -37,7 +37,7 @@ def open_udp(
     name or an IPv4 address, by default the loopback interface. ``link`` is that of the profile: how recorded frames are
     to look, and whether datagrams must come from ``port``.
 
-    Raises ``UsageError`` for what is no address or interface, ``LowerTesterError`` if the port cannot be had.
+    Raises ``UsageError`` for an invalid address or interface, ``LowerTesterError`` if the port cannot be had.
     """
     link = link or Link()
     number = port if port is not None else link.udp_port or DEFAULT_PORT
@@ -58,7 +58,7 @@ def parse_udp(text: str, link: Link) -> tuple[str, int | None, str | None, Link]
     """
     match = re.fullmatch(r"udp(?::([^:,]*)(?::(\d{1,5}))?)?(?:,interface=([^,]+))?", text)
     if match is None:
-        raise UsageError(f"{text!r} is no link; it is udp[:GROUP[:PORT]][,interface=NAME|ADDRESS]")
+        raise UsageError(f"{text!r} is not a link; expected udp[:GROUP[:PORT]][,interface=NAME|ADDRESS]")
     return match[1] or "", int(match[2]) if match[2] else None, match[3], link
 
 
@@ -133,7 +133,7 @@ class UDPLowerTester(SocketLowerTester):
         return receiver
 
     def _is_broadcast(self) -> bool:
-        """Whether the group is no address of one station, as far as the system tells."""
+        """Return whether the address is that of a group, as far as the system knows."""
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asking:
             try:
                 # Without SO_BROADCAST the system refuses broadcast addresses.

@@ -170,7 +170,7 @@ def case(
     """
     match = _ID.fullmatch(identifier)
     if match is None:
-        raise ValueError(f"{identifier!r} is no case identifier (TC_BP_RX_BI_01)")
+        raise ValueError(f"{identifier!r} is not a case identifier; expected one such as TC_BP_RX_BI_01")
     _ids(identifier, requirements)
 
     def decorate(body: _Body) -> _Body:

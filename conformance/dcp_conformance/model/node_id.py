@@ -14,6 +14,6 @@ def node_id_octets(text: str) -> bytes:
     """
     if not _HEX.fullmatch(text):
         raise ValueError(
-            f"{text!r} is no node identifier: it is octets in hex, as in 02:00:00:00:00:01 or 020000000001"
+            f"{text!r} is not a node identifier; expected octets in hex, such as 02:00:00:00:00:01 or 020000000001"
         )
     return bytes.fromhex(text.replace(":", ""))

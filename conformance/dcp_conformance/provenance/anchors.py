@@ -53,7 +53,7 @@ def read_anchors(path: Path) -> Anchors:
     try:
         file = msgspec.toml.decode(path.read_bytes(), type=_File)
     except OSError as error:
-        raise UsageError(f"{path}: {error.strerror}") from None
+        raise UsageError(f"{path}: cannot be read: {error.strerror}") from None
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
         raise UsageError(f"{path}: {error}") from None
     versions = [each.version for each in file.revision]

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import subprocess
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Final
@@ -36,22 +37,36 @@ class Checkout:
         return [each for name in sorted(self.files) for each in statements(name, self.files[name])]
 
 
-def read_checkout(path: Path, revision: str | None = None) -> Checkout:
+def read_checkout(
+    path: Path, revision: str | None = None, *, on_folder: Callable[[Path], object] = lambda _folder: None
+) -> Checkout:
     """Read a specification from a folder (at any depth), or from the repository there at a revision.
 
-    A bare repository without ``revision`` is read at HEAD. Raises :class:`UsageError` if there is no specification.
+    A bare repository without ``revision`` is read at HEAD. ``on_folder`` is called with each folder before it is
+    searched. Raises :class:`UsageError` if there is no specification.
     """
     if not path.is_dir():
         raise UsageError(f"{path} is not a folder; give a checkout of the specification, or its git repository")
     if revision is not None or _is_bare(path):
         return _from_git(path, revision or "HEAD")
-    names = [each.relative_to(path).as_posix() for each in path.rglob("*.md") if ".git" not in each.parts]
+    names = list(_markdown_files(path, on_folder))
     folder, chosen = _folder(names, str(path))
     try:
         files = {PurePosixPath(name).name: (path / name).read_text(encoding="utf-8") for name in chosen}
     except (OSError, UnicodeDecodeError) as error:
         raise UsageError(f"{path}: the specification cannot be read: {error}") from None
     return Checkout(str(path / folder), files)
+
+
+def _markdown_files(path: Path, on_folder: Callable[[Path], object]) -> Iterator[str]:
+    """Yield the Markdown files below a folder, relative to it, without those of git; call ``on_folder``."""
+    for name, folders, files in os.walk(path):
+        folder = Path(name)
+        on_folder(folder)
+        folders[:] = sorted(set(folders) - {".git"})
+        for file in sorted(files):
+            if file.endswith(".md"):
+                yield (folder / file).relative_to(path).as_posix()
 
 
 def _folder(names: Iterable[str], where: str) -> tuple[PurePosixPath, list[str]]:

@@ -44,8 +44,8 @@ class ProcessControl:
     * ``stop``: a command that stops it; without one the process of ``start`` and all that it has started get SIGTERM,
       and SIGKILL after 3 s.
     * ``restart``: a command that restarts it and ends; without one it is stopped and started.
-    * ``pid``, ``pidfile``: a process to watch. With its time of start, so that a number used again is no mistake; the
-      file is read again after a restart.
+    * ``pid``, ``pidfile``: a process to watch. With its time of start, so that a reused number is not mistaken for it;
+      the file is read again after a restart.
 
     Commands are run without a shell unless they use one (pipes, variables, ``&&``). Nothing is started here before
     :meth:`start` is called.

@@ -266,7 +266,7 @@ class LastLines:
 
 
 def printable(text: str) -> str:
-    """Text of others for a message: what is no printable character is escaped."""
+    """Return received text for a message, with characters that are not printable escaped."""
     return plain(text, keep="\n").replace("\n", " | ")
 
 

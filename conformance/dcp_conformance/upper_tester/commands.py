@@ -213,7 +213,7 @@ def _converted(where: str, reading: Reading, found: re.Match[str]) -> dict[str, 
         try:
             members[name] = converted(kind, text)
         except ValueError:
-            raise UpperTesterError(f"{where}: {name} is {printable(text)!r}, which is no {kind}") from None
+            raise UpperTesterError(f"{where}: {name} is {printable(text)!r}; expected {kind}") from None
     return members
 
 

@@ -31,7 +31,7 @@ class Reading(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     types: Mapping[str, Kind] = msgspec.field(default_factory=dict)
     """The type of the text of a group; by default text."""
     complete: bool = False
-    """Whether all of the output must match, so that output of another form is no empty list."""
+    """Whether all of the output must match, so that output of another form is not taken as an empty list."""
 
 
 class Method(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -35,7 +35,7 @@ def open_upper(spec: str, patience: float = 5.0, *, starting: bool = True) -> Re
     kind, colon, rest = spec.partition(":")
     if not colon or kind not in ("unix", "tcp", "exec", "commands") or not rest.strip():
         forms = "\n".join(f"  {form}  {about}" for form, about in FORMS.items())
-        raise UsageError(f"{spec!r} is no upper tester; there are\n{forms}")
+        raise UsageError(f"{spec!r} is not an upper tester; expected one of\n{forms}")
     if kind == "commands":
         from .commands import open_commands
 
@@ -59,5 +59,7 @@ def _path(spec: str, path: str) -> str:
 def _tcp_address(spec: str, text: str) -> tuple[str, int]:
     match = re.fullmatch(r"(?:\[([^\]]+)\]|([^:]+)):(\d{1,5})", text)
     if match is None or not 1 <= int(match[3]) <= 0xFFFF:
-        raise UsageError(f"{spec}: that is no HOST:PORT, as in tcp:127.0.0.1:4711 or tcp:[::1]:4711")
+        raise UsageError(
+            f"{spec}: not an address; expected tcp:HOST:PORT, such as tcp:127.0.0.1:4711 or tcp:[::1]:4711"
+        )
     return match[1] or match[2], int(match[3])

@@ -143,7 +143,7 @@ class StreamUpperTester:
                 raise UpperTesterError(f"{self.name}: the answer to UT-Hello has no {member}, which must be {what}")
         methods = answer.result["methods"]
         if not all(isinstance(each, str) for each in methods):
-            raise UpperTesterError(f"{self.name}: the answer to UT-Hello lists a method that is no text")
+            raise UpperTesterError(f"{self.name}: the answer to UT-Hello lists a method that is not text")
         self.about = answer.result
         self.methods = frozenset(methods)
 
@@ -203,7 +203,7 @@ class StreamUpperTester:
                 f"{self.name}: sends a line that is not JSON ({error}): {shown}; only messages may stand on its output"
             ) from None
         if not isinstance(message, dict):
-            raise UpperTesterError(f"{self.name}: sends JSON that is no message: {_shown(message)}")
+            raise UpperTesterError(f"{self.name}: sends JSON that is not a message: {_shown(message)}")
         return message
 
     def _stray(self, message: dict[str, Any]) -> None:

@@ -107,7 +107,7 @@ def decode(octets: bytes | memoryview) -> RawFrame:
     try:
         message = _message_class().FromString(bytes(octets))
     except DecodeError as error:
-        raise ValueError(f"it is no protobuf message {SCHEMA_NAME}: {error}") from None
+        raise ValueError(f"it is not a protobuf message {SCHEMA_NAME}: {error}") from None
     if not message.HasField("data"):
         raise ValueError("it has no data")
     time_ns = None

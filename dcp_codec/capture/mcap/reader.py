@@ -262,7 +262,7 @@ class McapReader(CaptureReader):
                 yield None
             position = stop
         if whole and position != end:
-            self._bad_record(base, f"{end - position} octets at the end of a chunk are no record")
+            self._bad_record(base, f"{end - position} octets at the end of a chunk are not a record")
 
     def _frame(self, content: memoryview, offset: int) -> Frame | None:
         """Return the frame of a message; None if the message has another type or its link type is not wanted."""

@@ -200,7 +200,7 @@ class OpenAttachment:
             # Unbuffered, since it is read in large pieces.
             self._stream: BinaryIO = cast(BinaryIO, path.open("rb", buffering=0))
         except (OSError, ValueError) as error:
-            raise CaptureError(f"{path}: {explain(error)}") from error
+            raise CaptureError(f"{path}: cannot be read: {explain(error)}") from error
         try:
             self.size = os.fstat(self._stream.fileno()).st_size
             self.media_type = _MEDIA_TYPES.get(self._stream.read(4), "application/octet-stream")

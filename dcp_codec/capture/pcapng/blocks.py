@@ -77,7 +77,7 @@ def options(buffer: bytes, start: int, stop: int, order: str) -> Iterator[tuple[
     head = struct.Struct(order + "HH")
     while start < stop:
         if stop - start < head.size:
-            raise BadOptionError(f"{stop - start} octets are no option")
+            raise BadOptionError(f"{stop - start} octets are not an option")
         code, length = head.unpack_from(buffer, start)
         start += head.size
         if code == 0:

@@ -77,7 +77,7 @@ def parse_topology(text: str, folder: Path | None = None) -> Topology:
     path = Path(text) if folder is None else folder / text
     if not path.is_file():
         known = "full, bus, line, grid, grid:COLUMNS"
-        raise ScenarioError(f"topology {text!r} is none of {known}, and no such file exists")
+        raise ScenarioError(f"unknown topology {text!r}; expected one of {known}, or a file")
     return _convert(_read(path), Topology, str(path))
 
 
@@ -117,10 +117,8 @@ def _read(path: Path) -> dict[str, Any]:
     """Return the content of a TOML file. Raises :class:`ScenarioError`."""
     try:
         return tomllib.loads(path.read_bytes().decode())
-    except FileNotFoundError:
-        raise ScenarioError(f"{path}: there is no such file") from None
     except OSError as error:
-        raise ScenarioError(f"{path}: cannot be read ({error.strerror})") from None
+        raise ScenarioError(f"{path}: cannot be read: {error.strerror}") from None
     except (ValueError, RecursionError) as error:
         raise ScenarioError(f"{path}: not a valid TOML file: {error}") from None
 

@@ -138,7 +138,7 @@ class SRPLayout(Part, frozen=True):
         Meta(
             description="Fields of `ExtendedSafetyDataT` in order: `sData`, `nodeId`, `tStamp`, `seqno`, and fields of "
             'your own. Only fields of your own, for example `[{ name = "pattern", opaque = 40 }]`: payloads have this '
-            "layout and are no state reports. Empty: payloads are octets of any number, shown as `data`."
+            "layout and are not state reports. Empty: payloads are octets of any number, shown as `data`."
         ),
     ] = ("sData", "nodeId", "tStamp", "seqno")
     safety_data: Annotated[

@@ -1,7 +1,7 @@
 """Find the deviations from the specification that a profile declares, by requirement.
 
 A profile describes the octets of an implementation; it excuses none of them. What the specification leaves to
-implementers (the widths of identifiers and time stamps, all of the safety data) is no deviation.
+implementers (the widths of identifiers and time stamps, all of the safety data) is not a deviation.
 """
 
 from __future__ import annotations
@@ -145,7 +145,7 @@ def _records(profile: Profile) -> Iterator[tuple[str, str]]:
     if not profile.srp.record:
         yield "SRP-FMT-01", "a state report has no octets"
     elif not record:
-        yield "SRP-FMT-01", f"a payload of SRP is no state report but {_names(profile.srp.record)}"
+        yield "SRP-FMT-01", f"a payload of SRP is not a state report, but {_names(profile.srp.record)}"
     elif own:
         yield "SRP-TYP-03", f"a state report is {_names(profile.srp.record)}"
     elif record != list(wanted.srp.record):

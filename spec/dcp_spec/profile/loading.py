@@ -86,12 +86,10 @@ def _exists(path: Path) -> bool:
 def _read(path: Path) -> dict[str, Any]:
     try:
         octets = path.read_bytes()
-    except FileNotFoundError:
-        raise ProfileError(f"{path}: there is no such profile file") from None
     except OSError as error:
-        raise ProfileError(f"{path}: cannot read this profile file ({error.strerror})") from None
+        raise ProfileError(f"{path}: cannot be read: {error.strerror}") from None
     except ValueError as error:  # a name that no file can have
-        raise ProfileError(f"{str(path)!r}: cannot read this profile file ({error})") from None
+        raise ProfileError(f"{str(path)!r}: cannot be read: {error}") from None
     try:
         return tomllib.loads(octets.decode())
     except (ValueError, RecursionError) as error:
@@ -114,7 +112,10 @@ def _resolve(raw: dict[str, Any], where: str, folder: Path | None, depth: int = 
         base = _resolve(_read(path), str(path), path.parent, depth + 1)
     else:
         known = ", ".join(profile_names())
-        raise ProfileError(f"{where}: extends = {base_name!r} is no built-in profile ({known}) and no .toml file")
+        raise ProfileError(
+            f"{where}: extends = {base_name!r} is neither a built-in profile nor a .toml file; expected one of "
+            f"{known}, or the path of a .toml file"
+        )
     return _merge(base, raw)
 
 
@@ -143,8 +144,8 @@ def _know_version(version: object, where: str) -> None:
     known = [str(each) for each in SpecVersion]
     if version is None or version in known:
         return
-    hint = f'write "{version}"' if str(version) in known else f"known are {', '.join(known)}"
-    raise ProfileError(f"{where}: spec_version = {version!r} is no known version of the specification: {hint}")
+    hint = f'write "{version}"' if str(version) in known else f"expected one of {', '.join(known)}"
+    raise ProfileError(f"{where}: spec_version = {version!r} is not a known version of the specification; {hint}")
 
 
 def _explain(message: str) -> str:

@@ -46,7 +46,7 @@ def _listed(key: str, found: Iterable[str], known: tuple[str, ...]) -> Iterable[
     seen = list(found)
     for name in seen:
         if name not in known:
-            yield f"{key} has {name!r}, which is none of {', '.join(known)}"
+            yield f"{key} has {name!r}; expected one of {', '.join(known)}"
     for name in sorted({name for name in seen if seen.count(name) > 1}):
         yield f"{key} lists {name!r} twice"
 
@@ -76,7 +76,10 @@ def _own_names(key: str, names: list[str], taken_names: Iterable[str] | None = N
     taken = {_bare(name): name for name in (_TAKEN[key] if taken_names is None else taken_names)}
     for name in names:
         if not re.fullmatch("[A-Za-z][A-Za-z0-9_]*", name) or {name, name.lower()} & set(keyword.kwlist):
-            yield f"{key}: field name {name!r} is no plain name (letters, digits, _; first a letter; no Python keyword)"
+            yield (
+                f"{key}: field name {name!r} is not a plain name; expected letters, digits and _, first a letter, "
+                "and not a Python keyword"
+            )
         elif _bare(name) in taken:
             yield f"{key}: field name {name!r} is taken ({taken[_bare(name)]})"
     bare = [_bare(name) for name in names]
@@ -230,7 +233,7 @@ def _own_containers(profile: Profile) -> Iterable[str]:
     for container in profile.vardis.own_containers:
         key = f"vardis.own_containers {container.name!r}"
         if not re.fullmatch("[A-Za-z][A-Za-z0-9]*([-_][A-Za-z0-9]+)*", container.name):
-            yield f"{key}: this is no plain name (letters, digits, - and _ between them; first a letter)"
+            yield f"{key}: this is not a plain name; expected letters and digits, first a letter; between them - and _"
             continue
         if container.name in known:
             yield f"{key}: this is the name of a container type of the specification; change [vardis.container_types]"

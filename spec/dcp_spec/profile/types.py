@@ -83,7 +83,7 @@ class TimestampType(Part, frozen=True):
 
     @property
     def epoch_ns(self) -> int | None:
-        """When stamps begin, in ns since 1970; None for an epoch that is no calendar date. No leap seconds."""
+        """When stamps begin, in ns since 1970; None for an epoch that is not a calendar date. No leap seconds."""
         return _EPOCHS_NS.get(self.epoch)
 
     def nanoseconds(self, ticks: int) -> int:

@@ -4,9 +4,9 @@ The codec reads and writes whatever a profile describes. Programs that take part
 meaning to each field: what they should send in a field of the implementation's own, and what follows when they receive
 it, no profile says. Octets without a meaning (``opaque``) are sent as zeros and ignored.
 
-A field that the profile adds to VarSpec is no obstacle: it belongs to the variable, so nodes store it and send it on.
+A field that the profile adds to VarSpec is not an obstacle: it belongs to the variable, so nodes store and forward it.
 The application that creates the variable gives its value; it is zero by default. Container types of the profile's
-own are no obstacle either: a node ignores those that it has no instruction for.
+own are not an obstacle either: a node ignores those that it has no instruction for.
 """
 
 from __future__ import annotations

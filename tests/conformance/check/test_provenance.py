@@ -14,6 +14,7 @@ from pathlib import Path
 
 import msgspec
 import pytest
+from dcp_conformance.cli.provenance import SearchNotes
 from dcp_conformance.errors import UsageError
 from dcp_conformance.provenance import report
 from dcp_conformance.provenance.anchors import read_anchors, reference
@@ -442,3 +443,28 @@ def test_anchors_are_followed_into_newer_versions(tmp_path, repository, specific
     recording = record(repository, read_anchors(path))
     file = msgspec.json.decode(recording.files["origins.json"], type=OriginsFile)
     assert file.origins["VD-PAR-01"][SpecVersion("2.0")][0][1] == old.line
+
+
+def test_a_long_search_reports_its_folder(capsys):
+    """Nothing in the first 2 s; then a note, and further ones every 10 s."""
+    now = [0.0]
+    notes = SearchNotes(lambda: now[0])
+    for second in (0.0, 1.9, 2.0, 3.0, 11.9, 12.0):
+        now[0] = second
+        notes(Path(f"/spec/{second}"))
+    shown = capsys.readouterr()
+    assert not shown.out
+    assert shown.err.splitlines() == [
+        "searching for the specification: 3 folders so far, now /spec/2.0",
+        "searching for the specification: 6 folders so far, now /spec/12.0",
+    ]
+
+
+def test_every_folder_is_reported_before_it_is_searched(tmp_path):
+    (tmp_path / "a" / "b").mkdir(parents=True)
+    (tmp_path / ".git" / "objects").mkdir(parents=True)
+    (tmp_path / "a" / "b" / "dcp-bp.md").write_text("# BP\n")
+    seen = []
+    checkout = read_checkout(tmp_path, on_folder=seen.append)
+    assert seen == [tmp_path, tmp_path / "a", tmp_path / "a" / "b"]
+    assert set(checkout.files) == {"dcp-bp.md"}

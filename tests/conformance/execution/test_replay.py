@@ -244,7 +244,7 @@ class TestCommand:
             (["no-such.mcap"], "no-such.mcap"),
             ([__file__], "test_replay.py"),
             ([CAPTURES / "b_crud.mcap", "--node", "02:00:00:00:00:09"], "no node 02:00:00:00:00:09 in it; there are"),
-            ([CAPTURES / "b_crud.mcap", "--node", "nobody"], "'nobody' is no node identifier"),
+            ([CAPTURES / "b_crud.mcap", "--node", "nobody"], "'nobody' is not a node identifier"),
             ([CAPTURES / "b_crud.mcap", "--profile", "dcp-9"], "dcp-9"),
             ([CAPTURES / "b_crud.mcap", "--speed", "-1"], "--speed"),
         ],

@@ -19,7 +19,7 @@ from ..command import Command
 from ..rig import codec_of
 
 OURS = bytes.fromhex("020000000001")
-RIGHT = "as in 02:00:00:00:00:01 or 020000000001"
+RIGHT = "such as 02:00:00:00:00:01 or 020000000001"
 
 
 @pytest.mark.parametrize("text", ["02:00:00:00:00:01", "020000000001", "02:00:00:00:00:01".upper()])
@@ -29,7 +29,7 @@ def test_what_is_one(text: str):
 
 @pytest.mark.parametrize("text", ["", ":", "drone1", "02-00-00-00-00-01", "0:1", "02::01", "02:0000:1", "02 00", "٠١"])
 def test_what_is_none(text: str):
-    with pytest.raises(ValueError, match="is no node identifier") as refused:
+    with pytest.raises(ValueError, match="is not a node identifier") as refused:
         node_id_octets(text)
     assert repr(text) in str(refused.value)
     assert RIGHT in str(refused.value)
@@ -77,5 +77,5 @@ def test_a_wrong_one_of_an_upper_tester_is_its_fault():
     codec = codec_of("dcp-2.0")
     sut = InProcess(reference_config(codec))
     runner = Runner(Session(codec, sut.lower_tester(), Misnamed(sut), Pics()), sut)
-    with pytest.raises(UpperTesterError, match=r"UT-Hello.*'drone1' is no node identifier"):
+    with pytest.raises(UpperTesterError, match=r"UT-Hello.*'drone1' is not a node identifier"):
         runner.prepare()

@@ -159,7 +159,7 @@ def test_results(tools):
         "tStamp": 1_769_860_800_000_000_007,
     }
     tools("read", "echo 'value=1 at noon'")
-    with pytest.raises(UpperTesterError, match="value is '1', which is no octets"):
+    with pytest.raises(UpperTesterError, match="value is '1'; expected octets"):
         upper.call("RTDB-Read", {"varId": 1})
     tools("read", "echo nonsense")
     with pytest.raises(UpperTesterError, match="not as the adapter file expects: nonsense"):

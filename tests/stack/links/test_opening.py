@@ -80,7 +80,7 @@ def test_the_port_of_a_profile_is_used():
         ("udp:239.1.1.1,interface=203.0.113.99", "no interface has the address 203.0.113.99"),
         ("udp:239.1.1.1,ttl=256", "ttl 256"),
         ("replay:", "replay: file missing"),
-        ("replay:/nowhere.mcap", "no such file"),
+        ("replay:/nowhere.mcap", "No such file"),
         ("replay:/nowhere.mcap,speed=0", "speed 0"),
         ("replay:/nowhere.mcap,speed=fast", "fast"),
     ],

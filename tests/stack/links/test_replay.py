@@ -163,7 +163,7 @@ def test_damage_is_reported_and_the_rest_arrives(tmp_path, caplog):
 
 
 def test_what_cannot_be_opened(tmp_path):
-    with pytest.raises(LinkError, match="no such file"):
+    with pytest.raises(LinkError, match="No such file"):
         ReplayLink(tmp_path / "nothing.pcap", FRAMING)
     with pytest.raises(LinkError, match="speed -1"):
         ReplayLink(recording(tmp_path / "a.pcap", THREE), FRAMING, speed=-1)

@@ -114,7 +114,7 @@ def test_print_config(run, tmp_path):
         (["--link", "udp", "--control", "/tmp/" + "x" * 120], "at most 107 octets"),
         (["--link", "udp", "--control", "stdio", "--position", "stdin"], "cannot both be standard input"),
         (["--link", "udp", "--user", "no-such-user"], "there is no such user"),
-        (["--config", "/no/such.toml"], "/no/such.toml: No such file"),
+        (["--config", "/no/such.toml"], "/no/such.toml: cannot be read: No such file"),
         (["--metrics", "70000"], "70000"),
     ],
 )

@@ -130,7 +130,7 @@ def test_wrong_files_are_told_by_file_and_key(tmp_path, text, message):
 
 
 def test_files_that_cannot_be_read(tmp_path):
-    with pytest.raises(SettingsError, match=r"missing\.toml: No such file"):
+    with pytest.raises(SettingsError, match=r"missing\.toml: cannot be read: No such file"):
         load_settings(tmp_path / "missing.toml", {})
     with pytest.raises(SettingsError, match="Is a directory"):
         load_settings(tmp_path, {})

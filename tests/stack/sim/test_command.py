@@ -99,8 +99,8 @@ def test_a_network_of_one(run):
     ("arguments", "complaint"),
     [
         ([], "give a SCENARIO file or a number of nodes"),
-        (["--scenario", "/nowhere.toml"], "/nowhere.toml: there is no such file"),
-        (["2", "--topology", "ring"], "topology 'ring' is none of"),
+        (["--scenario", "/nowhere.toml"], "/nowhere.toml: cannot be read: No such file"),
+        (["2", "--topology", "ring"], "unknown topology 'ring'; expected one of"),
         (["2", "--profile", "dcp-3.0"], "unknown profile 'dcp-3.0'"),
         (["2", "--loss", "2"], "--loss"),
         (["2", "--duration", "0"], "--duration"),

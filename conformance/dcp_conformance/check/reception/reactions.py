@@ -172,7 +172,7 @@ class Reception:
             elif hits >= 2:
                 # The node reacts as required now: earlier missing reactions had another cause.
                 self._keep(key, self._tallies.pop(key, None))
-        # A reaction that the node never shows is no evidence of reception: infer links from other groups, if any.
+        # A reaction that the node never shows is not evidence of reception: infer links from other groups, if any.
         left_out = {id(trial) for _, group in suspects for trial in group}
         rest = [_may_be_due_to(trial, unrecorded) for trial in trials if id(trial) not in left_out]
         if suspects:

@@ -165,7 +165,7 @@ class ReportNumbers(Invariant):
         """Compare with the node's previous report."""
         report = seen.heard.report
         if report is None or (seen.heard.sender is not None and report.node_id != seen.sender):
-            # A report of another node is no evidence about that node; CK_SRP_OWN reports its sender.
+            # A report of another node is not evidence about that node; CK_SRP_OWN reports its sender.
             return
         node = report.node_id
         last = self._last.get(node)

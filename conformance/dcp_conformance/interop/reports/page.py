@@ -17,7 +17,7 @@ from .chart import chart
 
 #: Cells up to which those that pass have a chart as well.
 _FEW: Final = 250
-#: Files that the page links to: what the runner writes, which is no other address.
+#: Files that the page links to: only names of files that the runner writes, never addresses of other sites.
 _FILE: Final = re.compile(r"cells(/[A-Za-z0-9_@+=-][A-Za-z0-9._@+=-]*)+")
 _ORDER: Final = (Verdict.FAIL, Verdict.ERROR, Verdict.INCONCLUSIVE, Verdict.PASS, Verdict.NOT_APPLICABLE)
 

@@ -10,7 +10,7 @@ from .mutant import Mutant, maker, node_with, part_of
 
 
 def combined(mutants: Sequence[Mutant]) -> MakeNode:
-    """Make nodes with the faults of all ``mutants``. Raises ``ValueError`` for a mutant that is no part of a node."""
+    """Make nodes with the faults of all ``mutants``. Raises ``ValueError`` for a mutant that does not change a node."""
     changed: dict[type, type] = {}
     for mutant in mutants:
         if mutant.part is None:

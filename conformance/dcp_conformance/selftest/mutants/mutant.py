@@ -124,7 +124,7 @@ def mutant(
     ``requirements`` are ids separated by spaces, the violated one first. ``since`` and ``until`` are by default the
     first and the last version that has this requirement. ``unseen`` gives the reason for each version that has it and
     on which the mutant is nevertheless not tried; its keys are versions separated by spaces. Raises
-    ``UnknownRequirementError`` for an id that is none, ``TypeError`` for a class that is no part of the node,
+    ``UnknownRequirementError`` for an id that is none, ``TypeError`` for a class that is not part of the node,
     ``ValueError`` for a version that has the requirement and is neither tried nor excused.
     """
     first, *also = requirements.split()
