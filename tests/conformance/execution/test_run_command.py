@@ -186,7 +186,7 @@ class TestWhatIsRun:
             (["--ether-type", "IP"], "'ip' is not an EtherType; write it in hex, as in 0x4953"),
             (["--ut", "unix:node.sock"], "--ut is for your own implementation: give its --interface or --link"),
             (["--in-process", "--restart", "true"], "--restart is for your own implementation"),
-            (["--timing-scale", "0"], "0.0 is not in the range 0<x<=1000.0"),
+            (["--timing-scale", "0"], "0.0 is not in the range 0<x<=1000"),
             (["--timing-scale", "nan"], "'nan' is not a number"),
             (["--beacon-period", "inf"], "inf is not in the range"),
             (["--report-dir", __file__], f"{__file__}: cannot be written: exists and is not a folder"),
