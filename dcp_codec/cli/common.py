@@ -15,7 +15,7 @@ import click
 from dcp_spec.profile.definition import Link
 from dcp_spec.profile.loading import ProfileError
 
-from dcp_codec.capture import CaptureError, CaptureReader, Frame, open_capture
+from dcp_codec.capture import FORMATS, CaptureError, CaptureReader, Frame, open_capture
 from dcp_codec.codec import Codec, get_codec
 from dcp_codec.common.commandline import ETHER_TYPE_HELP, UNUSABLE, ExpectedError
 from dcp_codec.framing.ethertype import parse_ether_type
@@ -60,6 +60,24 @@ def profile_options(function: F) -> F:
         metavar="NAME|FILE|auto",
         help="Wire profile: a name ('dcp-codec profiles' lists them), a TOML file, or auto to detect it.",
     )(function)
+
+
+def output_format(*forms: str) -> Callable[[F], F]:
+    """Return the option ``--format`` of the printed output; the first of ``forms`` is the default."""
+    return click.option(
+        "-f",
+        "--format",
+        "form",
+        type=click.Choice(forms),
+        default=forms[0],
+        show_default=True,
+        help="Format of the output.",
+    )
+
+
+def recording_format(text: str = "Format of the output.  [default: by the suffix of --out]") -> Callable[[F], F]:
+    """Return the option ``--format`` of a recording that the command writes; ``text`` is its help."""
+    return click.option("-f", "--format", "form", type=click.Choice(sorted(FORMATS)), help=text)
 
 
 def load_codec(profile: str) -> Codec:

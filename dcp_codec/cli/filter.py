@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 
 from dcp_codec.analysis.conditions import Where, WhereError, field_names
-from dcp_codec.capture import FORMATS, CaptureError, create_capture
+from dcp_codec.capture import CaptureError, create_capture
 from dcp_codec.codec import Codec
 from dcp_codec.common.commandline import LOSSY_HELP, ExpectedError
 from dcp_codec.framing.locate import OtherTraffic
@@ -22,6 +22,7 @@ from .common import (
     open_input,
     profile_options,
     progress,
+    recording_format,
     report_capture_problems,
 )
 from .filters import Moment, frame_range, parse_time
@@ -47,13 +48,7 @@ from .filters import Moment, frame_range, parse_time
 )
 @click.option("--to", "end", callback=parse_time, metavar="TIME", help="Not after (as --from).")
 @click.option("--other", is_flag=True, help="Also keep frames that are not DCP.")
-@click.option(
-    "-f",
-    "--format",
-    "form",
-    type=click.Choice(sorted(FORMATS)),
-    help="Format of TARGET.  [default: by its suffix]",
-)
+@recording_format("Format of TARGET.  [default: by its suffix]")
 @click.option("--lossy", is_flag=True, help=LOSSY_HELP)
 @click.option("--fields", "list_fields", is_flag=True, help="List the fields that conditions can use.")
 def command(

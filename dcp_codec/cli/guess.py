@@ -14,7 +14,7 @@ from dcp_codec.analysis.shortfall import Shortfall, shortfalls
 from dcp_codec.capture import Frame
 from dcp_codec.codec import get_codec
 
-from .common import each_file, open_input, report_capture_problems
+from .common import each_file, open_input, output_format, report_capture_problems
 from .common import ether_type as parse_ether_type
 
 
@@ -36,15 +36,7 @@ from .common import ether_type as parse_ether_type
     metavar="N",
     help="Maximum number of frames to examine.",
 )
-@click.option(
-    "-f",
-    "--format",
-    "form",
-    type=click.Choice(["text", "json"]),
-    default="text",
-    show_default=True,
-    help="Format of the output.",
-)
+@output_format("text", "json")
 def command(files: tuple[str, ...], ether_type: int | None, limit: int, form: str) -> int:
     """Rank the built-in wire profiles by how well they explain the first frames of a recording.
 

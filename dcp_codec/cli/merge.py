@@ -10,10 +10,10 @@ from pathlib import Path
 import click
 import msgspec
 
-from dcp_codec.capture import FORMATS, CaptureError, Frame, create_capture
+from dcp_codec.capture import CaptureError, Frame, create_capture
 from dcp_codec.common.commandline import LOSSY_HELP, ExpectedError
 
-from .common import interruptible, note, open_input, report_capture_problems
+from .common import interruptible, note, open_input, recording_format, report_capture_problems
 
 
 @click.command(
@@ -30,13 +30,7 @@ from .common import interruptible, note, open_input, report_capture_problems
     metavar="FILE",
     help="Write the merged recording to this file.",
 )
-@click.option(
-    "-f",
-    "--format",
-    "form",
-    type=click.Choice(sorted(FORMATS)),
-    help="Format of the output.  [default: by the suffix of --out]",
-)
+@recording_format()
 @click.option("--keep-interfaces", is_flag=True, help="Keep interface numbers.  [default: a new one for each FILE]")
 @click.option("--lossy", is_flag=True, help=LOSSY_HELP)
 def command(files: tuple[str, ...], out: Path, form: str | None, *, keep_interfaces: bool, lossy: bool) -> int:

@@ -8,13 +8,13 @@ from pathlib import Path
 
 import click
 
-from dcp_codec.capture import FORMATS, CaptureError
+from dcp_codec.capture import CaptureError
 from dcp_codec.capture.ring import RingWriter
 from dcp_codec.common.commandline import ExpectedError
 from dcp_codec.framing.frames import with_ether_type
 
 from .common import ether_type as parse_ether_type
-from .common import load_codec, note
+from .common import load_codec, note, recording_format
 
 
 @click.command(
@@ -49,13 +49,7 @@ from .common import load_codec, note
 )
 @click.option("--ring-time", type=click.FloatRange(min=0.1), metavar="S", help="Begin a new file after S seconds.")
 @click.option("--ring-files", type=click.IntRange(min=1), metavar="N", help="Keep only the last N files.")
-@click.option(
-    "-f",
-    "--format",
-    "form",
-    type=click.Choice(sorted(FORMATS)),
-    help="Format of the output.  [default: by the suffix of --out]",
-)
+@recording_format()
 def command(
     interface: str,
     out: Path,

@@ -20,6 +20,7 @@ from .common import (
     malformed_note,
     no_beacons_note,
     open_input,
+    output_format,
     profile_options,
     progress,
     report_capture_problems,
@@ -39,15 +40,7 @@ _PAYLOADS = (("srp", "srp", "SRP"), ("vardis", "vardis", "VarDis"), ("other_payl
 )
 @click.argument("files", nargs=-1, required=True, metavar="FILE...")
 @profile_options
-@click.option(
-    "-f",
-    "--format",
-    "form",
-    type=click.Choice(["text", "json"]),
-    default="text",
-    show_default=True,
-    help="Format of the output.",
-)
+@output_format("text", "json")
 def command(files: tuple[str, ...], profile: str, ether_type: int | None, form: str) -> int:
     """Count beacons, loss, intervals, containers and records, and the last value of every variable.
 

@@ -42,7 +42,7 @@ class WorkerEnd(NamedTuple):
     trouble: str
     """Why the worker could not begin or complete its share; empty if it did."""
     usage: bool
-    """Whether the user caused the trouble."""
+    """True if the user caused the trouble, for example by an invalid option."""
     passive: tuple[CaseResult, ...] = ()
     """Results of the passive rules."""
 

@@ -1,1 +1,1 @@
-"""Whether the implementation still runs and answers, and which case has ended it."""
+"""Detect whether the implementation still runs and answers, and find the case that ended it."""
