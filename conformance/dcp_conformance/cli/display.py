@@ -27,6 +27,7 @@ from dcp_conformance.reporting.overview import (
     deaths,
     diagnosed,
     observed_readings,
+    sentence,
     undecided_deaths,
 )
 
@@ -202,11 +203,15 @@ def _print_diagnosis(out: Console, run: RunResult) -> None:
     out.print(f"\n[bold]{data(heading)}[/]", soft_wrap=True)
     for number, fault in enumerate(run.diagnosis.faults[:_FAULTS], 1):
         out.print(
-            f"  {number}. the implementation {data(fault.what)}  \\[{data(', '.join(fault.requirements))}]",
+            f"  {number}. {data(sentence(fault))}  \\[{data(', '.join(fault.requirements))}]",
             soft_wrap=True,
         )
         for other in fault.alternatives:
-            out.print(f"     or it {data(other)}", soft_wrap=True)
+            out.print(f"     or {'it' if fault.certain else 'that'} {data(other)}", soft_wrap=True)
+        if not fault.certain and fault.check is not None and fault.check.observed:
+            out.print(
+                f"     expected {data(fault.check.expected)}; observed {data(fault.check.observed)}", soft_wrap=True
+            )
         out.print(f"     {data(certainty(fault))}", soft_wrap=True)
         frame = f", frame {fault.mark.frame}" if fault.mark is not None else ""
         if fault.case:

@@ -24,6 +24,8 @@ class Fault(msgspec.Struct, frozen=True, kw_only=True):
     """Identifiers of the cases that fail with this fault."""
     undecided: frozenset[str]
     """Identifiers of the cases that become inconclusive with this fault."""
+    observed: frozenset[tuple[str, str]] = frozenset()
+    """Pairs of a case that fails and the digest of a check that fails in it (:mod:`.observation`)."""
 
     @property
     def crashes(self) -> bool:
@@ -38,13 +40,17 @@ class Dictionary(msgspec.Struct, frozen=True):
 
 
 class _Entry(msgspec.Struct, frozen=True, array_like=True):
-    """A fault in the file. ``fails`` and ``undecided`` are indices into the file's list of cases."""
+    """A fault in the file. ``fails`` and ``undecided`` are indices into the file's list of cases.
+
+    ``observed`` has a text for each member of ``fails``: the digests of its failed checks, separated by spaces.
+    """
 
     id: str
     requirements: list[str]
     what: str
     fails: list[int]
     undecided: list[int]
+    observed: list[str]
 
 
 class _Stored(msgspec.Struct, frozen=True):
@@ -60,6 +66,10 @@ def encode(dictionary: Dictionary) -> bytes:
     """Encode the dictionary as its JSON file, one fault on each line. The same faults give the same octets."""
     cases = sorted({case for fault in dictionary.faults for case in fault.fails | fault.undecided})
     place = {case: number for number, case in enumerate(cases)}
+    observed: dict[tuple[str, str], list[str]] = {}
+    for fault in dictionary.faults:
+        for case, digest in sorted(fault.observed):
+            observed.setdefault((fault.id, case), []).append(digest)
     faults = [
         msgspec.json.encode(
             _Entry(
@@ -68,6 +78,7 @@ def encode(dictionary: Dictionary) -> bytes:
                 fault.what,
                 sorted(place[case] for case in fault.fails),
                 sorted(place[case] for case in fault.undecided),
+                [" ".join(observed.get((fault.id, case), ())) for case in sorted(fault.fails)],
             )
         ).decode()
         for fault in sorted(dictionary.faults, key=lambda fault: fault.id)
@@ -90,6 +101,11 @@ def decode(octets: bytes) -> Dictionary:
                 what=each.what,
                 fails=frozenset(stored.cases[place] for place in each.fails),
                 undecided=frozenset(stored.cases[place] for place in each.undecided),
+                observed=frozenset(
+                    (stored.cases[place], digest)
+                    for place, digests in zip(each.fails, each.observed, strict=True)
+                    for digest in digests.split()
+                ),
             )
             for each in stored.faults
         )

@@ -6,6 +6,10 @@ raises the likelihood of the observed verdicts most, and removes a fault that la
 further fault must raise the log likelihood by a minimum, so that few faults are preferred to many (minimum description
 length).
 
+In a case that a fault makes fail, the observation speaks for the fault if it is the same as at a node with this fault
+except for numbers (:mod:`.observation`), and much less if it differs. One case with another observation is too little
+to assume a fault.
+
 A case in which nothing else failed than that the implementation ended or stopped answering shows no wrong behaviour.
 Only faults that crash a node can explain it, and they explain only cases that the implementation did not survive.
 """
@@ -22,10 +26,13 @@ from dcp_conformance.model.survival import SURVIVAL, did_not_survive, only_died
 from dcp_conformance.model.verdict import Verdict
 
 from .dictionary import Dictionary, Fault
+from .observation import observations
 
 #: Probability that a case fails if it failed in the self-test with an assumed fault, if it was inconclusive there, and
 #: if no assumed fault concerns it.
 _FAILS, _UNDECIDED, _NOISE = 0.93, 0.03, 0.003
+#: Probability that a case fails with another observation than in the self-test with an assumed fault.
+_DIFFERS = 0.25
 #: Probability that a case does not pass, if it was inconclusive in the self-test with an assumed fault.
 _PREVENTED = 0.5
 #: Log likelihood that a further fault must add; difference of log likelihoods below which explanations are equal.
@@ -74,12 +81,17 @@ class _Search:
         """Failed cases that a fault can explain that crashes a node."""
         self._behaved = {name for name, result in failed.items() if not only_died(result)}
         """Failed cases that any other fault can explain."""
+        self._observed = {name: observations(result) for name, result in failed.items()}
         self._chances: dict[str, dict[str, float]] = {}
         """By fault, by decided case: probability that the fault makes it fail (failed cases), or not pass (passed)."""
         self._faults: dict[str, Fault] = {}
         for fault in dictionary.faults:
             relevant = self._relevant(fault)
-            chances = dict.fromkeys(fault.fails & (relevant | passed), _FAILS)
+            alike = self._alike(fault)
+            chances = {
+                case: _DIFFERS if case in failed and case not in alike else _FAILS
+                for case in fault.fails & (relevant | passed)
+            }
             chances.update((case, _UNDECIDED) for case in fault.undecided & relevant)
             chances.update((case, _PREVENTED) for case in fault.undecided & passed)
             # A fault none of whose expected failures was observed cannot explain anything.
@@ -94,6 +106,16 @@ class _Search:
     def _relevant(self, fault: Fault) -> set[str]:
         """Return the failed cases that a fault of this kind can explain."""
         return self._crashed if fault.crashes else self._behaved
+
+    def _alike(self, fault: Fault) -> set[str]:
+        """Return the failed cases in which the observation is the same as with the fault, or was not recorded there."""
+        expected = fault.fails & self._relevant(fault)
+        if fault.crashes:
+            return set(expected)
+        known: dict[str, set[str]] = {}
+        for case, digest in fault.observed:
+            known.setdefault(case, set()).add(digest)
+        return {case for case in expected if case not in known or known[case] & self._observed[case]}
 
     def run(self) -> list[Fault]:
         """Return the most likely set of faults, in the order in which they were chosen."""
@@ -169,6 +191,7 @@ class _Search:
             share=len(explains) / len(self._failed),
             missing=tuple(sorted(fault.fails & self._passed)),
             expected=len(fault.fails & decided),
+            alike=len(self._alike(fault)),
             alternatives=tuple(self._faults[name].what for name in equal[:_ALTERNATIVES]),
             case=shown,
             check=check,

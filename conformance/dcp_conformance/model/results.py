@@ -121,6 +121,8 @@ class Probable(msgspec.Struct, frozen=True, kw_only=True):
     """Cases that should have failed with this fault, and passed."""
     expected: int
     """The number of decided cases that should fail with this fault."""
+    alike: int = 0
+    """The number of explained cases in which the same was observed as at a node with this fault, except numbers."""
     alternatives: tuple[str, ...] = ()
     """Other faults with the same consequences in this run."""
     case: str = ""
@@ -131,6 +133,11 @@ class Probable(msgspec.Struct, frozen=True, kw_only=True):
     """The frame that shows it best."""
     rerun: str = ""
     """The command that runs that case again."""
+
+    @property
+    def certain(self) -> bool:
+        """Whether several cases fail as with this fault, and at least half of them with the same observation."""
+        return len(self.explains) > 1 and 2 * self.alike >= len(self.explains)
 
 
 class Diagnosis(msgspec.Struct, frozen=True, kw_only=True):

@@ -16,7 +16,7 @@ from dcp_codec.common.printable import plain
 from dcp_conformance.model.results import CaseResult, RunResult
 from dcp_conformance.model.verdict import Verdict
 
-from .overview import certainty, deaths, diagnosed, headline
+from .overview import certainty, deaths, diagnosed, headline, sentence
 
 _COLUMNS: Final = ("requirement", "verdict", "document", "section", "step", "statement", "cases", "why")
 #: Colours of a badge. The contrast of each with white text is at least 4.5:1 (WCAG 2 AA).
@@ -131,7 +131,12 @@ def summary_markdown(run: RunResult) -> str:
         lines += ["", "## Diagnosis", "", f"{_cell(diagnosed(run))}.", ""]
         for number, fault in enumerate(run.diagnosis.faults, 1):
             names = ", ".join(fault.requirements)
-            lines.append(f"{number}. The implementation {_cell(fault.what)} ({names}); it {_cell(certainty(fault))}.")
+            told = sentence(fault)
+            lines.append(
+                f"{number}. {_cell(told[:1].upper() + told[1:])} ({names}). The fault {_cell(certainty(fault))}."
+            )
+            if not fault.certain and fault.check is not None and fault.check.observed:
+                lines.append(f"   Expected {_cell(fault.check.expected)}; observed {_cell(fault.check.observed)}.")
         for death in deaths(run):
             first = death.cases[0].id
             lines += ["", f"In {len(death.cases)} cases, first {first}, the implementation {_cell(death.how)}."]

@@ -61,6 +61,25 @@ def diagnosed(run: RunResult) -> str:
     return "; ".join(filter(None, [text, ended, unexplained]))
 
 
+def sentence(fault: Probable) -> str:
+    """Return what a probable fault says about the implementation.
+
+    It is a statement only if several cases fail as with the fault, at least half of them with the same observation.
+    Otherwise the sentence tells only which cases fail that fail for a node with the fault too.
+    """
+    if fault.certain:
+        return f"the implementation {fault.what}"
+    if len(fault.explains) == 1:
+        text = f"{fault.explains[0]} fails, as it does for a node that {fault.what}"
+    else:
+        text = f"{len(fault.explains)} cases fail that also fail for a node that {fault.what}"
+    if not fault.alike:
+        return f"{text}, but what was observed differs"
+    if fault.alike < len(fault.explains):
+        return f"{text}, but what was observed differs in {len(fault.explains) - fault.alike} of them"
+    return text
+
+
 def certainty(fault: Probable) -> str:
     """Return how well the failures of a run fit a fault, as a sentence without its subject."""
     hits = fault.expected - len(fault.missing)

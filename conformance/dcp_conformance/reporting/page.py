@@ -24,7 +24,7 @@ from dcp_conformance.model.verdict import Verdict
 
 from .frames import Frames
 from .glossary import terms, terms_of
-from .overview import certainty, deaths, diagnosed, headline, observed_readings
+from .overview import certainty, deaths, diagnosed, headline, observed_readings, sentence
 from .recordings import FOLDER
 from .references import requirement_links, section_link
 from .timeline import MOST_FRAMES, begin_of, collapse_repeats, timeline_of
@@ -98,6 +98,7 @@ def render(run: RunResult, codec: Codec | None) -> str:
             headline=headline(run),
             diagnosed=diagnosed(run),
             certainty=certainty,
+            sentence=sentence,
             keys={case["id"]: ("f-" if case["shown_above"] else "") + case["key"] for case in cases},
             summary=summary,
             number=sum(case.counted for case in run.cases),

@@ -6,13 +6,14 @@ import msgspec
 import pytest
 from dcp_conformance.diagnosis import Dictionary, Fault, explain, load
 from dcp_conformance.diagnosis.dictionary import decode, encode
+from dcp_conformance.diagnosis.observation import digest, pattern
 from dcp_conformance.errors import UpperTesterError
 from dcp_conformance.model.case import DECLARED, DENIED, all_cases
 from dcp_conformance.model.results import CaseResult, Check, Mark, RunResult
 from dcp_conformance.model.survival import SURVIVAL
 from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reporting.exports import summary_markdown
-from dcp_conformance.reporting.overview import diagnosed, headline
+from dcp_conformance.reporting.overview import diagnosed, headline, sentence
 from dcp_conformance.selftest.diagnosis import measuring
 from dcp_conformance.selftest.diagnosis.dictionary_making import signature
 from dcp_conformance.selftest.diagnosis.measuring import draw, outcome
@@ -116,6 +117,58 @@ def test_faults_with_the_same_consequences_are_alternatives() -> None:
     assert {found.faults[0].what, *found.faults[0].alternatives} == {"does X", "does Y"}
 
 
+def seen(fault: Fault, observed: dict[str, str]) -> Fault:
+    """The fault, with what is observed in its cases."""
+    texts = {
+        case: digest(Check(Verdict.FAIL, ("VD-RU-03",), "this", text, (Mark(9),))) for case, text in observed.items()
+    }
+    return msgspec.structs.replace(fault, observed=frozenset(texts.items()))
+
+
+def test_an_observation_is_compared_without_its_numbers() -> None:
+    assert pattern("3 beacons after 12.5 ms, numbers 17, 18 and 20") == "# beacon after # ms, numbers #"
+    assert pattern("1 beacon after 7 ms, numbers 4") == "# beacon after # ms, numbers #"
+    assert pattern("node 02:00:5e:00:00:1f holds 0aff00") == "node # hold #"
+    assert pattern("the name is facing the bad cafeteria") == "the name is facing the bad cafeteria"
+    assert pattern("increases by -3 (-4)") == "increases by # (#)"
+
+
+def test_one_case_with_another_observation_is_no_fault() -> None:
+    """It was told as a fact: "registers without a name", of an implementation that has another name."""
+    assert named(explain(results("a", "bc"), Dictionary((seen(fault("X", "a"), {"a": "no name"}),)))) == []
+    found = explain(results("a", "bc"), Dictionary((seen(fault("X", "a"), {"a": "that"}),)))
+    assert named(found) == ["X"]
+    assert sentence(found.faults[0]) == "a fails, as it does for a node that does X"
+
+
+def test_the_observation_decides_between_faults_with_the_same_cases() -> None:
+    known = Dictionary(
+        (seen(fault("X", "a", "b"), {"a": "no", "b": "no"}), seen(fault("Y", "a", "b"), {"a": "that", "b": "that"}))
+    )
+    (found,) = explain(results("ab"), known).faults
+    assert (found.fault, found.alike, found.alternatives) == ("Y", 2, ())
+    assert found.certain
+    assert sentence(found) == "the implementation does Y"
+
+
+def test_cases_with_other_observations_are_no_statement_about_the_implementation() -> None:
+    known = Dictionary((seen(fault("X", "a", "b", "c"), dict.fromkeys("abc", "by 2")),))
+    (found,) = explain(results("abc", "xyz"), known).faults
+    assert (found.alike, found.certain) == (0, False)
+    assert sentence(found) == "3 cases fail that also fail for a node that does X, but what was observed differs"
+    run = RunResult(cases=tuple(results("abc", "xyz")), diagnosis=explain(results("abc", "xyz"), known))
+    text = summary_markdown(run)
+    assert "1. 3 cases fail that also fail for a node that does X, but what was observed differs" in text
+    assert "   Expected this; observed that." in text
+
+
+def test_the_observations_of_a_fault_are_those_of_its_failed_cases() -> None:
+    for each in load().faults:
+        assert {case for case, _ in each.observed} <= each.fails
+        if each.fails and not each.crashes:
+            assert each.observed, f"run: dcp-conformance selftest --dictionary FILE {each.id}"
+
+
 def test_nothing_failed() -> None:
     found = explain(results("", "abc"), load())
     assert found.faults == ()
@@ -124,10 +177,13 @@ def test_nothing_failed() -> None:
 
 names = st.sampled_from("abcdefghij")
 faults = st.builds(
-    lambda name, fails, undecided: fault(name, *fails, undecided=tuple(undecided - fails)),
+    lambda name, fails, undecided, texts: seen(
+        fault(name, *fails, undecided=tuple(undecided - fails)), {case: texts[case] for case in fails & texts.keys()}
+    ),
     st.text("XYZ", min_size=1, max_size=4),
     st.frozensets(names),
     st.frozensets(names),
+    st.dictionaries(names, st.sampled_from(["this", "that"])),
 )
 
 

@@ -19,7 +19,7 @@ from dcp_conformance.errors import UsageError
 from dcp_conformance.model.results import CaseResult, Check, Probable, RunResult
 from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reporting.frames import Frames
-from dcp_conformance.reporting.overview import certainty
+from dcp_conformance.reporting.overview import certainty, sentence
 
 from .stimulus import Step, needs_calls, only, stimulus
 
@@ -50,7 +50,7 @@ def write_issues(run: RunResult, folder: Path, codec: Codec | None, minimise: Mi
             case = by_id.get(fault.case)
             if case is None or fault.check is None:
                 continue
-            name = f"{number:02d}-{_slug(fault.what)}"
+            name = f"{number:02d}-{_slug(fault.what if fault.certain else case.id)}"
             steps = stimulus(case, fault.check)
             places = [step.frame for step in steps if step.octets]
             needed = minimise(case, fault.check, places) if minimise is not None and not case.left_out else None
@@ -123,14 +123,17 @@ def _context(
     """Return the variables of the templates for one fault."""
     known = requirements()
     failed = [check for check in case.checks if check.verdict is Verdict.FAIL]
+    sut = " ".join(filter(None, (run.sut.name, run.sut.version))) or "the implementation"
     link = run.sut.link.split(":")
     udp = link[0] == "udp"
     return {
         "run": run,
-        "sut": " ".join(filter(None, (run.sut.name, run.sut.version))) or "the implementation",
+        "sut": sut,
         "fault": fault,
         "case": case,
         "certainty": certainty(fault),
+        "sentence": sentence(fault),
+        "title": _title(fault, sut),
         "entries": [known[each] for each in fault.requirements if each in known],
         "checks": [
             {"expected": check.expected, "observed": check.observed, "frames": _shown(case, check, frames)}
@@ -148,6 +151,14 @@ def _context(
         "port": int(link[2]) if udp and len(link) > 2 and link[2].isdigit() else 0,
         "recording": os.fspath(Path(case.recording).name) if case.recording else "",
     }
+
+
+def _title(fault: Probable, sut: str) -> str:
+    """Return the fault if it is certain; else what was expected and observed, which does not depend on the fault."""
+    if fault.certain or fault.check is None:
+        return f"{sut} {fault.what}"
+    observed = f"; observed {fault.check.observed}" if fault.check.observed else ""
+    return f"{sut}: expected {fault.check.expected}{observed}"
 
 
 def _shown(case: CaseResult, check: Check, frames: Frames) -> list[dict[str, Any]]:

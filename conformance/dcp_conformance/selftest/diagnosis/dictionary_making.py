@@ -9,6 +9,7 @@ from concurrent.futures import as_completed
 from typing import Final, NamedTuple, NoReturn
 
 from dcp_conformance.diagnosis.dictionary import Dictionary, Fault
+from dcp_conformance.diagnosis.observation import observations
 from dcp_conformance.model.case import SANITY
 from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.selftest.mutants import Mutant, all_mutants
@@ -54,12 +55,15 @@ def _task(name: str) -> Outcome:
 def signature(mutant: Mutant) -> Outcome:
     """Run every case against the mutant, and return its signature."""
     verdicts: dict[str, Verdict] = {}
+    observed: set[tuple[str, str]] = set()
     before = signal.signal(signal.SIGPROF, _out_of_time)
     signal.setitimer(signal.ITIMER_PROF, _PATIENCE)
     complete = False
     try:
         for result in Suite(mutant.profile, mutant.make).run(cases()):
             verdicts[result.id] = result.verdict
+            if result.verdict is Verdict.FAIL and result.id != SANITY:
+                observed.update((result.id, digest) for digest in observations(result))
         complete = True
     except _OutOfTimeError:
         pass
@@ -73,6 +77,7 @@ def signature(mutant: Mutant) -> Outcome:
         what=mutant.what,
         fails=frozenset(case for case, verdict in verdicts.items() if verdict is Verdict.FAIL),
         undecided=frozenset(case for case, verdict in verdicts.items() if verdict is Verdict.INCONCLUSIVE),
+        observed=frozenset(observed),
     )
     return Outcome(fault, complete)
 
