@@ -93,7 +93,7 @@ class Station:
     """The longest description that it has sent, in octets."""
     holds: dict[int, int] = field(default_factory=dict)
     """Variable -> the sequence number that it stated last."""
-    said: dict[int, int] = field(default_factory=dict)
+    stated_at: dict[int, int] = field(default_factory=dict)
     """Variable -> value of ``beacons`` when it stated the number last."""
     had: dict[int, int] = field(default_factory=dict)
     """Variable that it has deleted -> the latest creation time that it can have known."""

@@ -162,7 +162,7 @@ class Observer:
             self._hold(station, self.variables[var_id], None)
         for var_id in station.had:
             self.variables[var_id].deleted &= ~station.bit
-        station.said.clear()
+        station.stated_at.clear()
         station.had.clear()
 
     def _drop_all(self, station: Station) -> None:
@@ -241,7 +241,7 @@ class Observer:
                     station.open.pop(var_id, None)
         for kind, _, ids in seen.parts:
             if kind is SUMMARY or kind is UPDATE or kind is CREATE:
-                station.said.update(dict.fromkeys(ids, station.beacons))
+                station.stated_at.update(dict.fromkeys(ids, station.beacons))
         return stated
 
     def _states(self, station: Station, variable: Variable, each: Statement, opened: Occasions | None) -> None:
@@ -442,7 +442,7 @@ class Observer:
     def _catch_up(self, station: Station) -> None:
         """Open the occasions of a node from the events since its last beacon."""
         log, bit, beacons, opened_of = self._log, station.bit, station.beacons, station.open
-        said, oldest = station.said, max(station.gap, beacons - _FRESH)
+        said, oldest = station.stated_at, max(station.gap, beacons - _FRESH)
         waiting = station.waiting
         for _, kind, var_id, cause, speaker, late_half, length, time in [
             event for event in log[station.cursor - self._dropped :] if event[0] & bit
