@@ -21,7 +21,7 @@ from dcp_conformance.fuzz.findings.artefact import SavedTarget
 from dcp_conformance.fuzz.findings.replaying import stack_target
 from dcp_conformance.fuzz.generate.sequence_batches import Lifetimes
 from dcp_conformance.fuzz.generate.sequences import Sequences
-from dcp_conformance.fuzz.generate.sweep import Swept
+from dcp_conformance.fuzz.generate.sweep import SweepFirst
 from dcp_conformance.selftest.mutants import Mutant, all_mutants
 
 from dcp_codec.codec import Codec
@@ -63,7 +63,7 @@ def campaign_on(mutant: Mutant, seconds: float, seed: int) -> dict[str, Any]:
     rng = random.Random(f"{seed}/0")
     mutator = Mutator(codec, rng, drawn_pool(codec, rng))
     target = stack_target(codec, mutant.id)
-    sequences = Lifetimes(Swept(Sequences(codec, rng, target.own_id, mutator), codec))
+    sequences = Lifetimes(SweepFirst(Sequences(codec, rng, target.own_id, mutator), codec))
     saved = SavedTarget("stack", target.name, mutant.id)
     campaign = Campaign(codec, target, sequences, saved, seed, mutator=mutator, own_id=target.own_id)
     seen: list[float] = []

@@ -12,7 +12,7 @@ from pathlib import Path
 _ROOT = 0
 
 
-def distrust(path: Path, *, owners: Collection[int] = ()) -> str | None:
+def untrusted_writer(path: Path, *, owners: Collection[int] = ()) -> str | None:
     """Describe which other user can change ``path``; None if only this user, root and ``owners`` (user ids) can.
 
     Checks the file or folder itself, the target of a link, and all folders above both. A folder with the sticky bit

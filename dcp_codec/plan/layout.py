@@ -181,7 +181,7 @@ class ValueTypes:
         ]
         return names, foreign
 
-    def homeless(self, group: Group) -> list[str]:
+    def attributes_without_field(self, group: Group) -> list[str]:
         """Return the attributes of the value class that this layout lacks: they must be None (``extra``: empty)."""
         names, foreign = self.slots(group)
         placed = {self.attribute(group, member) for member in group.members} | ({"extra"} if foreign else set())

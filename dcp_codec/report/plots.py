@@ -75,7 +75,7 @@ def short_names(names: dict[int, str]) -> dict[int, str]:
     return dict(names)
 
 
-class Thinned:
+class Downsampled:
     """Reduces the series of one plot to fewer points, and counts the points."""
 
     def __init__(self, series: int) -> None:
@@ -222,7 +222,7 @@ def positions(context: PlotContext) -> list[Plot]:
     }
     if not place:
         return []
-    unit, plan, height = context.recorded.units, Thinned(len(place)), Thinned(len(place))
+    unit, plan, height = context.recorded.units, Downsampled(len(place)), Downsampled(len(place))
     drawn, high = {}, {}
     for node, rows in place.items():
         at, x, y, z = time.seconds(reports["time"][rows]), *(reports[axis][rows] for axis in "xyz")
@@ -260,7 +260,7 @@ def usable(reports: dict[str, Column]) -> Column:
 
 def values(context: PlotContext, found: Values) -> list[Plot]:
     """Plot sequence numbers, and values that can be read as numbers, over time."""
-    modulus, thinned, series = context.recorded.number_modulus, Thinned(len(context.variables)), []
+    modulus, thinned, series = context.recorded.number_modulus, Downsampled(len(context.variables)), []
     for number, each in enumerate(context.variables):
         rows, count, created = counted(context.recorded, found, each)
         kept = thinned.rows(np.arange(rows.size), found.time[rows], count, np.flatnonzero(created))
@@ -291,7 +291,7 @@ def values(context: PlotContext, found: Values) -> list[Plot]:
     numbers = [each for each in context.variables if numeric(found, each)]
     if not numbers:
         return plots
-    thinned = Thinned(len(numbers))
+    thinned = Downsampled(len(numbers))
     lines = [
         (each, thinned.rows(rows, found.time[rows], found.number[rows]))
         for each in numbers
@@ -317,7 +317,7 @@ def delays(context: PlotContext, passed: Passings) -> list[Plot]:
     """Plot the delays of the dissemination of values."""
     ours = passed.counted & np.isin(passed.node, context.nodes)
     nodes = [node for node in context.nodes if (ours & (passed.node == node)).any()]
-    series, thinned = [], Thinned(len(nodes))
+    series, thinned = [], Downsampled(len(nodes))
     for node in nodes:
         rows = np.flatnonzero(ours & (passed.node == node))
         rows = rows[np.argsort(passed.time[rows], kind="stable")]
@@ -359,7 +359,7 @@ def load(context: PlotContext, parts: Sequence[Part]) -> Plot:
 
 def anomalies(context: PlotContext, times: dict[str, Column]) -> Plot:
     """Plot the times of anomalies by kind."""
-    thinned = Thinned(len(KINDS))
+    thinned = Downsampled(len(KINDS))
     kept = {kind: thinned.rows(at, at, np.zeros(at.size)) for kind in KINDS for at in [np.sort(times[kind])]}
     caption = (
         "Malformed frames, gaps in sequence numbers, restarts (numbers that go back), repeated numbers, and a clock "

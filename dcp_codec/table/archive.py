@@ -92,7 +92,7 @@ def make(order: Order, advance: Advance = lambda _octets: None) -> list[Outcome]
     _check(order)
     try:
         order.out.parent.mkdir(parents=True, exist_ok=True)
-        with _workshop(order.out) as folder:
+        with _temporary_folder(order.out) as folder:
             outcomes = _run(order, _jobs(order, folder), advance)
             if all(outcome.failure is not None for outcome in outcomes):
                 return outcomes
@@ -127,7 +127,7 @@ def _check(order: Order) -> None:
 
 
 @contextmanager
-def _workshop(out: Path) -> Iterator[Path]:
+def _temporary_folder(out: Path) -> Iterator[Path]:
     """Provide a temporary folder beside ``out``, so that the output can be renamed into place; delete it on exit."""
     folder = Path(tempfile.mkdtemp(prefix=f".{out.name}.", dir=out.parent))
     try:

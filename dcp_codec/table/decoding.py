@@ -20,7 +20,7 @@ from .kernel.compiled import compiled, interpreted
 from .kernel.generator import result_names
 from .kernel.lines import DONE, FULL, POOL_FULL
 from .kernel.pools import Pool
-from .kernel.row_buffer import MOVED, OF_A_FRAME, Stage
+from .kernel.row_buffer import MOVED, OF_A_FRAME, StagingRows
 from .kernel.shape import ERRORS, Shape
 
 Integers = npt.NDArray[np.int64]
@@ -111,7 +111,7 @@ class ColumnDecoder:
         self._decode = interpreted(self.shape) if interpret else compiled(self.shape)
         self._room, self._space = room, space
         self._moved = min(MOVED, room)
-        self._stage = self._stage_for(OF_A_FRAME)
+        self._stage = self._staging_rows(OF_A_FRAME)
         self._storage = Storage(self.shape.tables)
         self._results = np.zeros(len(result_names(self.shape)), np.int64)
         self._addresses = Pool(6, mac)
@@ -138,7 +138,7 @@ class ColumnDecoder:
             elif status == FULL:
                 # A single frame does not fit: decode it with a larger stage, and the next ones with the usual one.
                 size = int(block.stops[first] - block.starts[first])
-                space, stage = max(space, size), self._stage_for(size)
+                space, stage = max(space, size), self._staging_rows(size)
             if status == POOL_FULL:
                 # Use empty pools, or larger ones if not even one frame fits into empty pools.
                 grow = fresh and not moved
@@ -148,12 +148,12 @@ class ColumnDecoder:
                 assert status in (DONE, FULL)
             fresh = status == POOL_FULL
 
-    def _stage_for(self, octets: int) -> Stage:
+    def _staging_rows(self, octets: int) -> StagingRows:
         """Return a stage for frames of up to ``octets`` octets."""
-        return Stage(self.shape, max(octets, OF_A_FRAME), self._moved, self._room)
+        return StagingRows(self.shape, max(octets, OF_A_FRAME), self._moved, self._room)
 
     def _call(
-        self, block: Block, first: int, space: int, stage: Stage, memory: Memory, bad: Integers
+        self, block: Block, first: int, space: int, stage: StagingRows, memory: Memory, bad: Integers
     ) -> tuple[int, int]:
         addresses, nodes, link = self._addresses, self._nodes, self.link
         udp = link.transport == "udp"

@@ -189,13 +189,13 @@ def _attachment(path: Path, golden: Golden, frames: list[Frame]) -> Iterator[str
         if (digest := _sha256(original)) != golden.original_sha256:
             yield f"{golden.original} has the SHA-256 {digest}, not {golden.original_sha256 or 'stated'}"
         with open_capture(original) as reader:
-            for number, (theirs, ours) in enumerate(zip_longest(map(_essence, reader), map(_essence, frames)), start=1):
+            for number, (theirs, ours) in enumerate(zip_longest(map(_content, reader), map(_content, frames)), start=1):
                 if theirs != ours:
                     yield f"{golden.original} and the file differ from frame {number} on"
                     return
 
 
-def _essence(frame: Frame) -> tuple[int, bytes, int]:
+def _content(frame: Frame) -> tuple[int, bytes, int]:
     return frame.time_ns, frame.data, frame.orig_len
 
 

@@ -48,7 +48,7 @@ class _Shape(NamedTuple):
 
     attributes: list[str | None]
     foreign: list[Node]
-    homeless: list[str]
+    attributes_without_field: list[str]
 
 
 class _Explainer:
@@ -63,7 +63,7 @@ class _Explainer:
         found = self._shapes.get(group)
         if found is None:
             attributes = [self.types.attribute(group, member) for member in group.members]
-            found = _Shape(attributes, self.types.slots(group)[1], self.types.homeless(group))
+            found = _Shape(attributes, self.types.slots(group)[1], self.types.attributes_without_field(group))
             self._shapes[group] = found
         return found
 
@@ -150,7 +150,7 @@ class _Explainer:
 
     def members(self, group: Group, value: Any, path: str) -> dict[str, Any]:
         """Return the stored members of a record by name."""
-        attributes, foreign, homeless = self.shape(group)
+        attributes, foreign, attributes_without_field = self.shape(group)
         extra: Any = getattr(value, "extra", ()) or tuple(zero(member) for member in foreign)
         if foreign:
             names = ", ".join(member.name for member in foreign)
@@ -158,7 +158,7 @@ class _Explainer:
                 raise EncodeError(_join(path, "extra"), f"needs a tuple ({names}), not {type(extra).__name__}")
             if len(extra) != len(foreign):
                 raise EncodeError(_join(path, "extra"), f"needs {len(foreign)} entries ({names}), not {len(extra)}")
-        for name in homeless:
+        for name in attributes_without_field:
             if getattr(value, name) if name == "extra" else getattr(value, name) is not None:
                 raise EncodeError(_join(path, name), "this layout has no place for it; leave it out")
         siblings: dict[str, Any] = {}

@@ -131,7 +131,7 @@ class _Generator:
         # Refuse values that the layout cannot carry; they must not be lost silently.
         lost = [
             f"{value}.extra" if name == "extra" else f"{value}.{name} is not None"
-            for name in self.types.homeless(group)
+            for name in self.types.attributes_without_field(group)
         ]
         if lost:
             with source.block(f"if {' or '.join(lost)}:"):

@@ -290,12 +290,12 @@ class Driver:
         self._housekeeping = now + HOUSEKEEPING_INTERVAL
         if self._recorder is not None:
             self._recorder.tick()
-        self._tell_obstacles(now)
+        self._log_obstacles(now)
         for control in self._controls:
             for channel in control.channels:
                 channel.busy = True
 
-    def _tell_obstacles(self, now: int) -> None:
+    def _log_obstacles(self, now: int) -> None:
         """Log obstacles: each kind, variable and neighbour once, at most one line per ``OBSTACLE_INTERVAL``."""
         if self.node.vardis is None or now < self._obstacles_told + OBSTACLE_INTERVAL:
             return

@@ -8,7 +8,7 @@ import stat
 from pathlib import Path
 from typing import NamedTuple
 
-from dcp_codec.common.trust import distrust
+from dcp_codec.common.trust import untrusted_writer
 
 
 class PrivilegeError(Exception):
@@ -37,7 +37,7 @@ def find_user(name: str) -> User:
 def roots_alone(folder: Path) -> bool:
     """Whether only root can create, replace or remove anything in a folder, and the folder itself."""
     try:
-        return not folder.stat().st_mode & (stat.S_IWGRP | stat.S_IWOTH) and distrust(folder) is None
+        return not folder.stat().st_mode & (stat.S_IWGRP | stat.S_IWOTH) and untrusted_writer(folder) is None
     except OSError:
         return False
 

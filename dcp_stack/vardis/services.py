@@ -85,7 +85,7 @@ class VariableServices:
         ##= VD-CRE-07
         if not 1 <= rep_cnt <= min(self._core.parameters.max_repetitions, self._core.sizes.highest_rep_cnt):
             return self._confirm(VardisStatus.ILLEGAL_REPCOUNT)
-        creation_time = self._later_than_heard(var_id, self._creation_time(entry, wall))
+        creation_time = self._later_than_received(var_id, self._creation_time(entry, wall))
         ##= VD-TYP-05
         spec = self._core.config.codec.var_spec_type(
             var_id=var_id,
@@ -272,7 +272,7 @@ class VariableServices:
         ##= VD-CRE-09 | exception: later than the stored creation, if the system time is not (X38)
         return max(stamp, known + 1) if known is not None and self._steady else stamp
 
-    def _later_than_heard(self, var_id: int, creation_time: int | None) -> int | None:
+    def _later_than_received(self, var_id: int, creation_time: int | None) -> int | None:
         """Return a creation time later than those that neighbours still send with this node as producer (X38).
 
         After a restart of this node with a slow clock they still have its earlier variable, and would ignore a

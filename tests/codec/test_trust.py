@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from dcp_codec.common import atomic_write as wholefile
-from dcp_codec.common.trust import distrust, invoking_user
+from dcp_codec.common.trust import invoking_user, untrusted_writer
 from dcp_codec.network import sockets
 
 needs_root = pytest.mark.skipif(os.geteuid() != 0, reason="only root can give files away")
@@ -20,7 +20,7 @@ def test_own_files_are_trusted(tmp_path: Path) -> None:
     file = tmp_path / "file"
     file.write_text("")
     file.chmod(0o644)
-    assert distrust(file) is None
+    assert untrusted_writer(file) is None
 
 
 @pytest.mark.parametrize("which", ["file", "folder", "above"])
@@ -31,7 +31,7 @@ def test_what_everybody_can_change_is_not(tmp_path: Path, which: str) -> None:
     file.write_text("")
     changed = {"file": file, "folder": folder, "above": folder.parent}[which]
     changed.chmod(0o777)
-    assert str(distrust(file)).startswith(f"{changed} can be changed by every user")
+    assert str(untrusted_writer(file)).startswith(f"{changed} can be changed by every user")
 
 
 def test_a_link_is_followed_to_where_it_leads(tmp_path: Path) -> None:
@@ -39,19 +39,19 @@ def test_a_link_is_followed_to_where_it_leads(tmp_path: Path) -> None:
     open_folder.mkdir()
     (open_folder / "file").write_text("")
     (tmp_path / "link").symlink_to(open_folder / "file")
-    assert distrust(tmp_path / "link") is None
+    assert untrusted_writer(tmp_path / "link") is None
     open_folder.chmod(0o777)
-    assert str(open_folder) in str(distrust(tmp_path / "link"))
+    assert str(open_folder) in str(untrusted_writer(tmp_path / "link"))
     # A link in an open folder can be replaced, wherever it leads.
     (tmp_path / "file").write_text("")
     (open_folder / "back").symlink_to(tmp_path / "file")
-    assert str(open_folder) in str(distrust(open_folder / "back"))
+    assert str(open_folder) in str(untrusted_writer(open_folder / "back"))
 
 
 def test_others_cannot_replace_files_in_a_sticky_folder(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     tmp_path.chmod(0o1777)
-    assert distrust(tmp_path / "file") is None
+    assert untrusted_writer(tmp_path / "file") is None
 
 
 @needs_root
@@ -59,17 +59,17 @@ def test_owners_and_groups(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     file = tmp_path / "file"
     file.write_text("")
     os.chown(file, 65534, 65534)
-    assert "belongs to user nobody" in str(distrust(file))
-    assert distrust(file, owners=(65534,)) is None
+    assert "belongs to user nobody" in str(untrusted_writer(file))
+    assert untrusted_writer(file, owners=(65534,)) is None
     monkeypatch.setenv("SUDO_UID", "65534")
     assert invoking_user() == (65534,)
     monkeypatch.setenv("SUDO_UID", "nobody")
     assert invoking_user() == ()
     os.chown(file, 0, 65534)
     file.chmod(0o664)
-    assert "can be changed by group nogroup" in str(distrust(file))
+    assert "can be changed by group nogroup" in str(untrusted_writer(file))
     os.chown(file, 0, 0)
-    assert distrust(file) is None
+    assert untrusted_writer(file) is None
 
 
 def test_a_file_is_on_the_disk_before_it_has_its_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -130,7 +130,7 @@ class Connection:
             for line in daemon.makefile("rb"):
                 message = json.loads(line)
                 method = self._pending.pop(message.get("id"), "") if "method" not in message else ""
-                self._say(self._as_told(method, message))
+                self._say(self._as_violation(method, message))
         except (OSError, ValueError):
             pass
         self._give_up()
@@ -145,7 +145,7 @@ class Connection:
             elif kind == "status":
                 self._say({"jsonrpc": "2.0", "id": number, "result": {"status": FOREIGN_STATUS}})
 
-    def _as_told(self, method: str, message: Message) -> Message:
+    def _as_violation(self, method: str, message: Message) -> Message:
         """The daemon's answer, or what this adapter makes of it."""
         result = message.get("result")
         if not isinstance(result, dict):

@@ -10,8 +10,8 @@ from dcp_conformance.errors import ConformanceError, UsageError
 from dcp_conformance.execution.runner import Runner
 from dcp_conformance.execution.target import Target
 from dcp_conformance.fuzz import Call, Campaign, Frame, Limits, Wait
-from dcp_conformance.fuzz.execute.live import LiveTarget, UnhealthyError
-from dcp_conformance.fuzz.execute.liveness import ailing
+from dcp_conformance.fuzz.execute.live import LiveTarget, NotAliveError
+from dcp_conformance.fuzz.execute.liveness import lifelessness
 from dcp_conformance.fuzz.findings.artefact import SavedTarget
 from dcp_conformance.fuzz.findings.replaying import stack_target
 from dcp_conformance.fuzz.generate.sequence_batches import Joined
@@ -67,7 +67,7 @@ def test_a_peer_that_does_not_answer_is_not_fuzzed():
             Silent.heard += octets == b"frame of the fuzzer"
 
     target = LiveTarget(opened(lambda c, r, n, w: Silent(c, rng=r, now=n, wall=w)))
-    with pytest.raises(UnhealthyError, match="not healthy, so nothing was sent"):
+    with pytest.raises(NotAliveError, match="not healthy, so nothing was sent"):
         target.run([Frame(b"frame of the fuzzer")])
     assert Silent.heard == 0
 
@@ -170,7 +170,7 @@ def test_a_finding_is_kept_although_the_peer_stays_dead(tmp_path):
     assert target.control is not None
     target.control.can_restart = False
     campaign = Campaign(CODEC, target, Joined(sequences(), 10), SavedTarget("live"), 1, directory=tmp_path)
-    with pytest.raises(UnhealthyError, match="no command to restart"):
+    with pytest.raises(NotAliveError, match="no command to restart"):
         campaign.run(Limits(cases=50, findings=1))
     [artefact] = campaign.artefacts
     assert not artefact.minimised
@@ -242,7 +242,7 @@ def test_one_that_is_not_healthy_after_its_restart_ends_the_campaign_with_what_w
     target = LiveTarget(frail(1 << 62))
     generator = type("Drawn", (), {"kinds": ("drawn",), "draw": lambda self: [Frame(b"\1"), Frame(BAD)]})()
     campaign = Campaign(CODEC, target, generator, SavedTarget("live"), 1, directory=tmp_path, by_cause=True)
-    with pytest.raises(UnhealthyError, match="not healthy after its restart"):
+    with pytest.raises(NotAliveError, match="not healthy after its restart"):
         campaign.run(Limits(cases=5))
     assert len(list(tmp_path.glob("mute-*.json"))) == 1
 
@@ -272,7 +272,7 @@ def test_a_restart_that_fails_is_said():
             raise ConformanceError("--restart: the command ended with exit status 1")
 
     target.control = Broken()
-    with pytest.raises(UnhealthyError, match="cannot be restarted: --restart: the command ended with exit status 1"):
+    with pytest.raises(NotAliveError, match="cannot be restarted: --restart: the command ended with exit status 1"):
         target.run([Frame(b"\1")])
 
 
@@ -295,7 +295,7 @@ def test_a_node_without_vardis_is_alive_when_it_beacons():
     )
     upper = where.runner.control.upper_tester()
     upper.call("SRP-UpdateSafetyData", {"sData": {"x": 1.0, "y": 2.0, "z": 3.0}})
-    assert ailing(Bench(where.runner.session, next(iter(all_cases().values()))), None) is None
+    assert lifelessness(Bench(where.runner.session, next(iter(all_cases().values()))), None) is None
 
 
 @pytest.mark.parametrize(("count", "kind"), [(5, "said"), (250, None)])

@@ -16,7 +16,7 @@ from dcp_conformance.fuzz.findings.replaying import stack_target
 from dcp_conformance.fuzz.generate.samples import Samples
 from dcp_conformance.fuzz.generate.sequence_batches import Batches, Joined, Lifetimes
 from dcp_conformance.fuzz.generate.sequences import Sequences
-from dcp_conformance.fuzz.generate.sweep import Swept
+from dcp_conformance.fuzz.generate.sweep import SweepFirst
 from dcp_conformance.selftest.mutants import all_mutants
 
 from dcp_codec.testing.mutation import Mutator, drawn_pool
@@ -49,7 +49,7 @@ class Mixed:
 def campaign_on(make, generator, seed=1) -> Campaign:
     target = LiveTarget(opened(make))
     saved = SavedTarget("live", target.name)
-    return Campaign(CODEC, target, generator, saved, seed, by_cause=True, budget=200, fresh=target.run_afresh)
+    return Campaign(CODEC, target, generator, saved, seed, by_cause=True, budget=200, fresh=target.run_after_restart)
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -137,7 +137,7 @@ def test_findings_of_one_fault_are_one_cause_and_all_faults_are_found_soon(seed)
     """A node with seven faults: seven causes come out, however many fields there are to cut a record at."""
     rng = random.Random(seed)
     mutator = Mutator(CODEC, rng, drawn_pool(CODEC, rng, 60))
-    sequences = Swept(Sequences(CODEC, rng, OWN, mutator), CODEC)
+    sequences = SweepFirst(Sequences(CODEC, rng, OWN, mutator), CODEC)
     faults = [fault for fault in FAULTS if fault != "unknown-type"]
     campaign = campaign_on(make_of(deadly=faults, silent=["unknown-type"]), Batches(sequences, 20), seed)
     campaign.run(Limits(cases=40))
@@ -159,7 +159,7 @@ def found_in_process(mutant: str, findings: int = 2) -> Campaign:
     target = stack_target(CODEC, mutant)
     drawn = Sequences(CODEC, rng, target.own_id, Mutator(CODEC, rng, drawn_pool(CODEC, rng, 60)))
     saved = SavedTarget("stack", target.name, mutant)
-    campaign = Campaign(CODEC, target, Lifetimes(Swept(drawn, CODEC)), saved, 1, own_id=target.own_id)
+    campaign = Campaign(CODEC, target, Lifetimes(SweepFirst(drawn, CODEC)), saved, 1, own_id=target.own_id)
     campaign.run(Limits(cases=400, findings=findings))
     return campaign
 
@@ -203,7 +203,7 @@ def test_a_container_that_is_skipped_is_named_from_outside_too():
     drawn = Sequences(CODEC, rng, OWN, Mutator(CODEC, rng, drawn_pool(CODEC, rng, 60)))
     saved = SavedTarget("differential", target.name)
     campaign = Campaign(
-        CODEC, target, Joined(drawn, 1), saved, 1, by_cause=True, fresh=target.run_afresh, own_id=OWN, budget=200
+        CODEC, target, Joined(drawn, 1), saved, 1, by_cause=True, fresh=target.run_after_restart, own_id=OWN, budget=200
     )
     campaign.run(Limits(cases=300, findings=1))
     [artefact] = campaign.artefacts

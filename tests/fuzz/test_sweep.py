@@ -9,7 +9,7 @@ import pytest
 from dcp_conformance.fuzz import Frame
 from dcp_conformance.fuzz.generate.samples import Samples
 from dcp_conformance.fuzz.generate.sequence_batches import Batches
-from dcp_conformance.fuzz.generate.sweep import Sweep, Swept
+from dcp_conformance.fuzz.generate.sweep import Sweep, SweepFirst
 from dcp_conformance.fuzz.reduce.anatomy import Anatomy
 from dcp_conformance.fuzz.reduce.anomalies import anomalies, kinds_of
 from dcp_conformance.fuzz.reduce.repairs import Repairs
@@ -91,7 +91,7 @@ class Endless:
 
 def test_a_campaign_that_is_resumed_goes_on_with_its_sweep_and_then_with_others():
     whole = Sweep(CODEC).sequences()
-    first, rest = Swept(Endless(), CODEC), Swept(Endless(), CODEC, done=7)
+    first, rest = SweepFirst(Endless(), CODEC), SweepFirst(Endless(), CODEC, done=7)
     drawn = [first.draw() for _ in range(7)] + [rest.draw() for _ in range(len(whole) - 7)]
     assert drawn == whole
     assert rest.kinds == ("sweep",)
@@ -100,7 +100,7 @@ def test_a_campaign_that_is_resumed_goes_on_with_its_sweep_and_then_with_others(
 
 
 def test_tests_on_the_air_have_many_frames_of_a_sweep():
-    assert len(Batches(Swept(Endless(), CODEC), 20).draw()) == 20
+    assert len(Batches(SweepFirst(Endless(), CODEC), 20).draw()) == 20
 
 
 # -- anatomy, repairs ------------------------------------------------------------------------------------------

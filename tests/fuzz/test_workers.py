@@ -321,9 +321,9 @@ def test_a_worker_that_is_stopped_while_it_makes_something_small_tells_what_it_h
 def test_a_stop_that_came_before_is_heeded_and_comes_once():
     stop = Stop()
     stop(signal.SIGTERM, None)
-    with pytest.raises(KeyboardInterrupt), stop.heeded():
+    with pytest.raises(KeyboardInterrupt), stop.interruptible_by_signals():
         pytest.fail("it goes on")
-    with pytest.raises(KeyboardInterrupt), Stop().heeded() as _:
+    with pytest.raises(KeyboardInterrupt), Stop().interruptible_by_signals() as _:
         raise KeyboardInterrupt
     stop(signal.SIGTERM, None)
 

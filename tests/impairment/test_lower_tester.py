@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import pytest
 from dcp_conformance.errors import UsageError
-from dcp_conformance.impairment import Directions, ImpairedLowerTester, impaired, parse_directions, told
+from dcp_conformance.impairment import Directions, ImpairedLowerTester, impaired, incidents_text, parse_directions
 from dcp_conformance.lower_tester import Arrival, Incident, LinkHealth
 
 from dcp_codec.impairment import Impairment, parse_impairment
@@ -237,10 +237,15 @@ def test_what_makes_no_sense_is_refused(texts: list[str], said: str) -> None:
 
 def test_incidents_in_words() -> None:
     found = [Incident(True, "lost", b""), Incident(False, "lost", b""), Incident(True, "corrupted", b"")]
-    assert told(found, [12, 0, 13]) == (
+    assert incidents_text(found, [12, 0, 13]) == (
         "lost on the impaired link: frame 12 to the implementation, 1 beacon of the implementation; "
         "corrupted on the impaired link: frame 13 to the implementation"
     )
     many = [Incident(True, "lost", b"")] * 5
-    assert told(many, [1, 2, 3, 4, 5]) == ("lost on the impaired link: frames 1, 2, 3 and 2 more to the implementation")
-    assert told([Incident(True, "reordered", b"")], [0]) == "held back on the impaired link: 1 frame of an earlier case"
+    assert incidents_text(many, [1, 2, 3, 4, 5]) == (
+        "lost on the impaired link: frames 1, 2, 3 and 2 more to the implementation"
+    )
+    assert (
+        incidents_text([Incident(True, "reordered", b"")], [0])
+        == "held back on the impaired link: 1 frame of an earlier case"
+    )

@@ -4,7 +4,13 @@ from collections import Counter
 from importlib import resources
 
 import pytest
-from dcp_spec.catalogue.readings import UnknownReadingError, differs_from_reference, reading, readings, told
+from dcp_spec.catalogue.readings import (
+    UnknownReadingError,
+    differs_from_reference,
+    reading,
+    readings,
+    with_reference_reading,
+)
 from dcp_spec.catalogue.requirements import depending_on
 
 ENTRIES = list(readings().values())
@@ -94,4 +100,4 @@ def test_an_observed_alternative_is_compared_with_the_reference(
     reading_id: str, observed: str, differs: bool, said: str
 ):
     assert differs_from_reference(reading_id, observed) is differs
-    assert told(reading_id, observed) == said
+    assert with_reference_reading(reading_id, observed) == said

@@ -19,7 +19,7 @@ from dcp_conformance.model.verdict import Verdict
 
 from .lifetimes import Lifetimes
 from .senders import Senders
-from .statements import CREATE, DELETE, SUMMARY, UPDATE, Part, Statement, parts_of, said_of, speaker
+from .statements import CREATE, DELETE, SUMMARY, UPDATE, Part, Statement, parts_of, speaker, statement_of
 from .stations import Origin, Stations
 
 #: Maximum number of findings of one verdict that an invariant keeps with their frames; further ones are only counted.
@@ -44,7 +44,7 @@ class Trace(NamedTuple):
 class News(NamedTuple):
     """A record other than a summary that repeats the sequence number which the node stated last."""
 
-    said: Statement
+    statement: Statement
     """The record."""
     before: Statement | None
     """The node's previous create, update or summary of the variable. None if there is none, if beacons of the node are
@@ -61,7 +61,7 @@ class Seen:
     __slots__ = (
         "_codec",
         "_dissection",
-        "_said",
+        "_statements",
         "again",
         "destination",
         "frame",
@@ -97,7 +97,7 @@ class Seen:
         self.destination = destination
         self._codec = codec
         self._dissection: Dissection | None = None
-        self._said: tuple[Statement, ...] | None = None
+        self._statements: tuple[Statement, ...] | None = None
         # Nearly all rules need these, for each frame: properties would cost more than the rules.
         self.sound = not heard.problems and heard.beacon is not None
         """Whether the strict decoder accepts the frame; the dissection of such a frame has no errors."""
@@ -121,12 +121,14 @@ class Seen:
         return self._dissection
 
     @property
-    def said(self) -> tuple[Statement, ...]:
+    def statements(self) -> tuple[Statement, ...]:
         """All VarDis records of the frame in their order. Prefer ``parts`` or ``news``, which cost less."""
-        if self._said is None:
-            found = [said_of(part.kind, each, self.heard, self.sender) for part in self.parts for each in part.records]
-            self._said = tuple(found)
-        return self._said
+        if self._statements is None:
+            found = [
+                statement_of(part.kind, each, self.heard, self.sender) for part in self.parts for each in part.records
+            ]
+            self._statements = tuple(found)
+        return self._statements
 
 
 class Finding(NamedTuple):
@@ -224,7 +226,7 @@ class Context:
                 if before is None or (each.kind is not UPDATE and each.kind is not SUMMARY):
                     self.lives.feed(each)
 
-    def said_again(self, node: bytes, var_id: int) -> Stamp | None:
+    def repeated_by_summary(self, node: bytes, var_id: int) -> Stamp | None:
         """Return the last summary with which a node repeated the number of a variable.
 
         None if there is none, or if the node has sent another record of the variable since then.
@@ -240,7 +242,7 @@ class Context:
         node = seen.sender
         sender = self.senders.get(node)
         if sender is None:
-            seen.news = [News(each, None) for each in seen.said]
+            seen.news = [News(each, None) for each in seen.statements]
             return
         spoken = self._spoken.get(node)
         if spoken is None:
@@ -251,15 +253,15 @@ class Context:
         news: list[News] = []
         for kind, records, ids in seen.parts:
             if kind is not SUMMARY:
-                news += [self._news(said_of(kind, each, seen.heard, node), spoken) for each in records]
+                news += [self._news(statement_of(kind, each, seen.heard, node), spoken) for each in records]
                 continue
-            told = [each.seqno for each in records]
+            numbers_now = [each.seqno for each in records]
             held = list(map(numbers.get, ids))
-            if held == told:
+            if held == numbers_now:
                 spoken.again.update(dict.fromkeys(ids, stamp))
                 count += len(ids)
                 continue
-            for record, var_id, number in zip(records, ids, told, strict=True):
+            for record, var_id, number in zip(records, ids, numbers_now, strict=True):
                 # Not the number in ``held``: the container may have several records of a variable.
                 if numbers.get(var_id) == number:
                     spoken.again[var_id] = stamp
@@ -421,7 +423,7 @@ class Invariant:
         """Return the number of findings with a key (argument ``once`` of :meth:`violated`)."""
         return self._times.get(key, 0)
 
-    def told(self, finding: Finding) -> str:
+    def text_of(self, finding: Finding) -> str:
         """Return the text of a finding; with the count if there were several with its key."""
         times = 1 if finding.key is None else self._times.get(finding.key, 1)
         return finding.observed if times == 1 else f"{finding.observed}; {times} times in all"

@@ -293,7 +293,7 @@ class Judge:
                 each.verdict,
                 each.requirements,
                 each.expected,
-                rule.told(each),
+                rule.text_of(each),
                 self._marks(each.frames),
                 seconds=self._seconds(each),
             )

@@ -41,23 +41,23 @@ class Lifetimes:
         self._creation_time = creation_time
         self._known: dict[int, Lifetime] = {}
 
-    def feed(self, said: Statement) -> None:
+    def feed(self, statement: Statement) -> None:
         """Process a record about a variable."""
-        life = self._known.get(said.var_id)
-        create = said.record if said.kind is ICType.CREATE_VARIABLES else None
+        life = self._known.get(statement.var_id)
+        create = statement.record if statement.kind is ICType.CREATE_VARIABLES else None
         if life is None:
             if len(self._known) >= self._most:
                 return
-            life = self._known[said.var_id] = Lifetime()
-            if create is not None and create.spec.prod_id == said.sender and create.upd.seqno == 0:
-                life.first = said
+            life = self._known[statement.var_id] = Lifetime()
+            if create is not None and create.spec.prod_id == statement.sender and create.upd.seqno == 0:
+                life.first = statement
         if create is not None:
             if life.spec is None:
                 life.spec, life.producer = create.spec, create.spec.prod_id
                 life.producer_life = self._senders.life(create.spec.prod_id)
-            elif self._another(life.spec, create.spec, said.sender):
+            elif self._another(life.spec, create.spec, statement.sender):
                 life.mixed = True
-        elif said.kind is ICType.DELETE_VARIABLES:
+        elif statement.kind is ICType.DELETE_VARIABLES:
             # It may be created again, and some nodes may have missed the delete.
             life.mixed = True
 

@@ -56,7 +56,7 @@ def parts_of(heard: ReceivedBeacon) -> list[Part]:
     return parts
 
 
-def said_of(kind: ICType, record: Any, heard: ReceivedBeacon, sender: bytes) -> Statement:
+def statement_of(kind: ICType, record: Any, heard: ReceivedBeacon, sender: bytes) -> Statement:
     """Return a record of the beacon ``heard`` as a statement of ``sender``."""
     if kind is CREATE:
         return Statement(kind, record, heard.number, heard.wall, sender, record.spec.var_id, record.upd.seqno)
@@ -66,4 +66,6 @@ def said_of(kind: ICType, record: Any, heard: ReceivedBeacon, sender: bytes) -> 
 
 def statements_in(heard: ReceivedBeacon, sender: bytes) -> tuple[Statement, ...]:
     """Return all VarDis records of a beacon as statements of ``sender``."""
-    return tuple([said_of(kind, record, heard, sender) for kind, records, _ in parts_of(heard) for record in records])
+    return tuple(
+        [statement_of(kind, record, heard, sender) for kind, records, _ in parts_of(heard) for record in records]
+    )

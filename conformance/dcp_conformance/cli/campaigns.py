@@ -191,7 +191,7 @@ def run_campaign(
     ``run`` replaces ``campaign.run``. ``make`` creates another campaign in a worker; without it only one process runs.
     """
     from dcp_conformance.errors import LowerTesterError, WorkerError
-    from dcp_conformance.fuzz.execute.live import UnhealthyError
+    from dcp_conformance.fuzz.execute.live import NotAliveError
     from dcp_conformance.fuzz.findings.description import headline
 
     jobs = options["jobs"] if make is not None else 1
@@ -249,7 +249,7 @@ def run_campaign(
     except KeyboardInterrupt:
         click.echo("stopped", err=True)
         status = _STOPPED
-    except UnhealthyError as error:
+    except NotAliveError as error:
         say(f"dcp-conformance: {error}", err=True)
         status = 3
     except (LowerTesterError, WorkerError) as error:

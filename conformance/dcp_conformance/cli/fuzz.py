@@ -143,14 +143,14 @@ def stack_campaign(options: dict[str, Any], seed: str | None = None) -> Iterator
     from dcp_conformance.fuzz.generate.directed import Directed
     from dcp_conformance.fuzz.generate.sequence_batches import Lifetimes
     from dcp_conformance.fuzz.generate.sequences import Sequences
-    from dcp_conformance.fuzz.generate.sweep import Swept
+    from dcp_conformance.fuzz.generate.sweep import SweepFirst
 
     codec, rng, mutator, recorded = material(options, seed)
     target = stack_target(codec, options["mutant"] or "")
     reached: Counter[tuple[str, str]] = Counter()
     directed = Directed(Sequences(codec, rng, target.own_id, mutator, recorded), reached)
     # Each worker executes the whole sweep, which takes a tenth of a second.
-    sequences = Swept(directed, codec, done=swept(options))
+    sequences = SweepFirst(directed, codec, done=swept(options))
     saved = SavedTarget("stack", target.name, options["mutant"] or "")
     yield Campaign(
         codec,
@@ -170,13 +170,13 @@ def _live(options: dict[str, Any], *, differential: bool) -> int:
     """Run a campaign against an SUT that is opened as by ``dcp-conformance run``; return the exit status."""
     from dcp_conformance.execution.target import describe, open_target
     from dcp_conformance.fuzz.campaign import Campaign
-    from dcp_conformance.fuzz.execute.live import RATE, LiveTarget, UnhealthyError
+    from dcp_conformance.fuzz.execute.live import RATE, LiveTarget, NotAliveError
     from dcp_conformance.fuzz.findings.artefact import SavedTarget
     from dcp_conformance.fuzz.findings.replaying import stack_target
     from dcp_conformance.fuzz.generate.directed import Directed
     from dcp_conformance.fuzz.generate.sequence_batches import Batches
     from dcp_conformance.fuzz.generate.sequences import Sequences
-    from dcp_conformance.fuzz.generate.sweep import Swept
+    from dcp_conformance.fuzz.generate.sweep import SweepFirst
 
     where = target_of(options)
     if not (where.foreign or where.in_process or options["own_node"]):
@@ -190,7 +190,7 @@ def _live(options: dict[str, Any], *, differential: bool) -> int:
     size = 1 if differential else options["batch"]
     mode: Any = "differential" if differential else "live"
     if options["dry_run"]:
-        drawn = Swept(Sequences(codec, rng, NOBODY, mutator, recorded), codec)
+        drawn = SweepFirst(Sequences(codec, rng, NOBODY, mutator, recorded), codec)
         saved = SavedTarget(mode, "nothing")
         return write_tests(Campaign(codec, stack_target(codec), Batches(drawn, size), saved, options["seed"]), options)
     with open_target(where) as opened:
@@ -200,7 +200,7 @@ def _live(options: dict[str, Any], *, differential: bool) -> int:
         # This also determines the node identifier, which the sequences use.
         try:
             target.prepare()
-        except UnhealthyError as error:
+        except NotAliveError as error:
             say(f"dcp-conformance: {error}", err=True)
             return 3
         own_id = opened.runner.session.sut_id or NOBODY
@@ -211,9 +211,9 @@ def _live(options: dict[str, Any], *, differential: bool) -> int:
         campaign = Campaign(
             codec,
             target,
-            Swept(Directed(sequences, reached), codec, done=done, size=_SWEPT_AT_ONCE)
+            SweepFirst(Directed(sequences, reached), codec, done=done, size=_SWEPT_AT_ONCE)
             if differential
-            else Batches(Swept(sequences, codec, done=done), size),
+            else Batches(SweepFirst(sequences, codec, done=done), size),
             saved,
             options["seed"],
             mutator=mutator,
@@ -226,7 +226,7 @@ def _live(options: dict[str, Any], *, differential: bool) -> int:
             own_id=own_id,
         )
         if target.control is not None and target.control.can_restart:
-            campaign.fresh = target.run_afresh
+            campaign.fresh = target.run_after_restart
         if differential:
             campaign.states = lambda: target.observer.reached if target.observer is not None else ()
         return run_campaign(campaign, options)

@@ -40,7 +40,7 @@ def command(capture: Path, **options: Any) -> int:
     tester, repeats the service calls of that node's applications. An independent model of the specification judges the
     reactions, and the final state is compared with that of the recorded node.
     """
-    from dcp_conformance.execution.replay import Replay, ReplayOptions, cast_of, choose_node, decided
+    from dcp_conformance.execution.replay import Replay, ReplayOptions, choose_node, decided, recorded_nodes
     from dcp_conformance.execution.target import describe, open_target
     from dcp_conformance.model.moment import timestamp
     from dcp_conformance.model.outcome import assemble, exit_status
@@ -57,7 +57,7 @@ def command(capture: Path, **options: Any) -> int:
     codec, _ = describe(target_options)
     if not target_options.foreign:
         # The reference node gets the identifier of the node whose part it takes.
-        chosen = node or choose_node(cast_of(capture, codec), None)
+        chosen = node or choose_node(recorded_nodes(capture, codec), None)
         target_options = dataclasses.replace(target_options, node_id=chosen)
         if target_options.beacon_period_ms is None:
             target_options = dataclasses.replace(target_options, beacon_period_ms=100.0)

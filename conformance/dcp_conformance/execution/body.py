@@ -36,7 +36,7 @@ def recorded(trial: Trial) -> Iterator[None]:
         what = "the upper tester can ask the implementation"
         checks.append(Check(Verdict.INCONCLUSIVE, case.requirements, what, f"it could not: {error}"))
     except UpperTesterError as error:
-        trial.hung_up = str(error)
+        trial.upper_tester_error = str(error)
         checks.append(Check(Verdict.INCONCLUSIVE, case.requirements, "the upper tester answers", str(error)))
     except LowerTesterError as error:
         checks.append(Check(Verdict.ERROR, case.requirements, "the link can be used", str(error)))
@@ -88,7 +88,7 @@ def delete_variables(trial: Trial, serves: Callable[[], bool]) -> bool:
         for var_id in made:
             bench.session.identifier_pool.deleted(var_id, bench.identifiers.departure())
     except UpperTesterError as error:
-        trial.hung_up = str(error)
+        trial.upper_tester_error = str(error)
         return False
     except LowerTesterError:
         return False

@@ -51,7 +51,7 @@ class ReplayOptions:
 
 
 @dataclass(slots=True)
-class Cast:
+class RecordedNodes:
     """The nodes of a recording, and its duration."""
 
     beacons: Counter[bytes] = field(default_factory=Counter)
@@ -72,9 +72,9 @@ class Cast:
         return 0.0 if self.first is None else (self.last - self.first) / 1e9
 
 
-def cast_of(path: Path, codec: Codec) -> Cast:
+def recorded_nodes(path: Path, codec: Codec) -> RecordedNodes:
     """Read a recording and return its nodes. Raise :class:`UsageError` if it is unreadable or has no DCP frame."""
-    cast = Cast()
+    cast = RecordedNodes()
     for frame, heard, _ in beacons_of(path, codec, cast):
         cast.first = frame.time_ns if cast.first is None else cast.first
         cast.last = max(cast.last, frame.time_ns)
@@ -89,7 +89,9 @@ def cast_of(path: Path, codec: Codec) -> Cast:
     return cast
 
 
-def beacons_of(path: Path, codec: Codec, cast: Cast | None = None) -> Iterator[tuple[Frame, ReceivedBeacon, bytes]]:
+def beacons_of(
+    path: Path, codec: Codec, cast: RecordedNodes | None = None
+) -> Iterator[tuple[Frame, ReceivedBeacon, bytes]]:
     """Yield the DCP frames of a recording, with decoded beacon and source address; count all frames in ``cast``.
 
     Raise :class:`UsageError` if the recording is unreadable.
@@ -109,7 +111,7 @@ def beacons_of(path: Path, codec: Codec, cast: Cast | None = None) -> Iterator[t
         raise UsageError(str(error)) from None
 
 
-def choose_node(cast: Cast, sut_id: bytes | None) -> bytes:
+def choose_node(cast: RecordedNodes, sut_id: bytes | None) -> bytes:
     """Return the node whose part the implementation takes: itself if recorded, else the one that produces least."""
     if sut_id is not None and sut_id in cast.beacons:
         return sut_id
@@ -125,7 +127,7 @@ class Replay:
         self._complaints: OrderedDict[tuple[str, str], list[tuple[str, str, int]]] = OrderedDict()
         self._counts: Counter[tuple[str, str]] = Counter()
         self.node = b""
-        self.cast = Cast()
+        self.cast = RecordedNodes()
 
     def cases(self) -> list[Case]:
         """Return the one case that replays the recording; a runner executes it like others."""
@@ -150,7 +152,7 @@ class Replay:
         Raise :class:`UsageError` if the recording is unreadable, has no DCP frame or not the chosen node, or if the
         implementation has the identifier of another recorded node.
         """
-        self.cast = cast = cast_of(self._path, codec)
+        self.cast = cast = recorded_nodes(self._path, codec)
         self.node = self._options.node or choose_node(cast, sut_id)
         if self.node not in cast.beacons:
             there = ", ".join(node.hex(":") for node in cast.beacons)

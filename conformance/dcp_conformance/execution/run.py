@@ -90,7 +90,7 @@ class ConformanceRun:
             self.cases |= self.found_by_fuzzer
         self.codec, self.pics = describe(target)
         self._invariants = {case.id: case for case in invariants()}
-        self._unheard, exclude = self._excluded(selection.exclude)
+        self._without_sigint, exclude = self._excluded(selection.exclude)
         selection_of_cases = dataclasses.replace(selection, exclude=exclude)
         self.selected = select(self.cases, selection_of_cases)
         self._long = len(left_out(self.cases, selection_of_cases))
@@ -311,7 +311,7 @@ class ConformanceRun:
 
     def take_passive(self, results: Iterable[CaseResult]) -> None:
         """Add the results of the passive rules, of this process or of all workers."""
-        self.passive = [each for each in joined([*self.passive, *results]) if each.id not in self._unheard]
+        self.passive = [each for each in joined([*self.passive, *results]) if each.id not in self._without_sigint]
         for each in self.passive:
             self._surprises[_Key(each.id, 1)] = self.expected.judge(self._invariants[each.id], each)
 

@@ -191,7 +191,7 @@ class Runner:
         if self._unsettled and self._restartable:
             # The state after the last case could affect this one.
             self._recent.clear()
-            if why := self._start_afresh(case):
+            if why := self._restart_sut(case):
                 # This case did not cause the failed restart.
                 self.dead = f"the implementation was restarted after the case before {case.id}; {why}"
                 self.remarks.append(self.dead)
@@ -249,7 +249,7 @@ class Runner:
     def _trial_after_restart(self, trial: Trial) -> Trial:
         """Execute a case again that has used up all identifiers, after a restart of the implementation."""
         self._recent.clear()
-        if why := self._start_afresh(trial.case):
+        if why := self._restart_sut(trial.case):
             what = "the implementation answers after its restart"
             trial.checks.append(Check(Verdict.INCONCLUSIVE, trial.case.requirements, what, why))
             return trial
@@ -315,16 +315,16 @@ class Runner:
         trial.paused = any(event.text == DEACTIVATE for event in bench.traffic.events)
         # Silence after the last stimulus leaves a doubt, whatever the verdict.
         doubt = case.destructive or trial.verdict.rank > Verdict.PASS.rank or bench.steps.silent
-        if not self.life.ended() and not self.life.hung_up:
+        if not self.life.ended() and not self.life.upper_tester_error:
             doubt = not self._clean(trial) or doubt
         doubt = doubt and not trial.used_up
         self._unsettled = self._reset_mode() != "restart" and _reports_internal_error(bench)
         # The sanity case itself has probed the implementation: if it failed, another probe adds no evidence.
         ask = doubt and (case.id != SANITY or trial.verdict is Verdict.PASS)
         trial.loss = self.life.loss(bench, ask=ask)
-        if trial.loss is None and bench.restoration.spoilt and self._reset_mode() == "none":
+        if trial.loss is None and bench.restoration.restore_failure and self._reset_mode() == "none":
             self._unsettled = True
-            self._spoilt.setdefault(case.id, bench.restoration.spoilt)
+            self._spoilt.setdefault(case.id, bench.restoration.restore_failure)
         return trial
 
     def _measure(self) -> None:
@@ -374,13 +374,13 @@ class Runner:
         if mode == "ut":
             return self._reset_by_service()
         restarts = self._restartable and self.session.pics.pixit.reset != "none"
-        return self._start_afresh(case) if mode == "restart" or (used and restarts) else ""
+        return self._restart_sut(case) if mode == "restart" or (used and restarts) else ""
 
     def _reset_by_service(self) -> str:
         try:
             self._reset()
         except UpperTesterError as error:
-            self.life.hung_up = str(error)
+            self.life.upper_tester_error = str(error)
             return f"UT-Reset failed: {error}"
         return ""
 
@@ -395,11 +395,16 @@ class Runner:
         if trial.loss is not None:
             self._recent.clear()
             if self._restartable:
-                self._start_afresh(case)
+                self._restart_sut(case)
             else:
                 self._wait_for(trial)
             return None
-        if trial.verdict is not Verdict.PASS or trial.bench.restoration.spoilt or trial.disturbed or trial.hung_up:
+        if (
+            trial.verdict is not Verdict.PASS
+            or trial.bench.restoration.restore_failure
+            or trial.disturbed
+            or trial.upper_tester_error
+        ):
             return None
         result = self._result(trial, 1, trial.checks)
         self.remember(trial, result, self.session.lower.now())
@@ -422,12 +427,12 @@ class Runner:
         self.deaths_side_by_side += 1
         named = ", ".join(during[:_NAMED]) + (f" and {len(during) - _NAMED} more" if len(during) > _NAMED else "")
         many = "1 case was" if len(during) == 1 else f"{len(during)} cases were"
-        text = f"while {many} executed side by side ({named}), the implementation {loss.brief}"
+        text = f"while {many} executed side by side ({named}), the implementation {loss.summary}"
         self.remarks.append(f"{text}. Each of these cases is executed alone")
         if not self._restartable:
             self.dead = f"{text}. There is no command to restart it (--restart)"
             return self.dead
-        if why := self._start_afresh(case):
+        if why := self._restart_sut(case):
             self.dead = f"{text}; {why}"
             self.remarks.append(self.dead)
             return self.dead
@@ -441,7 +446,7 @@ class Runner:
 
     def _again(self, cases: Sequence[Case]) -> Trial | str:
         """Restart, execute cases in succession, and wait for a slow death; see ``attribution.Again``."""
-        if why := self._start_afresh(cases[0]):
+        if why := self._restart_sut(cases[0]):
             return why
         for number, case in enumerate(cases):
             trial = self._trial(case, fresh=number == 0)
@@ -451,7 +456,7 @@ class Runner:
         trial.loss = self.life.loss(trial.bench, ask=True)
         return trial
 
-    def _start_afresh(self, case: Case) -> str:
+    def _restart_sut(self, case: Case) -> str:
         """Restart the implementation and wait until it answers; return why that failed, or an empty text."""
         assert self.control is not None
         try:
@@ -472,7 +477,7 @@ class Runner:
         if not self._restartable:
             lost = f"the implementation {trial.loss.how} in {case.id}"
             self.dead = f"{lost}, and there is no command to restart it (--restart)"
-        elif why := self._start_afresh(case):
+        elif why := self._restart_sut(case):
             self.dead = f"the implementation {trial.loss.how} in {case.id}; {why}"
         if self.dead:
             self.remarks.append(self.dead)
@@ -505,8 +510,8 @@ class Runner:
         return deleted
 
     def _note_hang_up(self, trial: Trial) -> None:
-        if trial.hung_up:
-            self.life.hung_up = trial.hung_up
+        if trial.upper_tester_error:
+            self.life.upper_tester_error = trial.upper_tester_error
 
     def _reset_mode(self) -> str:
         mode = self.session.pics.pixit.reset

@@ -29,7 +29,7 @@ class Stop:
             raise KeyboardInterrupt
 
     @contextlib.contextmanager
-    def heeded(self) -> Iterator[None]:
+    def interruptible_by_signals(self) -> Iterator[None]:
         """Let signals end the ``with`` block with :class:`KeyboardInterrupt`, also a signal that has come before."""
         self._raises = True
         try:

@@ -77,8 +77,8 @@ def judge(
         return [Violation(each, fault.expected, fault.observed, *place) for each in fault.requirements.split()]
     found = [*_of_the_header(octets, codec, tree, salvaged), *_of_payloads(salvaged)]
     known = {each.path for each in found}
-    rest = [_as_told(each) for each in salvaged.problems if each.path not in known and not _inside(each)]
-    return [*found, *rest] or [_as_told(salvaged.problems[0])]
+    rest = [_as_violation(each) for each in salvaged.problems if each.path not in known and not _inside(each)]
+    return [*found, *rest] or [_as_violation(salvaged.problems[0])]
 
 
 def _inside(problem: Problem) -> bool:
@@ -117,7 +117,7 @@ def _of_the_header(octets: bytes, codec: Codec, tree: Dissection, salvaged: Salv
     elif length is not None and any(each.path == length.path for each in salvaged.problems):
         # The field has a fixed value in the profile.
         problem = next(each for each in salvaged.problems if each.path == length.path)
-        yield _as_told(problem)
+        yield _as_violation(problem)
 
 
 def _wrong(field: Field, right: int, observed: str) -> Violation:
@@ -185,10 +185,10 @@ def _of_payloads(salvaged: Salvaged) -> Iterator[Violation]:
     for problem in (*(each.problem for each in salvaged.damaged), *filter(_inside, salvaged.problems)):
         if problem not in seen:
             seen.add(problem)
-            yield _as_told(problem)
+            yield _as_violation(problem)
 
 
-def _as_told(problem: Problem) -> Violation:
+def _as_violation(problem: Problem) -> Violation:
     """Convert a problem of the codec to a violation."""
     requirement = (*broken_by(problem), "")[0]
     numbers = quantity(problem.reason, problem.needed, problem.available)

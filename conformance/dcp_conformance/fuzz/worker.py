@@ -64,7 +64,7 @@ class Order(NamedTuple):
     """Time after which no test starts (``time.monotonic``, which all processes of a machine share)."""
 
 
-class Shown(NamedTuple):
+class FirstEffect(NamedTuple):
     """The first effect with its signature in a worker."""
 
     case: int
@@ -91,7 +91,7 @@ class Report(NamedTuple):
     """Result of an order. The first report, without an order, indicates that the worker is ready."""
 
     totals: Totals
-    shown: tuple[Shown, ...] = ()
+    shown: tuple[FirstEffect, ...] = ()
     findings: tuple[Finding, ...] = ()
 
 
@@ -151,7 +151,7 @@ class _Noted:
 
     def run(self, steps: list[Step]) -> Effect | None:
         self._slot.write(self._state.cases, steps)
-        with self._stop.heeded():
+        with self._stop.interruptible_by_signals():
             return self._target.run(steps)
 
 
@@ -171,9 +171,9 @@ class Worker:
         self._slot = slot
         campaign.target = _Noted(campaign, slot, stop)
         self._effects: Counter[str] = Counter()
-        self._waiting: dict[str, Shown] = {}
+        self._waiting: dict[str, FirstEffect] = {}
         """Reported effects, by signature, that the campaign has not yet asked to minimise."""
-        self._shown: list[Shown] = []
+        self._shown: list[FirstEffect] = []
         self._findings: list[Finding] = []
 
     def carry_out(self, order: Order) -> None:
@@ -206,10 +206,10 @@ class Worker:
         self._effects[signature] += 1
         if signature not in self._known:
             self._known.add(signature)
-            self._waiting[signature] = shown = Shown(self._campaign.state.cases, steps, effect)
+            self._waiting[signature] = shown = FirstEffect(self._campaign.state.cases, steps, effect)
             self._shown.append(shown)
 
-    def _minimise(self, shown: Shown) -> None:
+    def _minimise(self, shown: FirstEffect) -> None:
         reduction = self._campaign.reduction(shown.effect)
         try:
             reduction.reduce(shown.steps, shown.effect)
@@ -244,7 +244,7 @@ def _serve(worker: Worker, connection: Connection, stop: Stop) -> None:
     connection.send(worker.report())
     while not stop.wanted:
         order: Order | None = None
-        with contextlib.suppress(KeyboardInterrupt), stop.heeded():
+        with contextlib.suppress(KeyboardInterrupt), stop.interruptible_by_signals():
             order = connection.recv()
         if order is None:
             return

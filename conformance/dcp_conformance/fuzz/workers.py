@@ -40,7 +40,7 @@ from dcp_conformance.execution.signals import Stop
 from .campaign import Campaign, Limits, Progress, State
 from .reduce.reduction import Finding, as_it_was
 from .steps import Effect, Step
-from .worker import SLOT_SIZE, Failure, Make, Order, Report, Settings, Shown, Slot, Totals, work
+from .worker import SLOT_SIZE, Failure, FirstEffect, Make, Order, Report, Settings, Slot, Totals, work
 
 #: Number of rounds that are ordered and not yet reported.
 _AHEAD: Final = 2
@@ -100,7 +100,7 @@ class _Workers:
         self._begun = time.monotonic()
         self._told = math.inf
         """Time of the last progress report; infinite until all workers are ready."""
-        self._pending: dict[str, Shown] = {}
+        self._pending: dict[str, FirstEffect] = {}
         """Effects that are being minimised, by signature."""
         self._kept: set[str] = set()
         """Signatures of the findings of this run."""
@@ -132,7 +132,7 @@ class _Workers:
         if rate is not None:
             # At least one report in a second.
             self._most = max(1, min(self._most, int(rate)))
-        with _unheard():
+        with _without_sigint():
             for number in range(jobs):
                 # A resumed campaign must draw other tests than before.
                 seed = f"{campaign.seed}/{self._first}/{number}"
@@ -228,7 +228,7 @@ class _Workers:
     def _reports(self) -> list[Report]:
         """Return the reports of all workers for one round, when all have been received."""
         while not all(member.reports for member in self._members):
-            with self._stop.heeded():
+            with self._stop.interruptible_by_signals():
                 ready = self._ready(1.0)
             self._progress()
             for member in ready:
@@ -270,7 +270,7 @@ class _Workers:
             for finding in report.findings:
                 self._keep(finding)
 
-    def _new(self, reports: list[tuple[int, Report]]) -> Iterator[tuple[int, Shown]]:
+    def _new(self, reports: list[tuple[int, Report]]) -> Iterator[tuple[int, FirstEffect]]:
         """Yield new effects with the numbers of their workers, in the order of their tests; mark them as pending."""
         shown = [(each.case, number, each) for number, report in reports for each in report.shown]
         for _, number, each in sorted(shown, key=lambda entry: entry[:2]):
@@ -323,7 +323,7 @@ class _Workers:
 
 
 @contextlib.contextmanager
-def _unheard() -> Iterator[None]:
+def _without_sigint() -> Iterator[None]:
     """Start processes in this context with SIGINT blocked.
 
     A terminal sends SIGINT to all processes of the group, but only the campaign may handle it.

@@ -16,7 +16,7 @@ from typing import Final
 from dcp_conformance.lower_tester import Impairs, LowerTester
 
 from .directions import Directions, parse_directions
-from .incidents import told
+from .incidents import incidents_text
 from .lower_tester import ImpairedLowerTester, impaired
 
 #: Maximum number of executions of a case on an impaired link.
@@ -34,6 +34,6 @@ __all__ = [
     "ImpairedLowerTester",
     "engaged",
     "impaired",
+    "incidents_text",
     "parse_directions",
-    "told",
 ]

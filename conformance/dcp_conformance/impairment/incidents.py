@@ -20,7 +20,7 @@ _DONE: Final = {
 _MOST: Final = 3
 
 
-def told(incidents: Iterable[Incident], numbers: Sequence[int]) -> str:
+def incidents_text(incidents: Iterable[Incident], numbers: Sequence[int]) -> str:
     """Describe incidents in one line: ``lost on the impaired link: frame 12, 2 beacons of the implementation``.
 
     ``numbers`` has for each incident the number of the frame in the recording of the case; 0 if it was not recorded.

@@ -11,7 +11,7 @@ import msgspec
 
 from dcp_codec.impairment import Channel, Copy, Counters, Fate
 from dcp_codec.network.sockets import ETHERNET_HEADER
-from dcp_conformance.lower_tester import Arrival, HearsEveryType, Incident, LinkHealth, LowerTester, OnThisMachine
+from dcp_conformance.lower_tester import Arrival, Incident, LinkHealth, ListensToAllTypes, LowerTester, OnThisMachine
 
 from .directions import Directions
 
@@ -246,20 +246,20 @@ class _Ethernet(_RealTime):
     @property
     def ether_type(self) -> int:
         """The EtherType of its beacons."""
-        assert isinstance(self._inner, HearsEveryType)
+        assert isinstance(self._inner, ListensToAllTypes)
         return self._inner.ether_type
 
-    def overhear(self, asked: Iterable[bytes], duration: int) -> list[bytes]:
+    def exchange_all_types(self, asked: Iterable[bytes], duration: int) -> list[bytes]:
         """Send whole frames, listen for ``duration`` ns, and return the received frames."""
-        assert isinstance(self._inner, HearsEveryType)
-        return self._inner.overhear(asked, duration)
+        assert isinstance(self._inner, ListensToAllTypes)
+        return self._inner.exchange_all_types(asked, duration)
 
 
 def impaired(inner: LowerTester, directions: Directions, *, seed: int, tolerance: int) -> LowerTester:
     """Wrap a lower tester in an impaired link, with the same capabilities; return it unchanged for a perfect link."""
     if directions.to.perfect and directions.back.perfect:
         return inner
-    if isinstance(inner, HearsEveryType):
+    if isinstance(inner, ListensToAllTypes):
         return _Ethernet(inner, directions, seed=seed, tolerance=tolerance)
     kind = _RealTime if isinstance(inner, OnThisMachine) else ImpairedLowerTester
     return kind(inner, directions, seed=seed, tolerance=tolerance)

@@ -76,7 +76,7 @@ class _Test:
         if suspicion:
             return self._contact(suspicion, mistaken=True)
         if bench.heard or misnamed(bench) is not None:
-            return self._contact(self._what_it_tells())
+            return self._contact(self._unexplained_frames())
         if self._activated():
             return self._contact("BP is inactive until BP-MGMT-Activate is called", inactive=True)
         if suspicion := look_elsewhere(bench):
@@ -209,7 +209,7 @@ class _Test:
             return f"nothing was heard, though the upper tester answers; {suspects}; {link}"
         return f"nothing was heard: {where}"
 
-    def _what_it_tells(self) -> str:
+    def _unexplained_frames(self) -> str:
         """Something was heard and not all is well; no mistake of the tester's settings explains it."""
         heard = self._bench.heard
         if not any(not each.header_problems for each in heard):

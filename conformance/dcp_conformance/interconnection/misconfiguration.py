@@ -79,10 +79,10 @@ def _other_node(bench: Bench, frames: Sequence[Event]) -> str:
 
 def look_elsewhere(bench: Bench) -> str:
     """Nothing is heard: ask in other ways. Which setting of the tester explains the answer; empty if none comes."""
-    return _told_by_hello(bench) or _asked_otherwise(bench) or _in_other_ether_type(bench)
+    return _profile_of_hello(bench) or _asked_otherwise(bench) or _in_other_ether_type(bench)
 
 
-def _told_by_hello(bench: Bench) -> str:
+def _profile_of_hello(bench: Bench) -> str:
     upper = bench.session.upper
     if upper is None:
         return ""

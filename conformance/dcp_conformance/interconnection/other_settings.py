@@ -11,7 +11,7 @@ from dcp_codec.codec import Codec, get_codec
 from dcp_codec.errors import DecodeError
 from dcp_codec.values import VarSumm
 from dcp_conformance.frames.builder import FrameBuilder
-from dcp_conformance.lower_tester import HearsEveryType, LowerTester
+from dcp_conformance.lower_tester import ListensToAllTypes, LowerTester
 
 #: Source address and sender identifier of questions.
 ASKER = bytes.fromhex("02dc90000001")
@@ -53,14 +53,14 @@ def other_ether_type(lower: LowerTester, codec: Codec, source: bytes, duration: 
 
     Raises ``LowerTesterError``.
     """
-    if not isinstance(lower, HearsEveryType):
+    if not isinstance(lower, ListensToAllTypes):
         return ""
     known = (get_codec(name).profile.link.ether_type for name in profile_names())
     numbers = dict.fromkeys((*(each for each in known if each is not None), *_ETHER_TYPES))
     octets = question(codec, 0)
     asked = [b"\xff" * 6 + source + each.to_bytes(2, "big") + octets for each in numbers if each != lower.ether_type]
     found: Counter[int] = Counter()
-    for frame in lower.overhear(asked, duration):
+    for frame in lower.exchange_all_types(asked, duration):
         if _is_beacon(codec, frame[14:]):
             found[int.from_bytes(frame[12:14], "big")] += 1
     if not found:

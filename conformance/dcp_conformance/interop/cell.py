@@ -89,7 +89,7 @@ def run_cell(cell: Cell, test: NetworkTest, folder: Path | None = None, stop: St
     except ConformanceError as error:
         return _result(cell, test, profile, Verdict.ERROR, str(error))
     try:
-        with nullcontext() if stop is None else stop.heeded():
+        with nullcontext() if stop is None else stop.interruptible_by_signals():
             result = _play(cell, test, world, profile)
         if folder is not None:
             from .recording import write_recordings

@@ -104,7 +104,7 @@ def run_seeds(cell: Cell, seeds: int, folder: Path | None = None) -> CellResult:
 def _job(cell: Cell, stop: Stop, *, seeds: int, folder: Path | None) -> CellResult:
     if cell.world == "real":
         return run_cell(cell, all_tests()[cell.test], folder, stop)
-    with stop.heeded():
+    with stop.interruptible_by_signals():
         return run_seeds(cell, seeds, folder)
 
 

@@ -148,7 +148,7 @@ def run_selftest(
 
 
 def _job(name: str, stop: Stop, *, patterns: tuple[str, ...], seeds: int) -> Trial:
-    with stop.heeded():
+    with stop.interruptible_by_signals():
         return _try(name, patterns, seeds)
 
 

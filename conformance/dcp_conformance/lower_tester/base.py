@@ -113,7 +113,7 @@ class OnThisMachine(Protocol):
 
 
 @runtime_checkable
-class HearsEveryType(Protocol):
+class ListensToAllTypes(Protocol):
     """A lower tester whose frames have a type, and that can listen to all types for a moment."""
 
     @property
@@ -121,7 +121,7 @@ class HearsEveryType(Protocol):
         """The EtherType of its beacons."""
         ...
 
-    def overhear(self, asked: Iterable[bytes], duration: int) -> list[bytes]:
+    def exchange_all_types(self, asked: Iterable[bytes], duration: int) -> list[bytes]:
         """Send whole frames, and listen for ``duration`` ns afterwards; the frames of other types that arrived.
 
         Frames of :attr:`ether_type` are left for :meth:`LowerTester.receive`. Empty where this is not possible.

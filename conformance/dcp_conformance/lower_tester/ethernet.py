@@ -89,7 +89,7 @@ class EthernetLowerTester(SocketLowerTester):
         """The EtherType of its beacons."""
         return int.from_bytes(self._type)
 
-    def overhear(self, asked: Iterable[bytes], duration: int) -> list[bytes]:
+    def exchange_all_types(self, asked: Iterable[bytes], duration: int) -> list[bytes]:
         """Send whole frames, and listen for ``duration`` ns; the frames of other EtherTypes that arrived, whole.
 
         Raises ``LowerTesterError`` if the frames cannot be sent; empty if all types cannot be listened to.

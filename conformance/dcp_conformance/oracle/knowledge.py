@@ -82,7 +82,7 @@ class Variable(msgspec.Struct):
         return self.versions[-1]
 
 
-class Owed(msgspec.Struct, frozen=True, gc=False):
+class Obligation(msgspec.Struct, frozen=True, gc=False):
     """Something that the node has to say by ``deadline``."""
 
     deadline: int

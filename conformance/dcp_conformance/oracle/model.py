@@ -20,7 +20,7 @@ from dcp_spec.constants import Features, ICType
 from dcp_codec.values import VarCreate, VarDelete, VardisRecord, VarReqCreate, VarReqUpdate, VarSpec, VarSumm, VarUpdate
 from dcp_conformance.model.circular import Circle
 
-from .knowledge import ANY_CREATION, NEVER, NO_CREATION, Limits, Owed, Variable, Version
+from .knowledge import ANY_CREATION, NEVER, NO_CREATION, Limits, Obligation, Variable, Version
 from .repetitions import Key
 
 # Module-level names: faster than attributes of the enumeration in comparisons for each record.
@@ -64,7 +64,7 @@ class Model:
         self._latency = latency
         self._window = window
         self._scrubbing = scrubbing if features.creation_time else None
-        self._owed: dict[int, list[Owed]] = {}
+        self._owed: dict[int, list[Obligation]] = {}
         """Instructions that the node must still send, by variable; a dictionary because there may be many."""
         self.occasions: defaultdict[str, int] = defaultdict(int)
         """Number of occasions on which the node could have violated each requirement."""
@@ -96,7 +96,7 @@ class Model:
         variable.latest = _creation(version)
         variable.foreign = version.state != "unknown" and not self._own(version)
 
-    def _hear_create(self, record: VarCreate, variable: Variable, time: int, frame: int) -> None:
+    def _receive_create(self, record: VarCreate, variable: Variable, time: int, frame: int) -> None:
         spec, update = record.spec, record.upd
         if spec.prod_id == self.own_id or not self._limits.acceptable(record, self._features):
             return
@@ -121,7 +121,7 @@ class Model:
             variable.foreign = False
         self._arm(_CREATES, spec.var_id, time, frame, "VD-PC-09")
 
-    def _hear_delete(self, record: VarDelete, variable: Variable, time: int, frame: int) -> None:
+    def _receive_delete(self, record: VarDelete, variable: Variable, time: int, frame: int) -> None:
         known = variable.versions[-1]
         if variable.uncertain and variable.foreign and self._features.creation_time:
             # Alive or not, and of whatever creation: now it is deleted.
@@ -135,7 +135,7 @@ class Model:
             self._become(variable, known._replace(since=time, state="deleted"))
             self._arm(_DELETES, record.var_id, time, frame, "VD-PD-04")
 
-    def _hear_update(self, record: VarUpdate, variable: Variable, time: int, frame: int) -> None:
+    def _receive_update(self, record: VarUpdate, variable: Variable, time: int, frame: int) -> None:
         known = variable.versions[-1]
         if variable.uncertain:
             return
@@ -154,7 +154,7 @@ class Model:
                 # Half the circle apart: neither newer nor older (X28).
                 self._lose(variable)
 
-    def _hear_summary(self, record: VarSumm, variable: Variable, time: int, frame: int) -> None:
+    def _receive_summary(self, record: VarSumm, variable: Variable, time: int, frame: int) -> None:
         known = variable.versions[-1]
         if variable.uncertain:
             return
@@ -168,7 +168,7 @@ class Model:
             else:
                 self._lose(variable)
 
-    def _hear_update_request(self, record: VarReqUpdate, variable: Variable, time: int, frame: int) -> None:
+    def _receive_update_request(self, record: VarReqUpdate, variable: Variable, time: int, frame: int) -> None:
         known = variable.versions[-1]
         if variable.uncertain:
             return
@@ -181,7 +181,7 @@ class Model:
             elif not self._circle.newer(record.seqno, known.seqno):
                 self._lose(variable)
 
-    def _hear_create_request(self, record: VarReqCreate, variable: Variable, time: int, frame: int) -> None:
+    def _receive_create_request(self, record: VarReqCreate, variable: Variable, time: int, frame: int) -> None:
         if variable.uncertain:
             return
         if self._unknown(variable):
@@ -286,7 +286,7 @@ class Model:
         repetitions = spec.rep_cnt if spec is not None else 0
         variable.repetitions.arm((kind, seqno if kind is _UPDATES else 0), repetitions, time)
         if repetitions > 0:
-            self._owe(kind, var_id, seqno, time, frame, requirement)
+            self._oblige(kind, var_id, seqno, time, frame, requirement)
 
     def _ask(self, kind: ICType, var_id: int, time: int, frame: int, requirement: str) -> None:
         """Allow one more request. It is mandatory unless the variable may be deleted."""
@@ -295,23 +295,23 @@ class Model:
         known = variable.versions[-1]
         if known.state != "deleted":
             seqno = known.seqno if kind is _UPDATE_REQUESTS else 0
-            self._owe(kind, var_id, seqno, time, frame, requirement)
+            self._oblige(kind, var_id, seqno, time, frame, requirement)
 
     def _unknown(self, variable: Variable) -> bool:
         """Whether the node does not have a variable, or may have removed it after a deletion."""
         state = variable.versions[-1].state
         return state == "unknown" or (state == "deleted" and self._perhaps_gone(variable))
 
-    def _owe(self, kind: ICType, var_id: int, seqno: int, time: int, frame: int, requirement: str) -> None:
+    def _oblige(self, kind: ICType, var_id: int, seqno: int, time: int, frame: int, requirement: str) -> None:
         self.occasions[requirement] += 1
         owing = self._owed.get(var_id)
         if owing is None:
-            self._owed[var_id] = [Owed(time + self._window, kind, var_id, seqno, requirement, frame)]
+            self._owed[var_id] = [Obligation(time + self._window, kind, var_id, seqno, requirement, frame)]
             return
         for owed in owing:
             if owed.kind is kind and owed.seqno == seqno:
                 return
-        owing.append(Owed(time + self._window, kind, var_id, seqno, requirement, frame))
+        owing.append(Obligation(time + self._window, kind, var_id, seqno, requirement, frame))
 
     def _settle(self, kind: ICType, var_id: int, seqno: int | None = None) -> None:
         """Remove an instruction that was sent or is obsolete. A newer update also replaces older ones."""
@@ -324,7 +324,7 @@ class Model:
         else:
             del self._owed[var_id]
 
-    def _done(self, owed: Owed, kind: ICType, seqno: int | None) -> bool:
+    def _done(self, owed: Obligation, kind: ICType, seqno: int | None) -> bool:
         if owed.kind is kind:
             return kind is not _UPDATES or seqno is None or not self._circle.newer(owed.seqno, seqno)
         return False
@@ -357,10 +357,10 @@ def _creation(version: Version) -> int:
 #: Functions of the class: bound methods would make each model refer to itself, and the thousands of models a second in
 #: a fuzzer would live until the garbage collector runs.
 _HEAR: Final[dict[type, Callable[[Model, Any, Variable, int, int], None]]] = {
-    VarCreate: Model._hear_create,
-    VarDelete: Model._hear_delete,
-    VarUpdate: Model._hear_update,
-    VarSumm: Model._hear_summary,
-    VarReqUpdate: Model._hear_update_request,
-    VarReqCreate: Model._hear_create_request,
+    VarCreate: Model._receive_create,
+    VarDelete: Model._receive_delete,
+    VarUpdate: Model._receive_update,
+    VarSumm: Model._receive_summary,
+    VarReqUpdate: Model._receive_update_request,
+    VarReqCreate: Model._receive_create_request,
 }

@@ -15,7 +15,7 @@ from dcp_spec.constants import ICType
 
 from dcp_codec.values import VarCreate, VardisRecord, VarSpec
 
-from .knowledge import VERSIONS, Complaint, Owed, State, Variable, Version
+from .knowledge import VERSIONS, Complaint, Obligation, State, Variable, Version
 from .model import DELETION, Model, key_of
 from .repetitions import Key
 
@@ -80,16 +80,16 @@ class Oracle(Model):
                 else:
                     complaints += self._judge(kind, record, variable, var_id, seqno, composed, frame, exhausted)
             if removes and variable.versions[-1].state == "deleted":
-                self._remove_when_told(variable, time)
+                self._remove_after_last_delete(variable, time)
         if roomy:
             self._roomy.append(time)
             if len(self._roomy) > _PAYLOADS:
                 del self._roomy[: _PAYLOADS // 2]
         return complaints
 
-    def overdue(self, time: int) -> list[Owed]:
+    def overdue(self, time: int) -> list[Obligation]:
         """Return the instructions whose deadline is before ``time``; each is returned once."""
-        late: list[Owed] = []
+        late: list[Obligation] = []
         for var_id in list(self._owed):
             owing = self._owed.pop(var_id)
             late += [owed for owed in owing if owed.deadline < time]
@@ -249,7 +249,7 @@ class Oracle(Model):
         found.reverse()
         return found
 
-    def _remove_when_told(self, variable: Variable, time: int) -> None:
+    def _remove_after_last_delete(self, variable: Variable, time: int) -> None:
         """Remove a variable after the last VarDelete (before 2.0)."""
         if variable.repetitions.counted(DELETION) >= max(variable.repetitions.allowed(DELETION), 1):
             variable.repetitions.clear()

@@ -250,7 +250,7 @@ class PassiveTester:
                 each.verdict,
                 each.requirements,
                 each.expected,
-                self._with_places(rule.told(each), each.frames, kept),
+                self._with_places(rule.text_of(each), each.frames, kept),
                 tuple(placed(self._codec, mark, *kept[mark.frame - 1][-2:]) for mark in each.frames),
             )
             for each in rule.findings

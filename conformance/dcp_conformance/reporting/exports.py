@@ -131,9 +131,9 @@ def summary_markdown(run: RunResult) -> str:
         lines += ["", "## Diagnosis", "", f"{_cell(diagnosed(run))}.", ""]
         for number, fault in enumerate(run.diagnosis.faults, 1):
             names = ", ".join(fault.requirements)
-            told = sentence(fault)
+            text = sentence(fault)
             lines.append(
-                f"{number}. {_cell(told[:1].upper() + told[1:])} ({names}). The fault {_cell(certainty(fault))}."
+                f"{number}. {_cell(text[:1].upper() + text[1:])} ({names}). The fault {_cell(certainty(fault))}."
             )
             if not fault.certain and fault.check is not None and fault.check.observed:
                 lines.append(f"   Expected {_cell(fault.check.expected)}; observed {_cell(fault.check.observed)}.")

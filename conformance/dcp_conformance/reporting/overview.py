@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from dcp_spec.catalogue.readings import differs_from_reference, readings, told
+from dcp_spec.catalogue.readings import differs_from_reference, readings, with_reference_reading
 
 from dcp_conformance.model.results import CaseResult, Probable, RunResult
 from dcp_conformance.model.survival import SURVIVAL, bad_checks, only_died
@@ -148,5 +148,5 @@ def observed_readings(run: RunResult) -> Iterator[Reading]:
             continue
         names = {each.name for each in entry.alternatives}
         differs = any(differs_from_reference(identifier, each) for each in observed)
-        shown = tuple(told(identifier, each) for each in observed)
+        shown = tuple(with_reference_reading(identifier, each) for each in observed)
         yield Reading(identifier, entry.title, shown, differs, bool(names.intersection(observed)))

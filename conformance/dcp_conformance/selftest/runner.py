@@ -117,14 +117,14 @@ class SelftestResult(msgspec.Struct, frozen=True, kw_only=True):
         return tuple(each for each in self.mutants if not each.killed)
 
     @property
-    def stumbled(self) -> bool:
+    def had_errors(self) -> bool:
         """Whether a case has the verdict ``error``."""
         findings = [each for baseline in self.baselines for each in baseline.findings]
         return any(trial.errors for trial in self.mutants) or any(each.verdict is Verdict.ERROR for each in findings)
 
     def exit_status(self) -> int:
         """Return 0 if the reference node passes and every mutant is killed, 4 after an error of the tester, else 1."""
-        if self.stumbled:
+        if self.had_errors:
             return 4
         return 1 if self.survivors or not all(each.good for each in self.baselines) else 0
 

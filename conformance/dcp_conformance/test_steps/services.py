@@ -135,8 +135,8 @@ def create_request(
 def longest_description(bench: Bench) -> int:
     """Return the maximum length of a description in octets; the parameter of 1.0 includes a NUL (VD-CRE-04)."""
     name = "VARDISPAR_MAX_DESCRIPTION_LENGTH"
-    told = name in bench.session.parameters or bench.sut.pixit.max_description_length is not None
-    return bench.sut.bound(name) - (1 if told and bench.features.string_format == "nul-terminated" else 0)
+    stated = name in bench.session.parameters or bench.sut.pixit.max_description_length is not None
+    return bench.sut.bound(name) - (1 if stated and bench.features.string_format == "nul-terminated" else 0)
 
 
 def produced(bench: Bench, **request: Any) -> int:
@@ -167,19 +167,19 @@ def settled(bench: Bench, var_id: int, since: int | None = None) -> None:
     bench.until_quiet(lambda heard: heard.instructions(ICType.CREATE_VARIABLES, var_id), since=since)
 
 
-def taught(bench: Bench, peer: Peer, **record: Any) -> int:
+def teach_variable(bench: Bench, peer: Peer, **record: Any) -> int:
     """Teach the implementation a new variable of a peer and return its identifier; inconclusive if that fails."""
     var_id = bench.var_id()
-    _said(bench, peer, peer.create(var_id, **record), ICType.CREATE_VARIABLES, "a forwarded VarCreate")
+    _send_until_forwarded(bench, peer, peer.create(var_id, **record), ICType.CREATE_VARIABLES, "a forwarded VarCreate")
     return var_id
 
 
-def untaught(bench: Bench, peer: Peer, var_id: int) -> None:
+def delete_taught_variable(bench: Bench, peer: Peer, var_id: int) -> None:
     """Let a peer delete its variable; inconclusive if the implementation does not forward the VarDelete."""
-    _said(bench, peer, peer.delete(var_id), ICType.DELETE_VARIABLES, "a forwarded VarDelete")
+    _send_until_forwarded(bench, peer, peer.delete(var_id), ICType.DELETE_VARIABLES, "a forwarded VarDelete")
 
 
-def _said(bench: Bench, peer: Peer, record: VarCreate | VarDelete, kind: ICType, what: str) -> None:
+def _send_until_forwarded(bench: Bench, peer: Peer, record: VarCreate | VarDelete, kind: ICType, what: str) -> None:
     """Send a record up to three times until the implementation forwards it: frames may be lost."""
     for _ in range(3):
         peer.send(record)
@@ -297,7 +297,7 @@ def safety_data(bench: Bench, number: int) -> dict[str, int | float | str]:
     return values
 
 
-def told(bench: Bench, report: Any) -> dict[str, Any]:
+def reported_safety_data(bench: Bench, report: Any) -> dict[str, Any]:
     """Return the safety data of a received report, in the form of :func:`safety_data`."""
     values = report.s_data.as_dict().values()
     names = (field.name for field in bench.profile.srp.safety_data)
@@ -324,7 +324,7 @@ def until_report(
     start = len(bench.heard)
 
     def wanted(heard: ReceivedBeacon) -> bool:
-        return heard.report is not None and (values is None or told(bench, heard.report) == values)
+        return heard.report is not None and (values is None or reported_safety_data(bench, heard.report) == values)
 
     found = bench.until(lambda heard: heard if wanted(heard) else None, periods)
     if found is None:

@@ -16,7 +16,7 @@ from dcp_codec.values import ExtendedSafetyData
 from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.test_system.bench import Bench
 
-from .services import Moment, safety_data, timed, told, until_report
+from .services import Moment, reported_safety_data, safety_data, timed, until_report
 
 _UPDATE: Final = "SRP-UpdateSafetyData"
 #: Number of different safety data; the last one is for submissions whose report is not awaited.
@@ -37,7 +37,7 @@ class Sent(NamedTuple):
     values: dict[str, Any]
     moment: Moment
     """When the tester submitted it."""
-    hand_downs: int
+    submissions: int
     """Number of the tester's submissions so far, including this one."""
 
 
@@ -79,7 +79,7 @@ class Reporter:
         """Return whether a beacon has a report that the tester submitted."""
         if heard.report is None:
             return False
-        values = told(self.bench, heard.report)
+        values = reported_safety_data(self.bench, heard.report)
         return values in self._handed or values == safety_data(self.bench, _DIFFERENT)
 
     def application(self) -> bool:
@@ -133,7 +133,7 @@ class Reporter:
             heard = self._insist(start)
         if heard is None or heard.report is None:
             return None
-        found = told(self.bench, heard.report)
+        found = reported_safety_data(self.bench, heard.report)
         index = len(self._handed) - 1 - self._handed[::-1].index(found)
         moment, count = self._moments[index]
         return Sent(heard, heard.report, found, moment, count)
@@ -155,7 +155,7 @@ class Reporter:
             wanted.append(self.submit())
             bench.waiting.wait_ns(bench.period // _PAUSE)
             for each in bench.heard[start:]:
-                if each.report is not None and told(bench, each.report) in wanted:
+                if each.report is not None and reported_safety_data(bench, each.report) in wanted:
                     return each
             start = len(bench.heard)
         return None
@@ -166,7 +166,7 @@ class Reporter:
         With an application, whose submissions are unknown, it may increase by more.
         """
         grown = (last.report.seqno - first.report.seqno) % SRP_SEQNO_MODULUS
-        count = last.hand_downs - first.hand_downs
+        count = last.submissions - first.submissions
         exact = grown == count or not self.application()
         right = grown == count if exact else count <= grown < 1 << 16
         return self.bench.check(

@@ -35,7 +35,7 @@ def scrubbing_period_ms(bench: Bench) -> int:
     return bench.sut.parameter("VARDISPAR_SCRUBBING_PERIOD")
 
 
-def hurry(bench: Bench) -> int:
+def shorten_scrubbing(bench: Bench) -> int:
     """Shorten a long scrubbing period for this case, if it can be set and reset; return the period in ms from now on.
 
     The current period may still run to its end, so deadlines depend on the initial one.

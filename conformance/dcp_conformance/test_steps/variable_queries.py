@@ -77,21 +77,21 @@ def own_id(bench: Bench) -> bytes:
     return bench.identifiers.sut_id
 
 
-def taught_all(bench: Bench, peer: Peer, creates: Iterable[VarCreate]) -> list[VarCreate]:
+def teach_variables(bench: Bench, peer: Peer, creates: Iterable[VarCreate]) -> list[VarCreate]:
     """Teach the implementation several variables with repCnt 1 at once; inconclusive if it does not forward them."""
     creates = list(creates)
     start = bench.mark()
     peer.send_all(creates)
     missing = {create.spec.var_id for create in creates}
 
-    def heard_all() -> bool:
+    def await_all() -> bool:
         missing.difference_update(each.var_id for each in bench.instructions(ICType.CREATE_VARIABLES, since=start))
         return not missing
 
     bench.until(
-        lambda _: heard_all(), max(bench.sut.reaction + len(creates) / 2, bench.teaching.periods(2 * len(creates)))
+        lambda _: await_all(), max(bench.sut.reaction + len(creates) / 2, bench.teaching.periods(2 * len(creates)))
     )
-    if not heard_all():
+    if not await_all():
         bench.teaching.not_learnt(missing)
     return creates
 

@@ -62,7 +62,7 @@ class Channel:
         """Let go; may be called twice."""
         raise NotImplementedError
 
-    def epitaph(self) -> str:
+    def end_description(self) -> str:
         """Return how the other side ended, as text."""
         raise NotImplementedError
 
@@ -85,7 +85,7 @@ class Channel:
                     return found
                 continue
             if self._ended:
-                raise UpperTesterError(f"{self.name}: {self.epitaph()}")
+                raise UpperTesterError(f"{self.name}: {self.end_description()}")
             if not self._fill(deadline):
                 return None
 
@@ -126,7 +126,7 @@ class Channel:
                 _wait((self._write_fileno(),), select.POLLOUT, min(0.05, max(0.0, deadline - time.monotonic())))
             except OSError:
                 self._ended = True
-                raise UpperTesterError(f"{self.name}: {self.epitaph()}") from None
+                raise UpperTesterError(f"{self.name}: {self.end_description()}") from None
 
 
 class SocketChannel(Channel):
@@ -159,7 +159,7 @@ class SocketChannel(Channel):
         self._ended = True
         self._socket.close()
 
-    def epitaph(self) -> str:
+    def end_description(self) -> str:
         """Nothing more is known than that it is closed."""
         return "the connection was closed by the other side; did the implementation or its adapter end?"
 
@@ -234,7 +234,7 @@ class ProcessChannel(Channel):
         self._process.stderr.close()
         self._err_open = False
 
-    def epitaph(self) -> str:
+    def end_description(self) -> str:
         """Its exit status and last words."""
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._process.wait(_END)

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 
-from dcp_codec.common.trust import distrust, invoking_user
+from dcp_codec.common.trust import invoking_user, untrusted_writer
 from dcp_conformance.errors import UsageError
 
 from .base import known_status
@@ -91,7 +91,7 @@ def load_adapter(name: str) -> Adapter:
         if "/" not in name and not path.suffix:
             data = built_in.joinpath(f"{name}.toml").read_bytes()
         else:
-            if problem := distrust(path, owners=invoking_user()):
+            if problem := untrusted_writer(path, owners=invoking_user()):
                 raise UsageError(
                     f"commands:{name}: {problem}, and it names programs that the tester executes; "
                     "take away that right, or use a copy in a folder of your own"

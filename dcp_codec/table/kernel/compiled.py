@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from dcp_codec.common.atomic_write import write_whole
-from dcp_codec.common.trust import distrust
+from dcp_codec.common.trust import untrusted_writer
 
 from . import native
 from .generator import kernel_source
@@ -137,11 +137,11 @@ def cache_folder() -> Path | None:
     folder = base / "dcp-codec"
     try:
         above = next(each for each in (base, *base.parents) if each.exists())
-        if distrust(above):
+        if untrusted_writer(above):
             return None
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         status = folder.stat()
-        if status.st_uid != os.getuid() or distrust(folder) or not os.access(folder, os.W_OK):
+        if status.st_uid != os.getuid() or untrusted_writer(folder) or not os.access(folder, os.W_OK):
             return None
     except (OSError, StopIteration):
         return None

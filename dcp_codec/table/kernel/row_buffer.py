@@ -60,7 +60,7 @@ def table_layout(table: Table, rows: int) -> tuple[dict[int, int], int]:
     return starts, at
 
 
-class Stage:
+class StagingRows:
     """Memory for ``moved`` rows of each table, and for those of one more frame of ``octets`` octets.
 
     ``rows`` is the capacity for each table, ``moved`` the number of rows after which those of a table are moved, and

@@ -288,14 +288,16 @@ class SetLink(Event, tag="link", kw_only=True, frozen=True):
     both_ways: bool = True
 
 
-class HandDown(Event, tag="safety-data", kw_only=True, frozen=True):
+class Submission(Event, tag="safety-data", kw_only=True, frozen=True):
     """``SRP-UpdateSafetyData`` at a node; ``data``: fields of the profile by name."""
 
     node: int
     data: dict[str, float | int | str]
 
 
-Action = Create | Update | Delete | Activate | Deactivate | Down | Up | Restart | Partition | Heal | SetLink | HandDown
+Action = (
+    Create | Update | Delete | Activate | Deactivate | Down | Up | Restart | Partition | Heal | SetLink | Submission
+)
 
 
 class Tracks(Strict, kw_only=True, frozen=True):

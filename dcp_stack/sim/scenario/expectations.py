@@ -17,12 +17,12 @@ from .definition import (
     Down,
     Event,
     Expected,
-    HandDown,
     NeighboursAre,
     Partition,
     Restart,
     Scenario,
     SetLink,
+    Submission,
     Up,
     Update,
     VariableIs,
@@ -73,7 +73,7 @@ def describe(event: Event, n: int = 0) -> str:
             return "links change"
         case SetLink(sender=sender, receiver=receiver):
             return f"link {sender}-{receiver} changes"
-        case HandDown(node=node):
+        case Submission(node=node):
             return f"node {node} gets safety data"
         case _:
             return "the partition ends"

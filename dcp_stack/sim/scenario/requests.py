@@ -11,9 +11,9 @@ from dcp_stack.control.jsonrpc import RpcError
 from dcp_stack.control.services import Times, parameters_of, perform
 from dcp_stack.node import Node
 
-from .definition import Activate, Create, Deactivate, Delete, HandDown, Update
+from .definition import Activate, Create, Deactivate, Delete, Submission, Update
 
-ServiceEvent = Create | Update | Delete | Activate | Deactivate | HandDown
+ServiceEvent = Create | Update | Delete | Activate | Deactivate | Submission
 """Events that are a service request at one node."""
 
 _LAYERS = {"vardis": "VD", "bp": "BP"}
@@ -39,7 +39,7 @@ def request(event: ServiceEvent, n: int) -> tuple[str, dict[str, Any]]:
             return f"{_LAYERS[event.layer]}-MGMT-Activate", {}
         case Deactivate():
             return f"{_LAYERS[event.layer]}-MGMT-Deactivate", {}
-        case HandDown():
+        case Submission():
             return "SRP-UpdateSafetyData", {"sData": event.data}
 
 

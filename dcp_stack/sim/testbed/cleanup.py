@@ -15,7 +15,7 @@ import sys
 from .namespaces import PATIENCE, NamespaceError, delete, existing
 
 
-class Janitor:
+class CleanupProcess:
     """The process that cleans up after the testbed of this process."""
 
     def __init__(self, prefix: str, directory: str | None = None) -> None:

@@ -19,13 +19,13 @@ from dcp_stack.sim.scenario.definition import (
     Delete,
     Down,
     Event,
-    HandDown,
     Heal,
     Partition,
     Restart,
     Scenario,
     ScenarioError,
     SetLink,
+    Submission,
     Up,
     Update,
 )
@@ -36,7 +36,7 @@ from dcp_stack.sim.scenario.report import Finding, NodeTraffic, Report
 from dcp_stack.sim.scenario.requests import request, trouble
 from dcp_stack.sim.virtual.network import node_id
 
-from .cleanup import Janitor
+from .cleanup import CleanupProcess
 from .fabric import Air, Fabric, MakeAir
 from .namespaces import own_prefix, sweep
 from .processes import END_PATIENCE, NodeProcess, seconds_between, settings_for
@@ -86,7 +86,7 @@ class Testbed:
         self._late = self._slowest_start = 0.0
         sweep()
         prefix = own_prefix()
-        self._janitor = Janitor(prefix, None if keep else str(directory))
+        self._janitor = CleanupProcess(prefix, None if keep else str(directory))
         self._closing = contextlib.ExitStack()
         try:
             identifiers = [node_id(self.profile, index) for index in range(scenario.nodes)]
@@ -243,7 +243,7 @@ class Testbed:
     def _perform(self, event: Event, n: int) -> str:
         """Perform an event; returns a status that is not OK, otherwise an empty text."""
         match event:
-            case Create() | Update() | Delete() | HandDown() | Activate() | Deactivate():
+            case Create() | Update() | Delete() | Submission() | Activate() | Deactivate():
                 method, params = request(event, n)
                 return trouble(self.nodes[event.node].call(method, **params))
             case Down(node=node):

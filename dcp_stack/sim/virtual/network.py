@@ -289,7 +289,7 @@ class Network:
             beacon = node.bp.poll_timeout()
             if beacon is not None and beacon <= now:
                 for track in station.tracks:
-                    self._hand_down(node, self._sample(station, track))
+                    self._submit(node, self._sample(station, track))
         node.handle_timeout(now, wall)
 
     def _arrive(self, arrival: Arrival) -> None:
@@ -392,7 +392,7 @@ class Network:
         """Submit the current samples of a source to its node, and schedule the next poll."""
         samples = self._sample(station, source)
         if samples:
-            self._guarded(station, lambda node: self._hand_down(node, samples))
+            self._guarded(station, lambda node: self._submit(node, samples))
         due = source.poll_timeout()
         if due is not None and not source.finished:
             self.at(due, lambda: self._poll(station, source))
@@ -411,7 +411,7 @@ class Network:
                 self._places.move(station.index, place)
         return samples
 
-    def _hand_down(self, node: Node, samples: list[Sample]) -> None:
+    def _submit(self, node: Node, samples: list[Sample]) -> None:
         """Submit samples to SRP; the effects are executed with the next step of the node."""
         if node.srp is not None:
             for sample in samples:

@@ -28,7 +28,6 @@ from dcp_stack.sim.scenario.definition import (
     Delete,
     Down,
     Event,
-    HandDown,
     Heal,
     LinkQuality,
     Partition,
@@ -36,6 +35,7 @@ from dcp_stack.sim.scenario.definition import (
     Scenario,
     ScenarioError,
     SetLink,
+    Submission,
     Up,
     Update,
 )
@@ -196,7 +196,7 @@ class Simulation:
         """
         network, medium = self.network, self.network.medium
         match event:
-            case Create() | Update() | Delete() | HandDown() | Activate() | Deactivate():
+            case Create() | Update() | Delete() | Submission() | Activate() | Deactivate():
                 method, params = request(event, n)
                 found = network.request(event.node, method, **params)
                 if isinstance(event, Activate | Deactivate):

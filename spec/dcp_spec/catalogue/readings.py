@@ -69,7 +69,7 @@ def differs_from_reference(reading_id: str, observed: str) -> bool:
     return observed != entry.default.name and any(observed == each.name for each in entry.alternatives)
 
 
-def told(reading_id: str, observed: str) -> str:
+def with_reference_reading(reading_id: str, observed: str) -> str:
     """An observation for people, with our reading beside it where that is another one."""
     if not differs_from_reference(reading_id, observed):
         return observed

@@ -109,7 +109,7 @@ def test_changes_are_undone_in_reverse_order():
         ("BP-SetParameter", {"name": "BPPAR_BEACON_PERIOD", "value": 100}),
         ("BP-DeregisterProtocol", {"protId": 0x7000}),
     ]
-    assert (restoration.failure, restoration.spoilt, held) == ("", "", set())
+    assert (restoration.failure, restoration.restore_failure, held) == ("", "", set())
 
 
 def test_a_registration_that_remains_is_held_and_spoils_nothing():
@@ -119,7 +119,7 @@ def test_a_registration_that_remains_is_held_and_spoils_nothing():
     restoration = Restoration(parts.changes, parts.services, held)
     restoration.restore()
     assert restoration.failure == "BP-DeregisterProtocol: BP-STATUS-EMPTY-PAYLOAD"
-    assert (restoration.spoilt, held) == ("", {0x7000})
+    assert (restoration.restore_failure, held) == ("", {0x7000})
 
 
 def test_a_parameter_that_remains_spoils_later_cases():
@@ -129,7 +129,7 @@ def test_a_parameter_that_remains_spoils_later_cases():
     upper.answers["BP-SetParameter"] = UpperTesterError("no answer")
     restoration = Restoration(parts.changes, parts.services, set())
     restoration.restore()
-    assert restoration.spoilt == "BP-SetParameter: no answer"
+    assert restoration.restore_failure == "BP-SetParameter: no answer"
 
 
 def test_an_upper_tester_that_does_not_answer_is_given_up():

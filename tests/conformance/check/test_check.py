@@ -400,9 +400,9 @@ def _dialogue(
         for who in (A, B):
             air.say(who, VarSumm(100, number), VarUpdate(100, number, b"x"))
         frames.append(air.say(A, *occasion(number)))
-        said = wrong_one(number) if wrong else right(number)
-        air.say(B, *(said or (VarSumm(100, number),)))
-        rest = tuple(each for each in said if isinstance(each, VarSumm)) or (VarSumm(100, number),)
+        statement = wrong_one(number) if wrong else right(number)
+        air.say(B, *(statement or (VarSumm(100, number),)))
+        rest = tuple(each for each in statement if isinstance(each, VarSumm)) or (VarSumm(100, number),)
         air.idle(6, a(number) or (VarSumm(100, number),), rest, nodes=(A, B))
     return tuple(frames[:2])
 

@@ -323,17 +323,17 @@ class Spoilt(HungUp):
 
     def call(self, method: str, params: dict[str, object]) -> Answer:
         if method == "RTDB-Read":
-            self._sut.spoilt = True
-        if self._sut.spoilt and method.startswith("RTDB"):
+            self._sut.restore_failure = True
+        if self._sut.restore_failure and method.startswith("RTDB"):
             return Answer(code=-32603, message="trying to pop from an empty buffer")
         return super().call(method, params)
 
 
 class Queue(InProcess):
-    spoilt = False
+    restore_failure = False
 
     def restart(self) -> None:
-        self.spoilt = False
+        self.restore_failure = False
         super().restart()
 
 

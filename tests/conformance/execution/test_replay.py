@@ -8,7 +8,7 @@ import msgspec
 import pytest
 from dcp_conformance.check.recording import guessed_profile
 from dcp_conformance.errors import UsageError
-from dcp_conformance.execution.replay import Cast, Replay, ReplayOptions, cast_of, choose_node, decided
+from dcp_conformance.execution.replay import RecordedNodes, Replay, ReplayOptions, choose_node, decided, recorded_nodes
 from dcp_conformance.execution.runner import Runner
 from dcp_conformance.model.pics import Pics
 from dcp_conformance.model.results import CaseResult
@@ -179,12 +179,12 @@ def _with(frame: Frame, data: bytes) -> Frame:
 class TestParts:
     def test_its_own_if_it_was_recorded_else_the_one_that_produces_least(self):
         path = CAPTURES / "b_crud.mcap"
-        cast = cast_of(path, codec_of("cpp-2.0"))
+        cast = recorded_nodes(path, codec_of("cpp-2.0"))
         assert sorted(each.hex(":") for each in cast.beacons) == list(NODES)
         assert choose_node(cast, octets(NODES[1])) == octets(NODES[1])
         assert choose_node(cast, None) == octets(NODES[2])
         assert choose_node(cast, b"\x02\0\0\0\0\x99") == octets(NODES[2])
-        assert isinstance(cast, Cast)
+        assert isinstance(cast, RecordedNodes)
 
     def test_a_name_of_its_own_is_no_obstacle(self):
         result = replayed(CAPTURES / "c_latejoin.mcap", NODES[2], called="02:00:00:00:00:77")

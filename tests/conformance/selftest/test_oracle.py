@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 from dcp_conformance.frames.received import ReceivedBeacon
-from dcp_conformance.oracle import Complaint, Limits, Oracle, Owed
+from dcp_conformance.oracle import Complaint, Limits, Obligation, Oracle
 from dcp_conformance.reference.inprocess import InProcess, MakeNode, plain_node, reference_config
 from dcp_spec.constants import ICType, features
 
@@ -55,7 +55,7 @@ class Duel:
             OWN, self.features, self.codec.profile.types.var_seqno.width, self.limits, latency=LATENCY, window=WINDOW
         )
         self.complaints: list[Complaint] = []
-        self.late: list[Owed] = []
+        self.late: list[Obligation] = []
         self.seqno = [0, 0, 0]
         self.frame = 0
 

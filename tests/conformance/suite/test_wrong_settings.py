@@ -97,7 +97,7 @@ class OnAnotherType(VirtualLowerTester):
         super().__init__(sut)
         self.asked: list[bytes] = []
 
-    def overhear(self, asked: Iterable[bytes], duration: int) -> list[bytes]:
+    def exchange_all_types(self, asked: Iterable[bytes], duration: int) -> list[bytes]:
         self.asked += asked
         return [frame for frame in self.asked if frame[12:14] == b"\x88\xb5"]
 

@@ -18,7 +18,7 @@ from collections.abc import Callable, Sequence
 from typing import Final
 
 from dcp_conformance.check.base import MOST_VARIABLES, Context, Seen
-from dcp_conformance.check.statements import ASK_UPDATE, CREATE, DELETE, SUMMARY, UPDATE, Statement, said_of
+from dcp_conformance.check.statements import ASK_UPDATE, CREATE, DELETE, SUMMARY, UPDATE, Statement, statement_of
 from dcp_conformance.check.stations import Origin
 from dcp_conformance.model.circular import Circle
 
@@ -425,14 +425,14 @@ class Observer:
                     ):
                         # All nodes have this number.
                         continue
-                said: Statement | None = None
+                statement: Statement | None = None
                 for due, whom in self._demands.of(variable, kind, records[index], speaker.bit):
                     if begins is None:
                         begins, total = self._sizes.starts(seen.parts)
-                    if said is None:
-                        said = said_of(kind, records[index], seen.heard, seen.sender)
+                    if statement is None:
+                        statement = statement_of(kind, records[index], seen.heard, seen.sender)
                     late_half = 2 * begins[place][index] >= total
-                    self._log.append(Event(whom, due, var_id, said, speaker.bit, late_half, total, self.time))
+                    self._log.append(Event(whom, due, var_id, statement, speaker.bit, late_half, total, self.time))
         if len(self._log) > _EVENTS:
             for station in self.stations.values():
                 self._catch_up(station)
@@ -442,7 +442,7 @@ class Observer:
     def _catch_up(self, station: Station) -> None:
         """Open the occasions of a node from the events since its last beacon."""
         log, bit, beacons, opened_of = self._log, station.bit, station.beacons, station.open
-        said, oldest = station.stated_at, max(station.gap, beacons - _FRESH)
+        statement, oldest = station.stated_at, max(station.gap, beacons - _FRESH)
         waiting = station.waiting
         for _, kind, var_id, cause, speaker, late_half, length, time in [
             event for event in log[station.cursor - self._dropped :] if event[0] & bit
@@ -452,7 +452,7 @@ class Observer:
                 continue
             if kind in _ABSENT:
                 waiting[var_id] = None
-            elif said[var_id] < oldest:
+            elif statement[var_id] < oldest:
                 # The node's last statement of the number is too old, or beacons of it are missing since then.
                 continue
             if opened is None:

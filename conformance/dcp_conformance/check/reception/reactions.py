@@ -257,10 +257,12 @@ class Reception:
         """Speakers of a trial -> those that the other speakers of the trial cannot replace."""
         for trial in trials:
             if trial.hit:
-                said = trial.exposure
-                if said not in alone:
-                    alone[said] = tuple(bit for bit, _ in said if reacts(without(said, bit), shares) < 1 - _SURE)
-                for bit in alone[said]:
+                statement = trial.exposure
+                if statement not in alone:
+                    alone[statement] = tuple(
+                        bit for bit, _ in statement if reacts(without(statement, bit), shares) < 1 - _SURE
+                    )
+                for bit in alone[statement]:
                     sure.setdefault(bit, []).append(trial.time)
         for times in sure.values():
             times.sort()

@@ -23,7 +23,7 @@ _ALONE, _SHARE = 2, 0.1
 _SOME, _TRIALS = 0.02, 20
 
 
-class HearsWhom(Invariant):
+class ReceptionLinks(Invariant):
     """Report the links between nodes. This rule passes the beacons to the object that the other rules use, too."""
 
     id = "CK_NET_HEARS"
@@ -66,7 +66,7 @@ class HearsWhom(Invariant):
 
 
 class _Reaction(Invariant):
-    """Base of rules for one kind of reaction. :class:`HearsWhom` processes the beacons for them."""
+    """Base of rules for one kind of reaction. :class:`ReceptionLinks` processes the beacons for them."""
 
     enough = 5
     kinds: ClassVar[tuple[Kind, ...]]
@@ -83,9 +83,9 @@ class _Reaction(Invariant):
                 self._of_all += shown.hits.get(kind, 0)
         for each in reception.shortages():
             if each.kind in self.kinds:
-                self._tell(each)
+                self._report_missing(each)
 
-    def _tell(self, each: Shortage) -> None:
+    def _report_missing(self, each: Shortage) -> None:
         """Report missing reactions; verdict info if they may exceed the node's limits, inconclusive if uncertain."""
         tally = each.tally
         what = "any variable" if each.var_id is None else f"variable {each.var_id}"
@@ -95,7 +95,10 @@ class _Reaction(Invariant):
         )
         rules = self.requirements
         if self.by_cause:
-            rules = tuple(dict.fromkeys(self.by_cause.get(said.kind, rules[0]) for said in tally.examples)) or rules
+            rules = (
+                tuple(dict.fromkeys(self.by_cause.get(statement.kind, rules[0]) for statement in tally.examples))
+                or rules
+            )
         limit = self._limit(each)
         if not each.certain:
             text += ", which unstable links could explain"
@@ -246,7 +249,7 @@ class AsksForCreations(_Reaction):
     }
 
 
-class Teaches(_Reaction):
+class AnswersOlderNumber(_Reaction):
     """A node sends its value after hearing an older number."""
 
     id = "CK_VD_TEACH"
@@ -259,7 +262,7 @@ class Teaches(_Reaction):
 
 
 RULES: tuple[type[Invariant], ...] = (
-    HearsWhom,
+    ReceptionLinks,
     TakesCreations,
     TakesUpdates,
     TakesDeletions,
@@ -267,5 +270,5 @@ RULES: tuple[type[Invariant], ...] = (
     AsksForCreations,
     AnswersUpdateRequests,
     AnswersCreateRequests,
-    Teaches,
+    AnswersOlderNumber,
 )

@@ -14,7 +14,16 @@ from dcp_spec.constants import ICType
 
 from dcp_conformance.check.base import MOST_SENDERS, MOST_VARIABLES, Context, Invariant, Seen, Stamp, name
 from dcp_conformance.check.reception import reception_of
-from dcp_conformance.check.statements import ASK_CREATE, ASK_UPDATE, CREATE, DELETE, SUMMARY, UPDATE, Statement, said_of
+from dcp_conformance.check.statements import (
+    ASK_CREATE,
+    ASK_UPDATE,
+    CREATE,
+    DELETE,
+    SUMMARY,
+    UPDATE,
+    Statement,
+    statement_of,
+)
 from dcp_conformance.model.circular import Circle
 from dcp_conformance.model.verdict import Verdict
 
@@ -39,7 +48,7 @@ _OFTEN, _ANSWERED = 10, 3
 class _Backing:
     """The number of a variable that a node states, and whether the node has sent its value."""
 
-    said: Statement
+    statement: Statement
     """The node's first record with this number."""
     number: int
     backed: bool
@@ -122,7 +131,7 @@ class Backed(Invariant):
                 summaries += len(ids)
                 if not changed.isdisjoint(ids):
                     for record in [record for record, var_id in zip(records, ids, strict=True) if var_id in changed]:
-                        each = said_of(kind, record, seen.heard, seen.sender)
+                        each = statement_of(kind, record, seen.heard, seen.sender)
                         self._summary(known, each, seen, sender.unbroken, complete=whole > _PATIENCE, room=room)
         self._whole[seen.sender] = (sender.unbroken, whole + 1 if summaries >= len(known) else 0)
 
@@ -159,7 +168,7 @@ class Backed(Invariant):
             return
         if number != state.number:
             state = known[each.var_id] = _Backing(
-                each, number, backed=False, time=seen.time, before=state.last or state.said
+                each, number, backed=False, time=seen.time, before=state.last or state.statement
             )
             self._unbacked[seen.sender].add(each.var_id)
         state.time, state.last = seen.time, each
@@ -169,18 +178,18 @@ class Backed(Invariant):
         if state.beacons == _PATIENCE:
             self._unbacked[seen.sender].discard(each.var_id)
             self.exercised()
-            self._tell(state, each, seen)
+            self._report_number(state, each, seen)
 
-    def _tell(self, state: _Backing, each: Statement, seen: Seen) -> None:
+    def _report_number(self, state: _Backing, each: Statement, seen: Seen) -> None:
         """Report a number without a value."""
         who = f"{name(seen.sender)}, variable {each.var_id}"
         if state.before is None:
             nobody = "" if each.var_id in self._created else ", and no node has created it"
             text = f"{who}: summaries of a variable without a create of this node{nobody}"
-            self.violated(text, [state.said, each], once=(seen.sender, each.var_id, "new"))
+            self.violated(text, [state.statement, each], once=(seen.sender, each.var_id, "new"))
             return
         text = f"{who}: summaries with {state.number} after {seqno_of(state.before)}, but no update with that number"
-        self.violated(text, [state.before, state.said, each], once=(seen.sender, each.var_id))
+        self.violated(text, [state.before, state.statement, each], once=(seen.sender, each.var_id))
 
     def finish(self) -> None:
         """Count the numbers whose values were sent."""
@@ -194,7 +203,7 @@ class _Held:
     number: int
     since: int
     """Time of the first record with it, ns since 1970."""
-    said: Statement
+    statement: Statement
     """The first record with it."""
     last: int = 0
     """Time of a later record with it, ns since 1970; repeated summaries are kept in the context."""
@@ -246,7 +255,7 @@ class Agreement(Invariant):
                 continue
             if self._producers.get(var_id) == sender:
                 self._compare(var_id, sender, held, time)
-            held.number, held.since, held.said, held.last = number, time, each, time
+            held.number, held.since, held.statement, held.last = number, time, each, time
 
     def _remember(self, node: bytes, again: Mapping[int, Stamp]) -> None:
         """Store the times of a node's last summaries before the context forgets them."""
@@ -257,7 +266,7 @@ class Agreement(Invariant):
 
     def _last(self, node: bytes, var_id: int, held: _Held) -> int:
         """Return the time of a node's last record with its number, in ns since 1970."""
-        again = self.context.said_again(node, var_id)
+        again = self.context.repeated_by_summary(node, var_id)
         return held.last if again is None else again[1]
 
     def _compare(self, var_id: int, producer: bytes, own: _Held, now: int) -> None:
@@ -285,7 +294,7 @@ class Agreement(Invariant):
             else:
                 what = "a value of the producer that does not reach a node"
             key = (node, var_id, what)
-            self.violated(text, [own.said, held.said], expected=what, verdict=Verdict.INFO, once=key)
+            self.violated(text, [own.statement, held.statement], expected=what, verdict=Verdict.INFO, once=key)
 
     def finish(self) -> None:
         """Compare the last numbers in the recording."""
@@ -296,7 +305,7 @@ class Agreement(Invariant):
 
 
 @dataclass(slots=True)
-class _Voice:
+class _PayloadTimes:
     """How long a node has sent payloads of each protocol."""
 
     beacons: int = 0
@@ -326,7 +335,7 @@ class FallsSilent(Invariant):
 
     def __init__(self, context: Context) -> None:
         super().__init__(context)
-        self._voices: dict[bytes, _Voice] = {}
+        self._voices: dict[bytes, _PayloadTimes] = {}
 
     def feed(self, seen: Seen) -> None:
         """Count beacons with and without payloads of each protocol."""
@@ -336,7 +345,7 @@ class FallsSilent(Invariant):
         if voice is None:
             if len(self._voices) >= MOST_SENDERS:
                 return
-            voice = self._voices[seen.sender] = _Voice()
+            voice = self._voices[seen.sender] = _PayloadTimes()
         voice.beacons += 1
         if seen.parts:
             voice.vardis += 1
@@ -409,14 +418,14 @@ class EndlessRequests(Invariant):
                     self._asked[key] = _Asked(1, each)
                     self._askers.setdefault((each.var_id, kind), {})[seen.sender] = None
             elif kind is CREATE:
-                self._said(each, seen, ASK_CREATE)
+                self._answered(each, seen, ASK_CREATE)
             elif kind is UPDATE:
-                self._said(each, seen, ASK_UPDATE)
+                self._answered(each, seen, ASK_UPDATE)
             elif kind is DELETE:
                 for asks in (ASK_CREATE, ASK_UPDATE):
                     self._ends(seen.sender, each.var_id, asks)
 
-    def _said(self, each: Statement, seen: Seen, asks: ICType) -> None:
+    def _answered(self, each: Statement, seen: Seen, asks: ICType) -> None:
         """Process a record that answers requests of kind ``asks``, and ends those of its sender."""
         askers = self._askers.get((each.var_id, asks))
         if not askers:

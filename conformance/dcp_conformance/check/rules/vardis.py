@@ -9,7 +9,7 @@ from dcp_spec.constants import ICType
 
 from dcp_codec.values import VarCreate
 from dcp_conformance.check.base import Context, Invariant, Seen, name
-from dcp_conformance.check.statements import CREATE, DELETE, SUMMARY, UPDATE, Statement, said_of
+from dcp_conformance.check.statements import CREATE, DELETE, SUMMARY, UPDATE, Statement, statement_of
 from dcp_conformance.frames.received import Instruction
 from dcp_conformance.model.verdict import Verdict
 
@@ -98,10 +98,10 @@ class PayloadConsistency(Invariant):
         several, deletes = _several(seen)
         if not deletes and self._agree(seen, several):
             return
-        said = seen.said if deletes else _statements(seen, several)
+        statements = seen.statements if deletes else _statements(seen, several)
         records: dict[int, Statement] = {}
-        deleted = {each.var_id: each for each in said if each.kind is DELETE}
-        for each in said:
+        deleted = {each.var_id: each for each in statements if each.kind is DELETE}
+        for each in statements:
             kind = each.kind
             if kind is not SUMMARY and kind is not UPDATE and kind is not CREATE:
                 continue
@@ -159,7 +159,7 @@ def _several(seen: Seen) -> tuple[set[int], bool]:
 def _statements(seen: Seen, several: set[int]) -> Sequence[Statement]:
     """Return the records of these variables as statements."""
     return [
-        said_of(kind, record, seen.heard, seen.sender)
+        statement_of(kind, record, seen.heard, seen.sender)
         for kind, records, ids in seen.parts
         if not several.isdisjoint(ids)
         for record, var_id in zip(records, ids, strict=True)

@@ -298,7 +298,7 @@ class OneSpec(_OfAllNodes):
                 if before is None:
                     self._producer(each)
                     if spec.prod_id != seen.sender and not self._forgotten:
-                        self._unheard(each, seen)
+                        self._without_sigint(each, seen)
                 self._specs[key] = each
                 if len(self._specs) > MOST_VARIABLES:
                     self._specs.popitem(last=False)
@@ -344,7 +344,7 @@ class OneSpec(_OfAllNodes):
         )
         self.contradict(before.time, before, each, text, ("prodId", *key))
 
-    def _unheard(self, each: Statement, seen: Seen) -> None:
+    def _without_sigint(self, each: Statement, seen: Seen) -> None:
         """Report a forwarded creation that its producer never sent, if it is later than one in the recording.
 
         An earlier creation may be older than the recording, and arrive with a node that was out of range.

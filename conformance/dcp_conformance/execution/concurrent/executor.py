@@ -278,7 +278,7 @@ class SideBySide:
         try:
             with recorded(trial):
                 run_body(trial)
-            if not trial.hung_up:
+            if not trial.upper_tester_error:
                 delete_variables(trial, lambda: True)
         finally:
             base.passive.leave(case.id)
@@ -294,7 +294,11 @@ class SideBySide:
             self._waiting.appendleft(case)
             self._draining = self._used_up = True
             return
-        if trial.verdict is Verdict.PASS and not trial.hung_up and not trial.bench.restoration.spoilt:
+        if (
+            trial.verdict is Verdict.PASS
+            and not trial.upper_tester_error
+            and not trial.bench.restoration.restore_failure
+        ):
             self._doubts = 0
             self.reasons.pop(case.id, None)
             result = result_of(trial, trial.checks, session.lower.now(), self._runner.rerun, side_by_side=True)
@@ -302,10 +306,10 @@ class SideBySide:
             return
         self.left.append(case)
         self.reasons[case.id] = _reason(trial)
-        if trial.verdict in (Verdict.FAIL, Verdict.INCONCLUSIVE) and not trial.hung_up:
+        if trial.verdict in (Verdict.FAIL, Verdict.INCONCLUSIVE) and not trial.upper_tester_error:
             self._crowded.append(case)
         self._doubts += 1
-        if trial.hung_up or self._doubts >= _DOUBTFUL:
+        if trial.upper_tester_error or self._doubts >= _DOUBTFUL:
             # The implementation may be dead. It can be probed only when no other case is executed.
             self._draining = self._doubtful = True
             self._suspects = self._suspects or [case.id, *self._live]

@@ -49,7 +49,7 @@ class Trial:
     """Whether the case stopped because all identifiers that the implementation cannot know were used up."""
     detail: str = ""
     """Traceback of a fault of the tester."""
-    hung_up: str = ""
+    upper_tester_error: str = ""
     """Error message if the upper tester stopped answering; otherwise empty."""
 
     @property

@@ -67,14 +67,14 @@ class Loss:
 
     @property
     def group(self) -> str:
-        """A text that is equal for losses with the same probable cause: :attr:`brief`, with all numbers replaced.
+        """A text that is equal for losses with the same probable cause: :attr:`summary`, with all numbers replaced.
 
         Process ids, addresses and line numbers differ from one loss to the next.
         """
-        return _NUMBERS.sub("#", self.brief)
+        return _NUMBERS.sub("#", self.summary)
 
     @property
-    def brief(self) -> str:
+    def summary(self) -> str:
         """The loss in one line.
 
         Of the output only the last line that mentions a fault is used, or else the last line, because several processes
@@ -98,7 +98,7 @@ class Life:
         self._start_timeout = START_PATIENCE if start_timeout is None else start_timeout
         self._shown: set[Sign] = set()
         """Kinds of signs of life that were observed before; only the absence of these shows a death."""
-        self.hung_up = ""
+        self.upper_tester_error = ""
         """Error message if the upper tester lost its connection since the last check; otherwise empty."""
 
     def ended(self) -> bool:
@@ -114,7 +114,7 @@ class Life:
             try:
                 bench.waiting.wait_ns(_POLL_NS)
             except UpperTesterError as error:
-                self.hung_up = str(error)
+                self.upper_tester_error = str(error)
             except LowerTesterError:
                 time.sleep(_POLL_NS / 1e9)
         return self.ended()
@@ -147,7 +147,7 @@ class Life:
                 return False
             except UpperTesterError as error:
                 # The connection for notifications has ended; the implementation may still be alive.
-                self.hung_up = str(error)
+                self.upper_tester_error = str(error)
                 continue
             # A VarDis payload that cannot be decoded may hold the answer, and its sender is alive.
             spoken = any(each.vardis_problems for each in bench.heard[before:])
@@ -185,7 +185,7 @@ class Life:
         try:
             upper.call("UT-Hello", {})
         except UpperTesterError as error:
-            self.hung_up = str(error)
+            self.upper_tester_error = str(error)
             return False
         self._shown.add("service")
         return True
@@ -197,24 +197,24 @@ class Life:
         """
         self.learn(bench)
         if not self.ended():
-            if self.hung_up:
+            if self.upper_tester_error:
                 # A lost connection often precedes the end of the process.
                 self.await_end(bench)
                 ask = True
             if not self.ended() and (not ask or self.answers(bench)):
-                if not self.hung_up or self.serves():
-                    self.hung_up = ""
+                if not self.upper_tester_error or self.serves():
+                    self.upper_tester_error = ""
                     return None
                 # Calling the upper tester takes seconds, in which the implementation may have ended, too.
-                why = self.hung_up
+                why = self.upper_tester_error
                 if not self.ended() and self.answers(bench):
-                    self.hung_up = ""
+                    self.upper_tester_error = ""
                     observed = f"its upper tester is gone, though it answers on the link: {why}"
                     return Loss(False, observed, upper_only=True)
         self.await_end(bench)
         if not self._shown and not self.ended():
             return None
-        self.hung_up = ""
+        self.upper_tester_error = ""
         control = self._control
         if control is not None and self.ended():
             cause = control.why_dead()
@@ -301,8 +301,8 @@ class Life:
             except LowerTesterError as error:
                 return f"cannot be reached: {error}"
             except UpperTesterError as error:
-                self.hung_up = str(error)
-        self.hung_up = ""
+                self.upper_tester_error = str(error)
+        self.upper_tester_error = ""
         return ""
 
 

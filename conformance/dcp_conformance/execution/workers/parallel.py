@@ -61,7 +61,7 @@ def run_in_workers(run: ConformanceRun, workers: int) -> None:
         for share in shares:
             ours, theirs = context.Pipe(duplex=False)
             options = (run.options, _selection(run, share), run.repeat, run.until_fail, run.artefacts)
-            process = context.Process(target=_lane, args=(theirs, *options), daemon=True)
+            process = context.Process(target=_execute_share, args=(theirs, *options), daemon=True)
             process.start()
             theirs.close()
             stack.callback(_end, process)
@@ -118,7 +118,7 @@ def messages(connections: dict[Connection, Any]) -> Iterator[Any]:
             yield message
 
 
-def _lane(
+def _execute_share(
     to: Connection,
     options: TargetOptions,
     selection: Selection,

@@ -26,7 +26,7 @@ from dcp_conformance.fuzz.steps import Effect, EffectKind, Frame, Step
 from dcp_conformance.model.pics import load_pics
 from dcp_conformance.reference.inprocess import InProcess, reference_config
 
-from .time_limit import TIME_LIMIT, Overtime, TimeLimit
+from .time_limit import TIME_LIMIT, TimeLimit, TimeLimitExceeded
 
 PARTS: Final = ("beacon", "capture", "control", "profile", "pics")
 """The parts that can be fuzzed in process, besides the stack."""
@@ -100,7 +100,7 @@ class FunctionTarget:
         try:
             with self._limit:
                 wrong = function(octets)
-        except Overtime:
+        except TimeLimitExceeded:
             return Effect("hang", f"{part}: no end after {self._limit.seconds:g} s of CPU time", at, part)
         except Exception as error:
             last = traceback.extract_tb(error.__traceback__)[-1]

@@ -21,7 +21,7 @@ from dcp_conformance.sut.control import SutControl
 from dcp_conformance.test_system.bench import Bench, Session
 
 from .differential import Comparison
-from .liveness import PROBES, ailing, begun_again, dead, last_number
+from .liveness import PROBES, begun_again, dead, last_number, lifelessness
 from .model_monitor import Observer, bad_beacon
 
 #: Default number of frames a second: more than the nodes of a dense network send, and too few for a link to drop any.
@@ -39,7 +39,7 @@ _LOOKED_INTO: Final = 200
 _UNHEARD: Final = 64
 
 
-class UnhealthyError(ConformanceError):
+class NotAliveError(ConformanceError):
     """The implementation was not alive before the first frame, or cannot be brought back after an effect."""
 
 
@@ -74,7 +74,7 @@ class LiveTarget:
         self.restarts = 0
 
     def run(self, steps: list[Step]) -> Effect | None:
-        """See :class:`~dcp_conformance.fuzz.steps.Target`. Raises :class:`UnhealthyError`, ``LowerTesterError``."""
+        """See :class:`~dcp_conformance.fuzz.steps.Target`. Raises :class:`NotAliveError`, ``LowerTesterError``."""
         bench = self.prepare()
         self.session.lower.health()
         comparison = self._comparison(bench)
@@ -90,7 +90,7 @@ class LiveTarget:
         self._spoilt = effect is not None
         return effect
 
-    def run_afresh(self, steps: list[Step]) -> Effect | None:
+    def run_after_restart(self, steps: list[Step]) -> Effect | None:
         """Execute the steps after a restart, so that earlier frames have no influence. See :meth:`run`."""
         self._spoilt = True
         return self.run(steps)
@@ -98,7 +98,7 @@ class LiveTarget:
     def prepare(self) -> Bench:
         """Bring the implementation into its initial state and check that it answers. Returns the bench of the test.
 
-        Raises :class:`UnhealthyError` if it does not answer, ``LowerTesterError`` if the link cannot be used.
+        Raises :class:`NotAliveError` if it does not answer, ``LowerTesterError`` if the link cannot be used.
         """
         bench = Bench(self.session, _case("a sequence of the fuzzer"))
         if self._needs_restart():
@@ -119,7 +119,7 @@ class LiveTarget:
         if control.alive() is False:
             if control.can_restart:
                 return True
-            raise UnhealthyError(
+            raise NotAliveError(
                 f"the implementation is dead, and there is no command to restart it: {control.why_dead()}"
             )
         # Only a restart surely restores the initial state after an effect. The model needs the initial state, too.
@@ -131,7 +131,7 @@ class LiveTarget:
         return upper is not None and "UT-Reset" in upper.methods
 
     def _restart(self) -> None:
-        """Restart the implementation, and wait for its upper tester. Raises :class:`UnhealthyError`."""
+        """Restart the implementation, and wait for its upper tester. Raises :class:`NotAliveError`."""
         assert self.control is not None
         self.restarts += 1
         self._checked = False
@@ -140,7 +140,7 @@ class LiveTarget:
         except UpperTesterError:
             self._reconnect(PATIENCE)
         except ConformanceError as error:
-            raise UnhealthyError(f"the implementation cannot be restarted: {error}") from None
+            raise NotAliveError(f"the implementation cannot be restarted: {error}") from None
         self._forget()
 
     def _reset(self) -> None:
@@ -162,12 +162,12 @@ class LiveTarget:
                 upper.call("UT-Reset", {})
         except UpperTesterError as error:
             if self.control is None or not self.control.can_restart:
-                raise UnhealthyError(f"the implementation cannot be reset: {error}") from None
+                raise NotAliveError(f"the implementation cannot be reset: {error}") from None
             self._restart()
         self._forget()
 
     def _reconnect(self, patience: float) -> None:
-        """Reconnect to the upper tester within ``patience`` seconds. Raises :class:`UnhealthyError` if that fails."""
+        """Reconnect to the upper tester within ``patience`` seconds. Raises :class:`NotAliveError` if that fails."""
         again = getattr(self.session.upper, "reconnect", None)
         deadline = time.monotonic() + patience
         while again is not None:
@@ -175,7 +175,7 @@ class LiveTarget:
                 again()
             except UpperTesterError as error:
                 if dead(self.control) is not None or time.monotonic() > deadline:
-                    raise UnhealthyError(f"the upper tester does not come back: {error}") from None
+                    raise NotAliveError(f"the upper tester does not come back: {error}") from None
                 time.sleep(_PAUSE)
             else:
                 return
@@ -186,28 +186,28 @@ class LiveTarget:
         self._number = None
 
     def _require_health(self, bench: Bench) -> None:
-        """Check that the implementation answers. Raises :class:`UnhealthyError` if not, also after a restart."""
-        why = self._ailing(bench)
+        """Check that the implementation answers. Raises :class:`NotAliveError` if not, also after a restart."""
+        why = self._lifelessness(bench)
         if why is not None and not self.restarts and self.control is not None and self.control.can_restart:
             # An earlier campaign may have left it in this state.
             self._restart()
-            why = self._ailing(bench)
+            why = self._lifelessness(bench)
         if why is None:
             self._was_well = True
         elif not self._was_well:
-            raise UnhealthyError(
+            raise NotAliveError(
                 f"the implementation is not healthy, so nothing was sent to it: {why.detail}; is it running, on this "
                 "link, with this profile?"
             )
         elif self.restarts:
-            raise UnhealthyError(f"the implementation is not healthy after its restart: {why.detail}")
+            raise NotAliveError(f"the implementation is not healthy after its restart: {why.detail}")
         else:
-            raise UnhealthyError(
+            raise NotAliveError(
                 f"the implementation does not come back by itself: {why.detail}; give a command that restarts it "
                 "(--restart, or --start) to continue, and to minimise findings"
             )
 
-    def _ailing(self, bench: Bench) -> Effect | None:
+    def _lifelessness(self, bench: Bench) -> Effect | None:
         can_restart = self.control is not None and self.control.can_restart
         if self.restarts or (self._was_well and not can_restart):
             # It is starting: the tester or its own supervisor has restarted it.
@@ -216,7 +216,7 @@ class LiveTarget:
             patience = _FIRST if can_restart and not self._was_well else 0
         deadline = bench.now() + round(patience * 1e9)
         while True:
-            why = ailing(bench, self.control, self._probes)
+            why = lifelessness(bench, self.control, self._probes)
             if why is None or why.kind == "dead" or bench.now() >= deadline:
                 return why
             bench.receiver.take_newcomer()
@@ -267,7 +267,7 @@ def carry_out(
             effect = _step(bench, step, pace, at, comparison) or dead(control, at)
             if effect is not None:
                 return effect
-        why = ailing(bench, control, probes) or begun_again(bench)
+        why = lifelessness(bench, control, probes) or begun_again(bench)
     except UpperTesterError as error:
         return _without_upper_tester(control, at, error)
     if why is not None:
@@ -299,16 +299,16 @@ class _Pace:
         self._bench = bench
         self._interval = interval
         self._due = bench.now()
-        self._unheard = 0
+        self._without_sigint = 0
 
     def keep(self) -> None:
         """Wait until the next frame is due, and receive frames during this time."""
         self._due += self._interval
-        self._unheard += 1
+        self._without_sigint += 1
         left = self._due - self._bench.now()
-        if left > 0 or self._unheard >= _UNHEARD:
+        if left > 0 or self._without_sigint >= _UNHEARD:
             self._bench.waiting.wait_ns(max(0, left))
-            self._unheard = 0
+            self._without_sigint = 0
 
     def after_a_break(self) -> None:
         """Continue from now after a wait or a call, without catching up."""
@@ -376,4 +376,4 @@ def _case(purpose: str) -> Case:
     )
 
 
-__all__ = ["LiveTarget", "LowerTesterError", "UnhealthyError", "carry_out", "observer_of"]
+__all__ = ["LiveTarget", "LowerTesterError", "NotAliveError", "carry_out", "observer_of"]

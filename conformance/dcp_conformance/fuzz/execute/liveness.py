@@ -25,7 +25,7 @@ _SILENCE: Final = 10.0
 _BEGINNING: Final = 1000
 
 
-def ailing(bench: Bench, control: SutControl | None, probes: int = PROBES) -> Effect | None:
+def lifelessness(bench: Bench, control: SutControl | None, probes: int = PROBES) -> Effect | None:
     """Return the effect if an implementation is dead or mute; None if it is alive and answers."""
     if (gone := dead(control)) is not None:
         return gone

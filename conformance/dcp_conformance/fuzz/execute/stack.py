@@ -19,7 +19,7 @@ from dcp_conformance.oracle import Version
 from dcp_conformance.reference.inprocess import InProcess, MakeNode, VirtualUpperTester, plain_node, reference_config
 
 from .model_monitor import Observer
-from .time_limit import TIME_LIMIT, Overtime, TimeLimit
+from .time_limit import TIME_LIMIT, TimeLimit, TimeLimitExceeded
 
 #: ns in a millisecond.
 _MS = 1_000_000
@@ -123,7 +123,7 @@ class StackTarget:
                     if effect is not None:
                         return effect
                 return self._final(sut, at)
-        except Overtime:
+        except TimeLimitExceeded:
             return Effect("hang", f"no end after {self._limit.seconds:g} s of CPU time", max(at, 0))
         except Exception as error:
             # Raised outside of InProcess: while the node was made, or by a query of its deadline or state.

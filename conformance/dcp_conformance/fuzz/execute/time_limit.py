@@ -10,12 +10,12 @@ from types import FrameType, TracebackType
 TIME_LIMIT = 8.0
 
 
-class Overtime(BaseException):
+class TimeLimitExceeded(BaseException):
     """Raised in code that exceeds its time limit. A BaseException, so that ``except Exception`` does not catch it."""
 
 
 class TimeLimit:
-    """Context manager that raises :class:`Overtime` in its block after ``seconds`` of CPU time. It is reusable.
+    """Context manager that raises :class:`TimeLimitExceeded` in its block after ``seconds`` of CPU time; reusable.
 
     It has no effect outside of the main thread, because Python handles signals only there. It must not be nested: a
     process has one virtual timer. The handler of SIGVTALRM is not restored, because installing it for each test would
@@ -31,7 +31,7 @@ class TimeLimit:
             main = threading.main_thread()
             if threading.current_thread() is not main:
                 return
-            signal.signal(signal.SIGVTALRM, _overtime)
+            signal.signal(signal.SIGVTALRM, _raise_time_limit_exceeded)
             self._thread = main.ident
         if threading.get_ident() == self._thread:
             # The timer repeats, because an exception that is raised in a finaliser is lost.
@@ -42,8 +42,8 @@ class TimeLimit:
             signal.setitimer(signal.ITIMER_VIRTUAL, 0)
 
 
-def _overtime(number: int, frame: FrameType | None) -> None:  # noqa: ARG001 - the signature of handlers
-    raise Overtime
+def _raise_time_limit_exceeded(number: int, frame: FrameType | None) -> None:  # noqa: ARG001 - the signature of handlers
+    raise TimeLimitExceeded
 
 
-__all__ = ["TIME_LIMIT", "Overtime", "TimeLimit"]
+__all__ = ["TIME_LIMIT", "TimeLimit", "TimeLimitExceeded"]

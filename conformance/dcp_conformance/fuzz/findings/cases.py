@@ -11,7 +11,7 @@ from pathlib import Path
 
 from dcp_conformance.fuzz.execute.differential import Comparison
 from dcp_conformance.fuzz.execute.live import RATE, carry_out, observer_of
-from dcp_conformance.fuzz.execute.liveness import PROBES, ailing
+from dcp_conformance.fuzz.execute.liveness import PROBES, lifelessness
 from dcp_conformance.fuzz.reduce.causes import decided_by
 from dcp_conformance.fuzz.steps import ROBUSTNESS, STOPPED
 from dcp_conformance.model.case import Case, Kind
@@ -55,7 +55,7 @@ def run(artefact: Artefact, bench: Bench) -> None:
         bench.inconclusive(
             f"the profile of the artefact, {artefact.profile}", f"the implementation speaks {bench.profile.name}"
         )
-    if (why := ailing(bench, None)) is not None:
+    if (why := lifelessness(bench, None)) is not None:
         bench.inconclusive("a healthy implementation before anything is sent", why.detail)
     state = artefact.effect.kind in ("state", "said", "disagrees")
     comparison = Comparison(bench, observer_of(bench)) if state else None

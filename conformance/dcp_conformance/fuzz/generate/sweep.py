@@ -49,7 +49,7 @@ class Sweep:
         """Return the sequences of the sweep; most have a single frame."""
         kinds = (
             self._emptiness, self._blocks, self._containers, self._announcements, self._lengths, self._header,
-            self._cuts, self._extremes, self._strangers,
+            self._cuts, self._extremes, self._unrelated_frames,
         )  # fmt: skip
         turns = itertools.zip_longest(*(list(kind()) for kind in kinds))
         frames = dict.fromkeys(each for turn in turns for each in turn if each is not None)
@@ -171,7 +171,7 @@ class Sweep:
             yield self._sound + bytes(count)
             yield self._sound + b"\xff" * count
 
-    def _strangers(self) -> Iterator[bytes]:
+    def _unrelated_frames(self) -> Iterator[bytes]:
         """Yield ordinary beacons of each kind, and frames of a repeated octet."""
         yield from self._each
         for octet in (0x00, 0xFF, 0x01):
@@ -263,7 +263,7 @@ class Sweep:
         return [value.to_bytes(layout.size, layout.order) for value in values if value not in (truth, top + 1)]
 
 
-class Swept:
+class SweepFirst:
     """A generator that starts with the sweep, ``size`` sequences in each test.
 
     ``done``: number of its tests that were executed before the campaign was resumed.
@@ -290,4 +290,4 @@ class Swept:
         self._sequences.keep(steps)
 
 
-__all__ = ["NAME", "Sweep", "Swept"]
+__all__ = ["NAME", "Sweep", "SweepFirst"]

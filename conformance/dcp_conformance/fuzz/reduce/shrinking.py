@@ -57,7 +57,7 @@ class Shrinker:
             work.fewer_elements()
             work.repair()
             work.shorten()
-            work.calm()
+            work.ordinary_values()
             if work.octets == before:
                 break
         return work.octets
@@ -249,7 +249,7 @@ class _Work:
         """Shorten strings."""
         self._at_once_or_apart(self._shrinker.strings(Anatomy(self._codec, self.octets)))
 
-    def calm(self) -> None:
+    def ordinary_values(self) -> None:
         """Set fields to ordinary values."""
         self._at_once_or_apart(self._shrinker.values(Anatomy(self._codec, self.octets)))
 

@@ -64,7 +64,7 @@ def mixed_versions(scene: Scene) -> None:
     services=UPDATING,
     longest_s=60.0,
 )
-def babbler(scene: Scene) -> None:
+def interfering_station(scene: Scene) -> None:
     scene.require_summaries()
     scene.start()
     scene.create(0, 160, b"a")

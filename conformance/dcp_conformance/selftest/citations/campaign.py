@@ -130,7 +130,7 @@ def _check(context: ForkServerContext, group: list[Citation], root: Path | None)
     """Return the verdicts of citations of the same code."""
     changes = changes_under(group[0])[:_TRIED]
     found: dict[str, Verdict] = {}
-    crippled: dict[str, Verdict] = {}
+    unusable: dict[str, Verdict] = {}
     for change in changes:
         names = [each.requirement for each in group if each.requirement not in found]
         if not names:
@@ -139,14 +139,14 @@ def _check(context: ForkServerContext, group: list[Citation], root: Path | None)
         for each in group:
             name = each.requirement
             if name not in noticed.by:
-                if noticed.crippled:
-                    crippled.setdefault(name, Verdict(each, "breaks", change.text))
-            elif not noticed.crippled:
+                if noticed.unusable:
+                    unusable.setdefault(name, Verdict(each, "breaks", change.text))
+            elif not noticed.unusable:
                 found.setdefault(name, Verdict(each, "case", change.text, noticed.by[name]))
-            elif not crippled.get(name, Verdict(each, "none")).proved:
+            elif not unusable.get(name, Verdict(each, "none")).proved:
                 # Weak evidence, because the whole node is impaired: keep looking for a change that impairs it less.
-                crippled[name] = Verdict(each, "case", change.text, noticed.by[name])
-    found = {**{name: each for name, each in crippled.items() if each.proved}, **found}
+                unusable[name] = Verdict(each, "case", change.text, noticed.by[name])
+    found = {**{name: each for name, each in unusable.items() if each.proved}, **found}
     for each in group:
         for change in _one_of_each(group[0]) if root is not None and each.requirement not in found else ():
             assert root is not None
@@ -157,7 +157,7 @@ def _check(context: ForkServerContext, group: list[Citation], root: Path | None)
     verdicts = []
     for each in group:
         proved = found.get(each.requirement)
-        other = crippled.get(each.requirement) or Verdict(each, "none" if changes else "no change")
+        other = unusable.get(each.requirement) or Verdict(each, "none" if changes else "no change")
         verdict = other if proved is None else proved
         verdicts.append(msgspec.structs.replace(verdict, citation=each, reason=ledger().get(key(each), "")))
     return verdicts
@@ -170,7 +170,7 @@ def _one_of_each(citation: Citation) -> list[CodeChange]:
 
 def _noticed(context: ForkServerContext, change: CodeChange, names: list[str]) -> Noticed:
     answer, _ = ask(context, _try, change, names)
-    return msgspec.json.decode(answer, type=Noticed) if answer else Noticed({}, crippled=True)
+    return msgspec.json.decode(answer, type=Noticed) if answer else Noticed({}, unusable=True)
 
 
 def _try(change: CodeChange, names: list[str]) -> bytes:

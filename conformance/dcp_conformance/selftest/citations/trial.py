@@ -21,7 +21,7 @@ class Noticed(msgspec.Struct, frozen=True):
 
     by: dict[str, str]
     """By requirement: the case with a failed check that names it."""
-    crippled: bool = False
+    unusable: bool = False
     """Whether the node does not start, crashes, or fails the sanity case; many unrelated cases fail then."""
 
 
@@ -36,19 +36,19 @@ def try_change(change: CodeChange, names: Iterable[str]) -> Noticed:
     """
     import_changed(change.module, compile(change.tree(), f"<changed {change.module}>", "exec"))
     noticed: dict[str, str] = {}
-    crippled = False
+    unusable = False
     for profile, group in _profiles(names):
         open_names = [name for name in group if name not in noticed]
         if not open_names:
             continue
         try:
-            crippled |= _run(profile, open_names, noticed)
+            unusable |= _run(profile, open_names, noticed)
         except ConformanceError:
-            crippled = True
+            unusable = True
         except Exception:
             # The change makes the node raise an unexpected exception, possibly during its construction.
-            crippled = True
-    return Noticed(noticed, crippled)
+            unusable = True
+    return Noticed(noticed, unusable)
 
 
 def _run(profile: str, names: Sequence[str], noticed: dict[str, str]) -> bool:
@@ -57,7 +57,7 @@ def _run(profile: str, names: Sequence[str], noticed: dict[str, str]) -> bool:
     from dcp_conformance.model.case import SANITY, all_cases
     from dcp_conformance.selftest.runner import Suite, finding_of
 
-    crippled = False
+    unusable = False
     open_names = set(names)
     chosen: dict[str, None] = {}
     for name in names:
@@ -70,14 +70,14 @@ def _run(profile: str, names: Sequence[str], noticed: dict[str, str]) -> bool:
         if result.verdict is not Verdict.FAIL:
             continue
         if result.id == SANITY and SANITY not in chosen:
-            crippled = True
+            unusable = True
             continue
         for name in open_names.intersection(finding_of(result).requirements):
             noticed[name] = f"{result.id} ({profile})"
             open_names.discard(name)
         if not open_names:
             break
-    return crippled
+    return unusable
 
 
 def _profiles(names: Iterable[str]) -> Iterator[tuple[str, list[str]]]:

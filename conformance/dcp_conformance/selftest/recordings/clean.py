@@ -26,7 +26,7 @@ PROFILES: Final = ("dcp-2.0", "dcp-2.0", "cpp-2.0", "dcp-1.3", "cpp-1.3", "dcp-1
 _VARIANTS: Final = 3
 
 
-class Suspicion(msgspec.Struct, frozen=True):
+class FalseFinding(msgspec.Struct, frozen=True):
     """A false finding: one in a network without a fault."""
 
     situation: str
@@ -40,7 +40,7 @@ class CleanResult(msgspec.Struct, frozen=True, kw_only=True):
 
     networks: int
     beacons: int
-    false: tuple[Suspicion, ...]
+    false: tuple[FalseFinding, ...]
     doubts: int
     """Networks with at least one inconclusive verdict."""
     seconds: float
@@ -79,7 +79,7 @@ def _is_node(variant: Variant, profile: str) -> bool:
     return setup.application is None and setup.clock(0) == 0 and setup.config.srp is not None
 
 
-def _task(number: int) -> tuple[int, list[Suspicion], bool, float]:
+def _task(number: int) -> tuple[int, list[FalseFinding], bool, float]:
     began = time.process_time()
     case = situation(number)
     variant = variant_of(number, case.profile)
@@ -98,7 +98,7 @@ def _task(number: int) -> tuple[int, list[Suspicion], bool, float]:
     frames = record(case, others, codec=codec)
     cases = judged(frames, codec)
     false = [
-        Suspicion(text, rule, requirements, observed)
+        FalseFinding(text, rule, requirements, observed)
         for rule, findings in found(cases, Verdict.FAIL, Verdict.ERROR).items()
         for observed, requirements in findings.items()
     ]
@@ -106,7 +106,7 @@ def _task(number: int) -> tuple[int, list[Suspicion], bool, float]:
 
 
 def clean(
-    numbers: Sequence[int], *, jobs: int = 1, on_result: Callable[[int, list[Suspicion]], None] | None = None
+    numbers: Sequence[int], *, jobs: int = 1, on_result: Callable[[int, list[FalseFinding]], None] | None = None
 ) -> CleanResult:
     """Judge the networks ``numbers`` in ``jobs`` processes.
 
@@ -114,7 +114,7 @@ def clean(
     """
     beacons = doubts = 0
     seconds = 0.0
-    false: dict[int, list[Suspicion]] = {}
+    false: dict[int, list[FalseFinding]] = {}
     with process_pool(jobs) as processes:
         tasks = {processes.submit(_task, number): number for number in numbers}
         for task in as_completed(tasks):

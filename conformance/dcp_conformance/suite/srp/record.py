@@ -17,8 +17,8 @@ from dcp_conformance.test_steps.services import (
     Moment,
     nanoseconds,
     report_octets,
+    reported_safety_data,
     srp_blocks,
-    told,
     until_report,
 )
 from dcp_conformance.test_steps.state_reports import Reporter, Sent
@@ -112,7 +112,7 @@ def values_arrive(bench: Bench) -> None:
             reporter.lost("a beacon with the safety data", "SRP-TYP-03", "SRP-SRV-03")
         bench.fail(
             f"a record with sData {values}",
-            f"a record with sData {told(bench, others[-1].report)}",
+            f"a record with sData {reported_safety_data(bench, others[-1].report)}",
             "SRP-TYP-03",
             "SRP-SRV-03",
             frames=others[-1:],
@@ -202,7 +202,7 @@ def newest_only(bench: Bench) -> None:
     handed: list[dict[str, Any]] = []
 
     def has_one(heard: ReceivedBeacon) -> bool:
-        return heard.report is not None and told(bench, heard.report) in handed[-4:]
+        return heard.report is not None and reported_safety_data(bench, heard.report) in handed[-4:]
 
     def submit() -> None:
         # Different data in each attempt: some versions repeat the last record.
@@ -211,7 +211,7 @@ def newest_only(bench: Bench) -> None:
             reporter.submit()
 
     def newest() -> list[ReceivedBeacon]:
-        return [heard for heard in _reports(bench, before) if told(bench, heard.report) == handed[-1]]
+        return [heard for heard in _reports(bench, before) if reported_safety_data(bench, heard.report) == handed[-1]]
 
     for attempt in range(_ATTEMPTS):
         between_beacons(bench, "four submissions of safety data", submit, has_one)
@@ -227,7 +227,7 @@ def newest_only(bench: Bench) -> None:
     older = handed[-4:-1]
     bench.beacons(2, 3)
     shown = newest()
-    late = [heard for heard in _reports(bench, before) if told(bench, heard.report) in older]
+    late = [heard for heard in _reports(bench, before) if reported_safety_data(bench, heard.report) in older]
     bench.check(
         len(late) <= 1 and all(heard.time < shown[0].time for heard in late),
         "no older safety data after the newest",
@@ -276,7 +276,7 @@ def once(bench: Bench) -> None:
             peer = bench.peer()
             peer.send(peer.create(bench.var_id()))
         bench.beacons(3, 4)
-        frames = [heard for heard in _reports(bench, mark) if told(bench, heard.report) == values]
+        frames = [heard for heard in _reports(bench, mark) if reported_safety_data(bench, heard.report) == values]
         bench.check(
             len(frames) == 1,
             f"the record of submission {number} in one beacon",
@@ -328,7 +328,7 @@ def repeated_time_stamp(bench: Bench) -> None:
     mark = bench.mark()
     values = Reporter(bench).sent().values
     bench.beacons(3, 4)
-    frames = [heard for heard in _reports(bench, mark) if told(bench, heard.report) == values]
+    frames = [heard for heard in _reports(bench, mark) if reported_safety_data(bench, heard.report) == values]
     stamps = {(heard.report.t_stamp, heard.report.seqno) for heard in frames if heard.report is not None}
     bench.check(
         len(stamps) == 1,

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from dcp_spec.constants import BP_SEQNO_MODULUS
 
 from dcp_conformance.frames.received import ReceivedBeacon
-from dcp_conformance.impairment import told
+from dcp_conformance.impairment import incidents_text
 from dcp_conformance.lower_tester import Incident, LowerTester
 from dcp_conformance.test_system.steps import Steps
 from dcp_conformance.test_system.sut_properties import MS, SutProperties
@@ -55,7 +55,7 @@ class Losses:
             frame = number if incident.to else 0
             self._incidents.append(incident)
             self._incident_frames.append(frame)
-            self._traffic.note("note", self._link.wall(), told([incident], [frame]))
+            self._traffic.note("note", self._link.wall(), incidents_text([incident], [frame]))
         return self._incidents
 
     @property
@@ -119,4 +119,4 @@ class Losses:
         """Return some of the incidents in words; empty for none."""
         frames = {id(incident): number for incident, number in zip(self._incidents, self._incident_frames, strict=True)}
         found = list(chosen)
-        return told(found, [frames[id(each)] for each in found])
+        return incidents_text(found, [frames[id(each)] for each in found])

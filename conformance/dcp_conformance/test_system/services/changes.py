@@ -115,7 +115,7 @@ class Restoration:
         self._held_protocols.update(each for each in left if isinstance(each, int))
 
     @property
-    def spoilt(self) -> str:
+    def restore_failure(self) -> str:
         """Reason why :meth:`restore` could not undo a change that can affect later cases; empty if there is none.
 
         Remaining registrations and subscriptions do not affect them.

@@ -12,7 +12,7 @@ from dcp_spec.constants import ICType
 
 from dcp_codec.values import VardisRecord
 from dcp_conformance.model.case import Needs, Variant, case
-from dcp_conformance.test_steps.services import max_repetitions, taught
+from dcp_conformance.test_steps.services import max_repetitions, teach_variable
 from dcp_conformance.test_steps.variable_queries import INSTRUCTIONS, ask, named, stepped, traces
 from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.test_system.sending.peers import Peer
@@ -44,7 +44,7 @@ def _learnt(bench: Bench, peer: Peer, rep_cnt: int, seqno: int = 0) -> int:
 
 def _taught(bench: Bench, peer: Peer, rep_cnt: int, seqno: int = 0) -> int:
     """As :func:`_learnt`, but do not wait for the repetitions of the VarCreate."""
-    return taught(bench, peer, rep_cnt=rep_cnt, seqno=seqno)
+    return teach_variable(bench, peer, rep_cnt=rep_cnt, seqno=seqno)
 
 
 def _require_left(bench: Bench, kind: ICType, var_id: int, count: int, since: int) -> int:
@@ -109,7 +109,7 @@ def creation(bench: Bench, count: Count) -> None:
 )
 def update(bench: Bench, count: Count) -> None:
     peer = bench.peer()
-    var_id = taught(bench, peer, rep_cnt=count(bench))
+    var_id = teach_variable(bench, peer, rep_cnt=count(bench))
     since, record = bench.mark(), peer.update(var_id, 1, b"other")
     peer.send(record)
     found = bench.check_repeated(UPDATES, var_id, count(bench), since)
@@ -129,7 +129,7 @@ def update(bench: Bench, count: Count) -> None:
 )
 def deletion(bench: Bench, count: Count) -> None:
     peer = bench.peer()
-    var_id = taught(bench, peer, rep_cnt=count(bench))
+    var_id = teach_variable(bench, peer, rep_cnt=count(bench))
     since = bench.mark()
     peer.send(peer.delete(var_id))
     found = bench.check_repeated(DELETES, var_id, count(bench), since)

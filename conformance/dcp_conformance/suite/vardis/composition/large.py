@@ -7,7 +7,7 @@ from dcp_spec.constants import IC_MAX_RECORDS, ICType
 from dcp_codec.values import VarSumm
 from dcp_conformance.model.case import Needs, Variant, case
 from dcp_conformance.test_steps.bp_clients import areas_of_fixed_size, block_header_octets, header_octets
-from dcp_conformance.test_steps.services import taught
+from dcp_conformance.test_steps.services import teach_variable
 from dcp_conformance.test_steps.variable_queries import ask
 from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.test_system.sending.peers import Peer
@@ -50,7 +50,7 @@ def _carried(limit: str) -> Needs:
 )
 def larger_than_own(bench: Bench, limit: str) -> None:
     peer = bench.peer()
-    known = taught(bench, peer, value=b"stays")
+    known = teach_variable(bench, peer, value=b"stays")
     first, last = bench.identifiers.unknown_ids(2)
     since = bench.mark()
     peer.send(bench.builder.vardis(*_filled(bench, peer, first, last, known, _octets(bench, limit))))

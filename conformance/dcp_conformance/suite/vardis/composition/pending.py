@@ -14,7 +14,7 @@ from dcp_conformance.test_steps.services import (
     produced,
     settled,
     several_repetitions,
-    taught,
+    teach_variable,
 )
 from dcp_conformance.test_steps.variable_queries import named, stepped, traces
 from dcp_conformance.test_system.bench import Bench
@@ -47,7 +47,7 @@ def _check_once(bench: Bench, attempt: Callable[[], bool], expected: str, observ
 def request_dropped(bench: Bench) -> None:
     def attempt() -> bool:
         peer = bench.peer()
-        var_id = taught(bench, peer)
+        var_id = teach_variable(bench, peer)
         since = bench.mark()
         peer.send(peer.summary(var_id, 1))
         peer.send(peer.update(var_id, 1))
@@ -108,7 +108,7 @@ def pending_dropped(bench: Bench) -> None:
         peer = bench.peer()
         # Up to 1.3 the variable is unknown after the last VarDelete, so no other record could be sent in any case.
         several = bench.features.removed_after_deletion and not bench.sut.one_by_one
-        var_id = taught(bench, peer, seqno=5, rep_cnt=min(3, max_repetitions(bench)) if several else 1)
+        var_id = teach_variable(bench, peer, seqno=5, rep_cnt=min(3, max_repetitions(bench)) if several else 1)
         if several:
             settled(bench, var_id)
         since = bench.mark()
@@ -146,7 +146,7 @@ def _three_repetitions(bench: Bench) -> str | None:
 )
 def deletion_overtaken(bench: Bench) -> None:
     peer, count = bench.peer(), max_repetitions(bench)
-    var_id = taught(bench, peer, rep_cnt=count)
+    var_id = teach_variable(bench, peer, rep_cnt=count)
     peer.send(peer.delete(var_id))
     bench.require(
         bench.until_instruction(ICType.DELETE_VARIABLES, var_id), "the VarDelete is forwarded", "not forwarded in time"
@@ -204,7 +204,7 @@ def update_overtaken(bench: Bench) -> None:
 def request_overtaken(bench: Bench) -> None:
     def attempt() -> bool:
         peer = bench.peer()
-        var_id = taught(bench, peer)
+        var_id = teach_variable(bench, peer)
         since = bench.mark()
         peer.send(peer.summary(var_id, 1))
         peer.send(peer.create(var_id))
@@ -259,7 +259,7 @@ _EVENTS: dict[str, tuple[_Event, str]] = {
 def deletion_goes_on(bench: Bench, variant: tuple[_Event, bool]) -> None:
     event, own = variant
     peer, count = bench.peer(), min(5, max_repetitions(bench))
-    var_id = produced(bench, rep_cnt=count) if own else taught(bench, peer, rep_cnt=count, seqno=5)
+    var_id = produced(bench, rep_cnt=count) if own else teach_variable(bench, peer, rep_cnt=count, seqno=5)
     settled(bench, var_id)
     since, stored = bench.mark(), 0 if own else 5
     if own:

@@ -11,7 +11,7 @@ from dcp_spec.constants import ICType, SpecVersion
 
 from dcp_codec.values import VarCreate, VardisRecord
 from dcp_conformance.model.case import Needs, Variant, case
-from dcp_conformance.test_steps.services import created_again, described, produced, settled, taught
+from dcp_conformance.test_steps.services import created_again, described, produced, settled, teach_variable
 from dcp_conformance.test_steps.time_stamps import check_later
 from dcp_conformance.test_steps.variable_queries import stepped
 from dcp_conformance.test_system.bench import Bench
@@ -180,7 +180,7 @@ def _created_by_peer(bench: Bench, var_id: int, peer: Peer) -> None:
 )
 def renewed(bench: Bench, create: Callable[[Bench, int, Peer], None]) -> None:
     peer = bench.peer()
-    var_id = produced(bench) if create is _created_by_application else taught(bench, peer)
+    var_id = produced(bench) if create is _created_by_application else teach_variable(bench, peer)
 
     def measure() -> int:
         before = _stamp(bench, var_id)

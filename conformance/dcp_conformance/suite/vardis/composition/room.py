@@ -14,8 +14,8 @@ from dcp_codec.values import VarCreate, VardisRecord
 from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.model.case import Needs, Variant, case
 from dcp_conformance.test_steps.full_payloads import PAYLOAD_SIZE, filling, longest, settable
-from dcp_conformance.test_steps.timeouts import hurry, lasting, latest, learn
-from dcp_conformance.test_steps.variable_queries import taught_all
+from dcp_conformance.test_steps.timeouts import lasting, latest, learn, shorten_scrubbing
+from dcp_conformance.test_steps.variable_queries import teach_variables
 from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.test_system.sending.peers import Peer
 
@@ -53,7 +53,7 @@ def _fillers(bench: Bench, peer: Peer, left: int) -> list[VarCreate]:
     if creates is None:
         bench.inconclusive("VarCreates that fill a payload", f"no combination has {octets} octets")
     for first in range(0, len(creates), 6):
-        taught_all(bench, peer, creates[first : first + 6])
+        teach_variables(bench, peer, creates[first : first + 6])
     return creates
 
 
@@ -232,7 +232,7 @@ def summaries_stay_queued(bench: Bench) -> None:
     needs=Needs(since=SpecVersion.V2_0, when=_fillable),
 )
 def request_taken_back(bench: Bench) -> None:
-    hurry(bench)
+    shorten_scrubbing(bench)
     peer = bench.peer()
     fillers = _fillers(bench, peer, 0)
     requests = [peer.request_create(each.spec.var_id) for each in fillers]

@@ -18,12 +18,12 @@ from dcp_conformance.test_steps.timeouts import (
     check_time,
     create_own,
     deleted,
-    hurry,
     lasting,
     latest,
     learn,
     not_by_consumers,
     sent,
+    shorten_scrubbing,
     updated_in_time,
 )
 from dcp_conformance.test_steps.variable_queries import ask
@@ -59,7 +59,7 @@ def _earlier(peer: Peer, record: VarCreate) -> VarCreate:
     variants={"the-same-VarCreate": _same, "an-earlier-VarCreate": _earlier},
 )
 def not_kept_by_creates(bench: Bench, make: Callable[[Peer, VarCreate], VarCreate]) -> None:
-    hurry(bench)
+    shorten_scrubbing(bench)
     peer, timeout_ms = bench.peer(), 500
     record, silent = (peer.create(each, seqno=5, timeout=timeout_ms) for each in bench.identifiers.var_ids(2))
     name = record.spec.var_id
@@ -101,7 +101,7 @@ def _by_application(bench: Bench, _peer: Peer, name: int, timeout_ms: int) -> Ch
     },
 )
 def begun_anew(bench: Bench, create: Callable[[Bench, Peer, int, int], Change]) -> None:
-    hurry(bench)
+    shorten_scrubbing(bench)
     own = create is _by_application
     peer, name = bench.peer(), bench.identifiers.own_var_id() if own else bench.var_id()
     timeout_ms = max(lasting(bench, 900, 8), round(4 * bench.session.slow_call / MS))
@@ -135,7 +135,7 @@ def begun_anew(bench: Bench, create: Callable[[Bench, Peer, int, int], Change]) 
     needs=Needs(since=SpecVersion.V2_0, when=several_repetitions),
 )
 def update_taken_back(bench: Bench) -> None:
-    hurry(bench)
+    shorten_scrubbing(bench)
     peer, name, count, timeout_ms = bench.peer(), bench.var_id(), bench.sut.rep_cnt(15), lasting(bench, 300)
     peer.send(peer.create(name, timeout=timeout_ms, rep_cnt=count))
     since = sent(bench, peer, peer.update(name, 1))
@@ -169,7 +169,7 @@ def update_taken_back(bench: Bench) -> None:
     variants={"32767": 32_767, "32768": 32_768, "65535": 65_535},
 )
 def long_timeout(bench: Bench, timeout_ms: int) -> None:
-    period = hurry(bench)
+    period = shorten_scrubbing(bench)
     peer, name = bench.peer(), bench.var_id()
     learn(bench, peer, name, timeout_ms)
     tolerance = bench.sut.pixit.timer_tolerance_ms * bench.session.timing_scale
@@ -191,7 +191,7 @@ def long_timeout(bench: Bench, timeout_ms: int) -> None:
     needs=Needs(since=SpecVersion.V2_0, ut=("RTDB-Create", *_MANAGE)),
 )
 def after_deactivation(bench: Bench) -> None:
-    hurry(bench)
+    shorten_scrubbing(bench)
     with bench.services.deactivated("VD"):
         bench.wait(3)
     name, timeout_ms = bench.identifiers.own_var_id(), 300
@@ -215,7 +215,7 @@ def after_deactivation(bench: Bench) -> None:
     needs=Needs(since=SpecVersion.V2_0, ut=("RTDB-Create", *_MANAGE)),
 )
 def while_inactive(bench: Bench) -> None:
-    period = hurry(bench)
+    period = shorten_scrubbing(bench)
     # The variable must still exist when VarDis is deactivated.
     name, timeout_ms = bench.identifiers.own_var_id(), updated_in_time(bench, 300)
     since = create_own(bench, name, timeout_ms)

@@ -7,7 +7,7 @@ from typing import Any
 from dcp_spec.constants import BP_PROTID_VARDIS, ICType, SpecVersion
 
 from dcp_conformance.model.case import Needs, case
-from dcp_conformance.test_steps.services import check_registered_name, listed, produced, registration, taught
+from dcp_conformance.test_steps.services import check_registered_name, listed, produced, registration, teach_variable
 from dcp_conformance.test_steps.timeouts import not_by_consumers
 from dcp_conformance.test_system.bench import MS, Bench
 
@@ -71,7 +71,7 @@ def registered(bench: Bench) -> None:
 def after_reset(bench: Bench) -> None:
     peer = bench.peer()
     mine = produced(bench, rep_cnt=bench.sut.bound("VARDISPAR_MAX_REPETITIONS"))
-    theirs, wanted = taught(bench, peer), bench.unknown_id()
+    theirs, wanted = teach_variable(bench, peer), bench.unknown_id()
     peer.send(peer.summary(wanted, 1))
     bench.must("UT-Reset")
     mark, reset = bench.mark(), bench.now()
@@ -107,7 +107,7 @@ def after_reset(bench: Bench) -> None:
 )
 def after_restart(bench: Bench) -> None:
     peer = bench.peer()
-    var_id = taught(bench, peer)
+    var_id = teach_variable(bench, peer)
     bench.control.restart()
     mark = bench.mark()
     bench.beacons(2, 2.5)
@@ -133,7 +133,7 @@ def after_restart(bench: Bench) -> None:
 def scrubbing(bench: Bench) -> None:
     peer = bench.peer()
     timeout = round(5 * bench.period / MS)
-    var_id = taught(bench, peer, timeout=timeout)
+    var_id = teach_variable(bench, peer, timeout=timeout)
     period = bench.sut.parameter("VARDISPAR_SCRUBBING_PERIOD")
     latest = (timeout + period + bench.sut.pixit.timer_tolerance_ms) * MS / bench.period + bench.sut.reaction
     shown = bench.until_instruction(ICType.DELETE_VARIABLES, var_id, latest)

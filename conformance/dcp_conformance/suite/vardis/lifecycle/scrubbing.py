@@ -14,13 +14,13 @@ from dcp_conformance.test_steps.timeouts import (
     check_time,
     create_own,
     deleted,
-    hurry,
     lasting,
     latest,
     learn,
     not_by_consumers,
     scrubbing_period_ms,
     sent,
+    shorten_scrubbing,
 )
 from dcp_conformance.test_system.bench import MS, Bench
 
@@ -93,7 +93,7 @@ def producer(bench: Bench) -> None:
     needs=_WIRE,
 )
 def timeout_zero(bench: Bench) -> None:
-    period_ms = hurry(bench)
+    period_ms = shorten_scrubbing(bench)
     peer, name, other = bench.peer(), bench.var_id(), bench.var_id()
     since = sent(bench, peer, peer.create(name, timeout=0), peer.create(other, timeout=300))
     if deleted(bench, other, since, 300) is None:
@@ -124,7 +124,7 @@ def _check_known(bench: Bench, name: int, *requirements: str) -> None:
     needs=_WIRE,
 )
 def deleted_skipped(bench: Bench) -> None:
-    hurry(bench)
+    shorten_scrubbing(bench)
     peer, name, other, count = bench.peer(), bench.var_id(), bench.var_id(), bench.sut.rep_cnt(2)
     timeout_ms = lasting(bench, 400, 4)
     learn(bench, peer, name, timeout_ms, count)
@@ -176,7 +176,7 @@ def takes_back(bench: Bench) -> None:
     needs=_WIRE,
 )
 def all_variables(bench: Bench) -> None:
-    hurry(bench)
+    shorten_scrubbing(bench)
     peers = [bench.peer() for _ in range(4)]
     names = bench.identifiers.var_ids(12)
     kept = bench.identifiers.var_ids(3)

@@ -16,12 +16,12 @@ from dcp_conformance.test_steps.timeouts import (
     check_time,
     create_own,
     deleted,
-    hurry,
     lasting,
     latest,
     learn,
     not_by_consumers,
     sent,
+    shorten_scrubbing,
     updated_in_time,
 )
 from dcp_conformance.test_system.bench import MS, Bench
@@ -46,7 +46,7 @@ _OWN = Needs(since=SpecVersion.V2_0, ut=("RTDB-Create", "RTDB-Update"))
     needs=_WIRE,
 )
 def kept_by_updates(bench: Bench) -> None:
-    period_ms, scale = hurry(bench), bench.session.timing_scale
+    period_ms, scale = shorten_scrubbing(bench), bench.session.timing_scale
     peer, name, timeout_ms = bench.peer(), bench.var_id(), lasting(bench, round(600 * scale), 4)
     since = learn(bench, peer, name, timeout_ms)
     until = bench.now() + (2 * timeout_ms + period_ms) * MS
@@ -85,7 +85,7 @@ def kept_by_updates(bench: Bench) -> None:
     needs=_OWN,
 )
 def kept_by_the_application(bench: Bench) -> None:
-    period_ms = hurry(bench)
+    period_ms = shorten_scrubbing(bench)
     if "UT-Hello" in bench.services.upper.methods:
         # Measures how long a call takes.
         bench.call("UT-Hello")
@@ -160,7 +160,7 @@ def _request(peer: Peer, name: int) -> None:
     variants={"equal-update": _equal, "older-update": _older, "summary": _summary, "request": _request},
 )
 def not_kept(bench: Bench, act: Callable[[Peer, int], None]) -> None:
-    hurry(bench)
+    shorten_scrubbing(bench)
     peer, name, silent, timeout_ms = bench.peer(), bench.var_id(), bench.var_id(), 500
     creates = (peer.create(name, seqno=5, timeout=timeout_ms), peer.create(silent, timeout=timeout_ms))
     since = sent(bench, peer, *creates)
@@ -190,7 +190,7 @@ def not_kept(bench: Bench, act: Callable[[Peer, int], None]) -> None:
     needs=_WIRE,
 )
 def created_anew(bench: Bench) -> None:
-    hurry(bench)
+    shorten_scrubbing(bench)
     peer, name = bench.peer(), bench.var_id()
     short = lasting(bench, 300, 2)
     first = learn(bench, peer, name, short)
@@ -233,7 +233,7 @@ _LONGEST = 65_535
     long=True,
 )
 def longest_timeout(bench: Bench, make: Callable[[Bench, int, int], Change]) -> None:
-    hurry(bench)
+    shorten_scrubbing(bench)
     name = bench.identifiers.own_var_id() if make is _own else bench.var_id()
     since = make(bench, name, _LONGEST)
     found = deleted(bench, name, since, _LONGEST)

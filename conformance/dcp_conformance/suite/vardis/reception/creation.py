@@ -8,7 +8,7 @@ from dcp_spec.constants import ICType, SpecVersion
 
 from dcp_codec.values import VarCreate
 from dcp_conformance.model.case import Needs, Variant, case
-from dcp_conformance.test_steps.services import longest_description, max_repetitions, taught
+from dcp_conformance.test_steps.services import longest_description, max_repetitions, teach_variable
 from dcp_conformance.test_steps.variable_queries import ask, modulus, named, own_id, stepped, traces
 from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.test_system.sending.peers import Peer
@@ -230,7 +230,7 @@ def together(bench: Bench, descending: bool) -> None:
 )
 def revived(bench: Bench) -> None:
     peer = bench.peer()
-    var_id = taught(bench, peer, seqno=200)
+    var_id = teach_variable(bench, peer, seqno=200)
     peer.send(peer.delete(var_id))
     if bench.until_instruction(ICType.DELETE_VARIABLES, var_id) is None:
         bench.inconclusive("a VarDelete of the variable, which this case needs", "none in time")

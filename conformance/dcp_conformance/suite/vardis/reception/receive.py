@@ -9,8 +9,8 @@ from dcp_spec.constants import ICType, SpecVersion
 
 from dcp_codec.values import VarCreate, VardisRecord
 from dcp_conformance.model.case import Needs, case
-from dcp_conformance.test_steps.services import entry_of, max_repetitions, settled, taught
-from dcp_conformance.test_steps.variable_queries import ask, modulus, named, stepped, taught_all, traces
+from dcp_conformance.test_steps.services import entry_of, max_repetitions, settled, teach_variable
+from dcp_conformance.test_steps.variable_queries import ask, modulus, named, stepped, teach_variables, traces
 from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.test_system.sending.peers import Peer
 
@@ -126,7 +126,7 @@ _Stimulus = Callable[[Peer, int], VardisRecord]
 def all_types(bench: Bench, turn: int) -> None:
     peer = bench.peer()
     known = [peer.create(var_id, seqno=5) for var_id in bench.identifiers.var_ids(5)]
-    taught_all(bench, peer, known)
+    teach_variables(bench, peer, known)
     doomed, updated, behind, asked, lagging = (create.spec.var_id for create in known)
     fresh, unknown = bench.var_id(), bench.unknown_id()
     containers = [
@@ -183,7 +183,7 @@ def same_type_twice(bench: Bench, what: tuple[ICType, _Stimulus, ICType]) -> Non
     kind, make, answer = what
     peer, ids = bench.peer(), bench.identifiers.var_ids(3)
     if kind is not ICType.CREATE_VARIABLES:
-        taught_all(bench, peer, [peer.create(var_id, seqno=5) for var_id in ids])
+        teach_variables(bench, peer, [peer.create(var_id, seqno=5) for var_id in ids])
     one, two, three = (make(peer, var_id) for var_id in ids)
     since = bench.mark()
     peer.send(bench.builder.container(one, two), bench.builder.container(three))
@@ -211,7 +211,7 @@ def require_both_taken(bench: Bench, peer: Peer, reverse: bool) -> None:
     For two variables their order does not matter, so an implementation that loses the second container is not reported
     for a wrong order of processing.
     """
-    doomed = taught(bench, peer)
+    doomed = teach_variable(bench, peer)
     _send(bench, peer, (peer.create(bench.var_id()), peer.delete(doomed)), reverse)
     came = bench.until_instruction(ICType.DELETE_VARIABLES, doomed)
     what = "a VarDelete is processed that is in one payload with the VarCreate of another variable"
@@ -251,7 +251,7 @@ def delete_before_update(bench: Bench, reverse: bool) -> None:
     peer = bench.peer()
     # Up to 1.3 RTDB-DescribeVariable finds a deleted variable only while its deletion is being repeated.
     count = min(3, max_repetitions(bench)) if bench.features.removed_after_deletion else 1
-    var_id = taught(bench, peer, rep_cnt=count)
+    var_id = teach_variable(bench, peer, rep_cnt=count)
     if count > 1:
         settled(bench, var_id)
     since = _send(bench, peer, (peer.delete(var_id), peer.update(var_id, 1)), reverse)
@@ -286,7 +286,7 @@ def delete_before_update(bench: Bench, reverse: bool) -> None:
 )
 def summary_of_update(bench: Bench, reverse: bool) -> None:
     peer = bench.peer()
-    var_id = taught(bench, peer)
+    var_id = teach_variable(bench, peer)
     since = _send(bench, peer, (peer.update(var_id, 1, b"newer"), peer.summary(var_id, 1)), reverse)
     came = bench.until_instruction(ICType.UPDATES, var_id)
     bench.check(
@@ -301,7 +301,7 @@ def _require_both(bench: Bench, peer: Peer, reverse: bool) -> None:
 
     If an implementation loses one of them (VD-RX-04), their order cannot be tested.
     """
-    updated, unknown = taught(bench, peer), bench.unknown_id()
+    updated, unknown = teach_variable(bench, peer), bench.unknown_id()
     since = _send(bench, peer, (peer.update(updated, 1, b"newer"), peer.summary(unknown, 2)), reverse)
     bench.until(
         lambda _: bench.instructions(_RC, unknown, since) and bench.instructions(ICType.UPDATES, updated, since)
@@ -331,7 +331,7 @@ def _require_both(bench: Bench, peer: Peer, reverse: bool) -> None:
 def update_before_summary(bench: Bench, reverse: bool) -> None:
     peer = bench.peer()
     _require_both(bench, peer, reverse)
-    var_id = taught(bench, peer)
+    var_id = teach_variable(bench, peer)
     since = _send(bench, peer, (peer.update(var_id, 1, b"newer"), peer.summary(var_id, 2)), reverse)
     came = bench.until_instruction(_RU, var_id)
     # If the update were stored afterwards, it would cancel the request (VD-PU-08).
@@ -381,7 +381,7 @@ def create_before_requests(bench: Bench, reverse: bool) -> None:
 )
 def updates_in_order(bench: Bench) -> None:
     peer = bench.peer()
-    var_id = taught(bench, peer, seqno=0)
+    var_id = teach_variable(bench, peer, seqno=0)
     # In reverse order, the second would be older than the stored value, and the first would be stored.
     half = modulus(bench) // 2
     one, two = stepped(bench, 0, half - 8), stepped(bench, 0, 2 * half - 16)

@@ -13,6 +13,7 @@ from dcp_conformance.test_steps.services import (
     EXISTS,
     OK,
     create_request,
+    delete_taught_variable,
     expect_any,
     max_repetitions,
     nanoseconds,
@@ -20,8 +21,7 @@ from dcp_conformance.test_steps.services import (
     same_status,
     settled,
     several_repetitions,
-    taught,
-    untaught,
+    teach_variable,
 )
 from dcp_conformance.test_system.bench import Bench
 
@@ -39,7 +39,7 @@ _UPDATE = ICType.UPDATES
     needs=Needs(ut=("RTDB-Create", "RTDB-Read")),
 )
 def foreign(bench: Bench) -> None:
-    var_id = taught(bench, bench.peer(), value=b"theirs")
+    var_id = teach_variable(bench, bench.peer(), value=b"theirs")
     bench.expect_status(EXISTS, "RTDB-Create", **create_request(bench, var_id, value=b"ours"))
     value = bench.call("RTDB-Read", varId=var_id).result.get("value")
     bench.check(value == bench.records.value(b"theirs").hex(), "the value unchanged", f"{value}", shown=True)
@@ -55,8 +55,8 @@ def foreign(bench: Bench) -> None:
 )
 def foreign_deleted(bench: Bench) -> None:
     peer = bench.peer()
-    var_id = taught(bench, peer)
-    untaught(bench, peer, var_id)
+    var_id = teach_variable(bench, peer)
+    delete_taught_variable(bench, peer, var_id)
     answer = expect_any(bench, (EXISTS, OK), "RTDB-Create", "VD-CRE-02", **create_request(bench, var_id))
     if answer.ok or answer.is_status(EXISTS):
         bench.reading("X20", "by-description" if answer.ok else "by-steps")

@@ -13,7 +13,7 @@ from dcp_spec.constants import BP_PROTID_VARDIS, ICType
 
 from dcp_conformance.frames.builder import Block
 from dcp_conformance.model.case import Variant, case
-from dcp_conformance.test_steps.services import taught
+from dcp_conformance.test_steps.services import teach_variable
 from dcp_conformance.test_steps.variable_queries import ask, own_id
 from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.test_system.sending.peers import Peer
@@ -103,17 +103,17 @@ _UNCLEAR = {name for name in _BAD if "count" in name and name not in ("count-0",
 def bad_container(bench: Bench, what: tuple[_Bad, str]) -> None:
     bad, name = what
     peer = bench.peer()
-    before, behind, first, last, *spoilt = bench.identifiers.unknown_ids(8)
-    bench.identifiers.created.update(spoilt)
+    before, behind, first, last, *restore_failure = bench.identifiers.unknown_ids(8)
+    bench.identifiers.created.update(restore_failure)
 
     def good(var_id: int) -> bytes:
         return bench.builder.container(peer.summary(var_id, 1))
 
     since = bench.mark()
-    peer.send(bad(bench, peer, spoilt[0]))
-    peer.send(good(before), bad(bench, peer, spoilt[1]))
-    peer.send(bad(bench, peer, spoilt[2]), good(behind))
-    peer.send(good(first), bad(bench, peer, spoilt[3]), good(last))
+    peer.send(bad(bench, peer, restore_failure[0]))
+    peer.send(good(before), bad(bench, peer, restore_failure[1]))
+    peer.send(bad(bench, peer, restore_failure[2]), good(behind))
+    peer.send(good(first), bad(bench, peer, restore_failure[3]), good(last))
     bench.require_alive("a payload with this error", "VD-ROB-01")
     bench.beacons(1, 1.5)
 
@@ -262,7 +262,7 @@ def _mutated(rng: random.Random, octets: bytes) -> bytes:
 def random_errors(bench: Bench, seed: int) -> None:
     # The payloads depend only on the seed of the session and the variant.
     rng = random.Random(f"{bench.session.seed}/{seed}")  # noqa: S311 - no secret
-    peer, known = bench.peer(), taught(bench, bench.peer())
+    peer, known = bench.peer(), teach_variable(bench, bench.peer())
     own_id(bench)
     unknown = bench.identifiers.unknown_ids(2)
     for count in range(160):

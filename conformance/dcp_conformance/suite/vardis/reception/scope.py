@@ -5,7 +5,7 @@ from __future__ import annotations
 from dcp_spec.constants import ICType, SpecVersion
 
 from dcp_conformance.model.case import Needs, case
-from dcp_conformance.test_steps.services import taught
+from dcp_conformance.test_steps.services import teach_variable
 from dcp_conformance.test_steps.variable_queries import named, traces
 from dcp_conformance.test_system.bench import Bench
 
@@ -21,7 +21,7 @@ _RC, _RU = ICType.REQUEST_VARCREATES, ICType.REQUEST_VARUPDATES
 )
 def summaries_stay(bench: Bench) -> None:
     peer = bench.peer()
-    var_id, unknown = taught(bench, peer, seqno=5), bench.unknown_id()
+    var_id, unknown = teach_variable(bench, peer, seqno=5), bench.unknown_id()
     since = bench.mark()
     peer.send(peer.summary(var_id, 9), peer.summary(unknown, 9))
     bench.require_alive("the summaries")
@@ -55,7 +55,7 @@ def summaries_stay(bench: Bench) -> None:
 )
 def requests_stay(bench: Bench) -> None:
     peer = bench.peer()
-    ids = [taught(bench, peer, seqno=5) for _ in range(4)]
+    ids = [teach_variable(bench, peer, seqno=5) for _ in range(4)]
     since = bench.mark()
     peer.send(
         peer.request_create(ids[0]),
@@ -78,7 +78,7 @@ def requests_stay(bench: Bench) -> None:
 )
 def requests_once(bench: Bench) -> None:
     peer, unknown, updated = bench.peer(), bench.unknown_id(), bench.unknown_id()
-    known = taught(bench, peer, seqno=5)
+    known = teach_variable(bench, peer, seqno=5)
     since = bench.mark()
     # All records about one variable in one payload: otherwise some could be processed before and some after the
     # composition of a payload. No other container in it, so that an implementation that loses a second container is not

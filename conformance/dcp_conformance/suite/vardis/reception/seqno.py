@@ -14,7 +14,7 @@ from dcp_spec.constants import ICType
 from dcp_codec.values import VarCreate, VardisRecord
 from dcp_conformance.model.case import Needs, Variant, case
 from dcp_conformance.test_steps.services import holds_two_octets, produced
-from dcp_conformance.test_steps.variable_queries import INSTRUCTIONS, modulus, named, stepped, taught_all, traces
+from dcp_conformance.test_steps.variable_queries import INSTRUCTIONS, modulus, named, stepped, teach_variables, traces
 from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.test_system.sending.peers import Peer
 
@@ -84,7 +84,7 @@ def _ask(bench: Bench, question: Question, distance: Distance) -> tuple[list[Var
         peer.create(var_id, value=b"value", seqno=seqno)
         for var_id, seqno in zip(bench.identifiers.var_ids(len(starts)), starts, strict=True)
     ]
-    taught_all(bench, peer, creates)
+    teach_variables(bench, peer, creates)
     since, step = bench.mark(), _steps(bench, distance)
     peer.send(
         *(question.make(peer, each.spec.var_id, stepped(bench, each.upd.seqno, step)) for each in creates),

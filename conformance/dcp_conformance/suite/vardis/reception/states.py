@@ -14,7 +14,7 @@ from dcp_spec.constants import ICType, SpecVersion
 
 from dcp_codec.values import VardisRecord
 from dcp_conformance.model.case import Needs, Variant, case
-from dcp_conformance.test_steps.services import taught
+from dcp_conformance.test_steps.services import teach_variable
 from dcp_conformance.test_steps.variable_queries import own_id
 from dcp_conformance.test_steps.variable_states import (
     VariableState,
@@ -280,7 +280,7 @@ def producer_ignores(bench: Bench, cell: Cell) -> None:
 )
 def removed(bench: Bench) -> None:
     peer = bench.peer()
-    var_id = taught(bench, peer)
+    var_id = teach_variable(bench, peer)
     since = bench.mark()
     peer.send(peer.delete(var_id))
     bench.check_repeated(ICType.DELETE_VARIABLES, var_id, 1, since)

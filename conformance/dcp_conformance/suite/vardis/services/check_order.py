@@ -18,14 +18,14 @@ from dcp_conformance.test_steps.services import (
     NOT_PRODUCER,
     UNKNOWN,
     create_request,
+    delete_taught_variable,
     deleted_status,
     expect_any,
     longest_description,
     max_repetitions,
     produced,
     settled,
-    taught,
-    untaught,
+    teach_variable,
 )
 from dcp_conformance.test_system.bench import Bench
 
@@ -50,8 +50,8 @@ def _own_deleted(bench: Bench) -> int:
 
 def _foreign_deleted(bench: Bench) -> int:
     peer = bench.peer()
-    var_id = taught(bench, peer, rep_cnt=_several(bench))
-    untaught(bench, peer, var_id)
+    var_id = teach_variable(bench, peer, rep_cnt=_several(bench))
+    delete_taught_variable(bench, peer, var_id)
     return var_id
 
 
@@ -60,7 +60,7 @@ def _unknown(bench: Bench) -> int:
 
 
 def _foreign(bench: Bench) -> int:
-    return taught(bench, bench.peer())
+    return teach_variable(bench, bench.peer())
 
 
 def _or_gone(bench: Bench, status: str) -> tuple[str, ...]:

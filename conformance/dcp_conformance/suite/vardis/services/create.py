@@ -27,7 +27,7 @@ from dcp_conformance.test_steps.services import (
     max_repetitions,
     nanoseconds,
     produced,
-    taught,
+    teach_variable,
     timed,
 )
 from dcp_conformance.test_steps.time_stamps import Stamps, check_apart, check_now
@@ -311,7 +311,7 @@ def repetition_count(bench: Bench) -> None:
 
 def _double(bench: Bench, taken: bool = False, **request: Any) -> dict[str, Any]:
     """Return a request with two mistakes, the first of which may be an existing identifier."""
-    var_id = taught(bench, bench.peer()) if taken else bench.unknown_id()
+    var_id = teach_variable(bench, bench.peer()) if taken else bench.unknown_id()
     request = {"descr": "d", "value": b"v"} | request
     return create_request(bench, var_id, exact=True, **request)
 

@@ -11,6 +11,7 @@ from dcp_conformance.test_steps.services import (
     OK,
     UNKNOWN,
     count_of,
+    delete_taught_variable,
     deleted_status,
     described,
     entry_of,
@@ -21,8 +22,7 @@ from dcp_conformance.test_steps.services import (
     settled,
     several_repetitions,
     statuses_after_deletion,
-    taught,
-    untaught,
+    teach_variable,
 )
 from dcp_conformance.test_system.bench import Bench
 
@@ -180,7 +180,7 @@ def unknown(bench: Bench) -> None:
     needs=Needs(ut=("RTDB-Delete", "RTDB-Read")),
 )
 def foreign(bench: Bench) -> None:
-    var_id = taught(bench, bench.peer(), value=b"theirs")
+    var_id = teach_variable(bench, bench.peer(), value=b"theirs")
     bench.expect_status(NOT_PRODUCER, "RTDB-Delete", varId=var_id)
     bench.require_alive("RTDB-Delete for a variable of another node")
     answer = bench.call("RTDB-Read", varId=var_id)
@@ -204,8 +204,8 @@ def foreign(bench: Bench) -> None:
 )
 def foreign_deleted(bench: Bench) -> None:
     peer = bench.peer()
-    var_id = taught(bench, peer, rep_cnt=max_repetitions(bench))
-    untaught(bench, peer, var_id)
+    var_id = teach_variable(bench, peer, rep_cnt=max_repetitions(bench))
+    delete_taught_variable(bench, peer, var_id)
     gone = (UNKNOWN,) if bench.features.removed_after_deletion else ()
     expect_any(bench, (NOT_PRODUCER, *gone), "RTDB-Delete", varId=var_id)
 

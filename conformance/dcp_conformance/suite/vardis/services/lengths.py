@@ -8,7 +8,7 @@ from dcp_spec.constants import ICType, SpecVersion
 
 from dcp_codec.values import VarCreate, VardisRecord
 from dcp_conformance.model.case import Needs, Variant, case
-from dcp_conformance.test_steps.services import longest_description, taught
+from dcp_conformance.test_steps.services import longest_description, teach_variable
 from dcp_conformance.test_steps.variable_queries import INSTRUCTIONS, ask, named, traces
 from dcp_conformance.test_system.bench import Bench
 
@@ -157,7 +157,7 @@ def updates(bench: Bench, what: tuple[Bound, bool, SpecVersion]) -> None:
     if number <= 1:
         bench.assumptions.discard()
     peer = bench.peer()
-    var_id = taught(bench, peer, value=b"value")
+    var_id = teach_variable(bench, peer, value=b"value")
     record, since = peer.update(var_id, 1, b"v" * number, exact=True), bench.mark()
     peer.send(record)
     if allowed:

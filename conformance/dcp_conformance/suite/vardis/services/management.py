@@ -14,7 +14,7 @@ from dcp_conformance.test_steps.services import (
     create_request,
     max_repetitions,
     produced,
-    taught,
+    teach_variable,
 )
 from dcp_conformance.test_system.bench import Bench
 
@@ -96,7 +96,7 @@ def no_payloads(bench: Bench) -> None:
 )
 def discards(bench: Bench) -> None:
     peer = bench.peer()
-    known = taught(bench, peer, value=b"before")
+    known = teach_variable(bench, peer, value=b"before")
     created, summarized = bench.identifiers.unknown_ids(2)
     with bench.services.deactivated("VD"):
         mark = bench.mark()
@@ -134,7 +134,7 @@ def discards(bench: Bench) -> None:
 )
 def database_kept(bench: Bench) -> None:
     mine = produced(bench, value=b"mine")
-    theirs = taught(bench, bench.peer(), value=b"theirs")
+    theirs = teach_variable(bench, bench.peer(), value=b"theirs")
     with bench.services.deactivated("VD"):
         bench.wait(2)
     mark = bench.mark()

@@ -17,14 +17,14 @@ from dcp_conformance.test_steps.services import (
     OK,
     UNKNOWN,
     create_request,
+    delete_taught_variable,
     described,
     expect_any,
     listed,
     max_repetitions,
     produced,
     statuses_after_deletion,
-    taught,
-    untaught,
+    teach_variable,
 )
 from dcp_conformance.test_steps.time_stamps import check_later
 from dcp_conformance.test_system.bench import MS, Bench
@@ -87,7 +87,7 @@ def _check_renewed(bench: Bench, var_id: int, update: Callable[[bytes], None]) -
 )
 def foreign(bench: Bench) -> None:
     peer = bench.peer()
-    var_id = taught(bench, peer, value=b"first")
+    var_id = teach_variable(bench, peer, value=b"first")
     numbers = itertools.count(1)
 
     def update(value: bytes) -> None:
@@ -125,8 +125,8 @@ def deleted(bench: Bench) -> None:
     bench.must("RTDB-Delete", varId=mine)
     answers = [expect_any(bench, statuses_after_deletion(bench), "RTDB-Read", varId=mine)]
     peer = bench.peer()
-    theirs = taught(bench, peer, rep_cnt=max_repetitions(bench))
-    untaught(bench, peer, theirs)
+    theirs = teach_variable(bench, peer, rep_cnt=max_repetitions(bench))
+    delete_taught_variable(bench, peer, theirs)
     answers.append(expect_any(bench, statuses_after_deletion(bench), "RTDB-Read", varId=theirs))
     bench.check(
         not any("value" in answer.result for answer in answers),
@@ -151,7 +151,7 @@ def database(bench: Bench) -> None:
     peer = bench.peer()
     first = produced(bench, descr="the first")
     second = produced(bench, descr="the second")
-    third = taught(bench, peer, descr=b"the third")
+    third = teach_variable(bench, peer, descr=b"the third")
     bench.expect_status(OK, "RTDB-DescribeDatabase")
     table = listed(bench)
     own = bench.identifiers.sut_id
@@ -252,7 +252,7 @@ def describe_unknown(bench: Bench) -> None:
 def describe(bench: Bench) -> None:
     peer = bench.peer()
     mine = produced(bench, descr="mine", value=b"own")
-    theirs = taught(bench, peer, descr=b"theirs", value=b"foreign", seqno=7)
+    theirs = teach_variable(bench, peer, descr=b"theirs", value=b"foreign", seqno=7)
     for var_id, producer, descr, value, seqno in (
         (mine, bench.identifiers.sut_id, "mine", bench.records.value(b"own"), 0),
         (theirs, peer.node_id, "theirs", bench.records.value(b"foreign"), 7),

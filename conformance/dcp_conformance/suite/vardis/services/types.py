@@ -11,8 +11,15 @@ from dcp_codec.errors import Problem
 from dcp_codec.values import VarCreate
 from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.model.case import Needs, case
-from dcp_conformance.test_steps.services import create_request, entry_of, listed, longest_description, produced, taught
-from dcp_conformance.test_steps.variable_queries import ask, taught_all
+from dcp_conformance.test_steps.services import (
+    create_request,
+    entry_of,
+    listed,
+    longest_description,
+    produced,
+    teach_variable,
+)
+from dcp_conformance.test_steps.variable_queries import ask, teach_variables
 from dcp_conformance.test_system.bench import MS, Bench
 from dcp_conformance.test_system.sending.peers import Peer
 
@@ -24,7 +31,7 @@ def _everything(bench: Bench, peer: Peer) -> int:
     """Make the implementation send containers of all six types; return the mark before them."""
     known = [peer.create(var_id, seqno=5) for var_id in bench.identifiers.var_ids(3)]
     since = bench.mark()
-    taught_all(bench, peer, known)
+    teach_variables(bench, peer, known)
     updated, behind, doomed = (create.spec.var_id for create in known)
     unknown = bench.unknown_id()
     # In separate payloads: an implementation that loses a second container must not be reported for containers that it
@@ -112,7 +119,7 @@ def layout(bench: Bench) -> None:
 )
 def lengths(bench: Bench) -> None:
     peer, most = bench.peer(), min(bench.sut.bound("VARDISPAR_MAX_VALUE_LENGTH"), 255)
-    var_id = taught(bench, peer)
+    var_id = teach_variable(bench, peer)
     value = b""
     for seqno, length in enumerate((1, most, min(2, most), max(1, most - 1), 1), 1):
         value = bytes(0x40 + index % 64 for index in range(length))
@@ -171,7 +178,7 @@ def payload_size(bench: Bench) -> None:
     size = bench.builder.record_size(bench.records.sample(value=value, descr=descr))
     count = min(64, 5 * limit // (2 * size) + 1)
     since = bench.mark()
-    creates = taught_all(
+    creates = teach_variables(
         bench, peer, (peer.create(each, value=value, descr=descr) for each in bench.identifiers.var_ids(count))
     )
     peer.send(*(peer.request_create(each.spec.var_id) for each in creates))
@@ -269,7 +276,7 @@ def entry_of_received(bench: Bench) -> None:
 )
 def one_entry(bench: Bench) -> None:
     peer = bench.peer()
-    var_id = taught(bench, peer)
+    var_id = teach_variable(bench, peer)
     peer.send(peer.update(var_id, 1), peer.request_create(var_id), peer.create(var_id))
     bench.require_alive("several records about the variable")
     found = bench.must("RTDB-DescribeDatabase").result.get("variables")
@@ -297,7 +304,7 @@ def stays(bench: Bench, own: bool) -> None:
         bench.until_instruction(ICType.CREATE_VARIABLES, var_id)
         bench.must("RTDB-Delete", varId=var_id)
     else:
-        var_id = taught(bench, peer)
+        var_id = teach_variable(bench, peer)
         peer.send(peer.delete(var_id))
     if bench.until_instruction(ICType.DELETE_VARIABLES, var_id) is None:
         bench.inconclusive("a VarDelete of the variable, which this case needs", "none in time")
@@ -333,7 +340,7 @@ def time_stamp(bench: Bench) -> None:
         return found
 
     begun = bench.lower.wall()
-    var_id = taught(bench, peer, seqno=5)
+    var_id = teach_variable(bench, peer, seqno=5)
     created = stamp(begun)
     bench.wait(2)
     peer.send(peer.update(var_id, 5, b"equal"), peer.update(var_id, 4, b"older"), peer.summary(var_id, 5))

@@ -19,6 +19,7 @@ from dcp_conformance.test_steps.services import (
     VALUE_TOO_LONG,
     count_of,
     create_request,
+    delete_taught_variable,
     empty_status,
     entry_of,
     expect_any,
@@ -29,9 +30,8 @@ from dcp_conformance.test_steps.services import (
     settled,
     several_repetitions,
     statuses_after_deletion,
-    taught,
+    teach_variable,
     timed,
-    untaught,
 )
 from dcp_conformance.test_steps.time_stamps import Stamps, check_apart
 from dcp_conformance.test_system.bench import Bench
@@ -291,7 +291,7 @@ def unknown(bench: Bench) -> None:
     needs=Needs(ut=("RTDB-Update", "RTDB-Read")),
 )
 def foreign(bench: Bench) -> None:
-    var_id = taught(bench, bench.peer(), value=b"theirs")
+    var_id = teach_variable(bench, bench.peer(), value=b"theirs")
     for value in (bench.records.value(b"ours"), b""):
         bench.expect_status(NOT_PRODUCER, "RTDB-Update", varId=var_id, value=value.hex())
     shown = bench.call("RTDB-Read", varId=var_id).result.get("value")
@@ -308,8 +308,8 @@ def foreign(bench: Bench) -> None:
 )
 def foreign_deleted(bench: Bench) -> None:
     peer = bench.peer()
-    var_id = taught(bench, peer, rep_cnt=max_repetitions(bench))
-    untaught(bench, peer, var_id)
+    var_id = teach_variable(bench, peer, rep_cnt=max_repetitions(bench))
+    delete_taught_variable(bench, peer, var_id)
     gone = (UNKNOWN,) if bench.features.removed_after_deletion else ()
     expect_any(bench, (NOT_PRODUCER, *gone), "RTDB-Update", varId=var_id, value=bench.records.value(b"ours").hex())
 

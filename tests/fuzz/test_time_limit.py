@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 
 import pytest
-from dcp_conformance.fuzz.execute.time_limit import Overtime, TimeLimit
+from dcp_conformance.fuzz.execute.time_limit import TimeLimit, TimeLimitExceeded
 
 
 def forever():
@@ -16,7 +16,7 @@ def forever():
 def test_what_does_not_come_back_is_ended_each_time_anew():
     limit = TimeLimit(0.05)
     for _ in range(3):
-        with pytest.raises(Overtime), limit:
+        with pytest.raises(TimeLimitExceeded), limit:
             forever()
         with limit:
             pass
@@ -37,7 +37,7 @@ def swallow(left: list[NeverGone]) -> None:
 def test_what_has_swallowed_its_end_is_ended_later():
     """Whatever is raised in a finaliser goes nowhere."""
     left = [NeverGone()]
-    with pytest.raises(Overtime), TimeLimit(0.05):
+    with pytest.raises(TimeLimitExceeded), TimeLimit(0.05):
         swallow(left)
 
 
