@@ -89,7 +89,7 @@ class Runner:
         """Number of measurements of the reaction time."""
         self._unsettled = False
         """Whether the last case has left a state that can affect later ones, or got an internal error as an answer."""
-        self._spoilt: dict[str, str] = {}
+        self._not_restored: dict[str, str] = {}
         """Cases whose changes could not be undone, with the reason."""
         self._renewals = 0
         """Number of restarts because identifiers were used up."""
@@ -103,8 +103,8 @@ class Runner:
     def notes(self) -> list[str]:
         """Notes on the run as a whole, for the results."""
         found = list(self.remarks)
-        if self._spoilt and not self._restartable:
-            found.append(left_changed(self._spoilt))
+        if self._not_restored and not self._restartable:
+            found.append(left_changed(self._not_restored))
         if self._renewals:
             found.append(f"restarted {self._renewals} times, when all identifiers of variables had been used")
         if isinstance(self.session.lower, Impairs):
@@ -324,7 +324,7 @@ class Runner:
         trial.loss = self.life.loss(bench, ask=ask)
         if trial.loss is None and bench.restoration.restore_failure and self._reset_mode() == "none":
             self._unsettled = True
-            self._spoilt.setdefault(case.id, bench.restoration.restore_failure)
+            self._not_restored.setdefault(case.id, bench.restoration.restore_failure)
         return trial
 
     def _measure(self) -> None:

@@ -323,17 +323,17 @@ class Spoilt(HungUp):
 
     def call(self, method: str, params: dict[str, object]) -> Answer:
         if method == "RTDB-Read":
-            self._sut.restore_failure = True
-        if self._sut.restore_failure and method.startswith("RTDB"):
+            self._sut.refuses = True
+        if self._sut.refuses and method.startswith("RTDB"):
             return Answer(code=-32603, message="trying to pop from an empty buffer")
         return super().call(method, params)
 
 
 class Queue(InProcess):
-    restore_failure = False
+    refuses = False
 
     def restart(self) -> None:
-        self.restore_failure = False
+        self.refuses = False
         super().restart()
 
 

@@ -195,8 +195,8 @@ class TestUnmet:
         assert report.plain()["met"] is False
 
     def test_what_the_machine_has_to_do_with_it_is_told(self):
-        ordinary_values, busy = NodeTraffic(0, 200, 0, 0, 10.0), NodeTraffic(1, 181, 0, 0, 9.05, left_out_per_s=0.95)
-        (finding,) = judge_all([BeaconRate(per_s=10)], [], [ordinary_values, busy])
+        normal, busy = NodeTraffic(0, 200, 0, 0, 10.0), NodeTraffic(1, 181, 0, 0, 9.05, left_out_per_s=0.95)
+        (finding,) = judge_all([BeaconRate(per_s=10)], [], [normal, busy])
         assert not finding.met
         assert finding.found == (
             "node 1 has the largest deviation with 9.050; it left out 0.950 because the machine was too busy"

@@ -66,7 +66,7 @@ class LiveTarget:
         self._was_well = False
         self._number: int | None = None
         """Sequence number of the last received beacon; None if unknown."""
-        self._spoilt = False
+        self._uncertain_state = False
         """Whether the last steps had an effect, so that the state of the implementation is unknown."""
         self.observer: Observer | None = None
         """The model of the last steps, in differential mode."""
@@ -87,12 +87,12 @@ class LiveTarget:
         self.frames += sum(isinstance(step, Frame) for step in steps)
         # The next steps need a healthy implementation; after an effect its health has to be checked again.
         self._checked = effect is None
-        self._spoilt = effect is not None
+        self._uncertain_state = effect is not None
         return effect
 
     def run_after_restart(self, steps: list[Step]) -> Effect | None:
         """Execute the steps after a restart, so that earlier frames have no influence. See :meth:`run`."""
-        self._spoilt = True
+        self._uncertain_state = True
         return self.run(steps)
 
     def prepare(self) -> Bench:
@@ -109,7 +109,7 @@ class LiveTarget:
         bench.heard.clear()
         if not self._checked:
             self._require_health(bench)
-            self._checked, self._spoilt = True, False
+            self._checked, self._uncertain_state = True, False
         return bench
 
     def _needs_restart(self) -> bool:
@@ -123,7 +123,7 @@ class LiveTarget:
                 f"the implementation is dead, and there is no command to restart it: {control.why_dead()}"
             )
         # Only a restart surely restores the initial state after an effect. The model needs the initial state, too.
-        return control.can_restart and (self._spoilt or (self._differential and not self._can_reset))
+        return control.can_restart and (self._uncertain_state or (self._differential and not self._can_reset))
 
     @property
     def _can_reset(self) -> bool:

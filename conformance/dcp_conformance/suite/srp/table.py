@@ -186,14 +186,14 @@ def wide_numbers(bench: Bench) -> None:
 def _block(bench: Bench, peer: Peer, name: str) -> Block:
     """Return a block with the record of the peer, made invalid as ``name`` says."""
     octets = bench.builder.srp(bench.records.report(peer.node_id, 1)).octets
-    restore_failure = {
+    damaged = {
         "one-short": octets[:-1],
         "one-long": octets + b"\0",
         "one-octet": octets[:1],
         "twice": octets * 2,
         "without-seqno": octets[: -bench.profile.types.srp_seqno.width],
     }
-    return Block(BP_PROTID_SRP, restore_failure[name])
+    return Block(BP_PROTID_SRP, damaged[name])
 
 
 @case(

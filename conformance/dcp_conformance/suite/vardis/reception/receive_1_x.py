@@ -51,9 +51,9 @@ _IN_1_0 = Needs(until=_V1_0)
     },
 )
 def before_the_error(bench: Bench, bad: _Bad) -> None:
-    peer, (wanted, restore_failure) = bench.peer(), bench.identifiers.unknown_ids(2)
-    bench.identifiers.created.add(restore_failure)
-    peer.send(bench.builder.container(peer.summary(wanted, 1)), bad(bench, peer, restore_failure))
+    peer, (wanted, damaged) = bench.peer(), bench.identifiers.unknown_ids(2)
+    bench.identifiers.created.add(damaged)
+    peer.send(bench.builder.container(peer.summary(wanted, 1)), bad(bench, peer, damaged))
     found = bench.until_instruction(_REQUEST, wanted)
     bench.check(found, "a request for the variable in the container before the invalid one", "none in time")
 
@@ -69,9 +69,9 @@ def before_the_error(bench: Bench, bad: _Bad) -> None:
     variants={"unknown-type": _unknown_type, "no-records": _no_records},
 )
 def after_the_error(bench: Bench, bad: _Bad) -> None:
-    peer, (wanted, restore_failure) = bench.peer(), bench.identifiers.unknown_ids(2)
+    peer, (wanted, damaged) = bench.peer(), bench.identifiers.unknown_ids(2)
     since = bench.mark()
-    peer.send(bad(bench, peer, restore_failure), bench.builder.container(peer.summary(wanted, 1)))
+    peer.send(bad(bench, peer, damaged), bench.builder.container(peer.summary(wanted, 1)))
     bench.require_alive("the payload")
     bench.beacons(1, 1.5)
     found = bench.instructions(_REQUEST, wanted, since)

@@ -103,17 +103,17 @@ _UNCLEAR = {name for name in _BAD if "count" in name and name not in ("count-0",
 def bad_container(bench: Bench, what: tuple[_Bad, str]) -> None:
     bad, name = what
     peer = bench.peer()
-    before, behind, first, last, *restore_failure = bench.identifiers.unknown_ids(8)
-    bench.identifiers.created.update(restore_failure)
+    before, behind, first, last, *damaged = bench.identifiers.unknown_ids(8)
+    bench.identifiers.created.update(damaged)
 
     def good(var_id: int) -> bytes:
         return bench.builder.container(peer.summary(var_id, 1))
 
     since = bench.mark()
-    peer.send(bad(bench, peer, restore_failure[0]))
-    peer.send(good(before), bad(bench, peer, restore_failure[1]))
-    peer.send(bad(bench, peer, restore_failure[2]), good(behind))
-    peer.send(good(first), bad(bench, peer, restore_failure[3]), good(last))
+    peer.send(bad(bench, peer, damaged[0]))
+    peer.send(good(before), bad(bench, peer, damaged[1]))
+    peer.send(bad(bench, peer, damaged[2]), good(behind))
+    peer.send(good(first), bad(bench, peer, damaged[3]), good(last))
     bench.require_alive("a payload with this error", "VD-ROB-01")
     bench.beacons(1, 1.5)
 
