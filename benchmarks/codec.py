@@ -34,7 +34,7 @@ from dcp_codec.framing.locate import Framing, locate
 sys.path.insert(0, str(Path(__file__).parent))
 logging.getLogger("scapy").setLevel(logging.ERROR)
 
-import handwritten  # noqa: E402 - the folder is no package
+import handwritten  # noqa: E402 - the folder is not a package
 import scapy_only  # noqa: E402
 
 #: The layouts that scapy_only and handwritten know.

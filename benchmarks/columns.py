@@ -42,7 +42,7 @@ from dcp_codec.table.writing import Format
 sys.path.insert(0, str(Path(__file__).parent))
 logging.getLogger("scapy").setLevel(logging.ERROR)
 
-import handwritten  # noqa: E402 - the folder is no package
+import handwritten  # noqa: E402 - the folder is not a package
 import scapy_only  # noqa: E402
 from columns_report import COLUMNAR, Contender, figures, show  # noqa: E402
 from repeated import SLOW, Formats, Material  # noqa: E402

@@ -1,4 +1,4 @@
-"""What is no capture is refused with a message that helps, and nothing else comes out of it."""
+"""What is not a capture is refused with a message that helps, and nothing else comes out of it."""
 
 import io
 import os

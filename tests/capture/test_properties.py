@@ -109,7 +109,7 @@ def test_cut_off_anywhere_gives_the_frames_before_and_a_problem(format, compress
         try:
             frames, reader = read(octets[:length])
         except CaptureError:
-            assert not counts, "a header is no shorter than one that could be read"
+            assert not counts, "a header is not shorter than one that could be read"
             continue
         assert frames == plain(SOME[: len(frames)])
         if not reader.problems:

@@ -1,4 +1,4 @@
-"""``dcp-codec`` beside decode: stats, guess, convert, encode, export, profiles, verify, and input that is no good."""
+"""``dcp-codec`` beside decode: stats, guess, convert, encode, export, profiles, verify, and input that cannot be used."""
 
 from __future__ import annotations
 
@@ -388,7 +388,7 @@ def test_verify_without_manifest(run, tmp_path):
     assert run("verify", tmp_path / "none.toml").status == 2
 
 
-# -- input that is no good --------------------------------------------------------------------------------------
+# -- input that cannot be used --------------------------------------------------------------------------------------
 
 
 def _link_type(tmp_path: Path, number: int) -> Path:

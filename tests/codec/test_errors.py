@@ -1,4 +1,4 @@
-"""Every reason why octets are no message, with the exact place; what is kept of such octets; what cannot be encoded."""
+"""Every reason why octets are not a message, with the exact place; what is kept of such octets; what cannot be encoded."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def student(payload: str, *, protocol: int = 2, length: int | None = None, rest:
 
 
 class Case(NamedTuple):
-    """Octets that are no message, and the one thing that is wrong with them."""
+    """Octets that are not a message, and the one thing that is wrong with them."""
 
     profile: str
     octets: bytes
@@ -290,7 +290,7 @@ WARNED = {
         beacon_20("00020008 0103 0703 0803 0704"),
         Problem("duplicate-variable", "payloads[0].vardis[0].records[2].varId", 28, None, 7, "VD-PAY-03", "warning"),
     ),
-    "a description that is no text": (
+    "a description that is not text": (
         beacon_20(create_20("c328")),
         Problem("invalid-utf8", "payloads[0].vardis[0].records[0].spec.descr", 42, None, None, "DATA-08", "warning"),
     ),

@@ -298,7 +298,7 @@ def test_packed_report_of_the_simulator() -> None:
 
 
 def test_pattern_of_cpp_1_2() -> None:
-    """That release sends 40 octets that count up, which are no state report."""
+    """That release sends 40 octets that count up, which is not a state report."""
     codec = get_codec("cpp-1.2")
     octets = bytes(range(200, 240))
     report = codec.decode_srp(octets)

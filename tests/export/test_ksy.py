@@ -103,7 +103,7 @@ def reached(root: Any, path: str) -> Any:
 
 
 def plain(value: Any) -> Any:
-    """A value that compares equal when it is the same, also if it is no number."""
+    """A value that compares equal when it is the same, also if it is not a number."""
     value = getattr(value, "value", value)
     return struct.pack(">d", value) if isinstance(value, float) else value
 

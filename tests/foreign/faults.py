@@ -237,7 +237,7 @@ def blocks_count_headers(octets: bytes, wire: BPWire) -> bytes:
 
 
 def garbage_report(octets: bytes, wire: BPWire) -> bytes:
-    """An SRP block first in each beacon that is no state report, in the place of any that is one."""
+    """An SRP block first in each beacon that is not a state report, in the place of any that is one."""
     reception = wire.parse(octets)
     if reception.header is None:
         return octets

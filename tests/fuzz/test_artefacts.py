@@ -134,7 +134,7 @@ def test_cases_keep_their_identifiers_whatever_else_is_there(tmp_path):
 
 
 def test_what_decides_a_finding_is_kept_and_its_case_names_it(tmp_path):
-    """An answer that did not come is no death: the requirement is that of the answer."""
+    """An answer that did not come is not a death: the requirement is that of the answer."""
     place = "missing REQUEST-VARCREATES VD-PS-01"
     path = saved(tmp_path, Effect("said", "variable 5: REQUEST-VARCREATES did not come", 0, place))
     assert load(path).effect.requirements == ("VD-PS-01",)

@@ -1,4 +1,4 @@
-"""Implementations behind a bench as targets: health is asked for, silence is no death, findings survive the peer."""
+"""Implementations behind a bench as targets: health is asked for, silence is not a death, findings survive the peer."""
 
 from __future__ import annotations
 

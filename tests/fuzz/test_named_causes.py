@@ -91,7 +91,7 @@ def test_it_is_named_for_nodes_that_read_as_they_should_otherwise(mutant, fault,
 
 
 def test_a_header_alone_is_not_two_causes():
-    """That no block follows is no part of a death by the length of the header."""
+    """That no block follows is not a part of a death by the length of the header."""
     bare = Frame(Samples(CODEC).each()[0][:18])
     campaign = campaign_on(make_of(deadly=["length-beyond-the-frame"]), One([bare]))
     campaign.run(Limits(cases=1))

@@ -51,6 +51,10 @@ PATTERNS = (
         "name the subject: 'an implementation that ...', 'if the user ...'",
     ),
     Pattern(r"\b(?:nobody|somebody|everybody|anybody)\b", "name the node, client or user; 'an unregistered protocol'"),
+    Pattern(
+        r"(?<!there )\b(?:is|are|was|were) no (?!longer|more)",
+        "'is not a ...'",
+    ),
     Pattern(r"\bof nobody\b", "'of an unregistered protocol', 'of an unknown client'"),
     Pattern(r"\bstands? (?:in|at|before|first|behind|there|twice)\b", "'is', 'has the position'"),
     Pattern(r"\bgoes? on\b|\bgoing on\b|\bgo on\b", "'continues'"),

@@ -81,7 +81,7 @@ def test_dissemination(tmp_path):
         at = 2.0 * n
         said = create(7, 1, b"\x00\x05") if n == 0 else update(7, n, bytes([1, n]))
         sent += [(at, 1, n, (said,)), (at + 0.1, 2, 2 * n, (said,)), (at + 0.25, 3, n, (said,))]
-        # Said again, which is no first time.
+        # Said again, which is not a first time.
         sent.append((at + 0.3, 2, 2 * n + 1, (said,)))
     # Long after, node 3 gives node 2 the first value again: not from the producer.
     again = create(7, 1, b"\x00\x05")
@@ -106,7 +106,7 @@ def test_dissemination(tmp_path):
 
 
 def test_numbers_that_wrap_go_on_and_start_again_with_a_creation(tmp_path):
-    """600 updates of an 8-bit number; then the variable is created again, which is no jump of 168."""
+    """600 updates of an 8-bit number; then the variable is created again, which is not a jump of 168."""
     first = [(0.0, 1, 0, (create(7, 1, b"a", at=1),))]
     sent = first + [(n / 10, 1, n, (update(7, n % 256, b"a"),)) for n in range(1, 601)]
     sent += [(60.1, 1, 601, (create(7, 1, b"a", at=2),)), (60.2, 1, 602, (update(7, 1, b"a"),))]

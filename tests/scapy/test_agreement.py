@@ -52,7 +52,7 @@ def expected(codec: Codec, found: Found) -> Any:
     if isinstance(layout, Scalar | Text) and layout.role == "node-id":
         representation = codec.profile.types.node_id.representation
         text = node_id_text(found.value, representation)
-        # Text that would not give these octets again, such as a real backslash before an x, is no text.
+        # Text that would not give these octets again, such as a real backslash before an x, is not text.
         return text if node_id_octets(text, representation) == found.value else Octets(found.raw)
     return found.value
 

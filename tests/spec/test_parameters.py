@@ -82,7 +82,7 @@ def test_the_beacon_period_is_positive():
         violation = validate("BPPAR_BEACON_PERIOD", bad, CPP)
         assert violation is not None
         assert (violation.value, violation.requirement) == (bad, "BP-PAR-03")
-    # The text of 1.0 states no bound, but these are no periods.
+    # The text of 1.0 states no bound, but these are not periods.
     assert validate("BPPAR_BEACON_PERIOD", 0, V1_0) is not None
     assert validate("BPPAR_BEACON_PERIOD", -100, V1_0) is not None
 

@@ -44,7 +44,7 @@ def test_every_reading_matters_to_a_requirement(entry):
 @pytest.mark.parametrize("entry", [e for e in ENTRIES if e.alternatives], ids=lambda e: e.id)
 def test_alternatives_can_be_selected_by_name(entry):
     names = [alternative.name for alternative in entry.alternatives]
-    assert len(names) >= 2, "a single alternative is no choice"
+    assert len(names) >= 2, "a single alternative is not a choice"
     assert [name for name, count in Counter(names).items() if count > 1] == []
     for name in names:
         assert re.fullmatch(r"[a-z]+(-[a-z]+)+", name)

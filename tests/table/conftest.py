@@ -110,7 +110,7 @@ def sound_part(codec: Codec, said: dict[str, Any], payload: Payload, damaged: bo
 
 
 def constant(codec: Codec) -> set[str]:
-    """Fields of the header that are no columns: those with one value, and the sender, who is a key."""
+    """Fields of the header that are not columns: those with one value, and the sender, who is a key."""
     names = {"version", "magicNo", "senderId"}
     return names | {"length"} if codec.profile.bp.length_means == "header-size" else names
 

@@ -205,7 +205,7 @@ def test_processes_are_started_for_much_only(archive, tmp_path):
     assert workers(small, "local") == 1
     assert workers(small, "dask") == cores
     assert workers([*small, str(tmp_path / "large.pcap")], "local") == cores
-    # Of what is no file nobody knows how much it is.
+    # Of what is not a file nobody knows how much it is.
     assert workers([*small, str(tmp_path / "absent")], "local") == cores
 
 

@@ -121,7 +121,7 @@ def run_of(*impair: str, seed: int = 1, profile: str = "dcp-2.0", cases: tuple[s
 
 @pytest.fixture
 def strict(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A lost stimulus is no excuse for what was received, as on a real bad link that nobody knows of."""
+    """A lost stimulus is not an excuse for what was received, as on a real bad link that nobody knows of."""
     excused = ("reordered", "late")
     monkeypatch.setattr(
         Incident, "misleads", property(lambda self: self.what in excused or (self.to and self.what != "lost"))

@@ -86,7 +86,7 @@ class TestExitStatus:
         assert FAILS in [case.id for case in load_results(tmp_path).cases]
 
     def test_3_nobody_is_there_to_answer(self, dcp_conformance: Command, tmp_path: Path):
-        """Silence is no fault that a requirement could be named for."""
+        """Silence is not a fault that a requirement could be named for."""
         link = f"udp:239.77.1.1:{own_port()}"
         done = dcp_conformance("run", "--link", link, "--beacon-period", "20", SANITY, "--report-dir", tmp_path)
         assert done.status == INCONCLUSIVE

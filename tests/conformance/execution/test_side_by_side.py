@@ -78,7 +78,7 @@ def test_most_cases_pass_beside_others_and_each_has_one_result() -> None:
 
 def test_what_does_not_pass_beside_others_is_repeated_alone() -> None:
     found = run(WIDTH, "TC_BP_REG_*", "TC_SRP_NT_BV_03")
-    # It reports what it has seen, which is no plain pass.
+    # It reports what it has seen, which is not a plain pass.
     assert found.repeated_alone.keys() == {"TC_SRP_NT_BV_03"}
     result = next(each for each in found.results if each.id == "TC_SRP_NT_BV_03")
     assert result.verdict is Verdict.INFO

@@ -22,7 +22,7 @@ from ..rig import codec_of, known_cases
 FINE = (Verdict.PASS, Verdict.INFO, Verdict.NOT_APPLICABLE)
 #: What the user is told to provide when identifiers are used up.
 REMEDIES = ("UT-Reset", "--start", "--restart", 'reset = "restart"')
-#: What a PICS or a profile says is no behaviour of our node.
+#: What a PICS or a profile says is not behaviour of our node.
 ON_PAPER = (DECLARED, DENIED)
 
 

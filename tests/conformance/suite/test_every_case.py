@@ -14,7 +14,7 @@ from dcp_conformance.reference.inprocess import InProcess, reference_config
 
 from ..rig import OTHER_PROFILES, PROFILES, codec_of, known_cases, one_case
 
-#: What a profile or a PICS declares is no behaviour of our node: tests/conformance/suite/test_declared.py.
+#: What a profile or a PICS declares is not behaviour of our node: tests/conformance/suite/test_declared.py.
 CASES = tuple(each for each in known_cases() if each not in (DECLARED, DENIED))
 WIRE_PROFILES = ("dcp-1.0", "dcp-1.2", "dcp-1.3", "dcp-2.0", "cpp-2.0")
 #: One of each kind of version: a case that applies to none of them applies to none at all.

@@ -42,7 +42,7 @@ TOO_SLOW_FOR_A_GAP = "between two beacons: a beacon in between in each attempt; 
 )
 def test_nobody_fails_for_being_slow(how: str, profile: str):
     runner = runner_for(profile, **SLOW[how])
-    # What a profile declares is no behaviour of a node.
+    # What a profile declares is not behaviour of a node.
     results = [runner.run(each) for each in ordered(known_cases().values()) if each.id not in (DECLARED, DENIED)]
     wrong = [(each.id, each.reason) for each in results if each.verdict in (Verdict.FAIL, Verdict.ERROR)]
     assert wrong == []

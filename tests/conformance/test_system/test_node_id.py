@@ -64,7 +64,7 @@ def test_a_wrong_one_on_the_command_line(dcp_conformance: Command, tmp_path: Pat
 
 
 class Misnamed(VirtualUpperTester):
-    """Says a name that is no identifier."""
+    """Says a name that is not an identifier."""
 
     def call(self, method: str, params: dict[str, Any]) -> Any:
         answer = super().call(method, params)

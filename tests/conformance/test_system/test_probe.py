@@ -369,7 +369,7 @@ def test_measuring_a_period():
     lost = measured_period(beacons_at([100.0 * n for n in range(0, 40, 2)], list(range(0, 40, 2))))
     assert lost is not None
     assert lost.mean == 100
-    # A pause is no interval, and a new start of the sequence numbers is none either.
+    # A pause is not an interval, and a new start of the sequence numbers is none either.
     times = [100.0 * n for n in range(12)] + [5000 + 100.0 * n for n in range(12)]
     paused = measured_period(beacons_at(times, list(range(24))))
     assert paused is not None

@@ -88,11 +88,11 @@ LIES = {
     ),
     "no methods": ("del hello['methods']", "has no methods, which must be a list of names"),
     "version is a number": ("hello['version'] = 3", "has no version, which must be text"),
-    "a method that is no name": ("hello['methods'] = [1]", "lists a method that is not text"),
+    "a method that is not a name": ("hello['methods'] = [1]", "lists a method that is not text"),
     "hello fails": ("hello['status'] = 'VARDIS-STATUS-INACTIVE'", "UT-Hello is answered with VARDIS-STATUS-INACTIVE"),
     "hello without status": ("del hello['status']", "a result without a status"),
     "not JSON": ("print('starting up...', flush=True)", "not JSON .*: starting up"),
-    "JSON that is no message": ("print('[1]', flush=True)", r"JSON that is not a message: \[1\]"),
+    "JSON that is not a message": ("print('[1]', flush=True)", r"JSON that is not a message: \[1\]"),
     "neither nor": ("say(method=5)", "neither a response nor a notification"),
     "deep JSON": ("print('[' * 100000, flush=True)", "not JSON"),
 }

@@ -191,7 +191,7 @@ def test_a_number_of_blocks_that_is_not_the_number_of_payloads(version, claimed)
         rig = listening(version, readings={"X48": reading})
         delivered, dropped = rig.receive(rig.patch(rig.builder(A, B), "numPayloads", claimed))
         counted = version in SINCE_1_2 or claimed > 2
-        # Before 1.2 nothing else tells where the blocks end (X47): a number that is too small is no mismatch.
+        # Before 1.2 nothing else tells where the blocks end (X47): a number that is too small is not a mismatch.
         assert delivered == (right if counted else [A])
         assert [each.reason for each in dropped] == (["other-count"] if counted and not right else [])
 

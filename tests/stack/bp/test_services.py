@@ -414,7 +414,7 @@ def test_clearing_unregistered(version):
 def test_clearing(version, mode):
     rig = Rig(version)
     rig.register(7, mode)
-    assert rig.bp.clear_buffer(7).status is OK, "clearing nothing is no error"
+    assert rig.bp.clear_buffer(7).status is OK, "clearing nothing is not an error"
     rig.submit(b"A")
     rig.submit(b"B")
     assert rig.bp.clear_buffer(7).status is OK

@@ -60,7 +60,7 @@ def test_losses_are_counted_by_sequence_numbers():
     assert (entry.received, entry.repeated, entry.lost, entry.restarts) == (4, 1, 4, 0)
     assert entry.loss_rate == 0.5
     assert entry.mean_gap == pytest.approx(0.95 * (0.95 * 1 + 0.05 * 3) + 0.05 * 3)
-    # The repetition is no new report: the last interval runs from its first reception.
+    # The repetition is not a new report: the last interval runs from its first reception.
     assert entry.mean_interval == pytest.approx((0.95 * 1 + 0.05 * 1) * 0.95 * S + 0.05 * 2 * S)
 
 

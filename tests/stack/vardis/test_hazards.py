@@ -1,6 +1,6 @@
 """What nodes do to each other by following the specification to the letter (H1 to H4 and H7 to H9 of the readings).
 
-These are no faults of a node. They are written down so that a change which removes one does not go unnoticed.
+These are not faults of a node. They are written down so that a change which removes one does not go unnoticed.
 """
 
 from __future__ import annotations

@@ -136,7 +136,7 @@ def test_a_payload_is_composed_with_what_arrives_before_its_beacon() -> None:
     assert rig.bp.slot is None
     assert rig.vardis.poll_timeout() == BEACON
     rig.wait(99)
-    assert rig.bp.queries == 1, "an empty buffer is no reason to compose while the beacon is still to come"
+    assert rig.bp.queries == 1, "an empty buffer is not a reason to compose while the beacon is still to come"
     rig.update(value=b"late")
     rig.wait(1)
     assert rig.bp.slot is not None
