@@ -131,7 +131,10 @@ class _Generator:
     # -- scalars --------------------------------------------------------------------------------------------
 
     def flush(self, run: list[tuple[Scalar, _Path, str, _Scope]], end: str, *, fits: bool) -> None:
-        """Emit the reading of a run of neighbouring scalars into their variables; move ``o`` to its end."""
+        """Generate the code that reads a run of neighbouring scalars and then moves the offset ``o`` past them.
+
+        Each scalar is read into its variable. ``fits``: the octets up to ``end`` are known to be enough.
+        """
         if not run:
             return
         source, size = self.source, sum(scalar.size for scalar, *_ in run)
