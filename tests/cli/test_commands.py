@@ -1,4 +1,4 @@
-"""``dcp-codec`` beside decode: stats, guess, convert, encode, export, profiles, verify, and input that cannot be used."""
+"""``dcp-codec`` beside decode: stats, guess, convert, encode, export, profiles, verify; input that cannot be used."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Every reason why octets are not a message, with the exact place; what is kept of such octets; what cannot be encoded."""
+"""Every reason why octets are not a message, with its place; what is kept of such octets; what cannot be encoded."""
 
 from __future__ import annotations
 
