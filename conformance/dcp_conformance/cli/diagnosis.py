@@ -12,6 +12,8 @@ from dcp_conformance.errors import UsageError
 
 #: Required minimum share of named faults, and maximum share of false faults among the named ones.
 _RECALL, _FALSE = 0.9, 0.1
+#: Number of single faults that are held back, for each pair.
+_HELD_BACK = 4
 
 
 def make_dictionary(patterns: tuple[str, ...], options: dict[str, Any]) -> int:
@@ -63,7 +65,8 @@ def make_dictionary(patterns: tuple[str, ...], options: dict[str, Any]) -> int:
 
 def measure_diagnosis(options: dict[str, Any]) -> int:
     """Diagnose nodes with several faults and print how many faults are identified. Return the exit status."""
-    from dcp_conformance.selftest.diagnosis.measuring import Outcome, draw, measure
+    from dcp_conformance.diagnosis import load
+    from dcp_conformance.selftest.diagnosis.measuring import Outcome, draw, hold_back, measure
 
     from .display import progress_bar
 
@@ -86,4 +89,10 @@ def measure_diagnosis(options: dict[str, Any]) -> int:
                 missed = [fault for fault in each.faults if fault not in (*each.found, *each.hidden)]
                 if missed or each.false:
                     say(f"  {' + '.join(each.faults)}: missed {missed}, false {list(each.false)}")
+    held = hold_back(number * _HELD_BACK, options["seed"][0], load())
+    say(
+        f"{held.faults} single faults, each removed from the dictionary: {held.same} are explained by another fault of "
+        f"the same requirement, {held.other} by faults of other requirements, {held.none} not at all; of "
+        f'{held.statements} sentences without "probably" {held.true} name the requirement'
+    )
     return 0 if good else 1

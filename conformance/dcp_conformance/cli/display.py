@@ -207,8 +207,8 @@ def _print_diagnosis(out: Console, run: RunResult) -> None:
             soft_wrap=True,
         )
         for other in fault.alternatives:
-            out.print(f"     or {'it' if fault.certain else 'that'} {data(other)}", soft_wrap=True)
-        if not fault.certain and fault.check is not None and fault.check.observed:
+            out.print(f"     or {'it' if fault.likely else 'that'} {data(other)}", soft_wrap=True)
+        if not fault.likely and fault.check is not None and fault.check.observed:
             out.print(
                 f"     expected {data(fault.check.expected)}; observed {data(fault.check.observed)}", soft_wrap=True
             )

@@ -43,8 +43,12 @@ _MOST, _ALTERNATIVES = 24, 4
 _LEAST = 0.5
 
 
-def explain(results: Iterable[CaseResult], dictionary: Dictionary) -> Diagnosis:
+def explain(
+    results: Iterable[CaseResult], dictionary: Dictionary, *, observed: Mapping[str, frozenset[str]] | None = None
+) -> Diagnosis:
     """Return the probable faults that explain the failed cases of a run.
+
+    ``observed`` has the digests of what was observed in each failed case; by default they are computed from its checks.
 
     Only the verdicts fail, pass and info are evidence; cases with another verdict are ignored. So are the cases about
     deviations that the profile or the PICS declares: they fail without any behaviour of the implementation.
@@ -59,7 +63,9 @@ def explain(results: Iterable[CaseResult], dictionary: Dictionary) -> Diagnosis:
         elif result.verdict in (Verdict.PASS, Verdict.INFO):
             passed.add(result.id)
     passed -= failed.keys()
-    search = _Search(dictionary, failed, passed)
+    if observed is None:
+        observed = {name: observations(result) for name, result in failed.items()}
+    search = _Search(dictionary, failed, passed, observed)
     chosen = search.run()
     explained = {case for fault in chosen for case in search.explained_by(fault)}
     found = [search.probable(fault, chosen) for fault in chosen]
@@ -75,13 +81,18 @@ def explain(results: Iterable[CaseResult], dictionary: Dictionary) -> Diagnosis:
 class _Search:
     """Greedy search for the most likely set of faults of one run."""
 
-    def __init__(self, dictionary: Dictionary, failed: Mapping[str, CaseResult], passed: set[str]) -> None:
-        self._failed, self._passed = failed, passed
+    def __init__(
+        self,
+        dictionary: Dictionary,
+        failed: Mapping[str, CaseResult],
+        passed: set[str],
+        observed: Mapping[str, frozenset[str]],
+    ) -> None:
+        self._failed, self._passed, self._observed = failed, passed, observed
         self._crashed = {name for name, result in failed.items() if did_not_survive(result)}
         """Failed cases that a fault can explain that crashes a node."""
         self._behaved = {name for name, result in failed.items() if not only_died(result)}
         """Failed cases that any other fault can explain."""
-        self._observed = {name: observations(result) for name, result in failed.items()}
         self._chances: dict[str, dict[str, float]] = {}
         """By fault, by decided case: probability that the fault makes it fail (failed cases), or not pass (passed)."""
         self._faults: dict[str, Fault] = {}

@@ -135,9 +135,14 @@ class Probable(msgspec.Struct, frozen=True, kw_only=True):
     """The command that runs that case again."""
 
     @property
-    def certain(self) -> bool:
+    def likely(self) -> bool:
         """Whether several cases fail as with this fault, and at least half of them with the same observation."""
         return len(self.explains) > 1 and 2 * self.alike >= len(self.explains)
+
+    @property
+    def certain(self) -> bool:
+        """Whether several cases fail as with this fault, with the same observation, and all that should fail did."""
+        return len(self.explains) > 1 and self.alike == len(self.explains) and not self.missing
 
 
 class Diagnosis(msgspec.Struct, frozen=True, kw_only=True):

@@ -135,7 +135,7 @@ def summary_markdown(run: RunResult) -> str:
             lines.append(
                 f"{number}. {_cell(text[:1].upper() + text[1:])} ({names}). The fault {_cell(certainty(fault))}."
             )
-            if not fault.certain and fault.check is not None and fault.check.observed:
+            if not fault.likely and fault.check is not None and fault.check.observed:
                 lines.append(f"   Expected {_cell(fault.check.expected)}; observed {_cell(fault.check.observed)}.")
         for death in deaths(run):
             first = death.cases[0].id

@@ -64,11 +64,12 @@ def diagnosed(run: RunResult) -> str:
 def sentence(fault: Probable) -> str:
     """Return what a probable fault says about the implementation.
 
-    It is a statement only if several cases fail as with the fault, at least half of them with the same observation.
-    Otherwise the sentence tells only which cases fail that fail for a node with the fault too.
+    It is a statement only if several cases fail as with the fault, at least half of them with the same observation;
+    without "probably" only if all cases agree. Otherwise the sentence contains only which cases fail that also fail for
+    a node with the fault.
     """
-    if fault.certain:
-        return f"the implementation {fault.what}"
+    if fault.likely:
+        return f"the implementation {'' if fault.certain else 'probably '}{fault.what}"
     if len(fault.explains) == 1:
         text = f"{fault.explains[0]} fails, as it does for a node that {fault.what}"
     else:

@@ -50,7 +50,7 @@ def write_issues(run: RunResult, folder: Path, codec: Codec | None, minimise: Mi
             case = by_id.get(fault.case)
             if case is None or fault.check is None:
                 continue
-            name = f"{number:02d}-{_slug(fault.what if fault.certain else case.id)}"
+            name = f"{number:02d}-{_slug(fault.what if fault.likely else case.id)}"
             steps = stimulus(case, fault.check)
             places = [step.frame for step in steps if step.octets]
             needed = minimise(case, fault.check, places) if minimise is not None and not case.left_out else None
@@ -155,8 +155,8 @@ def _context(
 
 def _title(fault: Probable, sut: str) -> str:
     """Return the fault if it is certain; else what was expected and observed, which does not depend on the fault."""
-    if fault.certain or fault.check is None:
-        return f"{sut} {fault.what}"
+    if fault.likely or fault.check is None:
+        return f"{sut} {'' if fault.certain else 'probably '}{fault.what}"
     observed = f"; observed {fault.check.observed}" if fault.check.observed else ""
     return f"{sut}: expected {fault.check.expected}{observed}"
 

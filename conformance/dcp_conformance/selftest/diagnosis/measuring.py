@@ -10,10 +10,12 @@ from typing import Final
 
 import msgspec
 
-from dcp_conformance.diagnosis.dictionary import Dictionary, load
+from dcp_conformance.diagnosis.dictionary import Dictionary, Fault, load
 from dcp_conformance.diagnosis.explain import explain
 from dcp_conformance.errors import UpperTesterError
-from dcp_conformance.model.results import Diagnosis
+from dcp_conformance.model.results import CaseResult, Check, Diagnosis
+from dcp_conformance.model.survival import SURVIVAL
+from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.selftest.mutants import Mutant, all_mutants
 from dcp_conformance.selftest.mutants.combination import combined
 from dcp_conformance.selftest.runner import Suite, cases, process_pool
@@ -91,6 +93,55 @@ def measure(
             found.append(future.result())
             on_result(found[-1])
     return Measurement(tuple(found))
+
+
+class HeldBack(msgspec.Struct, frozen=True):
+    """The diagnoses of single faults, each with a dictionary without that fault: how many there are of each kind."""
+
+    faults: int = 0
+    same: int = 0
+    """Explained by another fault of the same requirement."""
+    other: int = 0
+    """Explained by faults of other requirements only."""
+    none: int = 0
+    """Not explained."""
+    statements: int = 0
+    """Sentences without "probably"."""
+    true: int = 0
+    """Those of them that name the requirement of the fault."""
+
+
+def hold_back(number: int, seed: int, dictionary: Dictionary) -> HeldBack:
+    """Diagnose ``number`` single faults, drawn by ``seed``, with a dictionary without them. No case is run."""
+    able = [fault for fault in dictionary.faults if fault.fails]
+    rng = random.Random(seed)  # noqa: S311 - a draw, no secret
+    every = frozenset(case for fault in dictionary.faults for case in fault.fails | fault.undecided)
+    count = HeldBack()
+    for fault in rng.sample(able, min(number, len(able))):
+        observed: dict[str, frozenset[str]] = dict.fromkeys(fault.fails, frozenset())
+        for case, digest in fault.observed:
+            observed[case] |= {digest}
+        rest = Dictionary(tuple(each for each in dictionary.faults if each is not fault))
+        results = [_result_with(fault, case, survived=bool(observed.get(case))) for case in sorted(every)]
+        found = explain(results, rest, observed=observed).faults
+        named = [fault.requirements[0] in each.requirements for each in found]
+        count = HeldBack(
+            faults=count.faults + 1,
+            same=count.same + any(named),
+            other=count.other + (bool(named) and not any(named)),
+            none=count.none + (not named),
+            statements=count.statements + sum(each.certain for each in found),
+            true=count.true + sum(each.certain and right for each, right in zip(found, named, strict=True)),
+        )
+    return count
+
+
+def _result_with(fault: Fault, case: str, *, survived: bool) -> CaseResult:
+    """Return the result of a case for a node with this fault, as the dictionary has it."""
+    verdict = Verdict.FAIL if case in fault.fails else Verdict.INCONCLUSIVE if case in fault.undecided else Verdict.PASS
+    expected = SURVIVAL if fault.crashes and not survived else ""
+    checks = (Check(verdict, fault.requirements, expected, ""),) if verdict is Verdict.FAIL else ()
+    return CaseResult(id=case, purpose="", section="", kind="", requirements=(), verdict=verdict, checks=checks)
 
 
 def _task(group: tuple[str, ...]) -> Outcome:
