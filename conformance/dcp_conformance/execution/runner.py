@@ -29,6 +29,7 @@ from .case_results import result_of
 from .remarks import deaths_alike, executed_again, left_changed
 from .survival.attribution import Trial, attribute, blamed, came_back, with_failures_of
 from .survival.life import Life
+from .survival.readiness import Readiness
 
 #: Maximum time in seconds between a case and the death that it causes, and maximum number of suspected cases.
 SLOW_DEATH = 3.0
@@ -74,6 +75,7 @@ class Runner:
         self.control = control
         self.rerun = rerun
         self.life = Life(session, control, start_timeout)
+        self._readiness = Readiness(session)
         self.remarks: list[str] = []
         """Notes for the results, without those on deaths."""
         self.dead = ""
@@ -107,6 +109,11 @@ class Runner:
             found.append(left_changed(self._not_restored))
         if self._renewals:
             found.append(f"restarted {self._renewals} times, when all identifiers of variables had been used")
+        if self._readiness.longest:
+            found.append(
+                f"UT-Reset returned up to {self._readiness.longest / 1e6:.0f} ms before VarDis and SRP were registered "
+                "with BP; the tester waited for them"
+            )
         if isinstance(self.session.lower, Impairs):
             found.append(self.session.lower.summary())
         elif self._disturbed:
@@ -303,7 +310,7 @@ class Runner:
             # Before the reset, which removes the variables that the measurement creates.
             self._measure()
             if not fresh:
-                self._reset()
+                self._reset(case)
             if not fresh and self._reset_mode() == "restart" and (why := self.life.await_answer(case)):
                 # This case did not cause the failed restart; the next case restarts again.
                 what = "the implementation answers after its restart"
@@ -372,13 +379,13 @@ class Runner:
         self._recent.clear()
         mode = self._reset_mode()
         if mode == "ut":
-            return self._reset_by_service()
+            return self._reset_by_service(case)
         restarts = self._restartable and self.session.pics.pixit.reset != "none"
         return self._restart_sut(case) if mode == "restart" or (used and restarts) else ""
 
-    def _reset_by_service(self) -> str:
+    def _reset_by_service(self, case: Case) -> str:
         try:
-            self._reset()
+            self._reset(case)
         except UpperTesterError as error:
             self.life.upper_tester_error = str(error)
             return f"UT-Reset failed: {error}"
@@ -520,13 +527,16 @@ class Runner:
             return "ut" if upper is not None and "UT-Reset" in upper.methods else "none"
         return mode
 
-    def _reset(self) -> None:
+    def _reset(self, case: Case | None = None) -> None:
+        """Bring the implementation into its initial state; before ``case``, wait until it can receive."""
         mode = self._reset_mode()
         if mode == "ut" and self.session.upper is not None:
             self.session.upper.call("UT-Reset", {})
             self._forget()
             if self.session.short_period is not None:
                 self.session.short_period.renew()
+            if case is not None:
+                self._readiness.wait(case)
         elif mode == "restart" and self.control is not None:
             self.control.restart()
             self._forget()
