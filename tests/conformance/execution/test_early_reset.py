@@ -41,7 +41,7 @@ class Early(VirtualUpperTester):
 
     def call(self, method: str, params: dict[str, Any]) -> Answer:
         answer = super().call(method, params)
-        if method == "UT-Reset":
+        if method == "UT-Reset" and self.late.lists:
             self.late.registered = self.late.now + EARLY
         if method == "BP-ListRegisteredProtocols" and answer.ok:
             ready = self.late.lists and self.late.now >= self.late.registered
