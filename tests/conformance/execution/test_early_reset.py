@@ -83,4 +83,4 @@ def test_a_node_that_never_lists_vardis_is_waited_for_once() -> None:
     begun = runner.session.lower.now()
     for name in ("TC_BP_HDR_BV_01", "TC_BP_HDR_BV_02"):
         assert runner.run(known_cases()[name]).verdict is Verdict.PASS
-    assert runner.session.lower.now() - begun < 2 * 2_000_000_000
+    assert runner.session.lower.now() - begun < 6_000_000_000, "2 s for each reset"
