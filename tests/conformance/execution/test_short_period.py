@@ -67,7 +67,7 @@ def test_a_restart_ends_it() -> None:
     runner, _ = bench_of()
     _, begun = begin(runner)
     assert begun
-    assert not runner._start_afresh(SANITY_CASE)
+    assert not runner._restart_sut(SANITY_CASE)
     assert runner.session.short_period is None
     assert runner.session.parameters[PERIOD] == 100
 
