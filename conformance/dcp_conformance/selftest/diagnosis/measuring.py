@@ -108,7 +108,7 @@ class HeldBack(msgspec.Struct, frozen=True):
     statements: int = 0
     """Sentences without "probably"."""
     true: int = 0
-    """Those of them that name the requirement of the fault."""
+    """The number of such sentences that name the requirement of the fault."""
 
 
 def hold_back(number: int, seed: int, dictionary: Dictionary) -> HeldBack:
