@@ -311,9 +311,9 @@ class Runner:
             self._measure()
             if not fresh:
                 self._reset(case)
-            if not fresh and self._reset_mode() == "restart" and (why := self.life.await_answer(case)):
+            if not fresh and self._may_not_receive(case) and (why := self.life.await_answer(case)):
                 # This case did not cause the failed restart; the next case restarts again.
-                what = "the implementation answers after its restart"
+                what = "the implementation answers after its restart or reset"
                 bench.verdicts.checks.append(Check(Verdict.INCONCLUSIVE, case.requirements, what, why))
                 return trial
             self.session.passive.begin(self.session.lower.now(), bench.traffic, case.id)
@@ -526,6 +526,14 @@ class Runner:
         if mode == "auto":
             return "ut" if upper is not None and "UT-Reset" in upper.methods else "none"
         return mode
+
+    def _may_not_receive(self, case: Case) -> bool:
+        """Return whether an answer shows only now that the implementation receives again after its reset.
+
+        A case that it may not survive would pass if its frames were lost.
+        """
+        mode = self._reset_mode()
+        return mode == "restart" or (mode == "ut" and case.destructive and not self._readiness.known)
 
     def _reset(self, case: Case | None = None) -> None:
         """Bring the implementation into its initial state; before ``case``, wait until it can receive."""

@@ -68,6 +68,13 @@ def test_the_first_stimulus_after_a_reset_is_received() -> None:
     assert any("UT-Reset returned up to 150 ms before VarDis and SRP were registered" in each for each in runner.notes)
 
 
+def test_without_a_list_of_protocols_a_destructive_case_waits_for_an_answer() -> None:
+    runner = runner_of("M-VD-ROB-01-dies-of-end")
+    assert runner.session.upper is not None
+    runner.session.upper.methods -= {"BP-ListRegisteredProtocols"}
+    assert runner.run(known_cases()[CASE]).verdict is Verdict.FAIL
+
+
 def test_a_node_that_is_ready_at_once_is_not_waited_for() -> None:
     runner = Runner(
         Session(codec_of("dcp-2.0"), (sut := InProcess(reference_config(codec_of("dcp-2.0")))).lower_tester(),

@@ -34,10 +34,15 @@ class Readiness:
         self.longest = 0
         """Longest wait, in ns: how much too early UT-Reset returned."""
 
+    @property
+    def known(self) -> bool:
+        """Whether the implementation lists its protocols, so that a wait ends when it can receive."""
+        upper = self._session.upper
+        return not self._useless and upper is not None and _LIST in upper.methods
+
     def wait(self, case: Case) -> None:
         """Wait after UT-Reset, before ``case``. The traffic in this time is not evidence of the case."""
-        upper = self._session.upper
-        if self._useless or upper is None or _LIST not in upper.methods:
+        if not self.known:
             return
         bench = Bench(self._session, case)
         begun = bench.now()
@@ -48,9 +53,9 @@ class Readiness:
                 self.longest = max(self.longest, passed)
                 return
             if passed >= _PATIENCE:
-                break
+                self._useless = True
+                return
             bench.waiting.wait_ns(_INTERVAL)
-        self._useless = True
 
     def _registered(self) -> frozenset[int] | None:
         """Return which of SRP and VarDis are registered; None if the implementation does not list its protocols."""
