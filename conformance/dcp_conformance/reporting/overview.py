@@ -87,6 +87,8 @@ def certainty(fault: Probable) -> str:
     text = f"explains {len(fault.explains)} failed case{'' if len(fault.explains) == 1 else 's'}"
     if fault.expected:
         text += f"; a node with only this fault fails {fault.expected} of the decided cases: {hits} of them failed"
+    if fault.alike < len(fault.explains):
+        text += f"; what was observed is the same in {fault.alike} of {len(fault.explains)} cases"
     if len(fault.explains) == 1:
         text += "; another fault that only this case shows is as likely"
     return text

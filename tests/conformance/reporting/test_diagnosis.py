@@ -13,7 +13,7 @@ from dcp_conformance.model.results import CaseResult, Check, Mark, RunResult
 from dcp_conformance.model.survival import SURVIVAL
 from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reporting.exports import summary_markdown
-from dcp_conformance.reporting.overview import diagnosed, headline, sentence
+from dcp_conformance.reporting.overview import certainty, diagnosed, headline, sentence
 from dcp_conformance.selftest.diagnosis import measuring
 from dcp_conformance.selftest.diagnosis.dictionary_making import signature
 from dcp_conformance.selftest.diagnosis.measuring import draw, outcome
@@ -157,6 +157,8 @@ def test_a_statement_is_only_probable_if_an_observation_differs_or_an_expected_f
         (found,) = explain(results(fails, passes), known).faults
         assert (found.alike, found.likely, found.certain) == (2, True, False)
         assert sentence(found) == "the implementation probably does X"
+        differs = "; what was observed is the same in 2 of 3 cases"
+        assert certainty(found).endswith(differs) == (fails == "abc")
     (found,) = explain(results("ab", "xyz"), known).faults
     assert sentence(found) == "the implementation does X"
 
