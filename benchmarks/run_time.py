@@ -33,10 +33,10 @@ parent = os.getppid()
 while os.getppid() == parent:
     sum(range(100_000))
 """
-#: An adapter between standard input and output and the control socket of the node: one JSON-RPC message a line, each
-#: of the node's delayed. It waits for a node that is not there yet, and ends with the node.
+#: An adapter between standard input and output and the control socket of the node: one JSON-RPC message a line. Answers
+#: are delayed, one after the other; notifications are not. It waits for a node that is not there yet, and ends with it.
 ADAPTER = """
-import os, socket, sys, threading, time
+import json, os, queue, socket, sys, threading, time
 path, delay = sys.argv[1], float(sys.argv[2]) / 1000
 while True:
     link = socket.socket(socket.AF_UNIX)
@@ -46,15 +46,27 @@ while True:
     except OSError:
         link.close()
         time.sleep(0.02)
+answers, writing = queue.Queue(), threading.Lock()
+def write(line):
+    with writing:
+        sys.stdout.buffer.write(line)
+        sys.stdout.buffer.flush()
 def calls():
     for line in sys.stdin.buffer:
         link.sendall(line)
     os._exit(0)
+def delayed():
+    while True:
+        line = answers.get()
+        time.sleep(delay)
+        write(line)
 threading.Thread(target=calls, daemon=True).start()
+threading.Thread(target=delayed, daemon=True).start()
 for line in link.makefile("rb"):
-    time.sleep(delay)
-    sys.stdout.buffer.write(line)
-    sys.stdout.buffer.flush()
+    if "method" in json.loads(line):
+        write(line)
+    else:
+        answers.put(line)
 """
 
 

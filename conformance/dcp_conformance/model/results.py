@@ -136,8 +136,12 @@ class Probable(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def likely(self) -> bool:
-        """Whether several cases fail as with this fault, and at least half of them with the same observation."""
-        return len(self.explains) > 1 and 2 * self.alike >= len(self.explains)
+        """Whether several cases fail as with this fault, at least half of them with the same observation.
+
+        At most a tenth of the cases that should fail may have passed.
+        """
+        most = 10 * len(self.missing) <= self.expected
+        return len(self.explains) > 1 and 2 * self.alike >= len(self.explains) and most
 
     @property
     def certain(self) -> bool:

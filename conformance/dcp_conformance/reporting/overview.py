@@ -74,11 +74,14 @@ def sentence(fault: Probable) -> str:
         text = f"{fault.explains[0]} fails, as it does for a node that {fault.what}"
     else:
         text = f"{len(fault.explains)} cases fail that also fail for a node that {fault.what}"
+    contrary = []
     if not fault.alike:
-        return f"{text}, but what was observed differs"
-    if fault.alike < len(fault.explains):
-        return f"{text}, but what was observed differs in {len(fault.explains) - fault.alike} of them"
-    return text
+        contrary.append("what was observed differs")
+    elif fault.alike < len(fault.explains):
+        contrary.append(f"what was observed differs in {len(fault.explains) - fault.alike} of them")
+    if fault.missing:
+        contrary.append(f"{len(fault.missing)} that should fail passed")
+    return f"{text}, but {' and '.join(contrary)}" if contrary else text
 
 
 def certainty(fault: Probable) -> str:
@@ -86,7 +89,7 @@ def certainty(fault: Probable) -> str:
     hits = fault.expected - len(fault.missing)
     text = f"explains {len(fault.explains)} failed case{'' if len(fault.explains) == 1 else 's'}"
     if fault.expected:
-        text += f"; a node with only this fault fails {fault.expected} of the decided cases: {hits} of them failed"
+        text += f"; of {fault.expected} decided cases that fail for a node with only this fault, {hits} failed here"
     if fault.alike < len(fault.explains):
         text += f"; what was observed is the same in {fault.alike} of {len(fault.explains)} cases"
     if len(fault.explains) == 1:

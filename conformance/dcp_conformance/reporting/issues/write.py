@@ -134,7 +134,7 @@ def _context(
         "certainty": certainty(fault),
         "sentence": sentence(fault),
         "title": _title(fault, sut),
-        "entries": [known[each] for each in fault.requirements if each in known],
+        "entries": [known[each] for each in _violated(fault) if each in known],
         "checks": [
             {"expected": check.expected, "observed": check.observed, "frames": _shown(case, check, frames)}
             for check in failed[:_CHECKS]
@@ -151,6 +151,11 @@ def _context(
         "port": int(link[2]) if udp and len(link) > 2 and link[2].isdigit() else 0,
         "recording": os.fspath(Path(case.recording).name) if case.recording else "",
     }
+
+
+def _violated(fault: Probable) -> tuple[str, ...]:
+    """Return the requirements of the fault; if the fault is uncertain, those of the check that failed."""
+    return fault.requirements if fault.likely or fault.check is None else fault.check.requirements
 
 
 def _title(fault: Probable, sut: str) -> str:
