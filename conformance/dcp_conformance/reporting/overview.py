@@ -76,9 +76,9 @@ def sentence(fault: Probable) -> str:
         text = f"{len(fault.explains)} cases fail that also fail for a node that {fault.what}"
     contrary = []
     if not fault.alike:
-        contrary.append("what was observed differs")
+        contrary.append("the observation differs")
     elif fault.alike < len(fault.explains):
-        contrary.append(f"what was observed differs in {len(fault.explains) - fault.alike} of them")
+        contrary.append(f"the observation differs in {len(fault.explains) - fault.alike} of them")
     if fault.missing:
         contrary.append(f"{len(fault.missing)} that should fail passed")
     return f"{text}, but {' and '.join(contrary)}" if contrary else text

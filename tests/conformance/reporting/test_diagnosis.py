@@ -169,10 +169,10 @@ def test_cases_with_other_observations_are_no_statement_about_the_implementation
     known = Dictionary((seen(fault("X", "a", "b", "c"), dict.fromkeys("abc", "by 2")),))
     (found,) = explain(results("abc", "xyz"), known).faults
     assert (found.alike, found.likely, found.certain) == (0, False, False)
-    assert sentence(found) == "3 cases fail that also fail for a node that does X, but what was observed differs"
+    assert sentence(found) == "3 cases fail that also fail for a node that does X, but the observation differs"
     run = RunResult(cases=tuple(results("abc", "xyz")), diagnosis=explain(results("abc", "xyz"), known))
     text = summary_markdown(run)
-    assert "1. 3 cases fail that also fail for a node that does X, but what was observed differs" in text
+    assert "1. 3 cases fail that also fail for a node that does X, but the observation differs" in text
     assert "   Expected this; observed that." in text
 
 
