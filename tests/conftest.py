@@ -20,6 +20,7 @@ from hypothesis.internal.conjecture.providers import HypothesisProvider
 from hypothesis.internal.constants_ast import Constants
 
 from .chance import FRESH, examples
+from .costs import Costs
 
 ROOT = Path(__file__).resolve().parent.parent
 RUNTIME = tempfile.TemporaryDirectory(prefix="dcp-tests-")
@@ -53,11 +54,13 @@ HypothesisProvider._local_constants = Constants()
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--costs", type=Path, metavar="FILE", help="write the CPU seconds of each item as JSON")
     parser.addoption("--shuffle", type=int, metavar="SEED", help="run modules, and tests in them, in a random order")
 
 
-def pytest_configure() -> None:
+def pytest_configure(config: pytest.Config) -> None:
     """Make the environment that of every other run, for this process and those that it starts."""
+    config.pluginmanager.register(Costs(config.getoption("--costs")))
     for name in STRAY:
         os.environ.pop(name, None)
     # Nodes have a control socket by default: never that of the user, or of the system.
