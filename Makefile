@@ -1,48 +1,62 @@
-# Two commands for a fresh machine with Python >= 3.11:
-#   make demo    install into .venv, test our own node with the whole suite, and write a report
-#   make test    install into .venv and run everything that CI runs: about ten minutes on two processors
+# For a fresh machine with Python >= 3.11:
+#   make demo      install what the suite needs into .venv, test our own node with it, and write a report
+#   make test      install everything into .venv; lint, and the core of the tests: about three minutes on two processors
+#   make test-all  the other parts of the tests: about seven minutes; CONTRIBUTING.md says what each part is for
 # For longer:
-#   make test-fresh FOR=3600      new random seeds, round after round, for an hour or until a test fails
-#   make test-repeat N=10 LOAD=2  `make test` in ten fresh clones, with two busy processes beside
+#   make test-fresh FOR=3600        new random seeds, round after round, for an hour or until a test fails
+#   make test-repeat N=10 LOAD=4    `make test` in ten fresh clones, beside four busy processes
 PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
+DEMO   := $(VENV)/.installed-demo
+comma  := ,
 KAITAI := node_modules/kaitai-struct-compiler/package.json
+PYTEST := $(BIN)/pytest -q -n auto
+# uv installs in a tenth of the time of pip. It does not read pip's configuration: where it cannot install, pip does.
+INSTALL = $(BIN)/uv pip install --python $(BIN)/python -e $(1) || $(BIN)/pip install --disable-pip-version-check -e $(1)
 
 # Tests see the same environment whoever runs them. tests/conftest.py removes more; these act before it is read.
 unexport PYTEST_ADDOPTS PYTEST_PLUGINS PYTHONPATH PYTHONHOME PYTHONOPTIMIZE PYTHONWARNINGS PYTHONSTARTUP
 unexport HYPOTHESIS_PROFILE DCP_EXAMPLES
 export PYTHONHASHSEED := 0
 
-.PHONY: docs man demo test test-versions test-lowest test-fresh test-repeat lint unit bench bench-columns bench-fuzz matrix selftest-doc clean
+.PHONY: docs man demo test test-all test-suite test-tools test-tables test-links test-versions test-lowest test-fresh \
+        test-repeat lint bench bench-columns bench-fuzz matrix selftest-doc clean
 
-demo: $(STAMP)
+demo: $(DEMO)
+	@echo "The suite now tests our own node over virtual Ethernet (UDP without root): about a minute."
 	@$(BIN)/dcp-conformance run --report-dir demo-report
 
-test: lint unit
+test: lint
+	$(PYTEST) --part core
 
 lint: $(STAMP)
-	$(BIN)/ruff check .
-	$(BIN)/ruff format --check .
+	$(BIN)/ruff check --quiet .
+	$(BIN)/ruff format --check --quiet .
 	$(BIN)/mypy
-	$(BIN)/lint-imports
+	$(BIN)/lint-imports --no-logo
 
-unit: $(STAMP) $(KAITAI)
-	@echo "About 7 minutes of tests on two processors, longer on a busy machine."
-	$(BIN)/pytest -n auto -m "not real_time"
-	@echo "Tests in real time, by themselves: about three minutes."
-	$(BIN)/pytest -n 3 --dist loadfile -m real_time
+test-all: test-suite test-tools test-tables test-links
+
+test-suite test-tools test-tables: $(STAMP) $(KAITAI)
+	$(PYTEST) --part $(@:test-%=%)
+
+# Tests in real time wait more than they compute, hence more of them at a time.
+test-links: $(STAMP)
+	$(PYTEST) -n 4 --dist loadfile --part links
 
 FOR  ?= 3600
 N    ?= 10
 LOAD ?= 0
+JOBS ?= 1
+WHAT ?= test
 
 test-fresh: $(STAMP) $(KAITAI)
 	$(BIN)/python tests/meta/fresh.py --seconds $(FOR)
 
 test-repeat:
-	$(PYTHON) tests/meta/repeat.py -n $(N) --load $(LOAD)
+	$(PYTHON) tests/meta/repeat.py -n $(N) --load $(LOAD) --jobs $(JOBS) $(WHAT)
 
 # Codec, node and specification with every Python from 3.11 to 3.14 that is on this machine, and with the lowest
 # versions of the dependencies: minutes each.
@@ -93,9 +107,11 @@ selftest-doc: $(STAMP)
 	$(BIN)/dcp-conformance selftest --variants --document docs/selftest.md
 	$(BIN)/dcp-conformance selftest --generated 200 --seed 501 --seed 502 --seed 503 --document docs/selftest.md
 
-$(STAMP): pyproject.toml
-	$(PYTHON) -m venv $(VENV)
-	$(BIN)/pip install --quiet --disable-pip-version-check -e '.[test]'
+$(STAMP) $(DEMO): pyproject.toml
+	@echo "Installing into $(VENV) ..."
+	@test -x $(BIN)/pip || $(PYTHON) -m venv $(VENV)
+	@$(BIN)/pip install --quiet --disable-pip-version-check uv || true
+	@$(call INSTALL,'.[$(if $(findstring demo,$@),conformance$(comma)scapy,test)]')
 	@touch $@
 
 clean:

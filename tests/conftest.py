@@ -1,7 +1,7 @@
-"""What all tests share: the environment, Hypothesis profiles, tools that must be there, and random order.
+"""Shared by all tests: the environment, Hypothesis profiles, parts, required tools, random order, CPU seconds.
 
-`make test`, `.ci/run` and a plain `pytest` run the same tests on the same examples. Only `make test-fresh` differs: it
-sets HYPOTHESIS_PROFILE=fresh (see tests/meta/fresh.py).
+`make`, `.ci/run` and a plain `pytest` run the same tests on the same examples. Only `make test-fresh` differs: it sets
+HYPOTHESIS_PROFILE=fresh (see tests/meta/fresh.py).
 """
 
 from __future__ import annotations
@@ -24,8 +24,10 @@ from .costs import Costs
 
 ROOT = Path(__file__).resolve().parent.parent
 RUNTIME = tempfile.TemporaryDirectory(prefix="dcp-tests-")
-#: Folders of tests that wait for processes in real time; `make test` runs them by themselves, after all others.
-REAL_TIME = frozenset(("link", "foreign"))
+#: The parts of the tests, in the order of ``make test-all``. `make test` runs the first one: all tests without a mark.
+PARTS = ("core", "suite", "tools", "tables", "links")
+#: Folders whose tests belong to a part as a whole.
+PART_OF_FOLDER = {"link": "links", "foreign": "links", "table": "tables", "report": "tables"}
 #: Variables of the user's environment that change what commands print, import or find.
 STRAY = (
     *("PYTEST_ADDOPTS", "PYTEST_PLUGINS", "PYTEST_THEME", "PYTHONPATH", "PYTHONOPTIMIZE", "PYTHONWARNINGS"),
@@ -55,6 +57,7 @@ HypothesisProvider._local_constants = Constants()
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--costs", type=Path, metavar="FILE", help="write the CPU seconds of each item as JSON")
+    parser.addoption("--part", choices=PARTS, action="append", help="run only this part of the tests (repeatable)")
     parser.addoption("--shuffle", type=int, metavar="SEED", help="run modules, and tests in them, in a random order")
 
 
@@ -77,14 +80,29 @@ def pytest_configure(config: pytest.Config) -> None:
     signal.pthread_sigmask(signal.SIG_SETMASK, ())
 
 
-def pytest_itemcollected(item: pytest.Item) -> None:
-    """Mark tests in real time: before ``-m`` chooses among them."""
-    if item.path.parent.name in REAL_TIME:
-        item.add_marker("real_time")
+def part_of(item: pytest.Item) -> str:
+    """The part to which a test belongs: that of its mark, of its folder, or the core."""
+    mark = item.get_closest_marker("part")
+    if mark is None:
+        return PART_OF_FOLDER.get(item.path.parent.name, PARTS[0])
+    (part,) = mark.args
+    if part not in PARTS:
+        raise pytest.UsageError(f"{item.nodeid}: {part!r} is not one of the parts {', '.join(PARTS)}")
+    return part
 
 
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Skip folders without a test of the core, if only the core is selected: their imports take seconds."""
+    core = config.getoption("--part") == [PARTS[0]]
+    return True if core and collection_path.is_dir() and collection_path.name in PART_OF_FOLDER else None
+
+
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Shuffle modules, and the tests in each: what a module sets up is still set up once."""
+    """Select parts. Shuffle modules, and the tests in each: the fixtures of a module are still set up once."""
+    selected = [(item, part_of(item) in (config.getoption("--part") or PARTS)) for item in items]
+    config.hook.pytest_deselected(items=[item for item, wanted in selected if not wanted])
+    items[:] = [item for item, wanted in selected if wanted]
     seed = config.getoption("--shuffle")
     if seed is None:
         return

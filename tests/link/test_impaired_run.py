@@ -9,7 +9,6 @@ from dcp_conformance.execution.target import TargetOptions
 from dcp_conformance.model.verdict import Verdict
 
 pytest.importorskip("scapy", reason="scapy is not installed (pip install 'dcp-conformance-kit[scapy]')")
-pytestmark = pytest.mark.real_time
 
 
 @pytest.mark.parametrize(

@@ -22,7 +22,7 @@ from dcp_stack.sim.testbed import namespaces
 
 from ..waiting import eventually
 
-pytestmark = [pytest.mark.tool("ip"), pytest.mark.real_time]
+pytestmark = pytest.mark.tool("ip")
 NODE = "node:dcp-2.0"
 
 

@@ -18,7 +18,7 @@ from dcp_stack.sim.testbed import namespaces
 
 from ..waiting import PATIENCE, eventually
 
-pytestmark = [pytest.mark.tool("ip"), pytest.mark.real_time]
+pytestmark = pytest.mark.tool("ip")
 COMMAND = Path(sys.executable).with_name("dcp-conformance")
 MARK = "DCP_TEST_MARK"
 #: A cell that ends soon, and one that takes half a minute.

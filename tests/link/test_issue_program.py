@@ -20,7 +20,6 @@ from dcp_conformance.selftest.runner import Suite, cases
 
 from dcp_codec.codec import Codec
 
-pytestmark = pytest.mark.real_time
 MUTANT = "M-VD-RU-03-equal-answered"
 CASE = "TC_VD_SEQ_BV_03-0"
 

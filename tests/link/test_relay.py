@@ -24,7 +24,7 @@ from dcp_stack.sim.testbed import namespaces
 from ..waiting import eventually
 
 pytest.importorskip("scapy", reason="scapy is not installed (pip install 'dcp-conformance-kit[scapy]')")
-pytestmark = [pytest.mark.tool("ip"), pytest.mark.real_time]
+pytestmark = pytest.mark.tool("ip")
 
 ETHER_TYPE = 0x88B5
 ADDRESSES = [bytes([2, 0, 0, 0, 0, number]) for number in range(3)]

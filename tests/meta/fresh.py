@@ -1,8 +1,8 @@
 """Run the tests with new random seeds, round after round, until a time is over or a test fails.
 
 Each round has a seed, which decides what Hypothesis draws, the order of the tests and the hashes of texts. The first
-round runs all tests but those in real time (`make test-repeat` is for them); later rounds run those that draw
-examples, as the others would do the same again. What the failing round printed is kept in a file, and the command that
+round runs all tests except those in real time (part `links`); later rounds run those that draw examples, as the others
+would do the same again. What the failing round printed is kept in a file, and the command that
 runs it again is printed: it needs no other state.
 """
 
@@ -42,7 +42,7 @@ def command_of(seed: int, examples: int, tests: list[str]) -> tuple[dict[str, st
         "PYTHONHASHSEED": str(seed),
     }
     pytest = [str(Path(sys.executable).parent / "pytest"), "-q", "-x", "-n", "auto", "-p", "no:cacheprovider"]
-    pytest += ["-m", "not real_time"]
+    pytest += [each for part in ("core", "suite", "tools", "tables") for each in ("--part", part)]
     return variables, [*pytest, f"--hypothesis-seed={seed}", f"--shuffle={seed}", *tests]
 
 

@@ -14,7 +14,7 @@ from dcp_codec.report.recorded import gather
 from ..browser import Browser
 from .flights import CAPTURES
 
-pytestmark = [pytest.mark.tool("chromium"), pytest.mark.real_time]
+pytestmark = [pytest.mark.tool("chromium"), pytest.mark.part("tools")]
 SHOW_ALL = "document.querySelectorAll('[data-plot]').forEach((each) => each.scrollIntoView())"
 ALL_SHOWN = "document.querySelectorAll('[data-plot]').length === document.querySelectorAll('[data-shown]').length"
 #: What is in the page and in the shadow trees of Bokeh's elements.

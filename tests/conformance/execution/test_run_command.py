@@ -380,7 +380,7 @@ class TestPytest:
         assert run.exit_status() == AS_EXPECTED
 
 
-@pytest.mark.real_time
+@pytest.mark.part("links")
 class TestLanes:
     """Our own node as a process; over UDP, so that no privilege is needed."""
 
