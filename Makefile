@@ -18,6 +18,7 @@ INSTALL = $(BIN)/uv pip install --python $(BIN)/python -e $(1) || $(BIN)/pip ins
 
 # Tests see the same environment whoever runs them. tests/conftest.py removes more; these act before it is read.
 unexport PYTEST_ADDOPTS PYTEST_PLUGINS PYTHONPATH PYTHONHOME PYTHONOPTIMIZE PYTHONWARNINGS PYTHONSTARTUP
+unexport PYTHONDONTWRITEBYTECODE
 unexport HYPOTHESIS_PROFILE DCP_EXAMPLES
 export PYTHONHASHSEED := 0
 

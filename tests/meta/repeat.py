@@ -1,8 +1,9 @@
 """Run a target of the Makefile in fresh clones of the committed tree, and print a table of the results.
 
-``make test-repeat N=10 LOAD=4`` runs `make test` in ten clones, in succession, beside four processes that keep processors
-busy. ``WHAT=demo`` or ``WHAT=test-all`` runs another target, ``JOBS=4`` keeps four clones running at a time. A clone in
-which the target fails is kept, with the output beside it; the others are removed. Exit status 1 if any failed.
+``make test-repeat N=10 LOAD=4`` runs `make test` in ten clones, in succession, beside four processes that keep
+processors busy. ``WHAT=demo`` or ``WHAT=test-all`` runs another target, ``JOBS=4`` keeps four clones running at a
+time. A clone in which the target fails is kept, with the output beside it; the others are removed. Exit status 1 if any
+failed.
 """
 
 from __future__ import annotations
@@ -117,7 +118,7 @@ def undecided_cases(path: Path) -> tuple[str, ...]:
     """The cases in the results of a run whose verdict decides nothing or fails; none without such a file."""
     if not path.exists():
         return ()
-    results = json.loads(path.read_text(encoding="utf-8"))["cases"]
+    cases = json.loads(path.read_text(encoding="utf-8"))["cases"]
     fine = ("pass", "info", "not-applicable")
     return tuple(f"{each['id']} {each['verdict']}" for each in cases if each["verdict"] not in fine)
 
