@@ -15,7 +15,6 @@ from dcp_spec.catalogue.requirements import depending_on
 
 ENTRIES = list(readings().values())
 RAW = tomllib.loads(resources.files("dcp_spec").joinpath("data/readings.toml").read_text())["reading"]
-IDS = [entry.id for entry in ENTRIES]
 
 
 def test_contradictions_and_hazards_are_complete_and_in_order():
@@ -23,36 +22,36 @@ def test_contradictions_and_hazards_are_complete_and_in_order():
     assert list(readings()) == [entry["id"] for entry in RAW]
 
 
-@pytest.mark.parametrize("entry", ENTRIES, ids=IDS)
-def test_each_entry_is_well_formed(entry):
-    assert entry.kind == {"X": "contradiction", "H": "hazard"}[entry.id[0]]
-    assert entry.sections
-    for place in entry.sections:
-        assert re.fullmatch(r"dcp-[a-z-]+\.md(#[a-z][a-z0-9-]+|: \S.*)", place)
-    assert not entry.title.endswith(".")
-    for text in filter(None, (entry.problem, entry.reading, entry.why, entry.implementations)):
-        assert text.endswith(".")
-        assert "  " not in text
-        assert text.count("(") == text.count(")")
+def test_each_entry_is_well_formed():
+    for entry in ENTRIES:
+        assert entry.kind == {"X": "contradiction", "H": "hazard"}[entry.id[0]], entry.id
+        assert entry.sections, entry.id
+        for place in entry.sections:
+            assert re.fullmatch(r"dcp-[a-z-]+\.md(#[a-z][a-z0-9-]+|: \S.*)", place), entry.id
+        assert not entry.title.endswith("."), entry.id
+        for text in filter(None, (entry.problem, entry.reading, entry.why, entry.implementations)):
+            assert text.endswith("."), entry.id
+            assert "  " not in text, entry.id
+            assert text.count("(") == text.count(")"), entry.id
 
 
-@pytest.mark.parametrize("entry", ENTRIES, ids=IDS)
-def test_every_reading_matters_to_a_requirement(entry):
-    assert depending_on(entry.id)
+def test_every_reading_matters_to_a_requirement():
+    for entry in ENTRIES:
+        assert depending_on(entry.id), entry.id
 
 
-@pytest.mark.parametrize("entry", [e for e in ENTRIES if e.alternatives], ids=lambda e: e.id)
-def test_alternatives_can_be_selected_by_name(entry):
-    names = [alternative.name for alternative in entry.alternatives]
-    assert len(names) >= 2, "a single alternative is not a choice"
-    assert [name for name, count in Counter(names).items() if count > 1] == []
-    for name in names:
-        assert re.fullmatch(r"[a-z]+(-[a-z]+)+", name)
-        assert entry.alternative(name).name == name
-    for alternative in entry.alternatives:
-        assert alternative.description[0].isupper() or alternative.description.startswith("summaryQ")
-        assert alternative.description.endswith(".")
-    assert entry.default is entry.alternatives[0]
+def test_alternatives_can_be_selected_by_name():
+    for entry in [each for each in ENTRIES if each.alternatives]:
+        names = [alternative.name for alternative in entry.alternatives]
+        assert len(names) >= 2, "a single alternative is not a choice"
+        assert [name for name, count in Counter(names).items() if count > 1] == [], entry.id
+        for name in names:
+            assert re.fullmatch(r"[a-z]+(-[a-z]+)+", name), entry.id
+            assert entry.alternative(name).name == name, entry.id
+        for alternative in entry.alternatives:
+            assert alternative.description[0].isupper() or alternative.description.startswith("summaryQ"), entry.id
+            assert alternative.description.endswith("."), entry.id
+        assert entry.default is entry.alternatives[0], entry.id
 
 
 def test_hazards_offer_no_choice():
