@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import random
 import re
+from collections.abc import Iterable
 from pathlib import Path
 
 import pytest
@@ -30,17 +31,27 @@ DOCUMENT = Path(__file__).parents[3] / "docs" / "selftest.md"
 EQUAL = "M-VD-RU-03-equal-answered"
 
 
-@pytest.mark.parametrize("identifier", MUTANTS)
-def test_a_mutant_is_killed_on_each_version_by_a_case_that_names_its_requirement(identifier):
-    outcomes = trials(MUTANTS[identifier])
-    assert outcomes
+def check_killed(outcomes: Iterable[Trial]) -> None:
+    """Check that a case which names a violated requirement has failed in each trial."""
     for outcome in outcomes:
         assert not outcome.errors, [(each.case, each.reason) for each in outcome.errors]
         also = [each.case for each in outcome.also[:5]]
-        what = f"{outcome.profile}: {outcome.what}: none of {outcome.candidates} cases; others that fail: {also}"
-        assert outcome.killed, what
+        what = f"{outcome.mutant} on {outcome.profile}: {outcome.what}"
+        assert outcome.killed, f"{what}: none of {outcome.candidates} cases; others that fail: {also}"
 
 
+@pytest.mark.parametrize("requirement", dict.fromkeys(each.requirement for each in MUTANTS.values()))
+def test_each_mutant_of_a_requirement_is_killed_on_its_newest_version(requirement):
+    check_killed(trial(each) for each in MUTANTS.values() if each.requirement == requirement)
+
+
+@pytest.mark.part("suite")
+@pytest.mark.parametrize("identifier", [each.id for each in MUTANTS.values() if len(each.profiles) > 1])
+def test_a_mutant_is_killed_on_older_versions(identifier):
+    check_killed(trials(MUTANTS[identifier], MUTANTS[identifier].profiles[1:]))
+
+
+@pytest.mark.part("suite")
 @pytest.mark.parametrize("identifier", [each.id for each in MUTANTS.values() if each.unseen])
 def test_a_mutant_that_is_not_tried_on_a_version_has_a_reason_and_would_survive(identifier):
     made = MUTANTS[identifier]
@@ -97,12 +108,11 @@ def test_every_section_has_mutants_and_there_are_many():
     assert {"DATA", *receiving, *sending, *services, *bp, *srp} <= groups
 
 
-@pytest.mark.parametrize("identifier", MUTANTS)
-def test_identifiers_say_what_is_violated(identifier):
-    made = MUTANTS[identifier]
-    assert re.fullmatch(rf"M-{made.requirement}-[A-Za-z0-9-]+", made.id)
-    assert set(made.requirements) <= set(requirements())
-    assert made.until is None or made.since <= made.until
+def test_identifiers_name_the_violated_requirement():
+    for made in MUTANTS.values():
+        assert re.fullmatch(rf"M-{made.requirement}-[A-Za-z0-9-]+", made.id), made.id
+        assert set(made.requirements) <= set(requirements()), made.id
+        assert made.until is None or made.since <= made.until, made.id
 
 
 def test_our_node_kills_nothing():
@@ -115,6 +125,7 @@ def test_our_node_kills_nothing():
         assert outcome.candidates
 
 
+@pytest.mark.part("suite")
 def test_what_fails_for_another_reason_is_told_apart():
     outcome = trial(MUTANTS["M-BP-HDR-11-swapped-protocol"], full=True)
     assert outcome.killers
@@ -232,7 +243,7 @@ def test_the_matrix_does_not_depend_on_time_and_names_survivors():
 # -- the command -------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("width", [60, 160])
+@pytest.mark.parametrize("width", [60, pytest.param(160, marks=pytest.mark.part("suite"))])
 def test_command(tmp_path, width):
     arguments = [EQUAL, "--profile", "dcp-2.0", "--jobs", "1", "--report-dir", str(tmp_path)]
     found = CliRunner().invoke(command, arguments, env={"COLUMNS": str(width)}, standalone_mode=False)
@@ -259,6 +270,7 @@ def test_command_says_what_is_no_mutant():
         CliRunner().invoke(command, ["M-nothing"], standalone_mode=False, catch_exceptions=False)
 
 
+@pytest.mark.part("suite")
 def test_command_says_that_it_cannot_write(tmp_path):
     (tmp_path / "file").write_text("")
     arguments = [EQUAL, "--profile", "dcp-2.0", "--jobs", "1", "--report-dir", str(tmp_path / "file")]

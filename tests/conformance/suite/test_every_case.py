@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from functools import cache
+from itertools import groupby
 
 import pytest
 from dcp_conformance.interconnection.probe import PIXIT_OF
@@ -14,11 +15,16 @@ from dcp_conformance.reference.inprocess import InProcess, reference_config
 
 from ..rig import OTHER_PROFILES, PROFILES, codec_of, known_cases, one_case
 
-#: What a profile or a PICS declares is not behaviour of our node: tests/conformance/suite/test_declared.py.
-CASES = tuple(each for each in known_cases() if each not in (DECLARED, DENIED))
+#: By case function, the identifiers of its variants. What a profile or a PICS declares is not behaviour of our node:
+#: tests/conformance/suite/test_declared.py.
+VARIANTS = {
+    base: tuple(each.id for each in cases)
+    for base, cases in groupby(known_cases().values(), key=lambda case: case.base)
+    if base not in (DECLARED, DENIED)
+}
 WIRE_PROFILES = ("dcp-1.0", "dcp-1.2", "dcp-1.3", "dcp-2.0", "cpp-2.0")
-#: One of each kind of version: a case that applies to none of them applies to none at all.
-VERSIONS = ("dcp-2.0", "dcp-1.3", "dcp-1.1", "dcp-1.0", "cpp-2.0")
+#: The versions of the specification, and one profile with the wire format of an implementation.
+VERSIONS = ("dcp-2.0", "dcp-1.3", "dcp-1.2", "dcp-1.1", "dcp-1.0", "cpp-2.0")
 FINE = frozenset((Verdict.PASS, Verdict.NOT_APPLICABLE))
 #: These only report what the specification leaves open, and what the PICS says nothing of, without their variants.
 OPEN = frozenset(
@@ -48,37 +54,49 @@ def told_by(profile: str) -> Pics:
     return Pics(pixit=Testing(**told))
 
 
-def otherwise(case_id: str, profiles: Iterable[str], wanted: frozenset[Verdict], *, upper: bool = True) -> list[str]:
-    """On which profiles the case comes out otherwise than wanted, and why."""
-    found = []
-    for profile in profiles:
-        # Without an upper tester the PICS tells the sizes: those of a profile are not those of every node.
-        result = one_case(case_id, profile, upper=upper, pics=None if upper else told_by(profile))
-        if result.verdict not in wanted:
-            found.append(f"{profile}: {result.verdict}: {result.reason}\n{result.error_detail}")
-    return found
-
-
 def good(case_id: str) -> frozenset[Verdict]:
+    """The verdicts that are right for our node."""
     return FINE | {Verdict.INFO} if known_cases()[case_id].base in OPEN else FINE
 
 
-@pytest.mark.parametrize("case_id", CASES)
-def test_our_node_passes(case_id: str):
-    assert otherwise(case_id, PROFILES, good(case_id)) == []
+def check(base: str, profiles: Iterable[str], *, upper: bool = True, any_verdict: bool = False) -> set[str]:
+    """Execute all variants of a case on these profiles, and return those that applied.
+
+    ``any_verdict``: every verdict is right, except an error.
+    """
+    applied, wrong = set(), []
+    for case_id in VARIANTS[base]:
+        wanted = frozenset(Verdict) - {Verdict.ERROR} if any_verdict else good(case_id)
+        for profile in profiles:
+            # Without an upper tester the PICS states the sizes: those of a profile are not those of every node.
+            result = one_case(case_id, profile, upper=upper, pics=None if upper else told_by(profile))
+            if result.verdict not in wanted:
+                wrong.append(f"{case_id} on {profile}: {result.verdict}: {result.reason}\n{result.error_detail}")
+            if result.verdict is not Verdict.NOT_APPLICABLE:
+                applied.add(case_id)
+    assert not wrong, "\n".join(wrong)
+    return applied
 
 
-@pytest.mark.parametrize("case_id", CASES)
-def test_the_wire_alone_is_enough_for_those_that_say_so(case_id: str):
-    assert otherwise(case_id, WIRE_PROFILES, good(case_id), upper=False) == []
+@pytest.mark.parametrize("base", VARIANTS)
+def test_our_node_passes_and_each_case_applies_to_some_version(base: str):
+    applied = check(base, VERSIONS)
+    assert applied >= {each for each in VARIANTS[base] if not known_cases()[each].needs.pics}
 
 
-@pytest.mark.parametrize("case_id", CASES)
-def test_no_case_stumbles_over_a_profile(case_id: str):
-    assert otherwise(case_id, OTHER_PROFILES, frozenset(Verdict) - {Verdict.ERROR}) == []
+@pytest.mark.part("suite")
+@pytest.mark.parametrize("base", VARIANTS)
+def test_our_node_passes_on_the_other_profiles(base: str):
+    check(base, [each for each in PROFILES if each not in VERSIONS])
 
 
-@pytest.mark.parametrize("case_id", [each for each in CASES if not known_cases()[each].needs.pics])
-def test_every_case_applies_somewhere(case_id: str):
-    verdicts = (one_case(case_id, profile).verdict for profile in VERSIONS)
-    assert any(verdict is not Verdict.NOT_APPLICABLE for verdict in verdicts)
+@pytest.mark.part("suite")
+@pytest.mark.parametrize("base", VARIANTS)
+def test_our_node_passes_without_an_upper_tester(base: str):
+    check(base, WIRE_PROFILES, upper=False)
+
+
+@pytest.mark.part("suite")
+@pytest.mark.parametrize("base", VARIANTS)
+def test_no_case_ends_with_an_error_on_a_foreign_profile(base: str):
+    check(base, OTHER_PROFILES, any_verdict=True)
