@@ -14,13 +14,13 @@ from dcp_conformance.reference.inprocess import InProcess, reference_config
 
 from ..rig import OTHER_PROFILES, PROFILES, codec_of, known_cases, one_case
 
-#: What a profile or a PICS declares is not behaviour of our node: tests/conformance/suite/test_declared.py.
+#: Declarations of a profile or PICS are not behaviour of our node: tests/conformance/suite/test_declared.py.
 CASES = tuple(each for each in known_cases() if each not in (DECLARED, DENIED))
 WIRE_PROFILES = ("dcp-1.0", "dcp-1.2", "dcp-1.3", "dcp-2.0", "cpp-2.0")
 #: One of each kind of version: a case that applies to none of them applies to none at all.
 VERSIONS = ("dcp-2.0", "dcp-1.3", "dcp-1.1", "dcp-1.0", "cpp-2.0")
 FINE = frozenset((Verdict.PASS, Verdict.NOT_APPLICABLE))
-#: These only report what the specification leaves open, and what the PICS says nothing of, without their variants.
+#: Cases that only report what the specification leaves open and the PICS does not state, without their variants.
 OPEN = frozenset(
     (
         *(
@@ -69,12 +69,12 @@ def test_our_node_passes(case_id: str):
 
 
 @pytest.mark.parametrize("case_id", CASES)
-def test_the_wire_alone_is_enough_for_those_that_say_so(case_id: str):
+def test_cases_that_need_no_upper_tester_pass_without_one(case_id: str):
     assert otherwise(case_id, WIRE_PROFILES, good(case_id), upper=False) == []
 
 
 @pytest.mark.parametrize("case_id", CASES)
-def test_no_case_stumbles_over_a_profile(case_id: str):
+def test_no_case_raises_an_error_on_any_profile(case_id: str):
     assert otherwise(case_id, OTHER_PROFILES, frozenset(Verdict) - {Verdict.ERROR}) == []
 
 
