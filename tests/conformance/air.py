@@ -43,7 +43,7 @@ _FIRST = 1000
 
 
 class Recorder:
-    """Hears everybody, wherever they are: more than any node does."""
+    """Receives from all nodes, wherever they are: more than any node does."""
 
     def __init__(self, codec: Codec) -> None:
         self.frames: list[Frame] = []
@@ -130,7 +130,7 @@ def _has_timeout(network: Network) -> bool:
 
 
 def judged(frames: Iterable[Frame], profile: str, pics: Pics | None = None, *, enough: int | None = 1) -> RunResult:
-    """What the invariants say of a recording; without ``pics`` nobody has stated its beacon period.
+    """Judge a recording by the invariants; without ``pics`` its beacon period is unknown.
 
     Recordings of tests are short: one occasion is ``enough`` for a pass, None for as many as users need.
     """
@@ -148,7 +148,7 @@ def judged(frames: Iterable[Frame], profile: str, pics: Pics | None = None, *, e
 
 
 def findings(run: RunResult) -> list[str]:
-    """What did not hold, in lines."""
+    """Violated invariants, one a line."""
     return [
         f"{case.id} {' '.join(check.requirements)}: {check.observed} at {[mark.frame for mark in check.frames]}"
         for case in run.cases
@@ -227,7 +227,7 @@ class Script:
         return len(self.frames)
 
     def idle(self, rounds: int, *said: tuple[VardisRecord, ...], nodes: Sequence[int] = (1, 2, 3)) -> None:
-        """So many beacons of every node; ``said`` by node in the same order, by default summaries of nothing."""
+        """Record ``rounds`` beacons of every node; ``said``: records of each node, by default summaries of nothing."""
         for _ in range(rounds):
             for place, number in enumerate(nodes):
                 records = said[place] if place < len(said) else ()

@@ -1,4 +1,4 @@
-"""What tests of cases share."""
+"""Fixtures and options for all tests of cases."""
 
 from __future__ import annotations
 

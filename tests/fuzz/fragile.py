@@ -19,7 +19,7 @@ from dcp_codec.values import Beacon, Payload
 from dcp_stack.node import Node
 
 CODEC = Codec("dcp-2.0")
-#: Fault -> the anomaly that a node with it dies of, as the fuzzer has to name it.
+#: Fault -> the anomaly on which a node with it crashes, as the fuzzer has to name it.
 FAULTS = {
     "length-beyond-the-frame": "beacon-overrun at bp.length",
     "empty-vardis-block": "empty-payload at payloads[].length of VarDis",
@@ -32,7 +32,7 @@ FAULTS = {
 
 
 def damage(octets: bytes) -> Iterator[str]:
-    """What is wrong with a frame of dcp-2.0, read by hand as an implementation would."""
+    """Anomalies of a frame of dcp-2.0, found by hand-written code as in an implementation."""
     if not octets:
         yield "empty-frame"
     if len(octets) < 18:
@@ -55,7 +55,7 @@ def damage(octets: bytes) -> Iterator[str]:
 
 
 def containers(payload: bytes) -> Iterator[str]:
-    """What is wrong with a VarDis payload: the first thing, behind which nothing can be read."""
+    """The first anomaly of a VarDis payload; the octets after it cannot be read."""
     at = 0
     while at + 2 <= len(payload):
         kind, count = payload[at], payload[at + 1]
@@ -109,7 +109,7 @@ def make_of(deadly=(), silent=()):
 
 
 def opened(make) -> Target:
-    """Such a node behind a bench, in virtual time."""
+    """Such a node connected to a bench, in virtual time."""
     sut = InProcess(reference_config(CODEC), make=make)
     runner = Runner(Session(CODEC, sut.lower_tester(), sut.upper_tester(), Pics()), sut)
     runner.prepare()
@@ -149,7 +149,7 @@ def mixed(rng: random.Random, fault: str) -> Frame:
     if fault == "length-beyond-the-frame":
         octets = octets[:11] + b"\xf0\x00" + octets[13:]
     if fault == "block-beyond-the-beacon":
-        # The last block: behind its length there is no other.
+        # The last block: there is no other after its length.
         size = len(blocks[-1].content)
         place = len(octets) - size - 2
         octets = octets[:place] + (size + 500).to_bytes(2, "big") + octets[place + 2 :]

@@ -1,4 +1,4 @@
-"""Findings as files: they hold everything, say what became of them when they are done again, and are cases of a run."""
+"""Findings as files: they are complete, their replay reports the outcome, and they are cases of a run."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from dcp_codec.testing.mutation_values import valid_beacons
 from dcp_codec.values import Container, VarSumm
 
 CODEC = Codec("dcp-2.0")
-#: A beacon that announces more octets than there are: M-BP-RX-15-dies dies of it.
+#: A beacon that announces more octets than there are: M-BP-RX-15-dies crashes on it.
 TOO_LONG = bytes.fromhex("01497e02dc900000011111ffff0100000001000200020100")
 SOUND = Samples(CODEC).each()[0]
 STEPS = [Frame(TOO_LONG, b"", "by hand"), Wait(0.5), Call("RTDB-Read", {"varId": 1})]
@@ -42,7 +42,7 @@ def saved(folder, effect=None, mutant="M-BP-RX-15-dies", steps=STEPS, mode="stac
     return save(artefact, folder)
 
 
-def test_what_is_saved_is_what_is_loaded(tmp_path):
+def test_artefacts_survive_a_round_trip(tmp_path):
     path = saved(tmp_path / "findings")
     artefact = load(path)
     assert artefact.as_steps() == STEPS
@@ -59,7 +59,7 @@ def test_the_same_finding_has_the_same_name_and_another_has_another(tmp_path):
     assert one.name == again.name != other.name
 
 
-def test_a_profile_of_ones_own_is_inside(tmp_path):
+def test_a_custom_profile_is_embedded(tmp_path):
     text = 'extends = "dcp-2.0"\nname = "mine"\n[link]\nether_type = 0x9999\n'
     artefact = load(saved(tmp_path, profile_text=text))
     assert codec_of(artefact).profile.link.ether_type == 0x9999
@@ -73,7 +73,7 @@ def test_a_profile_of_ones_own_is_inside(tmp_path):
         (b"\xff\xfe", "not an artefact"),
     ],
 )
-def test_a_file_that_is_no_artefact_is_refused(tmp_path, content, says):
+def test_a_file_that_is_not_an_artefact_is_refused(tmp_path, content, says):
     path = tmp_path / "raised-00000000.json"
     path.write_bytes(content)
     with pytest.raises(UsageError, match=says):
@@ -102,7 +102,7 @@ def test_folders_are_searched_for_artefacts_only(tmp_path):
         found_in([tmp_path / "empty"])
 
 
-def test_replay_says_failed_fixed_and_error(tmp_path):
+def test_replay_reports_failed_fixed_and_error(tmp_path):
     assert replay(saved(tmp_path / "a"), target_in_process).status == "failed"
     assert replay(saved(tmp_path / "b", mutant=""), target_in_process).status == "fixed"
     assert replay(saved(tmp_path / "c", mutant="M-NOTHING"), target_in_process).status == "error"
@@ -110,7 +110,7 @@ def test_replay_says_failed_fixed_and_error(tmp_path):
     assert replay(tmp_path / "nothing.json", target_in_process).status == "error"
 
 
-def test_replay_says_flaky_when_it_does_not_show_each_time(tmp_path):
+def test_replay_reports_flaky_findings(tmp_path):
     artefact = load(saved(tmp_path))
     same = Effect("raised", "IndexError: other words", 3, "IndexError in repaired")
     other = Effect("mute", "silent", 0)
@@ -121,7 +121,7 @@ def test_replay_says_flaky_when_it_does_not_show_each_time(tmp_path):
     assert judged(artefact, [None])[0] == "fixed"
 
 
-def test_cases_keep_their_identifiers_whatever_else_is_there(tmp_path):
+def test_identifiers_of_cases_do_not_depend_on_other_artefacts(tmp_path):
     path = saved(tmp_path)
     [case] = artefact_cases(tmp_path)
     assert case.id == f"TC_DCP_FUZZ_BI_01-{path.stem}"
@@ -133,7 +133,7 @@ def test_cases_keep_their_identifiers_whatever_else_is_there(tmp_path):
     assert case.id in [each.id for each in cases]
 
 
-def test_what_decides_a_finding_is_kept_and_its_case_names_it(tmp_path):
+def test_the_requirement_of_a_finding_is_kept_and_named_by_its_case(tmp_path):
     """An answer that did not come is not a death: the requirement is that of the answer."""
     place = "missing REQUEST-VARCREATES VD-PS-01"
     path = saved(tmp_path, Effect("said", "variable 5: REQUEST-VARCREATES did not come", 0, place))
@@ -147,7 +147,7 @@ def test_what_decides_a_finding_is_kept_and_its_case_names_it(tmp_path):
     assert (case.requirements, case.robustness) == (ROBUSTNESS, True)
 
 
-def test_a_death_decides_what_speaks_of_what_was_not_survived(tmp_path):
+def test_a_crash_fails_the_requirements_about_the_damage_that_caused_it(tmp_path):
     """How else a node reacts to damage is most often its own choice: only survival is due."""
     gone = Effect("dead", "it is gone", 0, "dead")
     for number, (octets, requirements) in enumerate(
@@ -163,7 +163,7 @@ def test_a_death_decides_what_speaks_of_what_was_not_survived(tmp_path):
         assert load(path).effect.requirements == requirements, octets.hex()
 
 
-def test_an_artefact_is_told_with_what_was_sent(tmp_path):
+def test_an_artefact_is_shown_with_its_frames(tmp_path):
     beacon = valid_beacons(CODEC, random.Random(3), 1)[0]
     steps = [*STEPS, *[Frame(beacon)] * 9]
     told = [*evidence_lines(CODEC, load(saved(tmp_path, Effect("dead", "it is gone", 0, "dead"), steps=steps)))]
@@ -177,7 +177,7 @@ def test_an_artefact_is_told_with_what_was_sent(tmp_path):
     assert told[-1].startswith("decides   VD-ROB-01 (")
 
 
-def test_what_an_implementation_says_cannot_change_the_terminal(tmp_path):
+def test_output_of_an_implementation_is_escaped_on_the_terminal(tmp_path):
     hostile = "it ended; its output: \x1b[2J\x1b]0;owned\x07\u202e"
     folder = tmp_path / "findings"
     artefact = load(saved(folder, Effect("dead", hostile, 0, "dead"), steps=[Frame(SOUND)]))
@@ -188,7 +188,7 @@ def test_what_an_implementation_says_cannot_change_the_terminal(tmp_path):
     assert all(line.isprintable() for line in told)
 
 
-def test_what_is_wrong_with_a_frame_is_told_however_long_it_is(tmp_path):
+def test_anomalies_are_shown_for_frames_of_any_length(tmp_path):
     long = Frame(CODEC.encode(Beacon(BPHeader(b"\2\0\0\0\0\1", 1, 0x1111), (Payload(2, summaries(200)),)))[:-1])
     line, _ = evidence_lines(CODEC, load(saved(tmp_path, Effect("state", "x", 0), steps=[long])))
     assert line.endswith("ERROR beacon-overrun at bp.length [BP-RX-15]")

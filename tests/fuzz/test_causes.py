@@ -23,7 +23,7 @@ def dead(step: int = 0) -> Effect:
     return DEAD._replace(step=step)
 
 
-def test_causes_name_the_anomalies_or_what_is_in_a_beacon():
+def test_causes_name_the_anomalies_or_contents_of_a_beacon():
     short = Frame(b"\x01\x49")
     [kind] = kinds_in(CODEC, short.octets)
     assert kind == "truncated at bp.magicNo"
@@ -34,7 +34,7 @@ def test_causes_name_the_anomalies_or_what_is_in_a_beacon():
 
 
 class Dying:
-    """Dies of some frames; forgets with each test."""
+    """Crashes on some frames; has no memory between tests."""
 
     name = "dying"
 
@@ -64,7 +64,7 @@ def campaign_of(target, generator) -> Campaign:
     return Campaign(CODEC, target, generator, SavedTarget("live"), 1, by_cause=True)
 
 
-def test_a_second_death_of_another_cause_is_another_finding_and_the_first_is_not_sent_again():
+def test_a_crash_of_another_cause_is_another_finding_and_known_causes_are_avoided():
     target = Dying(lambda octets: len(octets) == 2 or octets[:1] == b"\x02")
     first, second, harmless = b"\x01\x49", b"\x02" + SOUND[1:], b"\x03" * 30
     campaign = campaign_of(target, Drawn([harmless, first], [first, harmless, second], [first, first]))
@@ -80,7 +80,7 @@ def test_a_second_death_of_another_cause_is_another_finding_and_the_first_is_not
     assert campaign.state.left_out == left_out + 2
 
 
-def test_making_a_frame_shorter_does_not_turn_a_death_into_another():
+def test_minimising_does_not_turn_a_crash_into_another():
     """Every frame that is cut off kills, too: octets must not be left out until that is what remains."""
 
     def run(steps):
@@ -111,7 +111,7 @@ def test_a_finding_is_kept_when_minimising_is_interrupted(tmp_path):
         campaign.run(Limits(cases=1))
     [artefact] = campaign.artefacts
     assert (tmp_path / f"{artefact.id}.json").exists()
-    # What was tried so far has made it smaller.
+    # The attempts until then have made it smaller.
     assert 1 <= artefact.frames < 3
 
 
@@ -138,7 +138,7 @@ class Counting:
         return self.run(steps)
 
 
-def test_what_was_sent_before_belongs_to_a_finding_that_it_has_a_part_in():
+def test_earlier_steps_that_contribute_belong_to_a_finding():
     target = Counting()
     history = [Frame(b"bad"), Frame(b"good")] * 4
     assert target.run(history) is None
@@ -152,7 +152,7 @@ def test_what_was_sent_before_belongs_to_a_finding_that_it_has_a_part_in():
     assert [step.octets for step in reduction.found.steps] == [b"bad"] * 5
 
 
-def test_what_only_an_earlier_attempt_made_possible_is_not_taken_for_the_finding():
+def test_effects_enabled_by_an_earlier_attempt_are_not_the_finding():
     target = Counting()
     steps = [Frame(b"bad"), Frame(b"good")] * 6
     effect = target.fresh(steps)

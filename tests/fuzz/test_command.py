@@ -1,4 +1,4 @@
-"""The command: what it refuses, what it writes, how it goes on, and its exit status."""
+"""The command: usage errors, output files, resuming, and exit status."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def fuzz(*words: str) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.parametrize("mode", ["live", "differential"])
-def test_nothing_is_sent_on_an_interface_that_was_not_named(mode):
+def test_frames_are_sent_only_on_the_named_interface(mode):
     done = fuzz(mode)
     assert done.returncode == 2
     assert "name the interface" in done.stderr
@@ -40,14 +40,14 @@ def test_nothing_is_sent_on_an_interface_that_was_not_named(mode):
         (("replay", "/nonexistent"), "/nonexistent"),
     ],
 )
-def test_what_makes_no_sense_is_refused_in_one_line(words, says):
+def test_invalid_options_are_refused_in_one_line(words, says):
     done = fuzz(*words)
     assert done.returncode in (2, 4)
     assert says in done.stderr + done.stdout
     assert "Traceback" not in done.stderr
 
 
-def test_a_dry_run_writes_what_would_be_sent(tmp_path):
+def test_a_dry_run_writes_the_frames(tmp_path):
     out = tmp_path / "frames.mcap"
     done = fuzz("live", "--dry-run", "--interface", "none0", "--max-cases", "3", "--out", str(out))
     assert done.returncode == 0, done.stderr
@@ -57,7 +57,7 @@ def test_a_dry_run_writes_what_would_be_sent(tmp_path):
     assert len(frames) > 20
 
 
-def test_findings_are_saved_replayed_and_gone_on_from(tmp_path):
+def test_findings_are_saved_and_replayed_and_campaigns_resumed(tmp_path):
     folder = tmp_path / "findings"
     options = ("--seed", "1", "--artefacts", str(folder), "--mutant", "M-BP-RX-15-dies")
     done = fuzz("stack", "--max-cases", "60", *options)
@@ -86,11 +86,11 @@ def test_findings_are_saved_replayed_and_gone_on_from(tmp_path):
     assert more.returncode == 1
     state = json.loads((folder / "campaign.json").read_text())
     assert state["cases"] == 100
-    # What is known already is not minimised again.
+    # Known findings are not minimised again.
     assert len(state["findings"]) == 1
 
 
-def test_coverage_is_written_with_what_is_missing(tmp_path):
+def test_coverage_is_written_with_missing_pairs(tmp_path):
     path = tmp_path / "coverage.json"
     done = fuzz("stack", "--max-cases", "5", "--coverage", str(path))
     assert done.returncode == 0, done.stderr

@@ -16,7 +16,7 @@ from dcp_codec.testing.mutation import Mutator, drawn_pool
 
 
 @pytest.mark.parametrize("profile", ["dcp-2.0", "dcp-1.1", "cpp-2.0"])
-def test_every_pair_of_state_and_message_is_reached_by_aiming_at_it(profile):
+def test_every_pair_of_state_and_message_is_reached_by_a_directed_sequence(profile):
     codec = Codec(profile)
     target = StackTarget(codec)
     rng = random.Random(1)
@@ -30,7 +30,7 @@ def test_every_pair_of_state_and_message_is_reached_by_aiming_at_it(profile):
     assert len(possible) > 60
 
 
-def test_what_is_missing_is_aimed_at_until_nothing_is_missing():
+def test_missing_pairs_are_targeted_until_all_are_reached():
     codec = Codec("dcp-2.0")
     rng = random.Random(1)
     possible = possible_states(codec)
@@ -49,7 +49,7 @@ def test_what_is_missing_is_aimed_at_until_nothing_is_missing():
     assert 20 <= kinds["directed"] <= 80
 
 
-def test_the_tables_say_how_much_was_reached_and_what_was_not():
+def test_the_tables_show_coverage_and_missing_pairs():
     coverage = tables(
         Counter({("bp.length", "max"): 3}),
         Counter({("unknown", "delete"): 2}),

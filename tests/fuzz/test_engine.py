@@ -1,4 +1,4 @@
-"""The atheris engine, where it is installed; and what is said where it is not."""
+"""The atheris engine, if it is installed; otherwise its error message."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ def fuzz(*words: str) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.skipif(HAS_ATHERIS, reason="atheris is installed")
-def test_without_the_extra_it_is_said_how_to_get_it():
+def test_without_the_extra_the_error_says_how_to_install_it():
     done = fuzz("--engine", "atheris", "--max-cases", "1")
     assert done.returncode == 2
     assert "pip install 'dcp-conformance-kit[atheris]'" in done.stderr
     assert "Traceback" not in done.stderr
 
 
-def test_it_fuzzes_one_part_at_a_time():
+def test_the_engine_fuzzes_one_part_at_a_time():
     done = fuzz("beacon", "pics", "--engine", "atheris")
     assert done.returncode == 2
     assert "one part at a time" in done.stderr
@@ -33,7 +33,7 @@ def test_it_fuzzes_one_part_at_a_time():
 
 @pytest.mark.skipif(not HAS_ATHERIS, reason="needs the extra: pip install 'dcp-conformance-kit[atheris]'")
 @pytest.mark.parametrize("part", ["beacon", "pics"])
-def test_it_runs_to_its_limit_and_keeps_its_corpus(tmp_path, part):
+def test_the_engine_runs_to_its_limit_and_keeps_its_corpus(tmp_path, part):
     done = fuzz(part, "--engine", "atheris", "--max-cases", "600", "--artefacts", str(tmp_path))
     assert done.returncode == 0, done.stdout + done.stderr
     assert len(list((tmp_path / f"corpus-{part}").iterdir())) > 1
@@ -41,7 +41,7 @@ def test_it_runs_to_its_limit_and_keeps_its_corpus(tmp_path, part):
 
 
 @pytest.mark.skipif(not HAS_ATHERIS, reason="needs the extra: pip install 'dcp-conformance-kit[atheris]'")
-def test_what_it_finds_is_gathered_and_what_ends_it_is_kept(tmp_path):
+def test_findings_are_collected_and_the_input_of_a_crash_is_kept(tmp_path):
     from dcp_conformance.fuzz.execute.atheris_engine import gathered
 
     (tmp_path / "findings").write_text("00ff\n\n")

@@ -27,7 +27,7 @@ def target():
 @pytest.mark.parametrize(
     ("part", "cases"), [("beacon", 2000), ("capture", 600), ("control", 800), ("profile", 60), ("pics", 150)]
 )
-def test_our_functions_show_nothing_in_a_short_campaign(target, part, cases):
+def test_a_short_campaign_finds_nothing_in_our_functions(target, part, cases):
     rng = random.Random(2)
     inputs = FunctionInputs(CODEC, rng, Mutator(CODEC, rng, drawn_pool(CODEC, rng, 60)), [part])
     found = {}
@@ -47,7 +47,7 @@ def test_all_parts_are_drawn():
     assert drawn == set(PARTS)
 
 
-def test_parts_are_named_in_any_order_and_as_often_as_one_likes():
+def test_parts_are_named_in_any_order_and_may_be_repeated():
     drawn = []
     for parts in (("beacon", "pics"), ("pics", "beacon", "pics")):
         rng = random.Random(1)
@@ -76,7 +76,7 @@ def test_a_codec_that_is_wrong_is_noticed(wrong, said):
     assert all(effect is not None and said in effect.detail for effect in effects)
 
 
-def test_a_decoder_that_takes_more_than_the_dissector_is_noticed():
+def test_a_decoder_that_accepts_more_than_the_dissector_is_noticed():
     valid = drawn_pool(CODEC, random.Random(1), 10)[-1]
 
     class Lenient(Codec):
@@ -99,7 +99,7 @@ def test_deeply_nested_arrays_in_a_pics_are_an_error_of_the_file(tmp_path):
         load_pics(path)
 
 
-def test_havoc_changes_octets_and_takes_words_in():
+def test_havoc_changes_octets_and_inserts_dictionary_words():
     havoc = Havoc(random.Random(1), [b"0123456789" * 4], [b"WORD"])
     drawn = [havoc.mutate() for _ in range(300)]
     assert any(b"WORD" in each for each in drawn)

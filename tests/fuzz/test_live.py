@@ -1,4 +1,4 @@
-"""Implementations behind a bench as targets: health is asked for, silence is not a death, findings survive the peer."""
+"""Implementations connected to a bench as targets: health checks, tolerated silence, findings after a crash."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from dcp_stack.vardis.entity import Vardis
 
 CODEC = Codec("dcp-2.0")
 OWN = b"\x02\x00\x00\x00\x00\x01"
-#: A beacon that announces more octets than there are: M-BP-RX-15-dies dies of it.
+#: A beacon that announces more octets than there are: M-BP-RX-15-dies crashes on it.
 TOO_LONG = bytes.fromhex("01497e02dc900000011111ffff0100000001000200020100")
 
 
@@ -51,7 +51,7 @@ def sequences(seed: int = 1) -> Sequences:
 
 @pytest.mark.parametrize("upper", [True, False])
 @pytest.mark.parametrize("differential", [True, False])
-def test_our_node_shows_nothing(upper, differential):
+def test_no_finding_in_our_node(upper, differential):
     target = LiveTarget(opened(upper=upper), differential=differential and upper)
     drawn = Joined(sequences(), 1 if differential else 5)
     for _ in range(60):
@@ -72,7 +72,7 @@ def test_a_peer_that_does_not_answer_is_not_fuzzed():
     assert Silent.heard == 0
 
 
-def test_silence_is_no_death_as_long_as_one_marker_is_answered():
+def test_silence_is_not_a_crash_if_one_marker_is_answered():
     class Deaf(Node):
         """Hears every fourth frame."""
 
@@ -88,7 +88,7 @@ def test_silence_is_no_death_as_long_as_one_marker_is_answered():
         assert target.run([Frame(b"\1"), Wait(0.5)]) is None
 
 
-def test_a_death_is_found_and_the_peer_started_again():
+def test_a_crash_is_found_and_the_peer_restarted():
     target = LiveTarget(opened(all_mutants()["M-BP-RX-15-dies"].make))
     effect = target.run([Frame(b"\0"), Frame(TOO_LONG)])
     assert effect is not None
@@ -99,7 +99,7 @@ def test_a_death_is_found_and_the_peer_started_again():
     assert target.restarts == 1
 
 
-def test_a_peer_that_goes_mute_is_found():
+def test_a_peer_that_falls_silent_is_found():
     target = LiveTarget(opened(all_mutants()["M-VD-ROB-01-mute"].make))
     drawn = sequences()
     effect = None
@@ -205,7 +205,7 @@ def frail(slow_ns: int = 0) -> Target:
 
 
 @pytest.mark.parametrize("slow", [0, 3])
-def test_one_that_fell_silent_is_restarted_once_and_waited_for(slow):
+def test_a_silent_peer_is_restarted_once_and_waited_for(slow):
     target = LiveTarget(frail(slow * 1_000_000_000))
     assert target.run([Frame(b"\1")]) is None
     effect = target.run([Frame(b"\1"), Frame(BAD)])
@@ -215,8 +215,8 @@ def test_one_that_fell_silent_is_restarted_once_and_waited_for(slow):
     assert target.restarts == 1
 
 
-def test_one_that_somebody_else_starts_again_is_waited_for():
-    """Whoever starts it may be slow about it, on a busy machine too."""
+def test_an_externally_restarted_peer_is_waited_for():
+    """An external start may be slow, on a busy machine too."""
 
     class Absent(Node):
         back_at = 0
@@ -238,7 +238,7 @@ def test_one_that_somebody_else_starts_again_is_waited_for():
     assert target.restarts == 0
 
 
-def test_one_that_is_not_healthy_after_its_restart_ends_the_campaign_with_what_was_found(tmp_path):
+def test_an_unhealthy_peer_after_a_restart_ends_the_campaign_with_its_findings(tmp_path):
     target = LiveTarget(frail(1 << 62))
     generator = type("Drawn", (), {"kinds": ("drawn",), "draw": lambda self: [Frame(b"\1"), Frame(BAD)]})()
     campaign = Campaign(CODEC, target, generator, SavedTarget("live"), 1, directory=tmp_path, by_cause=True)
@@ -247,7 +247,7 @@ def test_one_that_is_not_healthy_after_its_restart_ends_the_campaign_with_what_w
     assert len(list(tmp_path.glob("mute-*.json"))) == 1
 
 
-def test_what_an_earlier_campaign_has_left_is_restarted_before_it_is_called_unhealthy():
+def test_a_peer_damaged_by_an_earlier_campaign_is_restarted_first():
     where = frail()
     where.runner.session.lower.send(BAD, b"\x02\xdc\x90\0\0\1")
     target = LiveTarget(where)
@@ -255,7 +255,7 @@ def test_what_an_earlier_campaign_has_left_is_restarted_before_it_is_called_unhe
     assert target.restarts == 1
 
 
-def test_a_restart_that_fails_is_said():
+def test_a_failed_restart_is_reported():
     target = LiveTarget(opened(all_mutants()["M-BP-RX-15-dies"].make, upper=False))
     assert target.run([Frame(TOO_LONG)]) is not None
 
@@ -276,7 +276,7 @@ def test_a_restart_that_fails_is_said():
         target.run([Frame(b"\1")])
 
 
-def test_a_comparison_needs_a_way_back_to_the_beginning():
+def test_a_comparison_needs_a_way_to_reset_the_peer():
     where = opened(upper=False)
     target = LiveTarget(where, differential=True)
     assert target.run(sequences().creation_times()) is None
@@ -288,7 +288,7 @@ def test_a_comparison_needs_a_way_back_to_the_beginning():
         LiveTarget(where, differential=True).run([])
 
 
-def test_a_node_without_vardis_is_alive_when_it_beacons():
+def test_a_node_without_vardis_is_alive_if_it_sends_beacons():
     where = opened(upper=False)
     where.runner.session.pics = msgspec.structs.replace(
         where.runner.session.pics, pics=msgspec.structs.replace(where.runner.session.pics.pics, vardis=False)

@@ -19,7 +19,7 @@ def effect(at: int) -> Effect:
     return Effect("raised", f"step {at}", at, "here")
 
 
-def test_only_the_steps_that_matter_are_left():
+def test_only_necessary_steps_are_kept():
     def run(steps):
         marks = [step.octets for step in steps if isinstance(step, Frame)]
         return effect(len(steps) - 1) if b"a" in marks and b"b" in marks[marks.index(b"a") :] else None
@@ -30,7 +30,7 @@ def test_only_the_steps_that_matter_are_left():
     assert found.steps == [Frame(b"a"), Frame(b"b")]
 
 
-def test_nothing_is_left_of_a_frame_but_what_the_effect_needs():
+def test_only_parts_of_a_frame_that_the_effect_needs_are_kept():
     """The anomaly stays, in the smallest frame that has it; other damage, records, values and descriptions go."""
     valid = next(each for each in valid_beacons(CODEC, random.Random(2), 20) if len(each) > 60)
     octets = bytearray(valid)
@@ -48,7 +48,7 @@ def test_nothing_is_left_of_a_frame_but_what_the_effect_needs():
     assert len(step.octets) <= len(Samples(CODEC).each()[0]) + 2
 
 
-def test_octets_without_a_structure_become_fewer():
+def test_unstructured_octets_are_shortened():
     def run(steps):
         return effect(0) if steps[0].octets[:1] == b"x" else None
 
@@ -57,7 +57,7 @@ def test_octets_without_a_structure_become_fewer():
     assert found.steps == [Frame(b"x")]
 
 
-def test_records_that_do_not_matter_are_taken_out():
+def test_unnecessary_records_are_removed():
     valid = valid_beacons(CODEC, random.Random(2), 1)[0]
 
     def run(steps):
@@ -83,7 +83,7 @@ def test_another_effect_is_not_the_finding():
     assert found.effect.kind == "raised"
 
 
-def test_what_does_not_show_again_has_no_minimum():
+def test_an_effect_that_is_not_reproduced_is_not_minimised():
     assert Minimiser(lambda steps: None, effect(0)).minimise([Frame(b"x")]) is None
 
 
@@ -100,7 +100,7 @@ def test_the_budget_ends_it():
     assert tries == found.tries == 4
 
 
-def test_numbers_in_a_text_do_not_tell_effects_apart():
+def test_numbers_in_a_text_do_not_distinguish_effects():
     one = Effect("state", "variable 3 has number 7 value '00ff'", 2)
     assert one.signature == Effect("state", "variable 12 has number 0 value ''", 9).signature
     assert one.signature != Effect("state", "variable 3 is alive", 2).signature
@@ -108,7 +108,7 @@ def test_numbers_in_a_text_do_not_tell_effects_apart():
 
 
 class Hanging:
-    """Does not come back from so many octets of one kind, whatever is between them."""
+    """Never returns from frames with enough octets of one kind, whatever is between them."""
 
     name = "hanging"
 
@@ -130,7 +130,7 @@ class Long:
         return [Frame(b"h-" * 32) for _ in range(40)]
 
 
-def test_what_does_not_come_back_is_not_tried_hundreds_of_times():
+def test_hangs_are_tried_only_a_few_times():
     """Each time takes all the time that a test may have."""
     target = Hanging()
     campaign = Campaign(CODEC, target, Long(), SavedTarget("stack"), 1)

@@ -1,6 +1,6 @@
-"""The model beside the node in process: what it is sure of again after a doubt, and what it counts.
+"""The model beside the node in process: how it becomes certain again after a doubt, and what it counts.
 
-Each wrong node is found with few frames; the node as it is shows nothing in the same frames.
+Each wrong node is found with few frames; the unchanged node shows nothing in the same frames.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def create(creation: int, seqno: int = 0, timeout: int = 0) -> VarCreate:
 
 
 def damaged() -> Frame:
-    """Whether a node takes the update in front of the record that is cut off is open."""
+    """Whether a node processes the update before the truncated record is open."""
     return frame(VarUpdate(7, 9, b"new"), VarUpdate(7, 10, b"cut off"), cut=3)
 
 
@@ -62,7 +62,7 @@ def target_with(part: type[Any]) -> StackTarget:
 
 
 class Locks(Receiver):
-    """Leaves variables alone that it was told of together with something that it did not understand."""
+    """Ignores variables announced in a payload with something that it did not understand."""
 
     def process(self, extracted: Extracted, *, now: int, wall: int) -> None:
         self.__dict__.setdefault("locked", False)
@@ -87,7 +87,7 @@ class AddsUp(Database):
         entry.count_update += before
 
 
-class OnceMore(Composer):
+class RepeatsLater(Composer):
     """Sends variables again of which it has said everything, a while later."""
 
     payloads = 0
@@ -112,7 +112,7 @@ TWICE: list[Step] = [frame(create(1)), Wait(4.0), frame(VarReqCreate(7)), frame(
         (Locks, LATER, "state"),
         (Locks, DELETED, "state"),
         (AddsUp, REQUESTS, "said"),
-        (OnceMore, TWICE, "said"),
+        (RepeatsLater, TWICE, "said"),
     ],
 )
 def test_wrong_nodes_are_found(part: type[Any], steps: list[Step], kind: str):
@@ -138,7 +138,7 @@ QUICKLY: list[Step] = [frame(create(1)), frame(create(2, 3)), Wait(8.0)]
         ("M-VD-CMP-06-one-more", QUICKLY, "said"),
     ],
 )
-def test_mutants_are_found_by_what_was_not_judged_before(mutant: str, steps: list[Step], kind: str):
+def test_mutants_are_found_by_newer_rules_of_the_model(mutant: str, steps: list[Step], kind: str):
     effect = stack_target(CODEC, mutant).run(steps)
     assert effect is not None
     assert effect.kind == kind
@@ -190,7 +190,7 @@ def test_own_numbers_are_counted_once_around(mutant: str):
 
 
 @pytest.mark.parametrize("profile", ["dcp-2.0", "dcp-1.3", "dcp-1.1", "dcp-1.0", "cpp-2.0"])
-def test_the_node_as_it_is_says_all_that_it_has_to(profile: str):
+def test_the_unchanged_node_sends_all_required_records(profile: str):
     codec = Codec(profile)
     target, lives = StackTarget(codec), drawn_lives(codec, 3)
     for _ in range(150):
@@ -224,13 +224,13 @@ def test_an_own_variable_may_have_been_requested_while_it_was_in_doubt():
     request = Frame(builder.beacon(PEER, 1, [builder.vardis(VarReqCreate(2))]))
     own = Call("RTDB-Create", {"varId": 2, "repCnt": 2, "descr": "own", "value": "00"})
     update = Call("RTDB-Update", {"varId": 2, "value": "01"})
-    # Whoever goes on behind what is wrong may take the 2 for something about the variable.
+    # A receiver that continues after the error may read the 2 as a record about the variable.
     doubtful = Frame(request.octets[:2] + b"\2")
     effect = target.run([own, Wait(2.5), doubtful, request, Wait(0.5), update, Wait(4.0)])
     assert effect is None
 
 
-def test_what_a_variable_was_before_many_updates_is_not_remembered_and_nothing_said_of_it_is_wrong():
+def test_a_creation_before_many_updates_is_forgotten_without_a_false_finding():
     create = {"varId": 1, "repCnt": 15, "descr": "own", "value": "00"}
     updates = [Call("RTDB-Update", {"varId": 1, "value": f"{number:02x}"}) for number in range(80)]
     before: list[Step] = [Call("RTDB-Create", create), Call("RTDB-Delete", {"varId": 1}), Wait(0.5)]
@@ -238,7 +238,7 @@ def test_what_a_variable_was_before_many_updates_is_not_remembered_and_nothing_s
     assert effect is None
 
 
-def test_who_has_too_much_to_say_may_be_late():
+def test_an_overloaded_node_may_be_late():
     rng = random.Random(1)
     target = StackTarget(CODEC)
     sequences = Sequences(CODEC, rng, target.own_id, Mutator(CODEC, rng, drawn_pool(CODEC, rng, 20)))
@@ -263,7 +263,7 @@ def test_a_variable_is_in_doubt_until_something_settles_it():
     cut = frame(create(9), VarSumm(7, 1), cut=1)
     assert doubtful(frame(create(1)), cut, frame(create(5)))
     assert not doubtful(frame(create(1)), cut, frame(create(10)))
-    # Of a variable that may be unknown a deletion says nothing.
+    # A deletion proves nothing about a variable that may be unknown.
     assert doubtful(cut, frame(VarDelete(7)))
 
 
@@ -277,7 +277,7 @@ def test_a_service_that_succeeds_settles_an_own_variable():
     assert (variable.uncertain, variable.now.seqno, variable.now.value) == (False, 1, b"\1")
 
 
-def test_between_timeout_and_scrubbing_nothing_is_said_of_a_variable():
+def test_between_timeout_and_scrubbing_any_record_is_permitted():
     target = StackTarget(CODEC)
     for periods, certain in ((8.0, "alive"), (9.5, None), (25.0, "deleted")):
         assert target.run([frame(create(1, 0, 900)), Wait(periods)]) is None
@@ -295,7 +295,7 @@ def test_sequences_about_timeouts_are_drawn_where_variables_have_them():
     assert "soft-state" not in kinds("dcp-1.3")
 
 
-def test_what_was_said_of_a_variable_that_timed_out_may_come_after_it_is_created_anew():
+def test_late_records_of_a_variable_that_timed_out_may_follow_its_new_creation():
     # Deleted at the first scrubbing, after one second; its VarDelete is composed when the new creation comes.
     steps = [frame(create(1, 0, 300)), Wait(11.0), frame(create(2, 1, 300)), Wait(25.0)]
     assert StackTarget(CODEC).run(steps) is None

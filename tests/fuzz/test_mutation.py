@@ -89,7 +89,7 @@ def test_unknown_types_are_none_of_the_profile():
     assert not {int.from_bytes(each) for each in options} & known
 
 
-def test_octets_that_are_no_message_can_be_mutated_too():
+def test_octets_without_a_valid_message_can_be_mutated():
     codec = Codec("dcp-2.0")
     with pytest.raises(DecodeError):
         codec.decode(b"\1\2\3")
@@ -99,7 +99,7 @@ def test_octets_that_are_no_message_can_be_mutated_too():
         Mutator(codec, random.Random(1), [b""])
 
 
-def test_what_is_added_is_mutated():
+def test_added_elements_are_mutated():
     codec = Codec("dcp-2.0")
     first, second = valid_beacons(codec, random.Random(1), 8)[-2:]
     mutator = Mutator(codec, random.Random(1), [first])

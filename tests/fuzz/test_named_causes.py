@@ -54,7 +54,7 @@ def campaign_on(make, generator, seed=1) -> Campaign:
 
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("fault", FAULTS)
-def test_what_kills_is_named_and_nothing_else_is_left_in_the_frame(fault, seed):
+def test_the_deadly_anomaly_is_named_and_is_the_only_one_kept(fault, seed):
     make = make_of(deadly=[fault]) if seed % 2 else make_of(silent=[fault])
     campaign = campaign_on(make, Mixed(random.Random(seed), fault), seed)
     campaign.run(Limits(cases=8, findings=1))
@@ -81,7 +81,7 @@ def test_what_kills_is_named_and_nothing_else_is_left_in_the_frame(fault, seed):
         ("M-VD-ROB-01-dies-of-type", "unknown-type"),
     ],
 )
-def test_it_is_named_for_nodes_that_read_as_they_should_otherwise(mutant, fault, seed):
+def test_the_anomaly_is_named_for_nodes_without_other_faults(mutant, fault, seed):
     campaign = campaign_on(all_mutants()[mutant].make, Mixed(random.Random(seed), fault), seed)
     campaign.run(Limits(cases=60, findings=1))
     [artefact] = campaign.artefacts
@@ -114,7 +114,7 @@ class One:
         """Nothing is mutated here."""
 
 
-def test_frames_with_other_damage_that_was_in_a_deadly_one_are_sent_on():
+def test_anomalies_that_accompanied_a_deadly_one_are_still_sent():
     campaign = campaign_on(make_of(deadly=["empty-vardis-block"]), Mixed(random.Random(1), "empty-vardis-block"))
     campaign.run(Limits(cases=8))
     [artefact] = campaign.artefacts
@@ -151,7 +151,7 @@ def test_findings_of_one_fault_are_one_cause_and_all_faults_are_found_soon(seed)
     assert sum(each.findings for each in causes.values()) == len(campaign.artefacts)
 
 
-# -- what is said or held wrongly ------------------------------------------------------------------------------
+# -- wrong records and wrong state ------------------------------------------------------------------------------
 
 
 def found_in_process(mutant: str, findings: int = 2) -> Campaign:
@@ -188,7 +188,7 @@ def found_in_process(mutant: str, findings: int = 2) -> Campaign:
         ("M-VD-RU-03-equal-answered", "VD-RU-03"),
     ],
 )
-def test_the_rule_that_is_broken_is_found_and_not_only_what_shows_it(mutant, requirement):
+def test_the_violated_rule_is_found_and_not_only_its_symptom(mutant, requirement):
     campaign = found_in_process(mutant)
     assert campaign.artefacts
     assert {each.effect.requirements for each in campaign.artefacts} == {(requirement,)}
@@ -210,7 +210,7 @@ def test_a_container_that_is_skipped_is_named_from_outside_too():
     assert artefact.effect.requirements == ("VD-RX-04",)
 
 
-def test_the_case_of_a_finding_decides_what_was_broken_and_is_run_again_as_printed(tmp_path):
+def test_the_case_of_a_finding_fails_its_requirement_and_is_reproduced_by_the_printed_command(tmp_path):
     campaign = found_in_process("M-VD-RU-03-equal-answered", findings=1)
     [artefact] = campaign.artefacts
     save(artefact, tmp_path)

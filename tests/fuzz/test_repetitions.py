@@ -1,4 +1,4 @@
-"""How often something may be said is remembered of a bounded number of instructions, the latest of them."""
+"""The permitted number of repetitions is stored for a bounded number of instructions, the latest ones."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dcp_spec.constants import ICType
 UPDATES, CREATES = ICType.UPDATES, ICType.CREATE_VARIABLES
 
 
-def test_the_first_number_of_a_second_time_round_is_not_the_oldest():
+def test_a_reused_sequence_number_is_not_the_oldest():
     """Numbers come again; what there is a reason to say is not what is forgotten."""
     repetitions = Repetitions()
     numbers = range(0, 256, 2)
@@ -20,7 +20,7 @@ def test_the_first_number_of_a_second_time_round_is_not_the_oldest():
     assert repetitions.count((CREATES, 0)) == (1, 3)
 
 
-def test_they_are_bounded():
+def test_stored_instructions_are_bounded():
     repetitions = Repetitions()
     for number in range(10_000):
         repetitions.arm((UPDATES, number), 1, number)

@@ -27,7 +27,7 @@ def campaign_on(target: StackTarget, seed: int = 1) -> Campaign:
 
 
 @pytest.mark.parametrize("profile", ["dcp-1.0", "dcp-1.3", "dcp-2.0", "cpp-2.0", "student-2024"])
-def test_our_node_shows_nothing_in_a_short_campaign(profile):
+def test_a_short_campaign_finds_nothing_in_our_node(profile):
     campaign = campaign_on(StackTarget(Codec(profile)))
     state = campaign.run(Limits(cases=400))
     assert state.findings == {}
@@ -57,18 +57,18 @@ def test_mutants_are_found_and_shown_in_few_frames(mutant, kind, frames):
     assert artefact.effect.kind == kind
     assert artefact.frames <= frames
     assert artefact.minimised
-    # Our node as it is shows nothing of it.
+    # Our unchanged node shows no effect.
     assert StackTarget(target.codec).run(artefact.as_steps()) is None
 
 
-def test_a_mutant_that_goes_mute_is_found():
+def test_a_mutant_that_falls_silent_is_found():
     steps = [Frame(b"\0" * 40)] * 25
     effect = stack_target(Codec("dcp-2.0"), "M-BP-RX-16-mute").run(steps)
     assert effect is not None
     assert effect.kind == "mute"
 
 
-def test_a_node_that_does_not_come_back_is_stopped():
+def test_a_hanging_node_is_stopped():
     class Endless(Node):
         def handle_frame(self, octets, *, now, wall):
             while octets == b"stop":
@@ -82,7 +82,7 @@ def test_a_node_that_does_not_come_back_is_stopped():
     assert target.run([Wait(0.1)]) is not None
 
 
-def test_an_exception_outside_of_an_input_is_no_crash_of_the_tester():
+def test_an_exception_between_inputs_does_not_crash_the_tester():
     class Broken(Node):
         def poll_timeout(self):
             raise ZeroDivisionError("no deadline")
@@ -101,7 +101,7 @@ def test_service_calls_change_the_model_too():
     assert versions == [b"", b"\0", b"\1"]
 
 
-def test_sequences_of_a_kind_are_all_drawn_and_reproducible():
+def test_all_kinds_of_sequences_are_drawn_reproducibly():
     codec = Codec("dcp-2.0")
 
     def drawn(seed: int) -> tuple[list, set[str]]:

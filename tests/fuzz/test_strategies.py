@@ -35,7 +35,7 @@ OTHER = beacon(Container(1, (VarSumm(8, 9),)))
         lambda octets: octets == VALID.replace(b"\6\1\5", b"\0\1\5"),
     ],
 )
-def test_elements_and_counts_lie(wanted: Callable[[bytes], bool], base: int) -> None:
+def test_elements_and_counts_are_falsified(wanted: Callable[[bytes], bool], base: int) -> None:
     drawn = st.sampled_from((VALID, OTHER))
     damaged = strategies.mutations(drawn, lambda octets: CODEC.dissect(octets, base=base))
     assert find(damaged.map(wanted), bool, settings=_SEARCH)

@@ -73,7 +73,7 @@ def test_a_sweep_ends_with_many_variables_and_many_neighbours():
         for container in CODEC.decode(step.octets).payloads[0].vardis
         for record in container.records
     }
-    # Some identifiers are left, or nobody could be asked whether it lives.
+    # Some identifiers are reserved for health checks.
     assert 200 <= len(created) < 256
     reports = [step for step in neighbours if isinstance(step, Frame)]
     assert len({CODEC.decode(step.octets).payloads[0].srp.node_id for step in reports}) > 1000
@@ -89,7 +89,7 @@ class Endless:
         """Not asked for."""
 
 
-def test_a_campaign_that_is_resumed_goes_on_with_its_sweep_and_then_with_others():
+def test_a_resumed_campaign_continues_its_sweep_and_then_other_tests():
     whole = Sweep(CODEC).sequences()
     first, rest = SweepFirst(Endless(), CODEC), SweepFirst(Endless(), CODEC, done=7)
     drawn = [first.draw() for _ in range(7)] + [rest.draw() for _ in range(len(whole) - 7)]
@@ -99,7 +99,7 @@ def test_a_campaign_that_is_resumed_goes_on_with_its_sweep_and_then_with_others(
     assert rest.kinds == ("other",)
 
 
-def test_tests_on_the_air_have_many_frames_of_a_sweep():
+def test_tests_on_a_link_have_many_frames_of_a_sweep():
     assert len(Batches(SweepFirst(Endless(), CODEC), 20).draw()) == 20
 
 
@@ -107,7 +107,7 @@ def test_tests_on_the_air_have_many_frames_of_a_sweep():
 
 
 @pytest.mark.parametrize("name", profile_names())
-def test_elements_that_are_cut_out_leave_a_frame_as_if_they_had_never_been_there(name):
+def test_removing_elements_adjusts_counts_and_lengths(name):
     codec = Codec(name)
     cut = 0
     for octets in valid_beacons(codec, random.Random(3), 40):
@@ -122,7 +122,7 @@ def test_elements_that_are_cut_out_leave_a_frame_as_if_they_had_never_been_there
     assert cut > 5
 
 
-def test_a_lie_stays_as_large_as_it_was():
+def test_the_error_of_a_wrong_length_is_kept():
     samples = Samples(CODEC)
     octets = samples.beacon(samples.other(bytes(10)), samples.other(bytes(20)))
     lying = octets[:11] + (1000).to_bytes(2, "big") + octets[13:]

@@ -13,7 +13,7 @@ def forever():
         pass
 
 
-def test_what_does_not_come_back_is_ended_each_time_anew():
+def test_a_call_that_hangs_is_ended_each_time():
     limit = TimeLimit(0.05)
     for _ in range(3):
         with pytest.raises(TimeLimitExceeded), limit:
@@ -34,14 +34,14 @@ def swallow(left: list[NeverGone]) -> None:
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
-def test_what_has_swallowed_its_end_is_ended_later():
-    """Whatever is raised in a finaliser goes nowhere."""
+def test_a_call_that_swallowed_the_exception_is_ended_later():
+    """Exceptions in a finaliser are discarded."""
     left = [NeverGone()]
     with pytest.raises(TimeLimitExceeded), TimeLimit(0.05):
         swallow(left)
 
 
-def test_nothing_is_ended_behind_the_test():
+def test_no_exception_is_raised_after_the_limited_block():
     limit, spent = TimeLimit(0.02), 0
     with limit:
         pass

@@ -1,4 +1,4 @@
-"""Campaigns by several processes: the same every time, each finding once, nothing lost and nobody left behind."""
+"""Campaigns by several processes: reproducible, each finding once, no lost findings and no remaining processes."""
 
 from __future__ import annotations
 
@@ -79,16 +79,16 @@ def told(campaign: Campaign) -> dict:
 # -- the same every time ---------------------------------------------------------------------------------------
 
 
-def test_what_is_found_follows_from_the_seed_whoever_is_faster(run):
+def test_findings_depend_on_the_seed_only(run):
     def stop(effect: Effect) -> None:
         # One worker stands still for a second, time and again: the other gets ahead of it.
         os.kill(min(child.pid for child in multiprocessing.active_children()), signal.SIGSTOP)
 
-    def go_on(progress: object) -> None:
+    def continue_campaign(progress: object) -> None:
         os.kill(min(child.pid for child in multiprocessing.active_children()), signal.SIGCONT)
 
     one = run(Limits(cases=200), mutant=SEVERAL)
-    other = run(Limits(cases=200), mutant=SEVERAL, hooks={"on_effect": stop, "on_progress": go_on})
+    other = run(Limits(cases=200), mutant=SEVERAL, hooks={"on_effect": stop, "on_progress": continue_campaign})
     assert len(one.state.findings) == 3
     same = told(one) == told(other)
     assert same
@@ -96,7 +96,7 @@ def test_what_is_found_follows_from_the_seed_whoever_is_faster(run):
     assert [each.id for each in one.artefacts] == [each.id for each in other.artefacts]
 
 
-def test_workers_do_what_their_seeds_say_and_it_is_put_together(run):
+def test_workers_follow_their_seeds_and_results_are_merged(run):
     campaign = run(Limits(cases=101))
     kinds, fields, states, frames = Counter(), Counter(), Counter(), 0
     for number, cases in enumerate((51, 50)):
@@ -114,7 +114,7 @@ def test_workers_do_what_their_seeds_say_and_it_is_put_together(run):
     assert state.coverage.possible == possible == len(fields) + len(state.coverage.missing)
 
 
-def test_guided_workers_are_the_same_every_time_too(run):
+def test_guided_workers_are_reproducible(run):
     one, other = (run(Limits(cases=16), guided=True) for _ in range(2))
     assert one.state.coverage.lines > 1000
     same = told(one) == told(other)
@@ -132,7 +132,7 @@ def test_functions_are_fuzzed_by_workers(run):
 # -- findings --------------------------------------------------------------------------------------------------
 
 
-def test_each_finding_is_made_small_once_and_kept_once(run, tmp_path):
+def test_each_finding_is_minimised_and_kept_once(run, tmp_path):
     effects: list[Effect] = []
     campaign = run(Limits(cases=90), 3, mutant=ALWAYS, directory=tmp_path, hooks={"on_effect": effects.append})
     assert len(effects) == len(campaign.artefacts) == 1
@@ -145,7 +145,7 @@ def test_each_finding_is_made_small_once_and_kept_once(run, tmp_path):
     )
 
 
-def test_a_campaign_is_gone_on_from_with_any_number_of_workers(run, tmp_path):
+def test_a_campaign_is_resumed_with_any_number_of_workers(run, tmp_path):
     with stack_campaign(options_of(ALWAYS)) as alone:
         alone.directory = tmp_path
         alone.run(Limits(cases=20))
@@ -154,7 +154,7 @@ def test_a_campaign_is_gone_on_from_with_any_number_of_workers(run, tmp_path):
     run(Limits(cases=22), 2, mutant=ALWAYS, directory=tmp_path, resume=True)
     state = read_state(tmp_path)
     assert (state.cases, state.again, len(state.findings)) == (63, 62, 1)
-    # What is known is not made small again.
+    # Known findings are not minimised again.
     assert sorted(tmp_path.iterdir()) == files
     with stack_campaign(options_of(ALWAYS, directory=tmp_path, resume=True)) as alone:
         alone.directory = tmp_path
@@ -166,12 +166,12 @@ def test_a_campaign_is_gone_on_from_with_any_number_of_workers(run, tmp_path):
 # -- limits ----------------------------------------------------------------------------------------------------
 
 
-def test_findings_end_a_campaign_and_there_are_not_more(run):
+def test_the_limit_of_findings_ends_a_campaign(run):
     campaign = run(Limits(findings=2), mutant=SEVERAL)
     assert len(campaign.artefacts) == len(campaign.state.findings) == 2
 
 
-def test_time_ends_a_campaign_with_what_was_found(run):
+def test_the_time_limit_ends_a_campaign_with_its_findings(run):
     campaign = run(Limits(seconds=0.3), mutant=ALWAYS)
     assert len(campaign.artefacts) == 1
     assert campaign.state.cases == campaign.state.again + 1
@@ -190,9 +190,9 @@ def test_rate_and_progress_are_those_of_all_workers_together(run):
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_ends_all_and_what_was_found_is_kept(run, tmp_path, number):
+def test_a_signal_ends_all_workers_and_findings_are_kept(run, tmp_path, number):
     def stop(effect: Effect) -> None:
-        # Nobody has made it small yet.
+        # No worker has minimised it yet.
         signal.raise_signal(number)
 
     before = signal.getsignal(number)
@@ -206,7 +206,7 @@ def test_a_signal_ends_all_and_what_was_found_is_kept(run, tmp_path, number):
     assert state.cases == state.again + 1
 
 
-def test_a_worker_that_is_killed_is_told_of_and_ends_the_campaign(run, tmp_path):
+def test_a_killed_worker_is_reported_and_ends_the_campaign(run, tmp_path):
     def kill(effect: Effect) -> None:
         os.kill(max(child.pid for child in multiprocessing.active_children()), signal.SIGKILL)
 
@@ -215,7 +215,7 @@ def test_a_worker_that_is_killed_is_told_of_and_ends_the_campaign(run, tmp_path)
     assert len(read_state(tmp_path).findings) == 1
 
 
-def test_a_crash_of_a_worker_is_a_finding_with_the_steps_that_it_was_at(run, faulty, tmp_path):
+def test_a_crash_of_a_worker_is_a_finding_with_its_current_steps(run, faulty, tmp_path):
     done = tmp_path / "done"
     with pytest.raises(WorkerError, match=r"worker 2 of 2 .* was ended by SIGSEGV after 11 tests"):
         run(Limits(cases=100), make=lambda said: partial(faulty.crashing, said, 11, done), directory=tmp_path)
@@ -230,14 +230,14 @@ def test_a_crash_of_a_worker_is_a_finding_with_the_steps_that_it_was_at(run, fau
     assert read_state(tmp_path).cases > 11
 
 
-def test_a_worker_that_fails_says_why_and_what_it_has_found_is_kept(run, faulty):
+def test_a_failed_worker_reports_the_reason_and_its_findings_are_kept(run, faulty):
     with pytest.raises(WorkerError, match=r"worker 1 of 2 .* after 5 tests: MemoryError: nothing left \(in draw, "):
         run(Limits(cases=100), make=lambda said: partial(faulty.failing, said, 5), mutant=ALWAYS)
     [campaign] = run.kept
     assert len(campaign.artefacts) == 1
 
 
-def test_workers_that_cannot_begin_say_why(run, faulty):
+def test_workers_that_cannot_start_report_the_reason(run, faulty):
     with pytest.raises(WorkerError, match="nothing is there for 1/0/"):
         run(Limits(cases=100), make=lambda said: faulty.unusable)
 
@@ -255,7 +255,7 @@ def children_of(pid: int) -> list[int]:
 
 
 @pytest.mark.parametrize(("number", "status"), [(signal.SIGKILL, -9), (signal.SIGTERM, 1), (signal.SIGINT, 1)])
-def test_nobody_is_left_behind_however_a_campaign_ends(number, status):
+def test_no_process_remains_however_a_campaign_ends(number, status):
     command = [sys.executable, "-c", "from dcp_conformance.cli import main; main()", "fuzz", "stack", "--jobs", "2"]
     with subprocess.Popen([*command, "--mutant", ALWAYS], stdout=subprocess.PIPE, text=True) as process:
         # Workers are at work.
@@ -300,7 +300,7 @@ class Drawn:
         return [Frame(b"good"), Frame(b"good"), Frame(b"bad"), Frame(b"good")]
 
 
-def test_a_worker_that_is_stopped_while_it_makes_something_small_tells_what_it_has():
+def test_a_worker_stopped_while_minimising_reports_its_finding():
     codec, stop, slot = Codec("dcp-2.0"), Stop(), Slot(bytearray(SLOT_SIZE))
     campaign = Campaign(codec, Showing(stop, 7), Drawn(), SavedTarget("stack"), 1)
     settings = Settings("1/0/0", State("dcp-2.0", "stack", 1), guided=False, rate=None, parent=0)
@@ -318,17 +318,17 @@ def test_a_worker_that_is_stopped_while_it_makes_something_small_tells_what_it_h
     assert [step.octets for step in finding.steps] == [b"good", b"bad"]
 
 
-def test_a_stop_that_came_before_is_heeded_and_comes_once():
+def test_an_earlier_stop_signal_is_obeyed_once():
     stop = Stop()
     stop(signal.SIGTERM, None)
     with pytest.raises(KeyboardInterrupt), stop.interruptible_by_signals():
-        pytest.fail("it goes on")
+        pytest.fail("no interrupt")
     with pytest.raises(KeyboardInterrupt), Stop().interruptible_by_signals() as _:
         raise KeyboardInterrupt
     stop(signal.SIGTERM, None)
 
 
-def test_a_slot_holds_what_a_worker_is_at_unless_it_is_too_long():
+def test_a_slot_holds_the_current_steps_of_a_worker_unless_too_long():
     memory = bytearray(SLOT_SIZE)
     slot = Slot(memory)
     assert (slot.cases, slot.steps()) == (0, [])
@@ -358,14 +358,14 @@ def fuzz(*words: str) -> subprocess.CompletedProcess[str]:
         (("differential", "--jobs", "auto"), "exists only once"),
     ],
 )
-def test_workers_that_make_no_sense_are_refused_in_one_line(words, says):
+def test_invalid_numbers_of_workers_are_refused_in_one_line(words, says):
     done = fuzz(*words)
     assert done.returncode == 2
     assert says in done.stderr
     assert "Traceback" not in done.stderr
 
 
-def test_a_campaign_by_workers_is_told_like_any_other(tmp_path):
+def test_a_campaign_by_workers_is_reported_like_any_other(tmp_path):
     options = ("--mutant", ALWAYS, "--artefacts", str(tmp_path), "--max-cases", "40")
     done = fuzz("stack", "--jobs", "2", *options, "--coverage")
     assert done.returncode == 1
@@ -374,7 +374,7 @@ def test_a_campaign_by_workers_is_told_like_any_other(tmp_path):
     assert "minimising it" in done.stderr
     assert fuzz("replay", str(tmp_path)).stdout.startswith("failed ")
     again = fuzz("stack", "--jobs", "auto", "--resume", *options, "-q")
-    # What the campaign has found before is told again, and nothing new.
+    # Earlier findings of the campaign are reported again, and there are no new ones.
     *known, last = again.stdout.splitlines()
     assert (again.returncode, last[:9]) == (1, "80 cases,")
     assert known == done.stdout.splitlines()[-1 - len(known) : -1]

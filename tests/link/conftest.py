@@ -41,7 +41,7 @@ class Process:
         self._lines.put(None)
 
     def line(self, patience: float = PATIENCE) -> str:
-        """The next line; fails the test when the process ends or says nothing."""
+        """The next line; fails the test when the process ends or prints nothing."""
         try:
             found = self._lines.get(timeout=patience)
         except queue.Empty:
@@ -97,11 +97,11 @@ class Namespace:
         self.wait_for_carrier()
 
     def links(self) -> dict[str, dict[str, Any]]:
-        """What ``ip`` knows about the interfaces that are up, by name."""
+        """Interfaces that are up, by name, as ``ip`` reports them."""
         shown = subprocess.run(
             ["ip", "-n", self.name, "-json", "-stats", "link", "show", "up"], capture_output=True, text=True, check=True
         ).stdout
-        # Those that are not up leave an empty place.
+        # Interfaces that are down leave an empty entry.
         return {each["ifname"]: each for each in json.loads(shown) if each}
 
     def wait_for_carrier(self, *interfaces: str) -> None:
@@ -134,7 +134,7 @@ class Namespace:
 @pytest.fixture
 def namespace() -> Iterator[Namespace]:
     """A namespace with a cable, deleted afterwards."""
-    # Also where one of another process with this number was left behind.
+    # The number of a process may be that of an earlier one whose namespace remained.
     name = f"dcptest-{os.getpid()}-{time.monotonic_ns()}"
     done = subprocess.run(["ip", "netns", "add", name], capture_output=True, text=True, check=False)
     if done.returncode != 0:

@@ -12,7 +12,7 @@ from dcp_stack.node import Node
 from dcp_stack.runtime.opening import open_node
 from dcp_stack.runtime.settings import load_settings
 
-#: The fuzzer puts it behind beacons now and then.
+#: The fuzzer sometimes appends it to beacons.
 WORD = b"\xff\xff\xff\xff"
 
 

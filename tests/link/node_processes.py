@@ -80,9 +80,9 @@ class NodeProcess:
 
 
 def slots_a_second(before: dict[str, Any], after: dict[str, Any]) -> float:
-    """How many beacons a second a node has had time for, of two answers to UT-Status.
+    """Beacons a second for which a node had time, from two answers to UT-Status.
 
-    One that the machine lets wait too long leaves beacons out and counts them: they belong to its rate.
+    A node that the machine delays too long leaves beacons out and counts them: they belong to its rate.
     """
     counters = [each["node"]["bp"]["counters"] for each in (before, after)]
     first, last = (each["beacons-sent"] + each["beacons-left-out"] for each in counters)

@@ -11,7 +11,7 @@ from .node_processes import LINK, command
 
 
 def run(*arguments: object) -> str:
-    """What a command prints that has to succeed."""
+    """Run a command that has to succeed, and return its output."""
     done = command(*arguments)
     assert done.returncode == 0, done.stderr
     return done.stdout
@@ -26,7 +26,7 @@ def test_a_pasted_session(tmp_path, monkeypatch):
             rf"node 02:00:00:00:00:01 runs as process (\d+), control socket {tmp_path}/dcp-node.sock\n", told
         )
         assert found is not None, told
-        # Nobody has to wait.
+        # The node is ready: no command has to wait.
         assert run("var", "create", 7, "--text", "hello", "--descr", "greeting") == "VARDIS-STATUS-OK\n"
         run("wait")
         assert json.loads(run("status", "--json"))["runtime"]["pid"] == int(found[1])
@@ -44,7 +44,7 @@ def test_a_pasted_session(tmp_path, monkeypatch):
     assert command("status").returncode == 3
 
 
-def test_a_node_that_cannot_start_says_so_at_once(tmp_path):
+def test_a_node_that_cannot_start_reports_it_at_once(tmp_path):
     done = command("run", "--daemon", "--link", LINK, "--control", "/no/such/folder/s")
     assert (done.returncode, done.stdout) == (2, "")
     assert "there is no folder /no/such/folder" in done.stderr
@@ -61,7 +61,7 @@ def test_a_group_may_use_the_socket(tmp_path):
         run("stop", "--control", path)
 
 
-def test_a_variable_that_others_ignore_is_warned_of(tmp_path):
+def test_a_variable_that_other_nodes_ignore_causes_a_warning(tmp_path):
     path = tmp_path / "node.sock"
     run("run", "--daemon", "--link", LINK, "--control", path)
     try:

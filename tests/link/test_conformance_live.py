@@ -76,7 +76,7 @@ def until_gone(pid: int) -> None:
 
 
 def sent_by(node: ReferenceProcess) -> int:
-    """How many beacons the node has sent, as it says."""
+    """Number of beacons that the node reports to have sent."""
     return int(node.upper.call("UT-Status", {}).result["node"]["bp"]["counters"]["beacons-sent"])
 
 
@@ -126,7 +126,7 @@ def test_time_stamps_are_those_of_the_kernel(node):
         def sent() -> int:
             return int(bench.call("UT-Status").result["node"]["bp"]["counters"]["beacons-sent"])
 
-        # Until it has sent so many: they wait meanwhile.
+        # Frames wait until the node has sent 12 beacons.
         first = sent()
         eventually(lambda: sent() >= first + 12, "beacons are sent")
         late = bench.waiting.wait_ns(0)
@@ -152,7 +152,7 @@ def test_a_restart_is_from_the_initial_state(node):
     assert runner_for(node).run(all_cases()[SANITY]).verdict is Verdict.PASS
 
 
-def test_a_case_that_kills_is_named_and_the_next_one_runs(node):
+def test_a_case_that_crashes_the_node_is_named_and_the_next_one_runs(node):
     runner = runner_for(node)
 
     def kill(bench: Bench) -> None:
@@ -187,13 +187,13 @@ def test_a_second_connection(node):
     assert second.call("UT-Hello", {}).result == node.upper.call("UT-Hello", {}).result
     assert second.call("UT-Subscribe", {"variables": True}).ok
     assert node.upper.call("RTDB-Create", {"varId": 9, "repCnt": 1, "descr": "x", "value": "01"}).ok
-    told = eventually(second.poll, "the second connection is told")
+    told = eventually(second.poll, "the second connection gets a notification")
     assert [(each.method, each.params["varId"]) for each in told] == [("UT-VariableChanged", 9)]
     assert node.upper.poll() == []
     second.close()
 
 
-def test_what_it_says_of_itself():
+def test_the_node_describes_itself():
     ethernet_or_skip()
     with reference_process(Codec("dcp-2.0"), link="auto") as running:
         assert running.about == "virtual Ethernet, in a network namespace of its own"
@@ -204,7 +204,7 @@ def test_what_it_says_of_itself():
     until_gone(pid)
 
 
-def test_runs_side_by_side_do_not_hear_each_other():
+def test_concurrent_runs_do_not_hear_each_other():
     codec = Codec("student-2024")
     with (
         reference_process(codec, beacon_period_ms=PERIOD_MS, patience=PATIENCE) as one,
@@ -229,7 +229,7 @@ def test_runs_over_udp_have_a_port_each(inside):
 
 
 def test_virtual_ethernet_without_privileges():
-    """In a user namespace, where the system lets anybody make one."""
+    """In a user namespace, where the system lets any user create one."""
     if os.geteuid() != 0:
         pytest.skip("the other tests here run without privileges already")
     keys = {"user": 65534, "group": 65534, "extra_groups": [], "cwd": "/", "text": True}
@@ -237,7 +237,7 @@ def test_virtual_ethernet_without_privileges():
     try:
         trial = subprocess.run([sys.executable, "-c", ""], capture_output=True, check=False, **keys)
     except PermissionError:
-        pytest.skip(f"nobody but root can run {sys.executable}")
+        pytest.skip(f"only root can run {sys.executable}")
     if trial.returncode:
         pytest.skip(f"others cannot run {sys.executable}: {trial.stderr}")
     process, pid, folder, about = started("auto", env=environment, **{k: v for k, v in keys.items() if k != "text"})
@@ -246,7 +246,7 @@ def test_virtual_ethernet_without_privileges():
     until_gone(pid)
     assert not folder.exists()
     if about != "virtual Ethernet, in a network namespace of its own":
-        # Some systems allow nobody to.
+        # Some systems do not permit any user to.
         assert about.startswith("UDP multicast over the loopback interface (a network namespace cannot be made here")
 
 
@@ -268,7 +268,7 @@ def test_a_node_that_does_not_start():
         pytest.fail("it runs")
 
 
-#: Listens, and ends once somebody has connected and asked.
+#: Listens, and ends once a client has connected and asked.
 LISTENS = """
 import socket, sys
 with socket.socket(socket.AF_UNIX) as listener:
@@ -314,21 +314,21 @@ def started(link: str, **keys) -> tuple[subprocess.Popen[str], int, Path, str]:
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
-def test_nothing_is_left_behind(number):
+def test_nothing_remains_after_a_run(number):
     process, pid, folder, _ = started("auto")
     assert folder.is_dir()
     process.send_signal(number)
     process.communicate(timeout=PATIENCE)
     until_gone(pid)
     if number is signal.SIGKILL:
-        # Nobody was there to remove it.
+        # SIGKILL leaves no process that could remove it.
         shutil.rmtree(folder)
     assert not folder.exists()
     if number is signal.SIGTERM:
         assert process.returncode == 128 + signal.SIGTERM
 
 
-def test_udp_where_there_is_no_ethernet(tmp_path):
+def test_udp_without_ethernet(tmp_path):
     environment = {**os.environ, "PATH": str(tmp_path)}
     process, pid, _, about = started("auto", env=environment)
     assert about.startswith("UDP multicast over the loopback interface (the command ip is not installed")

@@ -57,8 +57,8 @@ class ListedLink:
 
 
 @pytest.mark.parametrize("late", [0.0, 0.3])
-def test_what_waited_for_a_beacon_is_processed_before_it(late):
-    """What the node has to say to it goes out with the beacon, as if the node had been woken for the frame."""
+def test_held_frames_are_processed_before_the_beacon(late):
+    """The reaction of the node is sent in that beacon, as if the node had been woken for the frame."""
     summary = (Container(SUMMARIES, (VarSumm(9, 0),)),)
     header = BPHeader(bytes.fromhex("020000000002"), 0, CODEC.profile.bp.network_id)
     octets = CODEC.encode(Beacon(header, (Payload(2, summary),)))
@@ -135,7 +135,7 @@ def test_a_flood_does_not_hold_up_beacons():
 
 
 def test_soft_state_is_as_old_as_its_frame():
-    """Under overload frames wait in the kernel for seconds; the node has had beacons of its own meanwhile."""
+    """Under overload frames wait in the kernel for seconds, while the node sends beacons."""
     neighbour, now, wall = bytes.fromhex("020000000002"), time.monotonic_ns(), time.time_ns()
     waited = 2_500_000_000
     header = BPHeader(neighbour, 0, CODEC.profile.bp.network_id)
@@ -170,7 +170,7 @@ class Refusing(ListedLink):
         return True
 
 
-def test_what_is_received_and_sent_is_recorded(tmp_path):
+def test_received_and_sent_frames_are_recorded(tmp_path):
     """In both directions, from the address of its sender, if it was sent; with its time."""
     wall, now = time.time_ns(), time.monotonic_ns()
     neighbour = bytes.fromhex("020000000002")

@@ -44,7 +44,7 @@ def patient(folder: Path) -> Path:
 
 @contextlib.contextmanager
 def live(folder: Path, start: str, *, upper: bool | None = None) -> Iterator[LiveTarget]:
-    """A process over UDP. ``upper``: somebody else looks after it, with an upper tester or without."""
+    """A process over UDP. ``upper``: the process is started externally, with an upper tester or without."""
     pics = patient(folder)
     options = TargetOptions(link=LINK, start=start, beacon_period_ms=20, pics=pics)
     with contextlib.ExitStack() as stack:
@@ -61,7 +61,7 @@ def live(folder: Path, start: str, *, upper: bool | None = None) -> Iterator[Liv
 
 
 @pytest.mark.parametrize("position", [0, 1000])
-def test_a_death_is_seen_where_it_happens_and_costs_one_restart(tmp_path, position):
+def test_a_crash_is_noticed_at_its_frame_and_costs_one_restart(tmp_path, position):
     steps = [*[HARMLESS] * position, BAD, *[HARMLESS] * 100_000]
     with live(tmp_path, faulty(tmp_path, "dies")) as target:
         effect = target.run(steps)
@@ -75,7 +75,7 @@ def test_a_death_is_seen_where_it_happens_and_costs_one_restart(tmp_path, positi
 
 
 @pytest.mark.parametrize("fault", ["hangs", "mute"])
-def test_a_process_that_is_there_and_does_not_answer_is_found_and_restarted(tmp_path, fault):
+def test_a_hanging_process_is_detected_and_restarted(tmp_path, fault):
     with live(tmp_path, faulty(tmp_path, fault)) as target:
         effect = target.run([HARMLESS, BAD])
         assert effect is not None
@@ -84,7 +84,7 @@ def test_a_process_that_is_there_and_does_not_answer_is_found_and_restarted(tmp_
         assert target.restarts == 1
 
 
-def test_one_that_draws_a_new_identifier_with_each_start_is_known_again(tmp_path):
+def test_a_process_with_a_new_identifier_after_each_start_is_recognised(tmp_path):
     with live(tmp_path, faulty(tmp_path, "dies", identifier="")) as target:
         assert target.run([BAD]) is not None
         before = target.session.sut_id
@@ -93,7 +93,7 @@ def test_one_that_draws_a_new_identifier_with_each_start_is_known_again(tmp_path
 
 
 @pytest.mark.parametrize("upper", [True, False])
-def test_one_that_somebody_else_starts_again_is_found_by_what_it_says_and_goes_on(tmp_path, upper):
+def test_an_externally_restarted_process_is_recognised_by_its_beacons(tmp_path, upper):
     again = shlex.join(["sh", "-c", f"while true; do {faulty(tmp_path, 'dies')}; done"])
     with live(tmp_path, again, upper=upper) as target:
         # Each look brings a beacon, so that numbers have something to begin again from.
@@ -107,7 +107,7 @@ def test_one_that_somebody_else_starts_again_is_found_by_what_it_says_and_goes_o
         assert target.restarts == 0
 
 
-def test_what_was_found_is_kept_when_a_campaign_is_ended_and_it_can_be_gone_on_with(namespace: Namespace, tmp_path):
+def test_an_interrupted_campaign_keeps_its_findings_and_can_be_resumed(namespace: Namespace, tmp_path):
     words = ["--interface", "near", "--start", faulty(tmp_path, "dies", "eth:far"), "--beacon-period", "20"]
     words += ["--pics", str(patient(tmp_path))]
     folder = tmp_path / "findings"
@@ -134,7 +134,7 @@ def test_what_was_found_is_kept_when_a_campaign_is_ended_and_it_can_be_gone_on_w
     assert (done.returncode, done.stdout[:6]) == (1, "failed"), done.stdout + done.stderr
 
 
-def test_a_second_one_is_not_started_beside_one_that_runs(tmp_path):
+def test_a_second_process_is_not_started_beside_a_running_one(tmp_path):
     """Both would speak under one name, and be blamed for each other."""
     start = faulty(tmp_path, "none")
     other = subprocess.Popen(shlex.split(start), start_new_session=True, stderr=subprocess.DEVNULL)
@@ -158,7 +158,7 @@ def test_a_second_one_is_not_started_beside_one_that_runs(tmp_path):
         other.wait(PATIENCE)
 
 
-def test_one_that_takes_its_time_to_begin_is_waited_for(tmp_path):
+def test_a_process_that_starts_slowly_is_waited_for(tmp_path):
     start = shlex.join(["sh", "-c", f"sleep 3; exec {faulty(tmp_path, 'none')}"])
     python = [sys.executable, "-c", "from dcp_conformance.cli import main; main()"]
     words = ["run", "--link", LINK, "--beacon-period", "20", "--start", start, SANITY]

@@ -25,7 +25,7 @@ def run(*words: object) -> str:
     return harmless(done.stdout + done.stderr)
 
 
-def test_what_a_start_command_says_last(tmp_path: Path):
+def test_the_last_output_of_a_start_command(tmp_path: Path):
     script = tmp_path / "sut"
     script.write_text("#!/bin/sh\nprintf '\\033[31mlast [red]words\\033]0;owned\\007\\n'\nexit 3\n")
     script.chmod(0o755)
@@ -33,7 +33,7 @@ def test_what_a_start_command_says_last(tmp_path: Path):
     assert r"\x1b[31mlast [red]words\x1b]0;owned\x07" in out
 
 
-def test_what_an_upper_tester_calls_itself(tmp_path: Path):
+def test_the_name_of_an_upper_tester(tmp_path: Path):
     script = tmp_path / "ut"
     about = {"status": "UT-STATUS-OK", "contract": 1, "methods": ["UT-Hello"], "nodeId": "02:00:00:00:00:09",
              "name": EVIL, "version": EVIL, "specVersion": "2.0"}  # fmt: skip

@@ -16,7 +16,7 @@ pytest.importorskip("scapy", reason="scapy is not installed (pip install 'dcp-co
     [("dcp-2.0", "loss=0.2,delay=2ms,duplicate=0.1,corrupt=0.001"), ("student-2024", "loss=0.2,reorder=0.1")],
     ids=["ethernet", "udp"],
 )
-def test_a_bad_link_fails_nobody(profile: str, impair: str) -> None:
+def test_a_bad_link_fails_no_case(profile: str, impair: str) -> None:
     options = TargetOptions(profile=profile, impair=(impair,))
     run = ConformanceRun(options, Selection(patterns=("TC_BP_RX_BV_0*",)))
     run.execute()

@@ -27,7 +27,7 @@ NODE = "node:dcp-2.0"
 
 
 @pytest.fixture(autouse=True)
-def _nothing_stays_behind():
+def _no_namespace_remains():
     if not namespaces.permitted():
         pytest.skip("network namespaces cannot be made here")
     yield
@@ -54,20 +54,20 @@ def test_processes_pass_and_leave_recordings_and_logs(tmp_path: Path) -> None:
         assert station.beacons > 0
 
 
-def test_a_faulty_process_turns_the_cell_red() -> None:
+def test_a_faulty_process_fails_the_cell() -> None:
     result = play(built_in("mutant:M-VD-PU-07-ignored"), "IT_VD_UPDATE-pair")
     assert result.verdict is Verdict.FAIL
     assert "theirs" in result.reason
 
 
-def test_a_death_fails_the_cell_with_the_last_words() -> None:
+def test_a_crash_fails_the_cell_with_the_last_output() -> None:
     command = [sys.executable, "-c", "import time; time.sleep(1); raise SystemExit('out of battery')"]
     result = play(Implementation(start=command, ready_s=3, srp=False), "IT_VD_UPDATE-pair")
     assert result.verdict is Verdict.FAIL
     assert "out of battery" in result.reason
 
 
-def test_a_silent_implementation_without_upper_tester_fails_on_the_air() -> None:
+def test_a_silent_implementation_without_upper_tester_fails_by_missing_beacons() -> None:
     command = [sys.executable, "-c", "import time; time.sleep(1000)"]
     result = play(Implementation(start=command, ready_s=1), "IT_VD_UPDATE-pair")
     assert result.verdict is Verdict.FAIL

@@ -1,4 +1,4 @@
-"""``dcp-conformance interop`` with processes is interrupted: it reports what was judged and leaves nothing behind."""
+"""``dcp-conformance interop`` with processes is interrupted: it reports results so far and removes everything."""
 
 from __future__ import annotations
 
@@ -123,16 +123,14 @@ def test_an_interrupted_matrix_is_reported_and_removed(running: Running, tmp_pat
     assert "interrupted: 2 of 3 cells" in (tmp_path / "report" / "interop.md").read_text()
 
 
-def test_a_killed_command_leaves_nothing_behind(running: Running) -> None:
+def test_nothing_remains_of_a_killed_command(running: Running) -> None:
     pids = after_the_first_cell(running)
     running.process.kill()
     eventually(lambda: not running.descendants(), "all processes have ended")
     assert namespaces_of(pids) == []
 
 
-def test_the_death_of_a_worker_is_the_testers_trouble_and_the_report_is_written(
-    running: Running, tmp_path: Path
-) -> None:
+def test_a_killed_worker_is_an_error_of_the_tester_and_the_report_is_written(running: Running, tmp_path: Path) -> None:
     pids = after_the_first_cell(running)
     worker = int(namespaces_of(pids)[0].split("-")[1])
     os.kill(worker, signal.SIGKILL)

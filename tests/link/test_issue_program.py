@@ -40,7 +40,7 @@ def run() -> RunResult:
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="network namespaces beside the own one are for root")
-def test_it_sends_what_the_tester_sent(tmp_path: Path) -> None:
+def test_the_program_sends_the_frames_of_the_tester(tmp_path: Path) -> None:
     found = run()
     (page,) = write_issues(found, tmp_path, Codec("dcp-2.0"))
     fault = found.diagnosis.faults[0]

@@ -36,7 +36,7 @@ class Ear:
         self._selector.register(link.fileno(), selectors.EVENT_READ)
 
     def wait_until(self, done: Callable[[list[Reception]], bool], patience: float = PATIENCE) -> list[Reception]:
-        """What came until it was enough, or patience was over."""
+        """Frames received until ``done`` or the time limit."""
         heard: list[Reception] = []
         deadline = time.monotonic() + patience
         while not done(heard) and time.monotonic() < deadline:
@@ -100,7 +100,7 @@ def test_both_hear_each_other_and_not_themselves(ear):
         assert (counters.sent, counters.received, counters.ignored, counters.outages) == (1, 1, 0, 0)
 
 
-def test_what_is_sent_is_a_broadcast_with_the_source_and_the_type(ear, inside):
+def test_frames_are_broadcast_with_source_and_type(ear, inside):
     near = ear("near", source=b"\x02\0\0\0\0\x07")
     with socket.socket(socket.AF_PACKET, socket.SOCK_RAW, socket.htons(3)) as tap:
         tap.bind(("far", 3))
@@ -109,7 +109,7 @@ def test_what_is_sent_is_a_broadcast_with_the_source_and_the_type(ear, inside):
         assert tap.recv(100) == b"\xff" * 6 + b"\x02\0\0\0\0\x07" + b"\x49\x53" + b"octets"
 
 
-def test_padding_is_left_to_bp(ear, raw):
+def test_padding_is_passed_to_bp(ear, raw):
     near = ear("near")
     raw(frame(b"x".ljust(46, b"\0")))
     raw(frame(b""))
@@ -146,7 +146,7 @@ def test_frames_for_others_tagged_frames_and_reflections_are_ignored(ear, raw, i
     assert near.link.counters.own_address == 1
 
 
-def test_a_tag_may_give_a_priority_but_no_vlan(ear, raw, inside):
+def test_priority_tags_are_accepted_and_vlan_tags_are_not(ear, raw, inside):
     near = ear("near")
     for destination in (b"\xff" * 6, b"\x33\x33\0\0\0\x01", near.link.source):
         raw(frame(struct.pack(">HH", 5, ETHER_TYPE) + b"of a VLAN", ether_type=0x8100, to=destination))
@@ -186,7 +186,7 @@ def test_losses_in_the_kernel_are_counted(ear):
     assert far.link.counters.kernel_drops == drops
 
 
-def test_why_nothing_is_sent_is_said_once(ear, inside, caplog):
+def test_a_failure_to_send_is_reported_once(ear, inside, caplog):
     near = ear("near")
     inside.ip("link", "set", "near", "mtu", "100")
     for _ in range(3):
@@ -198,7 +198,7 @@ def test_why_nothing_is_sent_is_said_once(ear, inside, caplog):
     assert near.link.counters.outages == 0
 
 
-def test_what_does_not_fit_is_counted_and_not_sent(ear, inside):
+def test_frames_that_are_too_long_are_counted_and_not_sent(ear, inside):
     near = ear("near")
     assert near.link.max_packet_size == 1500
     assert near.link.send(bytes(1500))
@@ -211,7 +211,7 @@ def test_what_does_not_fit_is_counted_and_not_sent(ear, inside):
     assert large.link.counters.outages == 0
 
 
-def test_what_is_longer_than_can_be_read_is_ignored(ear, inside):
+def test_received_frames_longer_than_the_buffer_are_ignored(ear, inside):
     inside.ip("link", "set", "lo", "up", "mtu", "100000")
     one, two = ear("lo"), ear("lo")
     assert one.link.send(bytes(90_000))
@@ -261,7 +261,7 @@ def test_an_interface_that_goes_down_and_up_again_is_heard_again(ear, inside):
     for times in (1, 2):
         inside.ip("link", "set", "far", "down")
         far.wait_until(lambda _, times=times: far.link.counters.outages == times)
-        assert not far.link.send(b"to nobody")
+        assert not far.link.send(b"to no receiver")
         assert far.hears_nothing()
         inside.ip("link", "set", "far", "up")
         assert settled(far, times)
@@ -287,9 +287,9 @@ def test_an_interface_may_come_up_again_with_another_address(ear, inside):
     assert heard.source == far.link.source == bytes.fromhex("0200000000aa")
 
 
-def test_what_waited_when_the_interface_went_down_is_not_news_when_it_is_back(ear, inside):
+def test_frames_queued_when_the_interface_went_down_are_discarded(ear, inside):
     near, far = ear("near"), ear("far")
-    for times, notice in enumerate((far.link.receive, lambda: far.link.send(b"to nobody") or []), start=1):
+    for times, notice in enumerate((far.link.receive, lambda: far.link.send(b"to no receiver") or []), start=1):
         assert near.link.send(b"before")
         assert select.select([far.link._socket], [], [], PATIENCE)[0]
         inside.ip("link", "set", "far", "down")
@@ -305,7 +305,7 @@ def test_what_waited_when_the_interface_went_down_is_not_news_when_it_is_back(ea
     assert (far.link.counters.received, far.link.counters.ignored) == (2, 2)
 
 
-def test_it_says_once_that_it_lacks_the_privilege_to_come_back(inside):
+def test_a_missing_privilege_to_reopen_is_reported_once(inside):
     code = """
 import logging, os, sys
 from dcp_stack.links.ethernet import open_ethernet
@@ -346,7 +346,7 @@ def test_an_interface_that_is_removed_and_made_again_is_heard_again(ear, inside)
         inside.ip("link", "delete", "far")
         for each in (near, far):
             each.wait_until(lambda _, each=each, times=times: each.link.counters.outages == times)
-            assert not each.link.send(b"to nobody")
+            assert not each.link.send(b"to no receiver")
             assert each.hears_nothing()
         inside.cable()
         assert settled(near, times)
@@ -360,7 +360,7 @@ def test_an_interface_that_is_removed_and_made_again_is_heard_again(ear, inside)
     assert far.link.fileno() == descriptor
 
 
-def test_an_interface_may_be_replaced_while_nobody_looks(ear, inside):
+def test_an_interface_may_be_replaced_between_two_calls(ear, inside):
     near, far = ear("near"), ear("far")
     inside.ip("link", "delete", "far")
     inside.cable()
@@ -409,7 +409,7 @@ def test_all_on_a_bridge_hear_each_other(ear, inside):
     ears = [ear(name) for name in names]
 
     def all_beacon(heard: list[Reception]) -> bool:
-        # A bridge forwards from when its ports are ready, so each goes on until all are heard.
+        # A bridge forwards only when its ports are ready, so each node sends until all are heard.
         for name, each in zip(names, ears, strict=True):
             each.link.send(name.encode())
         return len({each.octets for each in heard}) == 2
@@ -418,7 +418,7 @@ def test_all_on_a_bridge_hear_each_other(ear, inside):
         assert {found.octets.decode() for found in each.wait_until(all_beacon)} == set(names) - {name}
 
 
-def test_without_scapy_it_says_what_to_install(inside, monkeypatch):
+def test_without_scapy_the_error_names_the_package_to_install(inside, monkeypatch):
     monkeypatch.setitem(sys.modules, "scapy.layers.l2", None)
     with pytest.raises(LinkError, match=r"pip install 'dcp-conformance-kit\[scapy\]'"):
         open_ethernet("near", ETHER_TYPE)
@@ -432,7 +432,7 @@ def test_after_close_nothing_happens(ear):
     assert near.link.counters.send_errors == 1
 
 
-def test_what_is_wrong_is_said(inside):
+def test_errors_are_reported(inside):
     with pytest.raises(LinkError, match=r"eth:wlan7: there is no such interface; there are .*near"):
         open_ethernet("wlan7", ETHER_TYPE)
     inside.ip("link", "set", "near", "down")
@@ -453,7 +453,7 @@ def test_other_kinds_of_interfaces_are_refused(inside):
         open_ethernet("tube", ETHER_TYPE)
 
 
-def test_without_the_privilege_it_says_how_to_get_it(inside):
+def test_without_the_privilege_the_error_says_how_to_get_it(inside):
     code = """
 from dcp_stack.links.base import LinkError
 from dcp_stack.links.ethernet import open_ethernet
@@ -466,7 +466,7 @@ except LinkError as error:
     command = ["setpriv", "--bounding-set", "-net_raw", sys.executable, "-c", code]
     said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
     assert "sudo setcap cap_net_raw+ep" in said
-    # The interpreter of the system is everybody's.
+    # All users share the interpreter of the system.
     assert str(Path(sys.executable).resolve()) not in said
 
 

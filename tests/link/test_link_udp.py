@@ -59,7 +59,7 @@ def test_all_hear_each_other_and_not_themselves(udp):
         assert (link.counters.sent, link.counters.received, link.counters.ignored) == (1, 2, 0)
 
 
-def test_groups_and_ports_are_worlds_of_their_own(udp):
+def test_groups_and_ports_are_separate(udp):
     here, elsewhere, group = udp(), udp(port=OTHER_PORT), udp("239.73.126.78")
     here.send(b"x")
     assert hear(elsewhere, 1, 0.1) == []
@@ -80,7 +80,7 @@ def test_broadcast_serves_as_well(udp):
 def test_a_burst_is_received_or_counted_as_lost(udp):
     one, two = udp(), udp()
     heard = []
-    # As many as the loopback interface lets wait for the socket: what it drops itself nobody can know.
+    # As many as the loopback interface queues for the socket: its own drops are not counted anywhere.
     for burst in range(1, 21):
         for _ in range(500):
             assert one.send(bytes(300))
@@ -123,7 +123,7 @@ def test_after_close_nothing_happens(udp):
     assert (link.receive(), link.send(b"x"), link.fileno()) == ([], False, -1)
 
 
-def test_a_port_that_somebody_has_for_himself(udp):
+def test_a_port_with_exclusive_use(udp):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
         other.bind((GROUP, OTHER_PORT))
         with pytest.raises(LinkError, match="another program has this port"):
@@ -159,8 +159,8 @@ def test_an_interface_that_went_away_is_heard_again(addressed, udp, what):
     }[what]
     addressed.ip(*gone)
     assert hear(one, 1, 0.1) == hear(two, 1, 0.1) == []
-    assert not one.send(b"to nobody")
-    assert not two.send(b"to nobody")
+    assert not one.send(b"to no receiver")
+    assert not two.send(b"to no receiver")
     if what == "interface":
         addressed.cable()
     if what == "switch":

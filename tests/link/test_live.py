@@ -200,7 +200,7 @@ def test_loopback_frames_are_seen_once(namespace: Any) -> None:
     assert listener.hears_nothing()
 
 
-def test_what_is_not_read_in_time_is_counted(namespace: Any) -> None:
+def test_frames_that_are_not_read_in_time_are_counted(namespace: Any) -> None:
     listener, far = listen(namespace), sender(namespace)
     listener.process.popen.send_signal(signal.SIGSTOP)
     sent = 0
@@ -222,7 +222,7 @@ def test_what_is_not_read_in_time_is_counted(namespace: Any) -> None:
     while (line := listener.process.line()).startswith("["):
         pass
     ended = json.loads(line)
-    # What the kernel says it dropped is what did not come; only of the last ones some may still have waited.
+    # The drops counted by the kernel are the missing frames; only some of the last ones may still have been queued.
     assert 0 <= sent + lasts - ended["ended"] - ended["dropped"] - namespace.lost_on_the_cable() < lasts
     # Some thousand beacons wait without a loss.
     assert 1000 < ended["ended"] < sent
@@ -333,12 +333,12 @@ def test_an_interface_that_is_down(namespace: Any) -> None:
 
 
 def test_no_privilege(namespace: Any) -> None:
-    # Still root, as the checkout may lie where nobody else may read, but without capabilities: capset(2), version 3.
+    # Still root, as the checkout may be unreadable for other users, but without capabilities: capset(2), version 3.
     drop = "ctypes.CDLL(None).capset((ctypes.c_uint32 * 2)(0x20080522, 0), (ctypes.c_uint32 * 6)())"
     message = failure(namespace, "near", f"import ctypes\nassert {drop} == 0\n")
     assert message.startswith("near: this needs the right to open raw sockets: run as root, or ")
     assert "sudo setcap cap_net_raw+ep" in message
-    # The interpreter of the system is everybody's.
+    # All users share the interpreter of the system.
     assert str(Path(sys.executable).resolve()) not in message
 
 

@@ -42,7 +42,7 @@ def hear(lower: LowerTester, count: int = 1, patience: int = PATIENCE) -> list[A
 
 
 def heard_and_dropped(lower: LowerTester, count: int) -> tuple[int, int]:
-    """How many of so many frames came, and how many the kernel dropped, as soon as all are accounted for."""
+    """Number of received frames, and of frames dropped by the kernel, as soon as ``count`` are accounted for."""
     heard = dropped = 0
     until = lower.now() + PATIENCE
     while heard + dropped < count and lower.now() < until:
@@ -91,7 +91,7 @@ def ip(cable: Namespace, *arguments: str) -> None:
 class TestEthernet:
     """On a virtual cable."""
 
-    def test_frames_come_through_as_they_are(self, ends):
+    def test_frames_arrive_unchanged(self, ends):
         near, far = ends(), ends(SUT_INTERFACE)
         before = near.now()
         sent = [near.send(f"beacon {n}".encode(), peer) for n, peer in enumerate(PEERS)]
@@ -109,12 +109,12 @@ class TestEthernet:
         near, far = ends(), ends(SUT_INTERFACE)
         for ether_type in ("0800", "4954", "8100000a4953", "4953"):
             near.send_frame(BROADCAST + PEERS[0] + bytes.fromhex(ether_type) + b"?" * 50)
-        # Frames that are not for everybody are heard, too: the implementation should not send them.
+        # Unicast frames to other stations are received, too: the implementation should not send them.
         near.send_frame(PEERS[1] + PEERS[0] + b"\x49\x53" + b"!")
         assert [each.frame[:6] for each in hear(far, 2)] == [BROADCAST, PEERS[1]]
         assert far.receive(far.now() + 20 * MS) is None
 
-    def test_a_tag_may_give_a_priority_but_no_vlan(self, ends):
+    def test_priority_tags_are_accepted_and_vlan_tags_are_not(self, ends):
         near, far = ends(), ends(SUT_INTERFACE)
         for destination in (BROADCAST, b"\x33\x33\0\0\0\x01", b"\x02\0\0\0\0\x01"):
             near.send_frame(destination + PEERS[0] + bytes.fromhex("810000054953") + b"of a VLAN")
@@ -122,7 +122,7 @@ class TestEthernet:
         assert [each.octets for each in hear(far)] == [b"urgent"]
         assert far.receive(far.now() + 20 * MS) is None
 
-    def test_what_is_longer_than_can_be_read_is_a_loss(self, ends, cable):
+    def test_frames_longer_than_the_buffer_count_as_lost(self, ends, cable):
         ip(cable, "link", "set", "lo", "up", "mtu", "100000")
         near, far = ends("lo"), ends("lo")
         near.send(bytes(90_000), PEERS[0])
@@ -147,7 +147,7 @@ class TestEthernet:
         near.send(b"x", PEERS[0])
         assert hear(far)[0].frame[12:14] == b"\x88\xb5"
 
-    def test_time_ends_waiting(self, ends):
+    def test_the_deadline_ends_waiting(self, ends):
         near = ends()
         begun = near.now()
         assert near.receive(begun + 50 * MS) is None
@@ -157,7 +157,7 @@ class TestEthernet:
         assert near.receive(begun - 1) is None
         assert near.now() - begun < PATIENCE
 
-    def test_what_comes_later_is_kept(self, ends):
+    def test_later_frames_are_kept(self, ends):
         near, far = ends(), ends(SUT_INTERFACE)
         until = far.now()
         near.send(b"late", PEERS[0])
@@ -175,7 +175,7 @@ class TestEthernet:
         os.close(reading)
         os.close(writing)
 
-    def test_it_knows_when_a_frame_came_that_it_reads_late(self, ends):
+    def test_frames_read_late_have_their_time_of_arrival(self, ends):
         near, far = ends(), ends(SUT_INTERFACE)
         far.health()
         before = near.now()
@@ -230,7 +230,7 @@ class TestEthernet:
         # Health can be asked for all the same.
         assert near.health().dropped == 0
 
-    def test_interfaces_that_will_not_do(self, ends, cable):
+    def test_unsuitable_interfaces(self, ends, cable):
         with pytest.raises(UsageError, match="eth:nope0: there is no such interface; there are lo"):
             ends("nope0")
         with pytest.raises(LowerTesterError, match="eth:lo: the interface is down; bring it up first"):
@@ -244,13 +244,13 @@ class TestEthernet:
         with pytest.raises(LowerTesterError, match="closed"):
             closed.receive(0)
 
-    def test_loopback_is_no_echo(self, ends, cable):
+    def test_loopback_copies_are_not_echoes(self, ends, cable):
         ip(cable, "link", "set", "lo", "up")
         one, other = ends("lo"), ends("lo")
         one.send(b"x", PEERS[0])
         assert hear(other)[0].octets == b"x"
         assert one.receive(one.now() + 50 * MS) is None
-        # What another one sends is heard, also if it is the same.
+        # An equal frame from another station is received.
         other.send(b"x", PEERS[0])
         assert hear(one)[0].octets == b"x"
 
@@ -330,7 +330,7 @@ def test_datagrams_come_from_the_port_where_the_profile_wants_it(udp):
         arrival = hear(near)[0]
         assert arrival.octets == b"hello"
         assert arrival.source == bytes((127, 0, 0, 1)) + port.to_bytes(2, "big")
-    # Where there is no beacon header, the frame of a recording has UDP in it.
+    # A recorded frame without a beacon header contains UDP.
     assert arrival.frame[12:14] == b"\x08\x00"
 
 
@@ -381,9 +381,9 @@ def test_udp_over_an_interface_that_vanishes_and_comes_back(cable):
         assert other.receive(0) is None
         unplug()
         with pytest.raises(LowerTesterError, match=r"192\.0\.2\.1 does not reach 239"):
-            one.send(b"to nobody", PEERS[0])
+            one.send(b"to no receiver", PEERS[0])
         plug_in()
-        # Who only listens says as well that there may have been something to hear.
+        # A tester that only listens also reports that it may have missed frames.
         with pytest.raises(LowerTesterError, match="it was away for a while"):
             other.receive(0)
         assert other.receive(0) is None
@@ -395,7 +395,7 @@ def test_udp_over_an_interface_that_vanishes_and_comes_back(cable):
                 other.receive(0)
 
 
-def test_addresses_that_make_no_sense(udp):
+def test_invalid_addresses(udp):
     for group, port, interface, message in (
         ("multicast", 1, None, "not an IPv4 address"),
         ("", 0, None, "not within 1..65535"),
@@ -412,7 +412,7 @@ def test_addresses_that_make_no_sense(udp):
             udp("127.0.0.2", PORT, interface="127.0.0.1")
 
 
-def test_udp_as_people_write_it():
+def test_notations_of_udp_addresses():
     assert parse_udp("udp", UDP) == ("", None, None, UDP)
     assert parse_udp("udp:239.1.2.3", UDP) == ("239.1.2.3", None, None, UDP)
     assert parse_udp("udp:239.1.2.3:77,interface=eth0", UDP) == ("239.1.2.3", 77, "eth0", UDP)

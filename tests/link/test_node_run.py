@@ -119,7 +119,7 @@ def test_two_nodes_and_the_commands(node, tmp_path):
     assert command("var", "delete", 7, "--control", first.path).stdout == "VARDIS-STATUS-OK\n"
 
 
-def test_activation_is_of_what_the_node_runs(node, tmp_path):
+def test_activation_applies_to_protocols_that_the_node_runs(node, tmp_path):
     config = tmp_path / "without.toml"
     config.write_text("[vardis]\nenabled = false\n")
     without = node("--config", str(config))
@@ -161,7 +161,7 @@ def test_watching_variables_and_payloads(node):
         ]
 
 
-def test_the_control_socket_is_for_its_user_and_goes_with_the_node(node):
+def test_the_control_socket_is_private_and_removed_with_the_node(node):
     running = node()
     running.client().close()
     assert stat.S_IMODE(running.path.lstat().st_mode) == 0o600
@@ -179,7 +179,7 @@ def test_a_stale_socket_is_replaced(node, tmp_path):
         assert client.call("UT-Hello")["status"] == "UT-STATUS-OK"
 
 
-def test_bad_clients_hurt_nobody(node):
+def test_misbehaving_clients_do_not_affect_others(node):
     running = node()
     good = running.client()
     # Not JSON, too long, vanished in the middle, unknown method: each on a connection of its own.
@@ -200,7 +200,7 @@ def test_bad_clients_hurt_nobody(node):
     good.close()
 
 
-def test_who_asks_without_reading_waits_alone(node):
+def test_a_client_that_does_not_read_delays_no_other_client(node):
     running = node()
     good = running.client()
     request = b'{"jsonrpc":"2.0","id":1,"method":"UT-Status"}\n'
@@ -218,7 +218,7 @@ def test_who_asks_without_reading_waits_alone(node):
                 refused += 1
         memory = resident(running.popen.pid)
         assert memory < 80_000
-        # Who reads in the end gets all of it.
+        # A client that reads at last gets all answers.
         deaf.setblocking(True)
         deaf.settimeout(PATIENCE)
         with deaf.makefile("rb") as stream:
@@ -264,7 +264,7 @@ def test_too_many_clients(node):
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
-def test_a_signal_ends_it_in_an_orderly_way(node, tmp_path, number):
+def test_a_signal_shuts_the_node_down_orderly(node, tmp_path, number):
     recording = tmp_path / "flight.mcap"
     running = node("--record", str(recording), "--position", "track:circle")
     with running.client() as client:
@@ -283,7 +283,7 @@ def test_a_signal_ends_it_in_an_orderly_way(node, tmp_path, number):
     assert "recordings are not overwritten" in shown.stderr
 
 
-def test_a_service_that_is_started_again_goes_on_recording(node, tmp_path):
+def test_a_restarted_service_continues_recording(node, tmp_path):
     folder = tmp_path / "recordings"
     folder.mkdir()
     for end in (signal.SIGKILL, signal.SIGTERM):
@@ -299,7 +299,7 @@ def test_a_service_that_is_started_again_goes_on_recording(node, tmp_path):
     assert f"there is no folder {tmp_path}/none" in shown.stderr
 
 
-def test_watching_says_which_variables_are_not_there(node):
+def test_watching_reports_missing_variables(node):
     running = node()
     with running.client() as client:
         for number in (9, 7):
@@ -411,7 +411,7 @@ def test_a_flood_does_not_stop_beacons_or_answers(node):
                 return None
             return after if slots_a_second(before, after) == pytest.approx(10, rel=0.12) else None
 
-        # How many frames may come before a beacon that is due is for test_driver to say.
+        # test_driver tests how many frames may be processed before a beacon that is due.
         after = eventually(flooded, "beacons in the flood", pause=0)
     flood.close()
     assert sum(after["drops"].values()) > 1000
@@ -435,11 +435,11 @@ def test_privileges_are_given_up(node, tmp_path):
     assert running.path.lstat().st_uid != 0
 
 
-def test_an_interface_without_the_privilege(tmp_path):
+def test_an_interface_without_privilege(tmp_path):
     if os.geteuid() != 0:
         shown = command("run", "--interface", "lo")
     else:
-        # Still root, as the checkout may lie where nobody else may read, but without capabilities.
+        # Still root, as the checkout may be unreadable for other users, but without capabilities.
         setpriv = ["setpriv", "--bounding-set", "-all", "--inh-caps", "-all", sys.executable, "-m", "dcp_stack.cli"]
         shown = subprocess.run(
             [*setpriv, "run", "--interface", "lo"], capture_output=True, text=True, check=False, timeout=PATIENCE

@@ -96,7 +96,7 @@ def frame(sender: int, text: bytes) -> bytes:
 
 
 def waiting_in(opened: socket.socket) -> list[bytes]:
-    """What has arrived."""
+    """Frames that have arrived."""
     found = []
     opened.settimeout(0)
     try:
@@ -107,16 +107,14 @@ def waiting_in(opened: socket.socket) -> list[bytes]:
         return found
 
 
-def test_frames_reach_everybody_who_hears_the_sender_and_are_recorded(
-    make: Make, listen: Listen, tmp_path: Path
-) -> None:
+def test_frames_reach_all_nodes_in_range_and_are_recorded(make: Make, listen: Listen, tmp_path: Path) -> None:
     fabric = make(pairs=[(0, 1), (1, 0), (1, 2)], record=tmp_path, profile="dcp-2.0")
     a, b, c = map(listen, fabric.namespaces)
     b.send(frame(1, b"both hear this"))
     assert a.recv(2000) == c.recv(2000) == frame(1, b"both hear this")
     a.send(frame(0, b"only b hears this"))
     assert b.recv(2000)[14:] == b"only b hears this"
-    c.send(frame(2, b"nobody hears this"))
+    c.send(frame(2, b"no node hears this"))
     b.send(frame(1, b"the end"))
     assert a.recv(2000)[14:] == c.recv(2000)[14:] == b"the end"
     assert waiting_in(b) == []
@@ -124,7 +122,7 @@ def test_frames_reach_everybody_who_hears_the_sender_and_are_recorded(
     assert {name: each["delivered"] for name, each in counters["links"].items()} == {"0>1": 1, "1>0": 2, "1>2": 2}
     assert [each["recorded"] for each in counters["ports"]] == [3, 3, 3]
     with open_capture(tmp_path / "port-2.mcap") as capture:
-        assert [each.data[14:] for each in capture] == [b"both hear this", b"nobody hears this", b"the end"]
+        assert [each.data[14:] for each in capture] == [b"both hear this", b"no node hears this", b"the end"]
         assert capture.metadata["dcp.profile"]["name"] == "dcp-2.0"
     assert namespaces.existing(f"{namespaces.own_prefix()}-r") == []
 
@@ -134,7 +132,7 @@ def test_links_change_while_frames_pass(make: Make, listen: Listen) -> None:
     a, b, c = map(listen, fabric.namespaces)
 
     def hear(text: bytes) -> tuple[list[bytes], list[bytes]]:
-        """What the other two have heard once a frame that nothing stops has come."""
+        """Frames received by the two other nodes up to a frame that is never blocked."""
         a.send(frame(0, text))
         fabric.partition([])
         fabric.port(2, up=True)
@@ -174,7 +172,7 @@ def test_a_frame_is_sent_at_its_deadline_and_not_before(make: Make, listen: List
     assert fabric.counters()["links"]["0>1"]["delay"] == 30 * 20_000_000
 
 
-def test_the_relay_survives_what_is_on_the_wire_and_what_happens_to_interfaces(make: Make, listen: Listen) -> None:
+def test_the_relay_survives_strange_frames_and_changes_of_interfaces(make: Make, listen: Listen) -> None:
     fabric = make("delay=1ms")
     a, b, _ = map(listen, fabric.namespaces)
     namespaces.batch("ip", fabric.air, ["link set p2 mtu 100"])
@@ -204,14 +202,14 @@ def test_the_relay_survives_what_is_on_the_wire_and_what_happens_to_interfaces(m
     eventually(heard_again, "an interface that comes back is used again")
 
 
-def test_a_setup_that_makes_no_sense_is_refused() -> None:
+def test_an_invalid_setup_is_refused() -> None:
     with pytest.raises(RelayError, match=r"port 0, interface nowhere: there is no such interface"):
         RelayProcess(Setup(ports=("nowhere",)))
     with pytest.raises(RelayError, match=r"los: unknown key"):
         RelayProcess(Setup(ports=(), impairment="los=1"))
 
 
-def test_a_relay_that_is_killed_is_told(make: Make) -> None:
+def test_a_killed_relay_is_reported(make: Make) -> None:
     fabric = make()
     os.kill(fabric.relay_pid, signal.SIGKILL)
     with pytest.raises(RelayError, match="the relay has ended"):

@@ -1,4 +1,4 @@
-"""What the system says about sockets, on a virtual cable and on the loopback interface."""
+"""Sockets: errors and time stamps of the system, on a virtual cable and on the loopback interface."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ class TestEthernet:
 
     pytest.importorskip("scapy", reason="scapy is not installed (pip install 'dcp-conformance-kit[scapy]')")
 
-    def test_what_passes_while_it_is_opened_is_no_loss(self, raw, monkeypatch):
+    def test_frames_during_opening_do_not_count_as_lost(self, raw, monkeypatch):
         enlarge = sockets.enlarge_receive_buffer
 
         def after_a_flood(receiver: socket.socket) -> None:
@@ -113,7 +113,7 @@ class TestEthernet:
         opened.close()
 
     @pytest.mark.parametrize("promiscuous", [False, True])
-    def test_promiscuous_is_the_interface_of_now(self, inside, promiscuous):
+    def test_promiscuous_mode_applies_to_a_recreated_interface(self, inside, promiscuous):
         # Scapy remembers the numbers of interfaces.
         sockets.open_ethernet("near", ETHER_TYPE, promiscuous=promiscuous).close()
         inside.ip("link", "delete", "near")
@@ -125,7 +125,7 @@ class TestEthernet:
         assert f"promiscuity {int(promiscuous)}" in shown
         opened.close()
 
-    def test_what_cannot_be_opened_leaves_nothing_open(self, inside):
+    def test_a_failed_opening_leaves_no_open_socket(self, inside):
         sockets.open_ethernet("near", ETHER_TYPE).close()
         before = descriptors()
         inside.ip("link", "set", "far", "down")
@@ -151,7 +151,7 @@ class TestEthernet:
 
 
 class Driver:
-    """What scapy's socket is on a driver that takes no short frames."""
+    """Imitates scapy's socket on a driver that sends no short frames."""
 
     def __init__(self, refusal: int) -> None:
         self.ins = self.outs = self
@@ -185,7 +185,7 @@ def test_short_frames_are_padded_only_where_the_driver_wants_it():
         opened.send(frame(b"short"))
 
 
-def test_other_systems_are_told_what_to_use(monkeypatch):
+def test_other_systems_get_an_error_with_an_alternative(monkeypatch):
     monkeypatch.delattr(socket, "AF_PACKET")
     with pytest.raises(
         OpeningError, match=r"needs the packet sockets of Linux, which .* does not have; use udp instead"
@@ -198,7 +198,7 @@ def test_other_systems_are_told_what_to_use(monkeypatch):
 # -- UDP ----------------------------------------------------------------------------------------------------------
 
 
-def test_a_port_that_the_system_chooses_is_for_one(inside):
+def test_a_port_chosen_by_the_system_is_not_shared(inside):
     inside.ip("link", "set", "lo", "up")
     Path("/proc/sys/net/ipv4/ip_local_port_range").write_text("50000 50001")
     for _ in range(20):
@@ -209,7 +209,7 @@ def test_a_port_that_the_system_chooses_is_for_one(inside):
         assert found == {50000, 50001}
 
 
-def test_losses_go_on_where_the_counter_of_the_kernel_begins_anew():
+def test_the_loss_counter_continues_when_the_kernel_counter_restarts():
     with sockets.open_udp_receiver(LOOPBACK, 0) as receiver:
         losses = sockets.UDPLosses(receiver)
         assert losses.new() == 0
@@ -242,7 +242,7 @@ def test_losses_go_on_where_the_counter_of_the_kernel_begins_anew():
         (errno.ENOMEM, "239.1.2.3", False, "Cannot allocate memory"),
     ],
 )
-def test_what_goes_wrong_with_udp_is_said(number, to, station, message):
+def test_errors_of_udp_are_reported(number, to, station, message):
     error = OSError(number, os.strerror(number))
     said = sockets.udp_problem(error, ipaddress.IPv4Address(to), LOOPBACK, station=station)
     assert message in said

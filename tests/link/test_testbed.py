@@ -1,6 +1,6 @@
-"""Node processes on a real virtual Ethernet: they beacon, agree, and leave nothing behind.
+"""Node processes on a real virtual Ethernet: they send beacons, agree, and clean up.
 
-Everything that takes its time runs at once, in testbeds of its own, and while the other tests here run: that they do
+Everything that takes its time runs concurrently, in separate testbeds, and beside the other tests here: that they do
 not disturb one another is part of what is tested.
 """
 
@@ -107,7 +107,7 @@ class Runs:
         self.processes[name] = start(*arguments, "--json", "--keep", self.directory / name)
 
     def report(self, name: str) -> dict:
-        """What came of one; its exit status has to say the same."""
+        """Report of a testbed; its exit status has to agree."""
         process = self.processes[name]
         if name not in self._outputs:
             self._outputs[name] = process.communicate(timeout=PATIENCE)
@@ -118,7 +118,7 @@ class Runs:
         return report
 
     def end(self) -> None:
-        """End those that nobody has waited for."""
+        """End the processes that have not been waited for."""
         for name, process in self.processes.items():
             if name not in self._outputs:
                 process.terminate()
@@ -171,7 +171,7 @@ def inside(process: subprocess.Popen[str]) -> list[str]:
 
 
 def runs_on(pid: str) -> bool:
-    """Whether a process runs; one that nobody has waited for yet does not."""
+    """Whether a process runs; a zombie does not."""
     try:
         stat = Path("/proc", pid, "stat").read_text()
     except OSError:
@@ -182,7 +182,7 @@ def runs_on(pid: str) -> bool:
 @pytest.mark.usefixtures("runs")
 class TestEnds:
     @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-    def test_a_signal_ends_it_in_an_orderly_way(self, running, number):
+    def test_a_signal_ends_the_testbed_orderly(self, running, number):
         nodes = inside(running)
         running.send_signal(number)
         _, errors = running.communicate(timeout=PATIENCE)
@@ -191,14 +191,14 @@ class TestEnds:
         assert not namespaces_of(running)
         assert not any(runs_on(pid) for pid in nodes)
 
-    def test_somebody_cleans_up_behind_one_that_is_killed(self, running):
+    def test_a_helper_process_cleans_up_after_a_killed_testbed(self, running):
         nodes = inside(running)
         running.kill()
         running.communicate(timeout=PATIENCE)
         eventually(lambda: not namespaces_of(running), "the namespaces go")
         assert not any(runs_on(pid) for pid in nodes)
 
-    def test_the_next_start_removes_what_nobody_else_did(self):
+    def test_the_next_start_removes_remaining_namespaces(self):
         ended = subprocess.run([sys.executable, "-c", "import os; print(os.getpid())"], capture_output=True, text=True)
         left = f"{namespaces.PREFIX}-{ended.stdout.strip()}-1-n0"
         mine = f"{namespaces.own_prefix()}-n0"
@@ -223,14 +223,14 @@ class TestEnds:
 
 @pytest.mark.usefixtures("runs")
 class TestRefusals:
-    def test_without_rights_it_says_what_to_do(self):
+    def test_without_privileges_the_error_gives_a_remedy(self):
         if shutil.which("setpriv") is None:
             pytest.skip("setpriv is not on PATH")
         # Root without capabilities may not even make a user namespace for root.
         process = start(2, prefix=("setpriv", "--bounding-set", "-all", "--inh-caps", "-all"))
         output, errors = process.communicate(timeout=PATIENCE)
         if process.returncode == 0:
-            pytest.skip("this kernel gives namespaces to anybody")
+            pytest.skip("this kernel lets every user create namespaces")
         assert (process.returncode, output) == (2, "")
         assert errors.startswith("dcp-node: testbed: network namespaces cannot be created: run as root, or allow users")
         assert errors.count("\n") == 1
@@ -246,7 +246,7 @@ class TestRefusals:
             ),
         ],
     )
-    def test_nodes_that_cannot_run_are_named_with_what_they_say(self, tmp_path, keys, complaint):
+    def test_nodes_that_cannot_run_are_named_with_their_output(self, tmp_path, keys, complaint):
         scenario = written(tmp_path, "bad.toml", "nodes = 2\nduration_s = 3\n" + keys)
         process = start("--scenario", scenario)
         output, errors = process.communicate(timeout=PATIENCE)
@@ -264,7 +264,7 @@ class TestRefusals:
             netem_options(LinkQuality(reorder=0.25, delay_ms=1))
 
     @pytest.mark.parametrize("quality", [LinkQuality(loss=0.2, burst=3), LinkQuality(corrupt_frames=0.1)])
-    def test_what_the_kernel_cannot_do_names_the_relay(self, quality):
+    def test_impairments_that_the_kernel_lacks_need_the_relay(self, quality):
         with pytest.raises(ScenarioError, match="--links relay"):
             netem_options(quality)
 
@@ -276,7 +276,7 @@ class TestRefusals:
 class TestNodes:
     @pytest.mark.parametrize("nodes", [2, 3, 4])
     @pytest.mark.req("BP-TX-01")
-    def test_they_beacon_at_ten_hertz_and_hear_one_another(self, runs, nodes):
+    def test_nodes_send_beacons_at_ten_hertz_and_hear_one_another(self, runs, nodes):
         report = runs.report(f"rates-{nodes}")
         busy = too_busy(report)
         assert not [each for each in unmet(report) if timeless(each) or not busy], (busy, report)
@@ -300,17 +300,17 @@ class TestNodes:
             "node 0 updates variable 7",
             "the partition ends",
         ]
-        # What was updated behind the partition was heard of only when it ended.
+        # Updates on the other side of the partition arrive only after it ended.
         assert busy or report["convergences"][6]["took_s"] > 3
 
-    def test_frames_are_lost_as_often_as_asked_for(self, runs):
+    def test_frames_are_lost_at_the_configured_rate(self, runs):
         report = runs.report("lossy")
         sent = sum(each["beacons_sent"] for each in report["traffic"])
         received = sum(each["beacons_received"] for each in report["traffic"])
         assert 0.35 < received / (2 * sent) < 0.65
         assert not [each for each in unmet(report) if timeless(each) or not too_busy(report)]
 
-    def test_each_node_has_a_recording_of_all_that_it_said_and_heard(self, runs):
+    def test_each_node_records_all_sent_and_received_frames(self, runs):
         report = runs.report("rates-3")
         codec = Codec("dcp-2.0")
         for each in report["traffic"]:
@@ -320,14 +320,14 @@ class TestNodes:
                     header = codec.decode(frame.data[ETHERNET_HEADER:]).bp
                     assert header is not None
                     numbers[header.sender_id].append(header.seqno)
-            # One after the other, of itself from the first one on.
+            # Consecutive beacons, of itself from the first one.
             assert len(numbers) == 3
             assert numbers[bytes((2, 0, 0, 0, 0, each["node"]))][0] == 0
             assert all(found == list(range(found[0], found[-1] + 1)) for found in numbers.values())
-            # What was said between the last look and the end is in the recording only.
+            # Beacons between the last report and the end are in the recording only.
             assert sum(map(len, numbers.values())) >= each["beacons_sent"] + each["beacons_received"]
 
-    def test_nothing_is_left(self, runs):
+    def test_nothing_remains(self, runs):
         for name in list(runs.processes):
             runs.report(name)
         for process in runs.processes.values():
@@ -336,7 +336,7 @@ class TestNodes:
 
 
 def test_two_processes_may_delete_the_same_namespaces(monkeypatch):
-    # Workers of a matrix that start together all sweep what an earlier one has left behind.
+    # Workers of a matrix that start together all delete what an earlier one has left.
     real = namespaces.run
 
     def overtaken(command, given=""):
@@ -351,7 +351,7 @@ def test_two_processes_may_delete_the_same_namespaces(monkeypatch):
     assert namespaces.existing(namespaces.own_prefix()) == []
 
 
-def test_a_namespace_that_cannot_be_deleted_is_told(monkeypatch):
+def test_a_namespace_that_cannot_be_deleted_is_reported(monkeypatch):
     real = namespaces.run
 
     def refused(command, given=""):
@@ -403,7 +403,7 @@ are = []
 """
 
 
-def test_links_that_the_kernel_cannot_impair_are_those_of_a_relay(tmp_path):
+def test_links_that_the_kernel_cannot_impair_use_the_relay(tmp_path):
     """One node hears the other one of its ends only; corrupted frames arrive."""
     keep = tmp_path / "kept"
     scenario = written(tmp_path, "bad-links.toml", BAD_LINKS)
@@ -426,7 +426,7 @@ def test_links_that_the_kernel_cannot_impair_are_those_of_a_relay(tmp_path):
     assert any(data not in said for data in got)
 
 
-def test_the_kernel_refuses_such_links_if_it_is_told_to_carry_them(tmp_path):
+def test_the_kernel_refuses_such_links_without_the_relay(tmp_path):
     process = start("--scenario", written(tmp_path, "bad-links.toml", BAD_LINKS), "--links", "kernel")
     output, errors = process.communicate(timeout=PATIENCE)
     assert (process.returncode, output) == (2, "")

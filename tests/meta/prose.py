@@ -1,23 +1,38 @@
-"""A check of the English in docstrings, comments and messages: expressions that a reader has to decipher.
+"""A check of the English in docstrings, comments, messages and names: expressions that a reader has to decipher.
 
 ``PATTERNS`` gives each expression with the reason and the better wording. ``python tests/meta/prose.py`` prints the
 number of hits in each package, and ``python tests/meta/prose.py PATH...`` every hit in some folders or files.
+
+A text that has to contain such an expression, such as output that a test expects, is exempt if ``# prose: data`` is in
+one of its lines.
 """
 
 from __future__ import annotations
 
-import ast
-import io
+import functools
 import re
 import sys
-import tokenize
+from bisect import bisect_right
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-#: The packages that are checked, relative to the repository.
-FOLDERS = ("spec/dcp_spec", "dcp_codec", "dcp_stack", "conformance/dcp_conformance")
+#: The folders that are checked, relative to the repository.
+FOLDERS = (
+    "spec/dcp_spec",
+    "dcp_codec",
+    "dcp_stack",
+    "conformance/dcp_conformance",
+    "tests",
+    "tools",
+    "benchmarks",
+    "examples",
+)
+#: Files that list such expressions.
+EXEMPT = frozenset({ROOT / "tests/meta/prose.py", ROOT / "tests/meta/test_prose.py"})
+#: Exempts the text in whose lines it is.
+MARKER = "# prose: data"
 
 
 @dataclass(frozen=True)
@@ -99,6 +114,28 @@ PATTERNS = (
 )
 
 
+# One search for all of them: most texts have no hit. Each expression starts with a word.
+ANY = re.compile(r"\b(?:" + "|".join(each.expression for each in PATTERNS) + ")")
+
+# The syntax of Python as far as texts need it; several times faster than ``ast`` and ``tokenize``. Before Python 3.12
+# an f-string cannot contain its own quotation mark.
+TOKEN = re.compile(
+    r"""
+    (?P<comment>\#[^\n]*)
+    | \b(?:def|class)[ ](?P<name>\w+)
+    | (?P<prefix>\b[A-Za-z]{1,2})?(?P<quote>\"{3}|\'{3}|\"|\')(?P<body>(?:[^\\]|\\.)*?)(?P=quote)
+    """,
+    re.VERBOSE | re.DOTALL,
+)
+# An expression of an f-string, or a doubled brace.
+FIELD = re.compile(r"\{\{|\}\}|\{((?:[^{}]|\{[^{}]*\})*)\}")
+# Between two parts of one string or comment: no blank line.
+BETWEEN = re.compile(r"[^\S\n]*\\?\n?[^\S\n]*")
+# An escape sequence for white space.
+ESCAPE = re.compile(r"\\[nrt\n]")
+CAPITAL = re.compile(r"(?<=[a-z])(?=[A-Z])")
+
+
 @dataclass(frozen=True)
 class Text:
     """A text that a person reads."""
@@ -122,47 +159,68 @@ class Hit:
 
 
 def texts(source: str) -> Iterator[Text]:
-    """Yield docstrings, other strings with a space, and comments; adjacent comment lines are one text.
+    """Yield docstrings, other strings with a space, comments, and names of functions and classes.
 
-    The parts of an f-string between its expressions are joined with ``...``.
+    Adjacent comment lines are one text, as are adjacent strings. Names are split into words, without ``test``. Each
+    expression of an f-string becomes ``...``; the strings inside it are further texts.
     """
-    tree = ast.parse(source)
-    parts_of_others = {id(part) for node in ast.walk(tree) if isinstance(node, ast.JoinedStr) for part in node.values}
-    for node in ast.walk(tree):
-        if id(node) in parts_of_others:
+    ends = [found.end() for found in re.finditer("\n", source)]
+    marked = {bisect_right(ends, found.start()) for found in re.finditer(re.escape(MARKER), source)}
+    for kind, start, end, text in _joined(source):
+        first, last = bisect_right(ends, start), bisect_right(ends, end)
+        if (kind != "string" or " " in text.strip()) and marked.isdisjoint(range(first, last + 1)):
+            yield Text(first + 1, text)
+
+
+def _joined(source: str) -> Iterator[tuple[str, int, int, str]]:
+    """Yield kind, start, end and text of what ``texts`` yields; adjacent comments and strings are joined."""
+    kind, start, end, parts = "", 0, 0, list[str]()
+    for found in TOKEN.finditer(source):
+        if found["name"]:
+            yield "name", *found.span(), _words(found["name"])
             continue
-        if isinstance(node, ast.Constant) and isinstance(node.value, str) and " " in node.value:
-            yield Text(node.lineno, node.value)
-        elif isinstance(node, ast.JoinedStr):
-            parts = (each.value if isinstance(each, ast.Constant) else "..." for each in node.values)
-            yield Text(node.lineno, "".join(map(str, parts)))
-    block: list[str] = []
-    start = previous = 0
-    for token in tokenize.generate_tokens(io.StringIO(source).readline):
-        if token.type != tokenize.COMMENT:
+        this = "comment" if found["comment"] else "string"
+        if this != kind or not BETWEEN.fullmatch(source, end, found.start()):
+            if parts:
+                yield kind, start, end, "".join(parts)
+            kind, start, parts = this, found.start(), []
+        end = found.end()
+        if this == "comment":
+            parts.append(found["comment"].lstrip("#: ") + " ")
             continue
-        if token.start[0] != previous + 1 and block:
-            yield Text(start, " ".join(block))
-            block = []
-        if not block:
-            start = token.start[0]
-        block.append(token.string.lstrip("#: "))
-        previous = token.start[0]
-    if block:
-        yield Text(start, " ".join(block))
+        body = found["body"]
+        if "\\" in body and "r" not in (found["prefix"] or "").lower():
+            body = ESCAPE.sub(" ", body)
+        if "f" in (found["prefix"] or "").lower():
+            for field in FIELD.findall(body):
+                yield from ((each, *found.span(), text) for each, _, _, text in _joined(field))
+            body = FIELD.sub("...", body)
+        parts.append(body)
+    if parts:
+        yield kind, start, end, "".join(parts)
+
+
+def _words(name: str) -> str:
+    """Split the name of a function or class into words."""
+    return CAPITAL.sub(" ", name).replace("_", " ").strip().removeprefix("test ")
 
 
 def hits(path: Path) -> Iterator[Hit]:
     """Yield the hits in a Python file."""
+    if path in EXEMPT:
+        return
     for text in texts(path.read_text("utf-8")):
         joined = " ".join(text.text.split())
         # A search in lower case is several times faster than one that ignores the case.
         lower = joined.lower()
+        if not ANY.search(lower):
+            continue
         for pattern in PATTERNS:
             if found := re.search(pattern.expression, lower):
                 yield Hit(path, text.line, joined[slice(*found.span())], pattern)
 
 
+@functools.cache
 def hits_in(name: str) -> list[Hit]:
     """Return the hits in a file, or in the Python files of a folder."""
     root = ROOT / name
@@ -170,14 +228,14 @@ def hits_in(name: str) -> list[Hit]:
     return [hit for each in files for hit in hits(each)]
 
 
-def main(folders: list[str]) -> int:
-    """Print hits, or their number in each package; return 1 if there are any."""
-    for folder in folders:
-        print(*hits_in(folder), sep="\n")
-    if folders:
+def main(paths: list[str], folders: tuple[str, ...] = FOLDERS) -> int:
+    """Print the hits in ``paths``, or the number of hits in each of the folders; return 1 if there are any."""
+    for path in paths:
+        print(*hits_in(path), sep="\n")
+    if paths:
         return 0
     bad = 0
-    for folder in FOLDERS:
+    for folder in folders:
         count = len(hits_in(folder))
         bad += count
         print(f"{count:5}  {folder}")

@@ -66,7 +66,34 @@ def test_other_text_is_not_found(tmp_path: Path, source: str):
     assert not list(prose.hits(path))
 
 
-def test_the_output_counts_hits_per_package(capsys: pytest.CaptureFixture[str]):
-    assert prose.main([]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert [line.split() for line in lines] == [["0", each] for each in prose.FOLDERS]
+def test_names_are_split_into_words(tmp_path: Path):
+    path = tmp_path / "module.py"
+    path.write_text("def test_nobody_waits():\n    class SentOn: ...\n", "utf-8")
+    assert [hit.found for hit in prose.hits(path)] == ["nobody", "Sent On"]
+
+
+def test_a_marked_text_is_exempt(tmp_path: Path):
+    path = tmp_path / "module.py"
+    path.write_text('check("a client is told")  # prose: data\n"""Padding behind it."""\n', "utf-8")
+    assert [hit.line for hit in prose.hits(path)] == [2]
+
+
+@pytest.mark.parametrize(
+    ("source", "expected"),
+    [
+        ("f'{x} is' f\" {y['a b']!r}\"", [(1, "a b"), (1, "... is ...")]),
+        ("# one\n#: two\n\n# three\n", [(1, "one two "), (4, "three ")]),
+        (r"rb'a \' b' + 'a \'# b'", [(1, r"a \' b"), (1, r"a \'# b")]),
+        ('"""A a\nb"""\nx = "1"', [(1, "A a\nb")]),
+        ("(\n    'a '\n    'b', 'c d'\n)", [(2, "a b"), (3, "c d")]),
+        ("class ThisOne(That): ...", [(1, "This One")]),
+    ],
+)
+def test_texts(source: str, expected: list[tuple[int, str]]):
+    assert [(each.line, each.text) for each in prose.texts(source)] == expected
+
+
+def test_the_output_counts_hits_per_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    (tmp_path / "module.py").write_text('"""Padding behind it, in vain."""\n', "utf-8")
+    assert prose.main([], (str(tmp_path),)) == 1
+    assert capsys.readouterr().out.split() == ["2", str(tmp_path)]

@@ -101,7 +101,7 @@ class Rig:
         return self.codec.decode_envelope(sent[0].octets)[0] if sent else None
 
     def contents(self, count, prot_id=7):
-        """The payloads of a client in so many beacons, None for a beacon without one or no beacon."""
+        """The payloads of a client in the next ``count`` beacons, None for a beacon without one or no beacon."""
         found = []
         for _ in range(count):
             blocks = [octets for protocol, octets in self.tick() or () if protocol == prot_id]

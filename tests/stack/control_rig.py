@@ -38,7 +38,7 @@ class Rig:
         return Client(self, self.server.open())
 
     def settle(self) -> None:
-        """What a driver does after any input."""
+        """Handle effects as a driver does after any input."""
         effects = self.node.take_effects()
         self.sent += [each.octets for each in effects if isinstance(each, SendBeacon)]
         self.server.indicate(effects, now=self.now, wall=self.wall)
@@ -58,7 +58,7 @@ class Rig:
 
 
 class Client:
-    """Somebody who talks to the node."""
+    """A client of the control interface."""
 
     def __init__(self, rig: Rig, session: ControlSession) -> None:
         self.rig = rig
@@ -66,7 +66,7 @@ class Client:
         self.told: list[dict[str, Any]] = []
 
     def feed(self, data: bytes) -> list[Any]:
-        """What comes back for octets, as messages."""
+        """Feed octets and return the answers, as messages."""
         answers = self.session.feed(data, now=self.rig.now, wall=self.rig.wall)
         self.rig.settle()
         assert not answers or answers.endswith(b"\n")

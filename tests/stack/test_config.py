@@ -39,7 +39,7 @@ def test_every_profile_has_sizes(profile):
 
 @pytest.mark.parametrize("profile", profile_names())
 @pytest.mark.req("VD-PAY-06")
-def test_a_container_has_the_octets_that_fitting_counts_on(profile):
+def test_the_computed_size_of_a_container_is_right(profile):
     found, codec = config(profile), Codec(profile)
     delete = codec.profile.vardis.container_types.by_name()["DELETE-VARIABLES"]
     octets = codec.encode_containers((Container(delete, (VarDelete(1),)),))
@@ -62,7 +62,7 @@ def test_a_node_id_of_another_width_is_refused():
         NodeConfig(node_id=b"abc", codec=Codec("dcp-2.0"))
 
 
-def test_what_follows_from_a_configuration_is_found_out_once_and_anew_for_another():
+def test_derived_values_are_computed_once_per_configuration():
     asked: list[NodeConfig] = []
 
     def find(found: NodeConfig) -> int:
@@ -83,7 +83,7 @@ def test_what_follows_from_a_configuration_is_found_out_once_and_anew_for_anothe
     )
 
 
-def test_what_cannot_be_found_out_is_told_each_time():
+def test_errors_of_derived_values_are_raised_each_time():
     wrong = config("dcp-2.0", vardis=VardisConfig(max_repetitions=0))
     for _ in range(2):
         with pytest.raises(ValueError, match="VARDISPAR_MAX_REPETITIONS"):

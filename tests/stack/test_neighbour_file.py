@@ -23,7 +23,7 @@ from dcp_stack.srp.neighbour_table import NeighbourTable
 
 from ..waiting import PATIENCE
 
-#: What each reader has to see while the table is written: so often, and so many tables.
+#: Each reader has to read so often, and see so many different tables, while tables are written.
 READS, TABLES = 500, 50
 DOCS = Path(__file__).parents[2] / "docs" / "neighbour-file.md"
 OWN = bytes.fromhex("020000000001")
@@ -102,7 +102,7 @@ def test_before_the_first_table(path):
         assert (found.generation, found.entries, found.closed) == (0, (), False)
 
 
-def test_the_heartbeat_goes_on_without_new_tables(path):
+def test_the_heartbeat_continues_without_new_tables(path):
     codec = get_codec("dcp-2.0")
     with writer_for(path, codec) as writer, NeighbourFileReader(path) as reader:
         writer.publish(table_of(codec, []), now=10, wall=20)
@@ -132,7 +132,7 @@ def test_long_node_identifiers_are_counted(path):
     assert found.omitted == 1
 
 
-def test_the_file_is_there_while_the_writer_is(path):
+def test_the_file_exists_as_long_as_the_writer(path):
     old = os.umask(0o077)
     try:
         with writer_for(path, get_codec("dcp-2.0")):
@@ -230,7 +230,7 @@ def test_other_files_are_not_replaced(path):
         writer_for(path, get_codec("dcp-2.0"))
 
 
-def test_errors_say_what_to_do(path):
+def test_errors_give_a_remedy(path):
     with pytest.raises(NeighbourFileError, match=r"No such file.*is the node running"):
         NeighbourFileReader(path)
     path.touch()
@@ -334,7 +334,7 @@ def test_the_c_example_reads_the_same(compiled, path, name):
 
 
 @pytest.mark.tool("gcc")
-def test_the_c_example_tells_of_a_silent_writer(compiled, path):
+def test_the_c_example_reports_a_silent_writer(compiled, path):
     codec = get_codec("cpp-2.0")
     with writer_for(path, codec) as writer:
         writer.publish(table_of(codec, []), now=1, wall=1)
@@ -391,7 +391,7 @@ def test_no_snapshot_is_torn(compiled, path):
     readers = [context.Process(target=_read_at_full_speed, args=(str(path),), daemon=True) for _ in range(3)]
     for reader in readers:
         reader.start()
-    # All of them race until they have seen enough, however long the machine takes for it.
+    # All readers race until they have seen enough, however long that takes on this machine.
     done = subprocess.run([compiled / "torn", path, str(10 * READS), str(TABLES)], timeout=PATIENCE)
     for process in readers:
         process.join(PATIENCE)

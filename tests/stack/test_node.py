@@ -147,13 +147,13 @@ def test_reset_is_the_state_after_start():
 
 
 @pytest.mark.req("SRP-SHD-01", "VD-SHD-02")
-def test_shutdown_deregisters_everybody():
+def test_shutdown_deregisters_all_clients():
     pair = Pair()
     pair.nodes[0].shutdown(0, WALL)
     assert not pair.nodes[0].bp.list_registered().protocols
 
 
-def test_initial_safety_data_is_handed_down():
+def test_initial_safety_data_is_submitted():
     pair = Pair(srp=SRPConfig(safety_data={"x": 1.0, "y": 2.0, "z": 3.0}))
     pair.run(300)
     assert any(isinstance(e, NeighbourSeen) for e in pair.effects[1])
@@ -167,7 +167,7 @@ def test_a_node_without_clients_runs():
 
 
 def register(pair, prot_id):
-    """Somebody outside the node registers at its BP, and submits something."""
+    """Register a client outside the node at its BP, and submit a payload."""
     bp = pair.nodes[0].bp
     confirm = bp.register(prot_id, "another", 100, "BP_QMODE_ONCE", 1, False, now=pair.now, wall=pair.wall)
     assert confirm.status is BPStatus.OK
@@ -203,7 +203,7 @@ def test_the_numbers_of_srp_and_vardis_are_free_where_the_node_runs_without_them
 
 @pytest.mark.req("BP-RXP-03", "BP-DRG-04", "BP-REG-10")
 @pytest.mark.parametrize("prot_id", [1, 2])
-def test_who_registers_after_srp_or_vardis_was_deregistered_gets_what_is_for_the_number(prot_id):
+def test_a_client_that_takes_the_number_of_srp_or_vardis_gets_its_payloads(prot_id):
     pair = Pair()
     node = pair.nodes[0]
     # Both have something to say, all the time.
@@ -218,7 +218,7 @@ def test_who_registers_after_srp_or_vardis_was_deregistered_gets_what_is_for_the
         node.srp.update_safety_data({"x": 1, "y": 2, "z": 3}, now=pair.now, wall=pair.wall)
         pair.settle(0)
         pair.run(100)
-    # What the new client submitted is on the air, and nothing of the old one under its number.
+    # The payload of the new client is sent, and none of the old one under its number.
     sent = [
         block.data
         for e in pair.effects[0]
@@ -233,7 +233,7 @@ def test_who_registers_after_srp_or_vardis_was_deregistered_gets_what_is_for_the
 
 @pytest.mark.req("SRP-INI-04", "VD-INI-03")
 @pytest.mark.parametrize("prot_id", [1, 2])
-def test_srp_and_vardis_take_their_number_back_when_they_start_again(prot_id):
+def test_srp_and_vardis_regain_their_number_when_they_restart(prot_id):
     pair = Pair()
     node = pair.nodes[0]
     node.bp.deregister(prot_id)

@@ -45,7 +45,7 @@ def test_values_are_neutral_until_they_are_given(codec: Codec) -> None:
         ({"key": b"\1"}, "spec.key"),
     ],
 )
-def test_what_no_octets_can_hold_is_refused(codec: Codec, given: dict[str, int | bytes], message: str) -> None:
+def test_values_that_cannot_be_encoded_are_refused(codec: Codec, given: dict[str, int | bytes], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         OwnSpecFields(codec).replaced(codec.var_spec_type(1, bytes(6), 1, b"x", 1, 0), given)
 

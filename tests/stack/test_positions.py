@@ -88,7 +88,7 @@ def test_units_are_converted():
     assert fields.from_sample({"px": 150})["px"] == 150
 
 
-def test_degrees_are_no_place():
+def test_degrees_are_not_a_position():
     fields = SafetyFields(profile_with("geo", ("lat", "f64", "deg", "position.x"), ("lon", "f64", "deg", "position.y")))
     assert not fields.has_position
     assert fields.position(object()) is None
@@ -114,7 +114,7 @@ def test_values_that_do_not_fit_are_named(profile, sample, words):
 
 @pytest.mark.parametrize("profile", ["dcp-2.0", "sim-2.0", "student-2024"])
 @given(values=st.dictionaries(st.sampled_from(["x", "y", "z", "vx", "vz"]), st.floats() | st.integers()))
-def test_what_is_converted_can_be_encoded(profile, values):
+def test_converted_values_can_be_encoded(profile, values):
     codec = get_codec(profile)
     try:
         sample = SafetyFields(codec.profile).from_sample(values)
@@ -219,7 +219,7 @@ def test_a_track_is_sampled_at_its_rate():
     assert not source.finished
 
 
-def test_a_track_that_leaves_the_range_of_its_profile_says_so_once():
+def test_a_track_that_leaves_the_range_of_its_profile_is_reported_once():
     source = opened("track:line,course=90,speed=20000,rate=1", "student-2024")
     for second in range(5):
         source.poll(second * S, 0)
@@ -338,7 +338,7 @@ def test_a_recording_is_replayed():
     assert source.finished
 
 
-def test_a_recording_of_another_profile_is_carried_over():
+def test_a_recording_of_another_profile_is_converted():
     spec = f"capture:{CAPTURES}/a_bus3.mcap,node=02:00:00:00:00:02,profile=cpp-2.0"
     (theirs,) = opened(spec, "cpp-2.0").poll(0, 0)
     (ours,) = opened(spec, "sim-2.0").poll(0, 0)
@@ -376,7 +376,7 @@ def test_lines_become_samples(pipe):
     assert source.take_complaints() == []
 
 
-def test_bad_lines_are_counted_and_told_once_per_kind(pipe):
+def test_bad_lines_are_counted_and_reported_once_per_kind(pipe):
     reading, writing = pipe
     source = opened("stdin", stdin=reading)
     lines = [b"nonsense", b"[1,2]", b"\xff\xfe", b"[" * 5000, b"{}", b'{"q": 1}', b'{"x": "1"}', b'{"x": 1}']
@@ -559,7 +559,7 @@ def test_numbers_that_do_not_fit_are_counted(stream):
     assert source.counts["out-of-range"] == 1
 
 
-def test_silence_is_told_once(stream):
+def test_silence_is_reported_once(stream):
     source, vehicle = stream()
     assert source.poll_timeout() == 0
     source.poll(0, 0)
@@ -580,7 +580,7 @@ def test_a_tcp_connection_comes_back():
     port = own_port()
     source = opened(f"mavlink:tcp:127.0.0.1:{port}", "sim-2.0")
     end = time.monotonic() + PATIENCE
-    # Nobody listens yet.
+    # There is no listener yet.
     while source.fileno() >= 0 and time.monotonic() < end:
         source.poll(0, 0)
     assert source.counts["disconnected"] == 1
@@ -630,7 +630,7 @@ def test_a_serial_line_is_read():
         os.close(slave)
 
 
-def test_without_pymavlink_the_error_says_what_to_do(monkeypatch):
+def test_without_pymavlink_the_error_gives_a_remedy(monkeypatch):
     monkeypatch.setitem(sys.modules, "pymavlink", None)
     monkeypatch.setitem(sys.modules, "pymavlink.dialects.v20.common", None)
     with pytest.raises(SourceError, match=r"pip install 'dcp-conformance-kit\[mavlink\]'"):
@@ -759,14 +759,14 @@ def test_integers_beyond_all_floats_are_refused(profile):
         "track:line,length=1e-320,speed=1e200",
     ],
 )
-def test_tracks_where_the_numbers_end_say_so(spec):
+def test_tracks_at_the_end_of_the_number_range_are_reported(spec):
     source = opened(spec)
     assert [each for second in range(1, 5) for each in source.poll(second * S, 0)][1:] == []
     assert source.counts["out-of-range"] >= 3
     assert len(source.take_complaints()) == 1
 
 
-def test_a_place_that_the_autopilot_does_not_know_is_none(stream):
+def test_an_unknown_position_of_the_autopilot_is_not_used(stream):
     source, vehicle = stream()
     vehicle.mav.local_position_ned_send(1, float("nan"), 2.0, 3.0, 0.0, 0.0, 0.0)
     vehicle.mav.local_position_ned_send(1, 1.0, 2.0, 3.0, float("nan"), 0.0, 0.0)

@@ -102,7 +102,7 @@ class OneSlot:
         return Answer(self.query_status, number=int(self.slot is not None))
 
     def take(self) -> bytes | None:
-        """What goes into the next beacon."""
+        """Take the payload for the next beacon."""
         taken, self.slot = self.slot, None
         return taken
 
@@ -243,7 +243,7 @@ class Rig:
         self.now = end
 
     def sent(self) -> tuple[Container, ...]:
-        """The payload that VarDis composes now: at its next look at the empty buffer of BP."""
+        """The payload that VarDis composes now: at its next check of the empty buffer of BP."""
         self.bp.take()
         self.wait(self.vardis.parameters()["VARDISPAR_BUFFER_CHECK_PERIOD"])
         payload = self.bp.take()
@@ -275,11 +275,11 @@ class Rig:
         return [effect.reason for effect in self.effects if isinstance(effect, Dropped)]
 
     def changes(self) -> list[tuple[str, int]]:
-        """What happened to which variable so far."""
+        """Events of variables so far."""
         return [(effect.event, effect.var_id) for effect in self.effects if isinstance(effect, VariableChanged)]
 
     def count(self, kind: type, var_id: int = 7, payloads: int = 20) -> int:
-        """In how many of the next payloads a record of this type for a variable is; never twice in one."""
+        """Number of the next payloads with a record of this type for a variable; never twice in one."""
         found = 0
         for _ in range(payloads):
             ids = [

@@ -60,7 +60,7 @@ def test_a_boundary_value_is_used_once():
         parts.identifiers.boundary_id("highest")
 
 
-def test_when_none_is_left_the_message_names_the_remedies():
+def test_exhausted_identifiers_are_reported_with_remedies():
     parts = Parts()
     parts.run.identifier_pool = IdentifierPool(10, 13, leave=False, timed=True)
     with pytest.raises(NamesUsedUp):
@@ -76,7 +76,7 @@ def test_identifiers_outside_the_range_of_the_tester_are_the_applications():
     assert not parts.identifiers.is_applications(15)
 
 
-def test_a_deleted_variable_has_left_after_its_repetitions():
+def test_a_deleted_variable_is_gone_after_its_repetitions():
     parts = Parts()
     parts.run.parameters["VARDISPAR_MAX_REPETITIONS"] = 2
     parts.link.time = 1000

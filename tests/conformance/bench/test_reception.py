@@ -31,7 +31,7 @@ def test_a_mark_comes_after_frames_that_have_arrived():
     assert parts.link.time == 0
 
 
-def test_a_wait_for_a_frame_ends_with_it_and_the_time_until_then_is_no_lateness():
+def test_a_wait_ends_with_its_frame_and_does_not_count_as_lateness():
     parts = Parts()
     parts.sends(VarSumm(1, 1))
     parts.sends(VarReqCreate(7))

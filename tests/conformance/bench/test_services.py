@@ -25,7 +25,7 @@ def test_without_an_upper_tester_a_call_is_an_error():
         Parts().services.call("RTDB-Read", varId=1)
 
 
-def test_a_call_is_recorded_and_its_duration_is_no_lateness():
+def test_a_call_is_recorded_and_its_duration_does_not_count_as_lateness():
     parts, upper = parts_with()
 
     def slow() -> None:
@@ -55,7 +55,7 @@ def test_a_creation_that_may_have_succeeded_makes_the_variable_known(answer: Ans
     assert parts.identifiers.produced == ({15} if known else set())
 
 
-def test_after_a_reset_the_run_forgets():
+def test_a_reset_clears_the_knowledge_of_the_run():
     parts, _ = parts_with(UT_Reset=Answer("UT-STATUS-OK"))
     parts.services.call("UT-Reset")
     assert parts.run.log[-1] == "forget"
@@ -70,7 +70,7 @@ def test_a_wrong_status_fails_and_is_proved():
     assert second.requirements == ("BP-CLR-02",)
 
 
-def test_an_upper_tester_that_could_not_ask_decides_nothing():
+def test_a_call_that_the_upper_tester_cannot_make_decides_nothing():
     parts, _ = parts_with(BP_ClearBuffer=Answer(code=-32000, message="the socket is closed"))
     with pytest.raises(StopCase):
         parts.services.expect_status("BP-STATUS-OK", "BP-ClearBuffer")
@@ -112,7 +112,7 @@ def test_changes_are_undone_in_reverse_order():
     assert (restoration.failure, restoration.restore_failure, held) == ("", "", set())
 
 
-def test_a_registration_that_remains_is_held_and_spoils_nothing():
+def test_a_remaining_registration_does_not_affect_later_cases():
     parts, _ = parts_with(BP_RegisterProtocol=OK, BP_DeregisterProtocol=REFUSED)
     held: set[int] = set()
     parts.services.call("BP-RegisterProtocol", protId=0x7000)
@@ -122,7 +122,7 @@ def test_a_registration_that_remains_is_held_and_spoils_nothing():
     assert (restoration.restore_failure, held) == ("", {0x7000})
 
 
-def test_a_parameter_that_remains_spoils_later_cases():
+def test_a_remaining_parameter_change_affects_later_cases():
     parts, upper = parts_with(BP_SetParameter=OK)
     parts.run.parameters["BPPAR_BEACON_PERIOD"] = 100
     parts.services.call("BP-SetParameter", name="BPPAR_BEACON_PERIOD", value=50)

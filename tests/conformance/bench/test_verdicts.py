@@ -19,7 +19,7 @@ def test_without_checks_the_verdict_is_inconclusive_and_the_worst_check_decides(
     assert verdicts.check(1, "one is true")
     assert verdicts.verdict() is Verdict.PASS
     verdicts.info("a question?", "an answer")
-    assert not verdicts.check((), "an empty list is true", "it is not")
+    assert not verdicts.check((), "an empty list is true", "the list is false")
     assert verdicts.verdict() is Verdict.FAIL
     assert not verdicts.all_hold()
 
@@ -41,7 +41,7 @@ def test_require_and_fail_stop_the_case():
     verdicts = Parts().verdicts
     verdicts.require(True, "holds")
     with pytest.raises(StopCase):
-        verdicts.require(False, "holds", "it does not")
+        verdicts.require(False, "holds", "fails")
     with pytest.raises(StopCase):
         verdicts.fail("something", "nothing")
     assert [each.verdict for each in verdicts.checks] == [Verdict.PASS, Verdict.FAIL, Verdict.FAIL]
@@ -55,7 +55,7 @@ def test_an_inconclusive_case_names_its_assumptions():
     assert parts.verdicts.checks[0].observed == "nothing; X is assumed (pixit.x)"
 
 
-def test_a_case_without_identifiers_stops_in_its_own_way():
+def test_a_case_without_identifiers_stops_with_a_distinct_exception():
     parts = Parts()
     with pytest.raises(NamesUsedUp):
         parts.verdicts.used_up("an identifier", "none left")
@@ -91,7 +91,7 @@ def test_faults_of_the_tester_alone_are_worth_another_execution():
     assert parts.verdicts.disturbed == "it acted late by 200 ms"
 
 
-def test_an_assumption_beside_them_is_not():
+def test_assumptions_are_not_worth_another_execution():
     parts = Parts()
     parts.steps.late_ns = 2 * PERIOD
     parts.assumptions.stimuli["X"] = "X is assumed"

@@ -43,7 +43,7 @@ A, B, C = 1, 2, 3
 
 @dataclass
 class Outcome:
-    """What a script expects of its wrong version."""
+    """The findings that a script expects of its wrong version."""
 
     requirements: tuple[str, ...]
     frames: tuple[int, ...] = ()
@@ -247,7 +247,7 @@ def containers_of_one_type(air: Script, wrong: bool) -> Outcome:
     create, summary, update = air.create(1, A), VarSumm(1, 0), VarUpdate(2, 3, b"x")
     records = (update, summary) if not wrong else (create, update, summary, VarReqCreate(9), VarReqUpdate(9, 1))
     if wrong:
-        # Two containers UPDATES, with something between them that may stand there.
+        # Two containers UPDATES, with a permitted one between them.
         number = air.say(A, update, summary, patch=_with_container_twice)
         return Outcome(("VD-IC-04",), (number,), also=("CK_VD_PAYLOAD", "CK_VD_RECORDS"))
     number = air.say(A, *records)
@@ -255,7 +255,7 @@ def containers_of_one_type(air: Script, wrong: bool) -> Outcome:
 
 
 def _with_container_twice(octets: bytes) -> bytes:
-    """The first container (UPDATES of one variable with one octet) once more behind itself, in the layout of 1.0."""
+    """Repeat the first container (UPDATES of one variable with one octet) after itself, in the layout of 1.0."""
     header, payload = octets[:14], octets[14:]
     first = payload[4 : 4 + 2 + 4]
     containers = first + payload[4:]
@@ -284,8 +284,8 @@ def variables_forwards(air: Script, wrong: bool) -> Outcome:
 
 
 @script("CK_VD_SEQNO", variant="silent")
-def variables_forwards_behind_a_node_that_falls_silent(air: Script, wrong: bool) -> Outcome:
-    # What this one says cannot be judged any more, and must not keep others from being judged.
+def forwarded_variables_after_another_node_falls_silent(air: Script, wrong: bool) -> Outcome:
+    # The number of this node cannot be judged any more, but those of other nodes are.
     air.say(A, VarSumm(2, 250))
     air.say(A, VarSumm(2, 249))
     first = air.say(B, VarSumm(1, 250))
@@ -412,7 +412,7 @@ def hears_whom(air: Script, wrong: bool) -> Outcome:
     if not wrong:
         _dialogue(air, False, lambda n: (VarSumm(100, n),), lambda n: (VarSumm(100, n),))
         return Outcome(())
-    # Nobody reacts to anybody: it is observed that nothing can be told.
+    # No node reacts: the rule observes that it cannot decide.
     air.idle(20)
     return Outcome(("UWB-01",), verdict=Verdict.INFO)
 
@@ -547,7 +547,7 @@ def summaries_without_a_value(air: Script, wrong: bool) -> Outcome:
 
 
 @script("CK_VD_BACKED", variant="nobody")
-def a_variable_that_nobody_created(air: Script, wrong: bool) -> Outcome:
+def a_variable_that_was_never_created(air: Script, wrong: bool) -> Outcome:
     air.idle(15, (VarSumm(7, 0),), nodes=(A,))
     new = [] if wrong else [air.create(8, A)]
     first = air.say(A, *new, VarSumm(7, 0), VarSumm(8, 0))
@@ -583,12 +583,12 @@ def falls_silent(air: Script, wrong: bool) -> Outcome:
 
 
 class TestEveryInvariant:
-    def test_there_are_recordings_for_each(self):
+    def test_each_invariant_has_recordings(self):
         assert {each.partition("-")[0] for each in SCRIPTS} == {rule.id for rule in RULES}
         assert len({rule.id for rule in RULES}) == len(RULES)
 
     @pytest.mark.parametrize("name", SCRIPTS)
-    def test_what_keeps_it_passes(self, name: str):
+    def test_a_recording_that_keeps_the_invariant_passes(self, name: str):
         profile, write = SCRIPTS[name]
         air = Script(profile)
         outcome = write(air, False)
@@ -599,7 +599,7 @@ class TestEveryInvariant:
         assert not [check for check in case.checks if check.verdict is Verdict.INFO and check.frames]
 
     @pytest.mark.parametrize("name", SCRIPTS)
-    def test_what_breaks_it_fails_with_requirement_and_frames(self, name: str):
+    def test_a_recording_that_violates_the_invariant_fails_with_requirement_and_frames(self, name: str):
         profile, write = SCRIPTS[name]
         air = Script(profile)
         outcome = write(air, True)
@@ -611,7 +611,7 @@ class TestEveryInvariant:
         named = {mark.frame for check in found for mark in check.frames}
         assert named >= set(outcome.frames)
         others = {case.id for case in run.cases if case.verdict in (Verdict.FAIL, Verdict.ERROR)} - {rule}
-        # What the profile of a script declares fails as in a run.
+        # Requirements that the profile of a script declares as violated fail as in a run.
         assert others - {DECLARED} <= set(outcome.also), findings(run)
         if outcome.verdict is Verdict.FAIL:
             assert all(run.requirements[each] is Verdict.FAIL for each in outcome.requirements)
@@ -619,7 +619,7 @@ class TestEveryInvariant:
             assert named <= kept
 
     @pytest.mark.parametrize("rule", RULES, ids=lambda rule: rule.id)
-    def test_its_requirements_are_in_the_catalogue(self, rule):
+    def test_requirements_of_each_invariant_are_in_the_catalogue(self, rule):
         assert rule.requirements
         assert not set(rule.requirements) - set(requirements())
 
@@ -654,7 +654,7 @@ class TestNetworksThatFollowTheSpecification:
             assert findings(judged(thinned(frames, share, seed), profile)) == []
 
     @pytest.mark.parametrize(("profile", "seed", "count"), [("dcp-2.0", 101, 3), ("dcp-1.3", 103, 5)])
-    def test_seeds_that_once_deceived(self, profile: str, seed: int, count: int):
+    def test_seeds_that_once_caused_false_findings(self, profile: str, seed: int, count: int):
         assert findings(judged(simulated(profile, count, seed=seed, restarts=True), profile)) == []
 
     @pytest.mark.parametrize("period", [20, 100, 1000])
@@ -667,8 +667,8 @@ class TestNetworksThatFollowTheSpecification:
         run, _ = judge_recording(path, "dcp-2.0", Pics())
         assert findings(run) == []
 
-    def test_each_rule_about_networks_had_its_occasions(self):
-        """What passes because nothing was looked at would prove nothing."""
+    def test_each_rule_about_networks_was_exercised(self):
+        """A rule that passes without having checked anything would prove nothing."""
         exercised: set[str] = set()
         for profile, loss in (("dcp-2.0", 0.0), ("dcp-2.0", 0.3), ("dcp-1.3", 0.3)):
             for busy in (0.5, 3):
@@ -678,7 +678,7 @@ class TestNetworksThatFollowTheSpecification:
                 exercised |= {case.id for case in run.cases if case.verdict is Verdict.PASS}
         assert {rule.id for rule in RULES} - exercised == set()
 
-    def test_numbers_that_wrap_are_no_fault(self):
+    def test_sequence_numbers_that_wrap_are_not_a_fault(self):
         air = Script()
         air.seqno = {A: 2**32 - 5, B: 2**32 - 9}
         for number in range(600):
@@ -706,7 +706,7 @@ class TestNetworksThatFollowTheSpecification:
         assert findings(run) == []
         assert "50 frames are truncated in the recording and were not judged" in run.notes
 
-    def test_a_period_that_nobody_stated_is_reported_and_not_judged(self):
+    def test_a_period_that_is_not_stated_is_reported_and_not_judged(self):
         frames = simulated("dcp-2.0", 3)
         run = judged(frames, "dcp-2.0")
         assert case_of(run, "CK_BP_PERIOD").verdict is Verdict.INFO
@@ -714,7 +714,7 @@ class TestNetworksThatFollowTheSpecification:
         assert case_of(stated, "CK_BP_PERIOD").verdict is Verdict.FAIL
 
     @pytest.mark.parametrize("seconds", [-3600, 3600])
-    def test_a_clock_that_is_set_while_recording_is_nobodys_fault(self, seconds: int):
+    def test_a_clock_that_is_set_while_recording_is_not_a_fault(self, seconds: int):
         frames = simulated("dcp-2.0", 3)
         half = len(frames) // 2
         frames[half:] = [
@@ -727,7 +727,7 @@ class TestNetworksThatFollowTheSpecification:
         assert len(means) == 3
         assert all(90 < mean < 110 for mean in means)
 
-    def test_many_observations_do_not_crowd_out_a_fault(self):
+    def test_many_observations_do_not_hide_a_fault(self):
         air = Script()
         for each in range(60):
             number = each // 2
@@ -760,7 +760,7 @@ BLAMED = {
 
 class TestCaptures:
     @pytest.mark.parametrize("name", GOLDENS)
-    def test_what_is_found_is_true(self, name: str):
+    def test_findings_in_the_captures_are_true(self, name: str):
         run, codec = judge_recording(CAPTURES / f"{name}.mcap", None, Pics())
         failed = {case.id: case for case in run.cases if case.verdict is Verdict.FAIL}
         assert {
@@ -775,7 +775,7 @@ class TestCaptures:
                 check.observed.startswith(node) for check in failed[rule].checks if check.verdict is Verdict.FAIL
             )
 
-    def test_padding_of_zeros_is_told_from_addresses(self):
+    def test_padding_of_zeros_is_distinguished_from_addresses(self):
         air = Script("cpp-2.0")
         packing(air, wrong=True)
         run = judged(air.frames, air.profile, Pics())
@@ -786,13 +786,13 @@ class TestCaptures:
         assert "virtual table pointer (0x" in found
         assert "virtual table pointer (zero)" not in found
 
-    def test_hazards_of_the_design_are_observed_and_nobodys_fault(self):
+    def test_hazards_of_the_design_are_observed_and_not_faults(self):
         run, _ = judge_recording(CAPTURES / "a_bus3_v1.3.6.mcap", None, Pics())
         seen = [check for check in case_of(run, "CK_VD_REQUEST").checks if check.verdict is Verdict.INFO]
         assert {each for check in seen for each in ("H1", "H2") if each in check.expected} == {"H1", "H2"}
         assert case_of(run, "CK_VD_REQUEST").verdict is Verdict.PASS
 
-    def test_the_frames_that_are_named_are_kept_with_their_octets_marked(self):
+    def test_frames_of_findings_are_kept_with_their_octets_marked(self):
         run, _ = judge_recording(CAPTURES / "c_latejoin.mcap", None, Pics())
         case = case_of(run, "CK_VD_TAKES_UPDATE")
         check = next(check for check in case.checks if check.verdict is Verdict.FAIL)
@@ -804,7 +804,7 @@ class TestCaptures:
         assert octets[mark.offset] == 1
         assert mark.length == 3 + octets[mark.offset + 2]
 
-    def test_what_cannot_be_read_says_so(self, tmp_path: Path):
+    def test_an_unreadable_file_is_reported(self, tmp_path: Path):
         with pytest.raises(UsageError, match="no-such"):
             judge_recording(tmp_path / "no-such.mcap", None, Pics())
         text = tmp_path / "text.pcap"
@@ -818,7 +818,7 @@ class TestCaptures:
         with pytest.raises(UsageError, match="is not an EtherType"):
             judge_recording(CAPTURES / "b_crud.mcap", None, Pics(), ether_type="x")
 
-    def test_what_holds_no_beacon_says_so(self, tmp_path: Path):
+    def test_a_file_without_beacons_is_reported(self, tmp_path: Path):
         with pytest.raises(UsageError, match="the recording has no frames"):
             judge_recording(recorded(tmp_path / "none.pcap", []), None, Pics())
         other = [b"\xff" * 12 + b"\x08\x06" + bytes(46)]
@@ -827,7 +827,7 @@ class TestCaptures:
         with pytest.raises(UsageError, match="with 0x9999; dcp-codec stats"):
             judge_recording(recorded(tmp_path / "other.pcap", other), None, Pics(), ether_type="0x9999")
 
-    def test_a_profile_that_is_in_doubt_is_said(self, tmp_path: Path):
+    def test_an_uncertain_profile_is_reported(self, tmp_path: Path):
         frames: list[bytes] = []
         for name in ("a_bus3", "a_bus3_v1.3.6"):
             with open_capture(CAPTURES / f"{name}.mcap") as reader:
@@ -864,7 +864,7 @@ def framed(octets: list[bytes]) -> list[Frame]:
 
 
 @pytest.mark.parametrize("profile", ["dcp-2.0", "dcp-1.0", "cpp-2.0"])
-def test_nothing_that_is_recorded_raises(profile: str):
+def test_no_recording_raises_an_exception(profile: str):
     codec = codec_of(profile)
     valid = beacons(codec).map(codec.encode)
 

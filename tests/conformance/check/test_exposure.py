@@ -1,4 +1,4 @@
-"""Who hears whom where causes are repeated: a summary has several chances to be heard, a create has one."""
+"""Link quality where causes are repeated: a summary has several chances to be received, a create has one."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def outcomes(exposure, share: dict[int, float], trials: int, seed: int = 1) -> d
 
 @pytest.mark.parametrize("share", [0.3, 0.5, 0.8])
 @pytest.mark.parametrize("beacons", [1, 2, 4])
-def test_the_share_is_that_of_single_beacons_however_often_a_cause_is_repeated(share: float, beacons: int) -> None:
+def test_the_share_is_per_beacon_however_often_a_cause_is_repeated(share: float, beacons: int) -> None:
     seen = outcomes(((A, beacons),), {A: share}, 4000)
     found, trials, due = infer(seen)[A]
     assert found == pytest.approx(share, abs=0.08)
@@ -32,14 +32,14 @@ def test_the_share_is_that_of_single_beacons_however_often_a_cause_is_repeated(s
     assert bound < share
 
 
-def test_of_reactions_to_repeated_causes_alone_it_is_not_known_how_well_a_link_works() -> None:
+def test_reactions_to_repeated_causes_do_not_show_how_well_a_link_works() -> None:
     """With five beacons in each trial, half of them lost, nearly every trial is met."""
     seen = {((A, 5),): (0, 57)}
     assert lower_bound(A, seen, {A: 1.0}, 1.0) < 0.65
     assert lower_bound(A, {((A, 1),): (0, 57)}, {A: 1.0}, 1.0) > 0.98
 
 
-def test_beacons_of_others_explain_what_they_explain() -> None:
+def test_beacons_of_other_nodes_explain_only_some_reactions() -> None:
     seen = {((A, 1),): (10, 90), ((A, 3), (B, 1)): (0, 50), ((B, 1),): (40, 0)}
     found = infer(seen)
     assert found[A][0] == pytest.approx(0.9, abs=0.02)
@@ -48,7 +48,7 @@ def test_beacons_of_others_explain_what_they_explain() -> None:
     assert hits_alone(B, seen) == 0
 
 
-#: Stations that send rarely, or with long gaps, beside ones that send often: between two of their beacons much is said.
+#: Stations that send rarely, or with long gaps, beside ones that send often between two of their beacons.
 @pytest.mark.parametrize(
     ("a", "b", "test", "seed"),
     [

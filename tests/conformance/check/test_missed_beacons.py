@@ -39,7 +39,7 @@ def line(*, missed: bool) -> Script:
 
 
 @pytest.mark.parametrize("missed", [True, False])
-def test_a_reaction_proves_no_link_if_a_missed_beacon_may_be_its_cause(missed: bool) -> None:
+def test_a_reaction_that_a_missed_beacon_may_have_caused_does_not_prove_a_link(missed: bool) -> None:
     run = judged(line(missed=missed).frames, "dcp-2.0")
     found = [each for each in findings(run) if "VD_ANSWER_CREATE" in each]
     assert bool(found) is not missed, found

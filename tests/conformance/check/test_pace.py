@@ -34,7 +34,7 @@ def flights() -> ModuleType:
 
 
 def calls_of(judge: Judge, frames: list[Frame]) -> int:
-    """How many functions are called to judge these frames."""
+    """Number of function calls for judging these frames."""
     count = 0
 
     def called(_frame: FrameType, event: str, _arg: Any) -> None:
@@ -51,7 +51,7 @@ def calls_of(judge: Judge, frames: list[Frame]) -> int:
 
 
 @pytest.mark.parametrize("kind", ["Flight", "Attack"])
-def test_later_beacons_cost_what_earlier_ones_do(flights, kind):
+def test_later_beacons_cost_as_much_as_earlier_ones(flights, kind):
     codec = get_codec("dcp-2.0")
     frames = list(getattr(flights, kind)(codec, 8, 12).frames(6 * CHUNK))
     judge = Judge(codec, Pics(), period_known=False)
@@ -72,7 +72,7 @@ def test_twice_the_nodes_do_not_cost_four_times_as_much(flights):
     assert found[1] < 3 * found[0]
 
 
-def test_a_made_up_flight_breaks_nothing(flights):
+def test_a_synthetic_flight_violates_nothing(flights):
     """The recordings that benchmarks are made with are those of nodes that follow the specification."""
     codec = get_codec("dcp-2.0")
     judge = Judge(codec, Pics(), period_known=False)
@@ -98,7 +98,7 @@ def test_memory_does_not_grow_with_the_recording(flights):
     assert kept / 2_000 < 2_000
 
 
-def test_a_flood_of_forged_records_opens_no_more_occasions_than_are_followed(flights):
+def test_a_flood_of_forged_records_does_not_exceed_the_limit_of_open_occasions(flights):
     codec = get_codec("dcp-2.0")
     judge = Judge(codec, Pics(), period_known=False)
     observer = reception_of(judge._context).observer

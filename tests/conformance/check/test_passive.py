@@ -43,14 +43,14 @@ class Ear:
     def __init__(self, profile: str = "dcp-2.0", pics: Pics | None = None, *, overload: str = "") -> None:
         self.air = Script(profile)
         self.parameters: dict[str, int] = {}
-        """What the implementation has told of its own."""
+        """Parameters that the implementation has reported."""
         self.air.step = 100 * MS
         self.tester = PassiveTester(self.air.codec, pics or Pics(), self.parameters, lambda: overload)
         self.tester.begin(-1, self)
         self._heard = 0
 
     def listen(self, case: str = "TC_BP_HDR_BV_01") -> None:
-        """Hear what was said since the last time."""
+        """Receive the frames that were sent since the last call."""
         for frame in self.air.frames[self._heard :]:
             heard = ReceivedBeacon(
                 self.air.codec, frame.number, frame.time_ns, frame.time_ns, frame.data[14:], frame.data[6:12]
@@ -59,7 +59,7 @@ class Ear:
         self._heard = len(self.air.frames)
 
     def failed(self) -> dict[str, CaseResult]:
-        """What does not hold, by rule."""
+        """Violated invariants, by rule."""
         self.listen()
         results = self.tester.results("dcp-conformance run --in-process")
         return {each.id: each for each in results if each.verdict not in (Verdict.PASS, Verdict.NOT_APPLICABLE)}
@@ -71,7 +71,7 @@ def named(result: CaseResult) -> set[str]:
 
 
 def after(cases: Iterable[Case], profile: str = "dcp-2.0", mutant: str = "") -> dict[str, CaseResult]:
-    """What the invariants find while these cases are run against our node, or a mutant."""
+    """Results of the invariants after running these cases against our node, or a mutant."""
     codec = codec_of(profile)
     options = {"make": all_mutants()[mutant].make} if mutant else {}
     sut = InProcess(reference_config(codec), **options)
@@ -97,7 +97,7 @@ def test_our_node_has_no_finding(profile: str):
     assert not after(cases if profile == "dcp-2.0" else cases[::7], profile)
 
 
-def test_payloads_that_the_tester_hands_down_are_its_own():
+def test_payloads_submitted_by_the_tester_are_not_judged():
     def run(bench: Bench) -> None:
         bench.call("BP-DeregisterProtocol", protId=2)
         with BPClient(bench, ONCE, prot_id=2) as client:
@@ -108,7 +108,7 @@ def test_payloads_that_the_tester_hands_down_are_its_own():
     assert not after([a_case(run)])
 
 
-def test_what_is_set_by_the_tester_is_no_change_of_the_implementation():
+def test_changes_by_the_tester_are_not_changes_by_the_implementation():
     def run(bench: Bench) -> None:
         for number in range(6):
             bench.must("BP-SetParameter", name="BPPAR_NETWORK_ID", value=0x2000 + number)
@@ -124,7 +124,7 @@ def a_case(run: Callable[[Bench], None]) -> Case:
     )  # fmt: skip
 
 
-def test_a_reset_after_255_beacons_is_no_narrow_counter():
+def test_a_reset_after_255_beacons_is_not_a_narrow_counter():
     def run(bench: Bench) -> None:
         for _ in range(3):
             while not (bench.heard and bench.heard[-1].seqno == 255):
@@ -137,7 +137,7 @@ def test_a_reset_after_255_beacons_is_no_narrow_counter():
     assert not after([a_case(run)])
 
 
-def test_a_restart_after_255_beacons_is_no_narrow_counter():
+def test_a_restart_after_255_beacons_is_not_a_narrow_counter():
     def run(bench: Bench) -> None:
         while not (bench.heard and bench.heard[-1].seqno == 255):
             bench.probes.probe()
@@ -152,7 +152,7 @@ def test_frames_from_before_a_reset_are_not_judged():
     for number in range(250, 256):
         ear.air.say(SUT, VarSumm(1, 0), seqno=number)
     ear.listen()
-    # They wait to be read while the implementation is reset.
+    # These frames wait in the queue while the implementation is reset.
     ear.air.say(SUT, VarSumm(1, 0), seqno=256)
     ear.tester.interrupted(ear.air.frames[-1].time_ns)
     ear.air.say(SUT, VarSumm(1, 0), seqno=0)
@@ -181,7 +181,7 @@ def _arrival(bench: Bench, octets: bytes) -> object:
     return Arrival(bench.now(), bench.lower.wall(), octets, frame, b"\x02" * 6)
 
 
-def test_whatever_comes_it_keeps_little():
+def test_evidence_of_repeated_findings_is_bounded():
     ear = Ear()
     for number in range(3000):
         ear.air.say(SUT, VarSumm(1, number % 256), patch=lambda octets: octets[:1] + b"\0\0" + octets[3:])
@@ -264,7 +264,7 @@ def test_a_period_that_is_not_the_stated_one():
 
 
 @pytest.mark.parametrize(("stated", "verdict"), [(90.0, Verdict.INCONCLUSIVE), (150.0, Verdict.FAIL)])
-def test_an_overloaded_machine_lengthens_periods_and_shortens_none(stated: float, verdict: Verdict):
+def test_overload_excuses_long_periods_but_not_short_ones(stated: float, verdict: Verdict):
     ear = Ear(pics=Pics(pixit=Testing(beacon_period_ms=stated)), overload="the machine was overloaded")
     for number in range(200):
         ear.air.say(SUT, VarSumm(1, number % 256))
@@ -284,7 +284,7 @@ def test_a_finding_about_all_beacons_is_repeated_by_the_cases_in_which_most_of_t
     assert found.rerun == "dcp-conformance run --in-process TC_B TC_C TC_D"
 
 
-def test_frames_of_a_case_that_was_executed_twice_are_told_apart():
+def test_frames_of_two_executions_of_a_case_are_distinguished():
     ear = Ear()
     for _ in range(2):
         ear.tester.begin(ear.air.time, ear, "TC_F")
@@ -303,7 +303,7 @@ def test_a_case_that_needs_an_option_is_repeated_with_it():
     assert found.rerun == "dcp-conformance run --artefacts 'my finds' TC_F"
 
 
-def test_what_the_implementation_tells_of_itself_counts_more_than_what_is_assumed():
+def test_reported_parameters_take_precedence_over_assumed_ones():
     for told, wrong in ((100, False), (120, True)):
         ear = Ear(pics=Pics(pixit=Testing(beacon_period_ms=150.0)))
         ear.parameters["BPPAR_BEACON_PERIOD"] = told
@@ -313,7 +313,7 @@ def test_what_the_implementation_tells_of_itself_counts_more_than_what_is_assume
 
 
 @pytest.mark.parametrize(("told", "wrong"), [(8, False), (7, True)])
-def test_more_summaries_than_the_implementation_tells(told: int, wrong: bool):
+def test_more_summaries_than_the_reported_maximum(told: int, wrong: bool):
     ear = Ear()
     ear.parameters["VARDISPAR_MAX_SUMMARIES"] = told
     ear.air.say(SUT, *(VarSumm(number, 0) for number in range(8)))
@@ -323,7 +323,7 @@ def test_more_summaries_than_the_implementation_tells(told: int, wrong: bool):
 
 
 @pytest.mark.parametrize(("told", "wrong"), [(44, False), (43, False), (26, False), (25, True)])
-def test_beacons_that_are_longer_than_the_implementation_tells(told: int, wrong: bool):
+def test_beacons_longer_than_the_reported_maximum(told: int, wrong: bool):
     ear = Ear()
     ear.parameters["BPPAR_MAXIMUM_PACKET_SIZE"] = told
     ear.air.say(SUT, *(VarSumm(number, 0) for number in range(10)))
@@ -332,7 +332,7 @@ def test_beacons_that_are_longer_than_the_implementation_tells(told: int, wrong:
     assert ("CK_BP_SIZE" in ear.failed()) is wrong
 
 
-def test_jitter_that_begins_again_is_reported_and_no_failure():
+def test_repeating_jitter_is_reported_but_is_not_a_failure():
     ear = Ear()
     for _ in range(2):
         ear.tester.interrupted(ear.air.frames[-1].time_ns if ear.air.frames else -1)
@@ -346,7 +346,7 @@ def test_jitter_that_begins_again_is_reported_and_no_failure():
     assert set(found) == {"CK_BP_JITTER"}
 
 
-def test_intervals_of_a_coarse_clock_that_repeat_by_chance_are_no_jitter_that_begins_again():
+def test_intervals_of_a_coarse_clock_that_repeat_by_chance_are_not_repeating_jitter():
     ear = Ear()
     for _ in range(2):
         ear.tester.interrupted(ear.air.frames[-1].time_ns if ear.air.frames else -1)
@@ -357,7 +357,7 @@ def test_intervals_of_a_coarse_clock_that_repeat_by_chance_are_no_jitter_that_be
     assert "CK_BP_JITTER" not in ear.failed()
 
 
-def test_a_finding_says_where_it_was_heard():
+def test_a_finding_names_the_case_in_which_its_frame_was_received():
     found = after(some("TC_VD_CRE_BV_01", "TC_VD_CRE_BV_02"), mutant="M-BP-HDR-07-one-more")["CK_BP_FORMAT"]
     assert ": bp.numPayloads" in found.reason
     assert "frame 1 of TC_VD_CRE_BV_01" in found.reason
@@ -383,7 +383,7 @@ def a_finding(**more: object) -> CaseResult:
 
 
 class TestRun:
-    def test_each_invariant_has_a_result_and_is_no_case(self):
+    def test_each_invariant_has_a_result_without_being_a_case(self):
         run = a_run("TC_VD_CRE_BV_01")
         run.execute()
         result = run.result()
@@ -392,7 +392,7 @@ class TestRun:
         assert {each.section for each in result.cases} & {passive.SECTION} == set()
         assert run.exit_status() == 0
 
-    def test_what_is_found_is_among_the_cases(self):
+    def test_findings_are_among_the_cases(self):
         run = a_run("TC_VD_CRE_BV_01")
         run.execute()
         before = run.result()
@@ -406,7 +406,7 @@ class TestRun:
         (change,) = compare(result, before)
         assert (change.id, change.kind) == ("CK_BP_FORMAT", "fixed")
 
-    def test_what_holds_decides_no_requirement(self):
+    def test_an_invariant_that_holds_decides_no_requirement(self):
         run = a_run("TC_BP_MGT_BV_01")
         run.execute()
         assert "UWB-01" not in run.result().requirements
@@ -420,7 +420,7 @@ class TestRun:
         assert run.result().summary["conformance"]["fail"] == 1
         assert any("CK_BP_FORMAT" in each for each in run.complaints())
 
-    def test_it_can_be_expected(self, tmp_path: Path):
+    def test_a_finding_can_be_expected(self, tmp_path: Path):
         expected = tmp_path / "expected.toml"
         expected.write_text('[[expected]]\ncase = "CK_BP_FORMAT"\nreason = "known"\n')
         run = a_run("TC_VD_CRE_BV_01", expected=expected)
@@ -430,7 +430,7 @@ class TestRun:
         run.take_passive([a_finding()])
         assert run.exit_status() == 0
 
-    def test_it_can_be_excluded(self):
+    def test_an_invariant_can_be_excluded(self):
         run = ConformanceRun(
             TargetOptions(in_process=True), Selection(patterns=("TC_VD_CRE_BV_01",), exclude=("CK_BP_*",))
         )
@@ -440,7 +440,7 @@ class TestRun:
         assert not [each.id for each in (*result.cases, *result.invariants) if each.id.startswith("CK_BP_")]
         assert run.exit_status() == 0
 
-    def test_lanes_are_joined(self):
+    def test_results_of_lanes_are_joined(self):
         run = a_run("TC_VD_CRE_BV_01")
         ends = [WorkerEnd(None, (), "", usage=False, passive=(a_finding(),)) for _ in range(3)]
         run.close_workers(ends, 3, [])
@@ -449,7 +449,7 @@ class TestRun:
         frames = [mark.frame for each in found.checks for mark in each.frames]
         assert frames == list(range(1, len(found.evidence) + 1))
 
-    def test_what_fails_in_one_lane_only_fails(self):
+    def test_a_finding_in_one_lane_fails(self):
         holds = PassiveTester(codec_of("dcp-2.0"), Pics(), {}).results("x")
         found = joined([*holds, a_finding(), *holds])
         assert {each.id: each.verdict for each in found if each.verdict is Verdict.FAIL} == {
@@ -457,7 +457,7 @@ class TestRun:
         }
         assert len(found) == len(passive.RULES)
 
-    def test_its_frames_are_in_the_report(self, tmp_path: Path):
+    def test_frames_of_findings_are_in_the_report(self, tmp_path: Path):
         run = a_run("TC_VD_CRE_BV_01")
         run.execute()
         run.take_passive([a_finding()])
@@ -482,7 +482,7 @@ def test_each_rule_is_documented():
 
 
 @pytest.mark.parametrize(("true_ms", "wrong"), [(100, False), (130, True), (220, True)])
-def test_pauses_are_no_long_period(true_ms: int, wrong: bool):
+def test_pauses_do_not_make_the_period_long(true_ms: int, wrong: bool):
     ear = Ear(pics=Pics(pixit=Testing(beacon_period_ms=100.0)))
     rng = random.Random(1)
     for number in range(600):
@@ -494,7 +494,7 @@ def test_pauses_are_no_long_period(true_ms: int, wrong: bool):
 
 
 @pytest.mark.parametrize(("true_ms", "wrong"), [(100, False), (140, True), (200, True)])
-def test_much_jitter_is_no_other_period(true_ms: int, wrong: bool):
+def test_much_jitter_does_not_change_the_period(true_ms: int, wrong: bool):
     ear = Ear(pics=Pics(pixit=Testing(beacon_period_ms=100.0)))
     rng = random.Random(1)
     for number in range(3000):

@@ -68,7 +68,7 @@ Every parcel must carry a number of 8 digits that never changes on its way.
 Each post office shall write the number into its book when the parcel arrives.
 """
 
-#: Requirements of the real catalogue stand in for those of the made-up specification.
+#: Requirements of the real catalogue substitute those of the made-up specification.
 ANCHORED = {
     "stamp of 4 cents": "BP-HDR-01",
     "more than 20 grams": "BP-HDR-02",
@@ -90,7 +90,7 @@ def specification(tmp_path) -> Path:
     folder.mkdir(parents=True)
     (folder / "dcp-bp.md").write_text(LETTERS)
     (folder / "dcp-srp.md").write_text(PARCELS)
-    (folder / "README.md").write_text("A reader must not be taken for a rule.\n")
+    (folder / "README.md").write_text("A reader must not treat this as a rule.\n")
     return folder
 
 
@@ -214,7 +214,7 @@ def test_a_new_step(specification, baseline):
     assert result.exit_status() == 1
 
 
-def test_new_text_that_is_no_rule_needs_nobody(specification, baseline):
+def test_new_text_without_rules_needs_no_action(specification, baseline):
     edit(specification, "dcp-bp.md", "Some **words** about letters.", "Some words about letters. People like them.")
     result = compare(read_checkout(specification), baseline)
     assert result.counts["new"] == 1
@@ -241,7 +241,7 @@ def test_a_file_with_another_name(specification, baseline):
     assert result.counts["gone"] == result.counts["new"] == 0
 
 
-def test_several_edits_at_once_are_told_apart(specification, baseline):
+def test_several_edits_are_distinguished(specification, baseline):
     edit(specification, "dcp-bp.md", "stamp of 4 cents", "stamp of 5 cents")
     edit(specification, "dcp-srp.md", "A parcel shall weigh at least 2 kilograms. ", "")
     edit(specification, "dcp-bp.md", "1.     If (stamp missing)", "1. wash hands\n2.     If (stamp missing)")
@@ -323,13 +323,13 @@ def made_up(monkeypatch, baseline) -> None:
 
 @pytest.mark.usefixtures("made_up")
 class TestCommand:
-    def test_the_same(self, dcp_conformance: Command, specification):
+    def test_unchanged_specification(self, dcp_conformance: Command, specification):
         done = dcp_conformance("provenance", specification)
         assert done.status == 0
         assert re.search(r"^unchanged +\d+ +\d+$", done.out, re.MULTILINE)
         assert "Changed" not in done.out
 
-    def test_a_change_with_all_that_hangs_on_it(self, dcp_conformance: Command, specification):
+    def test_a_change_is_listed_with_everything_affected(self, dcp_conformance: Command, specification):
         edit(specification, "dcp-bp.md", "at most 50", "at most 60")
         edit(specification, "dcp-srp.md", "## Tracking", "## Following Parcels")
         done = dcp_conformance("provenance", specification)
@@ -355,7 +355,7 @@ class TestCommand:
         assert entry["id"] == "VD-PAR-01"
         assert "TC_VD_PAR_BV_02" in entry["cases"]
 
-    def test_text_that_is_no_rule_is_shown_on_demand(self, dcp_conformance: Command, specification):
+    def test_text_without_rules_is_shown_on_demand(self, dcp_conformance: Command, specification):
         edit(specification, "dcp-bp.md", "Some **words** about letters.", "Some words about letters. People like them.")
         assert "People like them" not in dcp_conformance("provenance", specification).out
         assert "People like them" in dcp_conformance("provenance", specification, "--all").out
@@ -413,7 +413,7 @@ def test_anchors_are_followed_into_older_versions(tmp_path, repository, specific
     assert any(each.startswith("BP-RX-01 has no entry") for each in recording.remarks)
 
 
-def test_a_statement_that_is_not_found_in_an_older_version_is_asked_for(tmp_path, repository, specification):
+def test_a_statement_missing_in_an_older_version_is_reported(tmp_path, repository, specification):
     text = ANCHORS.replace('"2.0" = ["{bag}"]', '"2.0" = ["{bag}"]\n"1.3" = []')
     recording = record(repository, read_anchors(anchors_file(tmp_path, specification, text)))
     assert any(each.startswith("VD-PAR-01 holds in 1.3, but none") for each in recording.remarks)
@@ -430,7 +430,7 @@ def test_a_statement_that_is_not_found_in_an_older_version_is_asked_for(tmp_path
         ("why = ", "why ", "anchors.toml"),
     ],
 )
-def test_anchors_that_make_no_sense_are_named(tmp_path, repository, specification, old, new, message):
+def test_invalid_anchors_are_reported(tmp_path, repository, specification, old, new, message):
     with pytest.raises(UsageError, match=re.escape(message)):
         record(repository, read_anchors(anchors_file(tmp_path, specification, ANCHORS.replace(old, new))))
 

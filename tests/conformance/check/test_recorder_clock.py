@@ -26,7 +26,7 @@ def test_a_clock_that_is_not_set_back_is_unchanged(times: list[int]) -> None:
     assert [clock.time(each) for each in sorted(times)] == sorted(times)
 
 
-def test_a_step_back_takes_as_long_as_the_frame_before() -> None:
+def test_a_step_back_counts_as_the_preceding_interval() -> None:
     clock = RecorderClock()
     assert [clock.time(each) for each in (1000, 1030, 500, 540)] == [1000, 1030, 1060, 1100]
 
@@ -40,14 +40,14 @@ def test_a_beacon_that_was_not_recorded_stays_missing(number: int) -> None:
     assert suspicions == []
 
 
-def test_a_node_whose_clock_is_set_now_and_then_has_no_faulty_time_stamps() -> None:
+def test_a_clock_that_is_set_occasionally_does_not_make_time_stamps_faulty() -> None:
     """Three steps back in a long recording were enough for an accusation."""
     _, suspicions, _, _ = _task(178)
     assert suspicions == []
 
 
 @pytest.mark.parametrize(("back", "fails"), [(3, False), (30, True)])
-def test_time_stamps_that_go_on_from_an_earlier_time_come_from_a_clock_that_is_set(back: int, fails: bool) -> None:
+def test_time_stamps_that_continue_from_an_earlier_time_come_from_a_clock_that_is_set(back: int, fails: bool) -> None:
     """If a recorder misses most reports, three steps are many of them; a clock is not set with every other report."""
     air, late = Script(), 0
     for number in range(60):

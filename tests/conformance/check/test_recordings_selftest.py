@@ -17,7 +17,7 @@ from ..air import case_of, findings, judged
 DRAW = (0, 3, 5, 6, 7, 11)
 
 
-def test_nothing_is_found_in_networks_without_a_fault():
+def test_networks_without_a_fault_have_no_findings():
     result = clean(DRAW)
     assert result.false == ()
     assert result.networks == len(DRAW)
@@ -70,7 +70,7 @@ def test_a_faulty_node_that_is_not_found_has_its_reason(name: str, shape: Litera
     assert outcome.text in document(result, None)
 
 
-def test_a_node_of_ours_in_place_of_a_mutant_is_the_same():
+def test_replacing_a_mutant_by_our_node_changes_nothing_else():
     case = NetworkSituation(seconds=4.0)
     assert record(case, {2: Other(plain_node)}) == record(case)
     assert record(case, {2: Other(all_mutants()["M-BP-FMT-01-checksum-in-length"].make)}) != record(case)

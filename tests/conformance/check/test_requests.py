@@ -1,4 +1,4 @@
-"""Requests that do not end: nobody has the variable (H1), or the answer is not taken, with the likely reason."""
+"""Requests that do not end: no node has the variable (H1), or the answer is rejected, with the likely reason."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ A, B, C = 1, 2, 3
 
 
 def observed(run, rule: str) -> list[str]:
-    """What a rule observes, with what it calls that."""
+    """Observations of a rule, with their labels."""
     return [f"{each.expected}: {each.observed}" for each in case_of(run, rule).checks if each.verdict is Verdict.INFO]
 
 
-def test_an_answer_above_the_limits_of_who_asks_is_no_ping_pong():
+def test_an_answer_above_the_limits_of_the_requester_is_not_ping_pong():
     air = Script()
     for who in (B, C):
         air.say(who, air.create(50 + who, who), VarSumm(50 + who, 0))
@@ -32,7 +32,7 @@ def test_an_answer_above_the_limits_of_who_asks_is_no_ping_pong():
     assert all("the likely reason: repCnt 3 is above the node's maximum" in each for each in told)
 
 
-def test_a_variable_that_nobody_has_is_ping_pong():
+def test_requests_for_a_variable_that_no_node_has_are_ping_pong():
     air = Script()
     for _ in range(15):
         for who in (B, C):

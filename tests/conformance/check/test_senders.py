@@ -23,7 +23,7 @@ def test_a_restart_after_a_single_beacon():
     assert lives(0, 0, 0, 1) == [0, 1, 2, 2]
 
 
-def test_a_repeated_number_later_is_no_restart():
+def test_a_late_repeated_number_is_not_a_restart():
     assert lives(0, 1, 2, 2, 3) == [0, 0, 0, 0, 0]
 
 

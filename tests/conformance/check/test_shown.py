@@ -50,10 +50,10 @@ def test_a_whole_recording_passes_with_the_number_of_occasions():
     assert case.occasions == {"BP-FMT-02": 563}
     assert case.checks[-1].expected == "a bearer payload within the maximum packet size (563 occasions)"
     assert run.occasions["BP-FMT-02"] == 563
-    # What fails has its occasions, too.
+    # A failed requirement has occasions, too.
     assert run.requirements["VD-RU-04"] is Verdict.FAIL
     assert run.occasions["VD-RU-04"] > 90
-    # Every requirement that passes was looked at so often.
+    # Every requirement that passes was checked at least ``enough`` times.
     enough = {each: rule.enough for rule in RULES for each in rule.requirements}
     for identifier, verdict in run.requirements.items():
         if verdict is Verdict.PASS:
@@ -63,12 +63,12 @@ def test_a_whole_recording_passes_with_the_number_of_occasions():
 @pytest.mark.parametrize(
     ("frames", "verdict"), [(LEAST_BEACONS - 1, Verdict.TOO_LITTLE), (LEAST_BEACONS, Verdict.PASS)]
 )
-def test_how_many_beacons_show_something(frames, verdict):
+def test_a_verdict_depends_on_the_number_of_occasions(frames, verdict):
     run = judged(frames_of("b_crud.mcap")[:frames], "cpp-2.0", enough=None)
     assert run.requirements["BP-FMT-02"] is verdict
 
 
-def test_a_pass_is_withheld_where_something_speaks_against_it():
+def test_a_pass_is_withheld_if_there_is_contrary_evidence():
     judge = Judge(get_codec("cpp-2.0"), Pics())
     for frame in frames_of("b_crud.mcap"):
         judge.feed(frame)
@@ -94,7 +94,7 @@ def test_findings_say_when_and_how_to_see_them():
     assert case.consequence.endswith(".")
 
 
-def test_differences_are_told_by_field():
+def test_differences_are_reported_by_field():
     spec = VarSpec(7, b"\x02\0\0\0\0\1", 2, b"pos", 5, 0)
     other = VarSpec(7, b"\x02\0\0\0\0\2", 3, b"\xff", 5, 1)
     assert differences(spec, other) == (
@@ -159,7 +159,7 @@ def test_the_page_marks_numbers_that_differ_from_the_producers(tmp_path):
     assert "4 numbers differ from the producer's" in dom
 
 
-def test_a_bad_payload_shows_nothing_of_padding():
+def test_a_bad_payload_is_not_evidence_of_padding():
     """A test pattern in place of a report that has opaque octets in the profile: no part of it is a pointer."""
     codec = get_codec("cpp-1.3")
     vardis = codec.encode_containers((Container(1, (VarSumm(7, 3),)),))
@@ -174,5 +174,5 @@ def test_a_bad_payload_shows_nothing_of_padding():
     run = judged(frames, "cpp-1.3", enough=None)
     assert case_of(run, "CK_BP_FORMAT").verdict is Verdict.FAIL
     assert case_of(run, "CK_DATA_PACKED").verdict is Verdict.NOT_APPLICABLE
-    # What the beacon says besides is judged.
+    # The remaining contents of the beacon are judged.
     assert case_of(run, "CK_VD_SEQNO").occasions["VD-TYP-03"] == 39

@@ -1,4 +1,4 @@
-"""Nobody is judged by a weak guess of the profile, and each version on a bus by its own profile."""
+"""A weak guess of the profile is not used for judging, and each version on a bus is judged by its own profile."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def test_one_version_is_judged_once():
     assert single[1].profile.name == "cpp-2.0"
 
 
-def test_a_weak_guess_judges_nobody_and_says_what_to_do(tmp_path: Path):
+def test_a_weak_guess_is_not_used_and_a_remedy_is_given(tmp_path: Path):
     frames = frames_of("a_bus3", 100)
     damaged = [
         Frame(frame.number, frame.time_ns, frame.data[:14] + b"\x09" + frame.data[15:], len(frame.data))

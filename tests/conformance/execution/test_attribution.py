@@ -103,7 +103,7 @@ def runner_of(sut: InProcess, *, upper: bool = False, pics: Pics | None = None, 
 
 
 def results_of(runner: Runner, *cases: Case) -> dict[str, CaseResult]:
-    """Results of cases as they are at the end of a run."""
+    """Results of cases at the end of a run."""
     found: dict[str, CaseResult] = {}
     for case in cases:
         found[case.id] = runner.run(case)
@@ -118,7 +118,7 @@ FIRST, SECOND = case_of("TC_DCP_X_BV_01", says(A)), case_of("TC_DCP_X_BV_02", as
 
 @pytest.mark.parametrize("delay_ms", [120, 400, 1000])
 @pytest.mark.parametrize("more", [1, 3, 6])
-def test_a_slow_death_is_charged_to_its_cause(delay_ms: int, more: int):
+def test_a_delayed_crash_is_attributed_to_its_cause(delay_ms: int, more: int):
     """However many cases were begun in between, and if the run has come to its end."""
     sut = Frail()
     sut.delay_ms = delay_ms
@@ -130,13 +130,13 @@ def test_a_slow_death_is_charged_to_its_cause(delay_ms: int, more: int):
     assert (first.verdict, first.killed) == (Verdict.FAIL, True)
     failed = [check for check in first.checks if check.verdict is Verdict.FAIL]
     assert [check.expected for check in failed] == ["the implementation survives"]
-    # It died of a VarDis payload.
+    # The VarDis payload crashed it.
     assert failed[0].requirements == ("VD-ROB-01",)
     assert "RuntimeError: a word" in failed[0].observed
     assert any("in TC_DCP_X_BV_01" in note for note in runner.notes)
 
 
-def test_a_passing_case_after_which_nothing_is_heard_is_looked_after():
+def test_a_passing_case_followed_by_silence_is_examined():
     """It expects silence, and gets it from a dead implementation."""
     runner = runner_of(Frail())
     silent = case_of("TC_DCP_X_BV_03", says(A, expect=False))
@@ -162,7 +162,7 @@ def test_two_cases_that_kill_only_together():
     assert found[SECOND.id].verdict is Verdict.PASS
 
 
-def test_a_death_that_does_not_come_again_is_no_verdict():
+def test_a_crash_that_is_not_reproduced_is_inconclusive():
     sut = Frail()
     sut.times = 1
     runner = runner_of(sut)
@@ -174,7 +174,7 @@ def test_a_death_that_does_not_come_again_is_no_verdict():
     assert found[SECOND.id].verdict is Verdict.PASS
 
 
-def test_what_fails_while_it_dies_fails_no_requirement():
+def test_checks_that_fail_because_of_a_crash_are_inconclusive():
     def body(bench: Bench) -> None:
         says(A, expect=False)(bench)
         bench.check(bench.probes.probe(), "an answer", "none", "VD-RX-03")
@@ -185,7 +185,7 @@ def test_what_fails_while_it_dies_fails_no_requirement():
     assert [check.verdict for check in result.checks if "VD-RX-03" in check.requirements] == [Verdict.INCONCLUSIVE]
 
 
-def test_deaths_that_look_alike_are_one_line():
+def test_similar_crashes_are_reported_as_one():
     sut = Frail()
     runner = runner_of(sut)
     cases = [case_of(f"TC_DCP_X_BV_{number}", says(A)) for number in range(10, 20)]
@@ -199,7 +199,7 @@ def test_deaths_that_look_alike_are_one_line():
 
 
 @pytest.mark.parametrize("delay_ms", [0, 150])
-def test_without_a_restart_a_death_fails_no_requirement_that_another_case_may_have_violated(delay_ms: int):
+def test_without_a_restart_a_crash_with_several_suspects_fails_no_requirement(delay_ms: int):
     sut = Frail()
     sut.delay_ms = delay_ms
     runner = runner_of(sut, can_restart=False)
@@ -249,7 +249,7 @@ class HungUp:
 
 @pytest.mark.parametrize("delay_ms", [0, 20, 150, 400, 900])
 @pytest.mark.parametrize("reset", ["auto", "restart"])
-def test_no_result_is_lost_when_the_upper_tester_goes_down_with_it(delay_ms: int, reset: str):
+def test_results_are_kept_when_the_upper_tester_ends_with_the_implementation(delay_ms: int, reset: str):
     sut = Frail()
     sut.delay_ms = delay_ms
     session = Session(codec_of("dcp-2.0"), sut.lower_tester(), HungUp(sut), Pics(pixit=Testing(reset=reset)))  # type: ignore[arg-type]
@@ -263,7 +263,7 @@ def test_no_result_is_lost_when_the_upper_tester_goes_down_with_it(delay_ms: int
         assert found[FIRST.id].killed
 
 
-def test_a_fault_of_the_tester_between_cases_is_a_result():
+def test_an_error_of_the_tester_between_cases_is_a_result():
     runner = runner_of(Frail())
     runner.life.loss = None  # type: ignore[assignment,method-assign]
     result = runner.run(SECOND)
@@ -271,7 +271,7 @@ def test_a_fault_of_the_tester_between_cases_is_a_result():
     assert "TypeError" in result.error_detail
 
 
-def test_what_was_received_stays_a_fail_of_its_requirement():
+def test_a_failure_proved_by_a_received_frame_is_kept():
     def body(bench: Bench) -> None:
         bench.check(False, "the right octets", "others", "VD-RX-03", shown=True)
         says(A, expect=False)(bench)
@@ -281,8 +281,8 @@ def test_what_was_received_stays_a_fail_of_its_requirement():
     assert failed == {"VD-ROB-01", "VD-RX-03"}
 
 
-def test_a_death_by_a_service_leaves_what_the_case_saw():
-    """No requirement asks for surviving a service: what failed in the case is all that can be said."""
+def test_failures_of_the_case_are_kept_when_a_service_crashes_the_implementation():
+    """No requirement asks for surviving a service, so only the failures of the case itself are reported."""
     sut = Frail()
 
     def body(bench: Bench) -> None:
@@ -306,7 +306,7 @@ def uses_all(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize(("reset", "verdict"), [("auto", Verdict.PASS), ("none", Verdict.INCONCLUSIVE)])
-def test_it_is_restarted_when_identifiers_are_used_up(reset: str, verdict: Verdict):
+def test_the_implementation_is_restarted_when_identifiers_are_used_up(reset: str, verdict: Verdict):
     sut = InProcess(reference_config(codec_of("dcp-2.0")))
     runner = runner_of(sut, pics=Pics(pixit=Testing(reset=reset)))
     cases = [case_of(f"TC_DCP_X_BV_{number}", uses_all) for number in range(10, 20)]
@@ -318,7 +318,7 @@ def test_it_is_restarted_when_identifiers_are_used_up(reset: str, verdict: Verdi
         assert "provide UT-Reset" in results[-1].reason
 
 
-class Spoilt(HungUp):
+class FailingServices(HungUp):
     """Once a service has failed, each one fails until the implementation is restarted."""
 
     def call(self, method: str, params: dict[str, object]) -> Answer:
@@ -337,14 +337,14 @@ class Queue(InProcess):
         super().restart()
 
 
-def test_an_internal_error_does_not_spoil_later_cases():
+def test_an_internal_error_does_not_affect_later_cases():
     sut = Queue(reference_config(codec_of("dcp-2.0")))
-    session = Session(codec_of("dcp-2.0"), sut.lower_tester(), Spoilt(sut), Pics())  # type: ignore[arg-type]
+    session = Session(codec_of("dcp-2.0"), sut.lower_tester(), FailingServices(sut), Pics())  # type: ignore[arg-type]
     runner = Runner(session, sut)
     runner.prepare()
 
     def reads(bench: Bench) -> None:
-        bench.info("what a read answers", str(bench.call("RTDB-Read", varId=1)))
+        bench.info("the answer to RTDB-Read", str(bench.call("RTDB-Read", varId=1)))
 
     def creates(bench: Bench) -> None:
         bench.must("RTDB-Create", varId=bench.identifiers.own_var_id(), repCnt=1, descr="d", value="01")
@@ -364,7 +364,7 @@ def failed_in(result: CaseResult) -> set[str]:
     [
         ("RTDB-DescribeDatabase", "VD-RX-03 VD-RX-04", "VD-DDB-02"),
         ("RTDB-DescribeDatabase", "VD-RX-03 VD-DDB-03 VD-DDB-02", "VD-DDB-03"),
-        # What a dead implementation does not send shows nothing.
+        # Silence of a dead implementation proves nothing.
         ("BP-RegisterProtocol BP-ClearBuffer", "BP-QM-05 VD-RX-03 BP-CLR-03", "BP-CLR-03"),
         ("BP-RegisterProtocol BP-ClearBuffer", "BP-QM-05", "BP-CLR-02"),
         ("BP-ClearBuffer", "BP-QM-05", "BP-CLR-03"),
@@ -411,7 +411,7 @@ def test_a_frame_after_a_service_kills(heard: bool, about: bool):
 
 
 @pytest.mark.parametrize(("about", "violated"), [(False, "VD-ROB-01"), (True, "VD-DDB-01")])
-def test_a_call_to_what_has_died_of_a_frame(about: bool, violated: str):
+def test_a_call_to_an_implementation_that_a_frame_has_crashed(about: bool, violated: str):
     """A case that only uses the service finds out by it that the implementation is dead."""
     sut = Frail()
 
@@ -427,7 +427,7 @@ def test_a_call_to_what_has_died_of_a_frame(about: bool, violated: str):
 
 
 class Detached(Frail):
-    """Nobody knows about its process."""
+    """An implementation whose process is unknown to the tester."""
 
     told = False
     """Whether its adapter was seen to go."""
@@ -442,9 +442,9 @@ class Detached(Frail):
 
 
 class Leaving(VirtualUpperTester):
-    """An adapter that goes as soon as the word has come, before the implementation dies of it.
+    """An adapter that ends after the deadly frame has arrived, before the implementation crashes on it.
 
-    To notice that nobody listens any more takes five seconds.
+    The tester needs five seconds to notice that the connection is closed.
     """
 
     def _gone(self) -> None:
@@ -452,7 +452,7 @@ class Leaving(VirtualUpperTester):
         if isinstance(sut, Frail) and sut.got:
             sut.elapse(5_000_000_000)
             sut.alive()
-            raise UpperTesterError("nobody listens there, after 5 s")
+            raise UpperTesterError("no listener there, after 5 s")
 
     def call(self, method: str, params: dict[str, Any]) -> Answer:
         self._gone()
@@ -466,7 +466,7 @@ class Leaving(VirtualUpperTester):
         return super().poll()
 
 
-def test_an_answer_from_before_the_upper_tester_was_looked_for_is_no_sign_of_life():
+def test_an_answer_before_reconnecting_to_the_upper_tester_is_not_a_sign_of_life():
     """The adapter ends first; the implementation dies while the tester tries to reach the adapter."""
     sut = Detached()
     sut.delay_ms = 2600
@@ -478,14 +478,14 @@ def test_an_answer_from_before_the_upper_tester_was_looked_for_is_no_sign_of_lif
     assert first.reason == "the implementation survives: it does not answer any more"
 
 
-def test_what_several_processes_print_comes_in_any_order():
+def test_crashes_are_grouped_whatever_the_order_of_output_lines():
     said = ["Running BP | [fatal] no room in 0x7ffe | BP ended", "Running SRP | Running BP | [fatal] no room in 0x1"]
     losses = [Loss(True, "dead", f"it ended with signal SIGABRT; its output: {words}") for words in said]
     assert len({each.group for each in losses}) == 1
     assert losses[0].group == "died: it ended with signal SIGABRT; its output: [fatal] no room in #"
 
 
-def test_no_identifier_is_used_twice_where_a_restart_frees_them():
+def test_no_identifier_is_used_twice_between_restarts():
     sut = InProcess(reference_config(codec_of("dcp-2.0")))
     runner = runner_of(sut)
     given: list[list[int]] = [[]]
@@ -511,7 +511,7 @@ def test_no_identifier_is_used_twice_where_a_restart_frees_them():
     assert all(len(names) == len(set(names)) for names in given)
 
 
-def test_a_service_that_the_case_only_uses_fails_nothing_of_the_case():
+def test_a_crash_by_an_auxiliary_service_does_not_fail_the_requirements_of_the_case():
     """Deactivating BP between two beacons is a means of the tester: what it kills fails the deactivation."""
     sut = Frail()
 
@@ -529,14 +529,14 @@ def test_a_service_that_the_case_only_uses_fails_nothing_of_the_case():
     assert not pausable(Bench(runner.session, SECOND))
 
 
-def test_one_call_that_hangs_is_no_slow_upper_tester():
+def test_one_hanging_call_does_not_make_the_upper_tester_slow():
     session = runner_of(Frail(), upper=True).session
     assert (session.typical_call, session.slow_call) == (0, 0)
     session.call_times.extend([1_000_000] * 20 + [1_000_000_000])
     assert session.typical_call == session.slow_call == 1_000_000
 
 
-def test_a_death_that_no_requirement_decides_is_a_line_of_its_own(capsys: pytest.CaptureFixture[str]):
+def test_a_crash_without_a_violated_requirement_is_reported_separately(capsys: pytest.CaptureFixture[str]):
     sut = Frail()
 
     def body(bench: Bench) -> None:
@@ -570,7 +570,7 @@ class Stalled(Frail):
 
 @pytest.mark.parametrize("seconds", [8.0, 100.0])
 def test_without_a_restart_a_silent_implementation_is_waited_for(seconds: float):
-    """Silence for seconds may be the machine's; the run goes on when it is over."""
+    """A silence of seconds may be caused by the machine; the run continues afterwards."""
     sut = Stalled()
     sut.seconds = seconds
     runner = runner_of(sut, can_restart=False)

@@ -1,4 +1,4 @@
-"""Who has one fault is not blamed for what follows from it: requirements that are kept must not fail with others."""
+"""A single fault fails only the requirements it violates, not those that fail as a consequence."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ LOSES_SECOND = "M-VD-RX-04-octets"
 )
 @pytest.mark.parametrize("upper", [True, False])
 @pytest.mark.req("VD-RX-04")
-def test_a_second_container_that_is_lost(case_id: str, upper: bool):
+def test_losing_the_second_container(case_id: str, upper: bool):
     result = one_case(case_id, "cpp-2.0", all_mutants()[LOSES_SECOND].make, upper=upper)
     blamed = {each for check in result.checks if check.verdict is not Verdict.PASS for each in check.requirements}
     assert blamed <= {"VD-RX-04"}, result.reason
 
 
-def test_who_loses_a_container_in_some_orders_keeps_to_the_order_of_processing():
+def test_losing_a_container_in_some_orders_does_not_violate_the_order_of_processing():
     result = one_case("TC_VD_RX_BV_02", "cpp-2.0", all_mutants()[LOSES_SECOND].make)
     blamed = {each for check in result.checks if check.verdict is not Verdict.PASS for each in check.requirements}
     assert blamed == {"VD-RX-02"}, result.reason

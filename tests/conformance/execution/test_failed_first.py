@@ -36,7 +36,7 @@ def ran(folder: Path) -> list[str]:
     return [case.id for case in load_results(folder).cases]
 
 
-def test_they_come_first_and_the_rest_follows(dcp_conformance: Command, report: Path, tmp_path: Path) -> None:
+def test_failed_cases_are_run_first(dcp_conformance: Command, report: Path, tmp_path: Path) -> None:
     out = tmp_path / "again"
     done = dcp_conformance("run", "--in-process", *CASES, "--failed", report, "--report-dir", out)
     assert done.status == 0, done.out
@@ -46,7 +46,7 @@ def test_they_come_first_and_the_rest_follows(dcp_conformance: Command, report: 
     assert set(found[3:-1]) == set(CASES) - {FAILED, UNDECIDED}
 
 
-def test_only_they(dcp_conformance: Command, report: Path, tmp_path: Path) -> None:
+def test_only_failed_cases_are_run(dcp_conformance: Command, report: Path, tmp_path: Path) -> None:
     out = tmp_path / "again"
     file = report / "results.json"
     done = dcp_conformance("run", "--in-process", "--failed", file, "--failed-only", "--report-dir", out)
@@ -54,7 +54,7 @@ def test_only_they(dcp_conformance: Command, report: Path, tmp_path: Path) -> No
     assert set(ran(out)) == {SANITY, FAILED, UNDECIDED}
 
 
-def test_with_nothing_to_repeat_it_says_so(dcp_conformance: Command, tmp_path: Path) -> None:
+def test_nothing_to_repeat_is_reported(dcp_conformance: Command, tmp_path: Path) -> None:
     dcp_conformance("run", "--in-process", CASES[0], "--report-dir", tmp_path)
     done = dcp_conformance("run", "--in-process", "--failed", tmp_path, "--failed-only")
     assert done.status == 2
@@ -65,13 +65,13 @@ def test_with_nothing_to_repeat_it_says_so(dcp_conformance: Command, tmp_path: P
     ("options", "words"),
     [(["--failed-only"], "--failed-only needs --failed"), (["--failed", "nowhere"], "nowhere: cannot be read")],
 )
-def test_what_makes_no_sense(dcp_conformance: Command, options: list[str], words: str) -> None:
+def test_contradictory_options_are_refused(dcp_conformance: Command, options: list[str], words: str) -> None:
     done = dcp_conformance("run", "--in-process", CASES[0], *options)
     assert done.status == 2
     assert words in done.err
 
 
-def test_side_by_side_they_are_decided_alone_at_once() -> None:
+def test_in_a_concurrent_run_failed_cases_are_executed_alone_first() -> None:
     run = ConformanceRun(
         TargetOptions(in_process=True), Selection(patterns=CASES, first=frozenset({FAILED})), side_by_side=16
     )

@@ -65,7 +65,9 @@ def executed(body: Callable[[Bench, int, Scripted], None]) -> CaseResult:
         (LOST_STIMULUS, {"numbers": True}, False),
     ],
 )
-def test_an_incident_excuses_what_it_explains(incident: Incident, how: dict[str, bool], excused: bool) -> None:
+def test_an_incident_excuses_only_failures_that_it_explains(
+    incident: Incident, how: dict[str, bool], excused: bool
+) -> None:
     def body(bench: Bench, number: int, lower: Scripted) -> None:
         if number == 1:
             lower.incidents = (incident,)
@@ -121,7 +123,7 @@ def run_of(*impair: str, seed: int = 1, profile: str = "dcp-2.0", cases: tuple[s
 
 @pytest.fixture
 def strict(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A lost stimulus is not an excuse for what was received, as on a real bad link that nobody knows of."""
+    """Do not excuse received data by a lost stimulus, as on a bad link that the tester does not know about."""
     excused = ("reordered", "late")
     monkeypatch.setattr(
         Incident, "misleads", property(lambda self: self.what in excused or (self.to and self.what != "lost"))
@@ -130,7 +132,7 @@ def strict(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("strict")
 @pytest.mark.parametrize(("impair", "seed"), [("loss=0.1", 1), ("loss=0.25,burst=2", 2)])
-def test_losses_fail_nobody_and_what_is_received_is_proof_in_spite_of_them(impair: str, seed: int) -> None:
+def test_losses_fail_no_node_but_received_frames_still_prove_failures(impair: str, seed: int) -> None:
     run = run_of(impair, seed=seed)
     assert [f"{each.id}: {each.reason}" for each in run.results if each.verdict in (Verdict.FAIL, Verdict.ERROR)] == []
     assert [each.id for each in run.passive if each.verdict is Verdict.FAIL] == []
@@ -143,7 +145,7 @@ def test_losses_fail_nobody_and_what_is_received_is_proof_in_spite_of_them(impai
 
 @pytest.mark.usefixtures("strict")
 @pytest.mark.parametrize("profile", ["dcp-1.0", "dcp-1.3", "cpp-2.0"])
-def test_queues_that_lose_beacons_on_the_link_are_in_order(profile: str) -> None:
+def test_queues_whose_beacons_are_lost_on_the_link_pass(profile: str) -> None:
     run = run_of("loss=0.2", profile=profile, cases=("TC_BP_QM_*", "TC_VD_PEND_*"))
     assert len(run.results) > 10
     assert [f"{each.id}: {each.reason}" for each in run.results if each.verdict in (Verdict.FAIL, Verdict.ERROR)] == []
@@ -171,7 +173,7 @@ MUTANTS = selftest.chosen(["M-*"])[::40]
 
 @pytest.fixture
 def lossy(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Every node in process is behind a link that loses a tenth of all frames."""
+    """Connect every node in process by a link that loses a tenth of all frames."""
     plain = InProcess.lower_tester
     monkeypatch.setattr(
         InProcess,
@@ -187,7 +189,7 @@ def test_there_are_ten_mutants() -> None:
 
 @pytest.mark.usefixtures("lossy")
 @pytest.mark.parametrize("mutant", MUTANTS, ids=lambda mutant: mutant.id)
-def test_mutants_still_fail_by_name(mutant: selftest.Mutant) -> None:
+def test_mutants_still_fail_their_requirements(mutant: selftest.Mutant) -> None:
     found = selftest.trial(mutant)
     assert found.killers, found
 

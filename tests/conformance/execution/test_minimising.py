@@ -49,13 +49,13 @@ CHECK = a_case(Verdict.FAIL).checks[0]
 
 
 @pytest.mark.parametrize("needed", [(3,), (0, 7), (2, 3, 4), tuple(range(8))])
-def test_what_is_needed_is_left(needed: tuple[int, ...]) -> None:
+def test_only_needed_frames_are_kept(needed: tuple[int, ...]) -> None:
     faulty, conforming, tried = made_up(*needed)
     assert minimise(CHECK, range(8), faulty, conforming) == needed
     assert len(tried) <= MOST_TRIES
 
 
-def test_a_frame_without_which_a_conforming_node_does_not_pass_either_is_kept() -> None:
+def test_a_frame_that_a_conforming_node_needs_to_pass_is_kept() -> None:
     faulty, _, _ = made_up()
 
     def conforming(dropped: Collection[int]) -> CaseResult:
@@ -64,11 +64,11 @@ def test_a_frame_without_which_a_conforming_node_does_not_pass_either_is_kept() 
     assert minimise(CHECK, range(8), faulty, conforming) == (5,)
 
 
-def test_a_failure_that_does_not_come_again_is_not_minimised() -> None:
+def test_a_failure_that_is_not_reproduced_is_not_minimised() -> None:
     assert minimise(CHECK, range(4), lambda _: a_case(Verdict.PASS), lambda _: a_case(Verdict.PASS)) is None
 
 
-def test_another_failure_is_not_taken_for_it() -> None:
+def test_another_failure_does_not_count_as_the_failure_to_be_minimised() -> None:
     other = Check(Verdict.FAIL, ("BP-RX-15",), "something else", "x")
 
     def faulty(dropped: Collection[int]) -> CaseResult:
@@ -114,7 +114,7 @@ def test_the_stimulus_of_a_mutant_becomes_shorter_and_still_shows_the_fault(tmp_
     assert sum(bool(step.octets) for step in only(steps, [steps[0].frame])) == 1
 
 
-def test_it_needs_an_implementation(dcp_conformance: Command, tmp_path: Path) -> None:
+def test_minimising_needs_an_implementation(dcp_conformance: Command, tmp_path: Path) -> None:
     (tmp_path / "results.json").write_bytes(msgspec.json.encode(run_of(MUTANT, "TC_VD_SEQ_BV_0")))
     done = dcp_conformance("report", tmp_path, "--issues", tmp_path / "issues", "--minimise")
     assert done.status == 2
@@ -122,7 +122,7 @@ def test_it_needs_an_implementation(dcp_conformance: Command, tmp_path: Path) ->
     assert dcp_conformance("report", tmp_path, "--minimise").status == 2
 
 
-def test_a_fault_that_the_implementation_no_longer_has_is_said(dcp_conformance: Command, tmp_path: Path) -> None:
+def test_a_fault_that_the_implementation_no_longer_has_is_reported(dcp_conformance: Command, tmp_path: Path) -> None:
     (tmp_path / "results.json").write_bytes(msgspec.json.encode(run_of(MUTANT, "TC_VD_SEQ_BV_0")))
     done = dcp_conformance("report", tmp_path, "--issues", tmp_path / "issues", "--minimise", "--in-process")
     assert done.status == 0, done.err

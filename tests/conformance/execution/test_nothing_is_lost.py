@@ -1,4 +1,4 @@
-"""Whatever fails, what was found until then is reported, and each planned execution has a result."""
+"""After any failure all earlier findings are reported, and each planned execution has a result."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def boom(*_: object) -> None:
     raise RuntimeError("a fault")
 
 
-def test_a_fault_at_the_end_loses_no_result(monkeypatch: pytest.MonkeyPatch):
+def test_an_error_at_the_end_loses_no_result(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(Runner, "finish", boom)
     run = Run()
     run.execute()
@@ -58,7 +58,7 @@ def test_a_fault_at_the_end_loses_no_result(monkeypatch: pytest.MonkeyPatch):
 
 
 @pytest.mark.parametrize("what", ["about", "notes"])
-def test_a_fault_while_the_implementation_is_told_of_loses_no_result(what: str, monkeypatch: pytest.MonkeyPatch):
+def test_an_error_while_the_implementation_is_described_loses_no_result(what: str, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(Runner, what, boom if what == "about" else property(boom))
     run = Run()
     run.execute()
@@ -66,7 +66,7 @@ def test_a_fault_while_the_implementation_is_told_of_loses_no_result(what: str, 
     assert run.exit_status() == 4
 
 
-def test_after_a_fault_side_by_side_the_other_cases_are_executed_alone(monkeypatch: pytest.MonkeyPatch):
+def test_after_an_error_in_a_concurrent_run_the_other_cases_are_executed_alone(monkeypatch: pytest.MonkeyPatch):
     steps, step = Counter[str](), Scheduler.step
 
     def fails(self: Scheduler, until: int) -> None:
@@ -94,7 +94,7 @@ def test_errors_of_one_cause_are_one_finding_on_the_terminal(monkeypatch: pytest
     assert printed.count("a fault of the tester") < 4
 
 
-def test_a_fault_between_cases_is_a_result_of_those_that_were_not_run(monkeypatch: pytest.MonkeyPatch):
+def test_an_error_between_cases_becomes_the_result_of_cases_that_were_not_run(monkeypatch: pytest.MonkeyPatch):
     take = Run.take
 
     def fails(self: Run, case: Case, result: CaseResult) -> str:
@@ -173,7 +173,7 @@ def runner_with(sut: InProcess, upper: VirtualUpperTester | None = None, **pixit
     return runner
 
 
-def test_a_restart_that_fails_is_no_fault_of_the_tester():
+def test_a_failed_restart_is_not_an_error_of_the_tester():
     sut = InProcess(reference_config(codec_of("dcp-2.0")))
 
     def restart() -> None:
@@ -201,14 +201,14 @@ def right(bench: Bench) -> None:
     bench.check(bench.probes.probe(), "an answer", "none", "VD-RX-04")
 
 
-def test_a_proved_failure_before_a_death_that_is_not_reproduced_stays_one():
+def test_a_proved_failure_is_kept_if_a_later_crash_is_not_reproduced():
     result = runner_with(Frail()).run(case_of("TC_DCP_X_BV_01", once(wrong_and_deadly, right)))
     assert result.verdict is Verdict.FAIL
     assert result.reason == "octets 01: 02 (in the first execution)"
     assert failed_in(result) == {"VD-RX-03"}
 
 
-def test_a_proved_failure_of_an_earlier_case_stays_one_when_it_is_found_to_be_deadly():
+def test_a_proved_failure_of_an_earlier_case_is_kept_when_it_caused_the_crash():
     sut = Frail()
     sut.delay_ms = 400
     runner = runner_with(sut)
@@ -223,7 +223,7 @@ def test_a_proved_failure_of_an_earlier_case_stays_one_when_it_is_found_to_be_de
     assert [check.frames for check in revised.checks if check.expected == "octets 01"] == [()]
 
 
-class DiesOfDelete(VirtualUpperTester):
+class CrashesOnDelete(VirtualUpperTester):
     """RTDB-Delete ends the implementation; there is no UT-Reset."""
 
     def __init__(self, sut: InProcess) -> None:
@@ -237,7 +237,7 @@ class DiesOfDelete(VirtualUpperTester):
         return super().call(method, params)
 
 
-def test_a_death_by_the_deletion_after_a_case_is_that_of_the_deletion():
+def test_a_crash_by_the_clean_up_after_a_case_is_attributed_to_the_deletion():
     sut = InProcess(reference_config(codec_of("dcp-2.0")))
 
     def creates(bench: Bench) -> None:
@@ -246,6 +246,6 @@ def test_a_death_by_the_deletion_after_a_case_is_that_of_the_deletion():
         bench.check(bench.beacons(1), "a beacon", "none")
 
     case = case_of("TC_DCP_X_BV_01", creates, "VD-CRE-12")
-    result = runner_with(sut, DiesOfDelete(sut)).run(case)
+    result = runner_with(sut, CrashesOnDelete(sut)).run(case)
     assert result.killed
     assert failed_in(result) == {"VD-DEL-05"}

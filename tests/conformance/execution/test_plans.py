@@ -43,12 +43,12 @@ def test_no_long_case_is_in_the_short_plan():
 
 
 @pytest.mark.parametrize("plan", [each for each in PLANS if each != "smoke"])
-def test_a_case_that_is_named_is_meant(plan: str):
+def test_a_case_selected_by_its_full_name_is_run(plan: str):
     assert chosen(ONE, plan=plan) == {ONE}
     assert {"TC_VD_SCR_TI_12-own", "TC_VD_SCR_TI_12-received"} == chosen("TC_VD_SCR_TI_12", plan=plan)
 
 
-def test_a_glob_or_a_requirement_does_not_name_a_case():
+def test_a_glob_or_a_requirement_does_not_select_long_cases():
     assert ONE not in chosen("TC_BP_HDR_*")
     assert ONE not in chosen("BP-HDR-08")
     assert [each.id for each in left_out(known_cases(), Selection(patterns=("BP-HDR-08",)))] == [ONE]
@@ -107,7 +107,7 @@ def test_the_link_is_taken_down_and_up_by_commands(tmp_path: Path):
     assert log.read_text() == "down\nup\n"
 
 
-def test_a_link_that_cannot_be_switched_decides_nothing():
+def test_a_link_that_cannot_be_switched_is_inconclusive():
     commands = Testing(link_down="false", link_up="true")
     result = one_case("TC_DCP_LINK_BV_01", pics=Pics(pixit=commands))
     verdict = result.verdict

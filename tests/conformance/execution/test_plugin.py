@@ -70,7 +70,7 @@ def claims(tmp_path: Path) -> tuple[str, ...]:
 
 
 class TestWorkers:
-    def test_several_workers_come_to_the_same_as_one_process(self, run_pytest: Pytest, claims: tuple[str, ...]):
+    def test_several_workers_give_the_same_verdicts_as_one_process(self, run_pytest: Pytest, claims: tuple[str, ...]):
         assert run_pytest(*CHOSEN, target=claims) == UNEXPECTED
         alone = run_pytest.verdicts()
         # It ends with the sanity case; no worker knows which case is the last one.
@@ -82,7 +82,7 @@ class TestWorkers:
         assert (FAILS, "fail") in together
         assert "1 failed" in run_pytest.shown
 
-    def test_what_is_expected_is_known_to_all(self, run_pytest: Pytest, claims: tuple[str, ...], tmp_path: Path):
+    def test_all_workers_know_the_expected_results(self, run_pytest: Pytest, claims: tuple[str, ...], tmp_path: Path):
         known = tmp_path / "expected.toml"
         known.write_text(f'[[expected]]\ncase = "{FAILS}"\nverdict = "fail"\nreason = "known"\n')
         options = (*CHOSEN, "-n", "2", "--dcp-expected", str(known))
@@ -91,11 +91,11 @@ class TestWorkers:
         assert run_pytest(*options) == UNEXPECTED
         assert "unexpected pass" in run_pytest.shown
 
-    def test_the_first_failure_may_end_it(self, run_pytest: Pytest, claims: tuple[str, ...]):
+    def test_the_run_can_stop_at_the_first_failure(self, run_pytest: Pytest, claims: tuple[str, ...]):
         assert run_pytest("-n", "2", "-x", "-k", "TC_BP", target=claims) == UNEXPECTED
         assert "stopping after 1 failures" in run_pytest.shown
 
-    def test_a_worker_that_is_killed_is_the_testers_trouble(self, run_pytest: Pytest, tmp_path: Path):
+    def test_a_killed_worker_is_an_error_of_the_tester(self, run_pytest: Pytest, tmp_path: Path):
         (tmp_path / "killing.py").write_text(
             "import os\n"
             "def pytest_runtest_call(item):\n"
@@ -117,7 +117,7 @@ class TestWorkers:
             (("--dcp-profile", "dcp-9"), ("-n", "2"), "unknown profile 'dcp-9'"),
         ],
     )
-    def test_what_makes_no_sense_is_refused(
+    def test_contradictory_options_are_refused(
         self, run_pytest: Pytest, target: tuple[str, ...], options: tuple[str, ...], message: str
     ):
         assert run_pytest(*options, target=target) == pytest.ExitCode.USAGE_ERROR
@@ -130,7 +130,7 @@ class TestWorkers:
 
 
 class TestOrder:
-    def test_the_last_failed_ones(self, run_pytest: Pytest, claims: tuple[str, ...]):
+    def test_last_failed_cases(self, run_pytest: Pytest, claims: tuple[str, ...]):
         for workers in ((), ("-n", "2")):
             assert run_pytest(*CHOSEN, *workers, target=claims) == UNEXPECTED
             assert run_pytest(*CHOSEN, *workers, "--lf", target=claims) == UNEXPECTED
@@ -162,7 +162,7 @@ def verdicts_of(folder: Path, *options: str, **environment: str) -> list[tuple[s
 
 @pytest.fixture(scope="module")
 def usual(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[str, str]]:
-    """Those of a run that nothing disturbs."""
+    """Verdicts of an undisturbed run."""
     return verdicts_of(tmp_path_factory.mktemp("usual"))
 
 
@@ -175,7 +175,7 @@ class TestStrayEnvironment:
         assert verdicts_of(tmp_path, *options, PYTEST_ADDOPTS=addopts) == usual
 
     @pytest.mark.parametrize("options", [(), ("--pytest", "-q")], ids=["alone", "with pytest"])
-    def test_everything_else(self, tmp_path: Path, usual: list[tuple[str, str]], options: tuple[str, ...]):
+    def test_other_files_and_variables(self, tmp_path: Path, usual: list[tuple[str, str]], options: tuple[str, ...]):
         (tmp_path / "pytest.ini").write_text("[pytest]\naddopts = --collect-only\npython_files = *\n")
         (tmp_path / "pyproject.toml").write_text("[tool.pytest.ini_options]\naddopts = '--collect-only'\n")
         (tmp_path / "conftest.py").write_text("raise SystemExit('a conftest.py of the user')\n")
@@ -188,7 +188,7 @@ class TestStrayEnvironment:
         assert found == usual
 
     def test_python_without_docstrings_is_refused(self, tmp_path: Path):
-        """They are the sections and purposes of cases."""
+        """Docstrings contain the sections and purposes of cases."""
         done = started(tmp_path, RUN, PYTHONOPTIMIZE="2")
         assert done.returncode == USAGE
         assert re.fullmatch(r"dcp-conformance: .* without docstrings \(-OO, PYTHONOPTIMIZE=2\).*\n", done.stderr)

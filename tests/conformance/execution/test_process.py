@@ -73,7 +73,7 @@ def test_a_process_is_started_watched_and_ended(tmp_path, control):
         ("raise KeyError('seqno')", "exit status 1; its output: .*KeyError: 'seqno'"),
     ],
 )
-def test_a_death_is_noticed_with_its_reason(tmp_path, control, end, why):
+def test_a_crash_is_reported_with_its_reason(tmp_path, control, end, why):
     code = f"print('hello', flush=True)\nwhile not (here / 'end').exists(): time.sleep(0.01)\n{end}"
     it = control(start=program(tmp_path, code), settle=0)
     it.start()
@@ -86,7 +86,7 @@ def test_a_death_is_noticed_with_its_reason(tmp_path, control, end, why):
     assert (it.alive(), it.why_dead()) == (True, "")
 
 
-def test_last_words_are_bounded(tmp_path, control):
+def test_the_last_output_is_bounded(tmp_path, control):
     code = "print('x' * 100, flush=True)\nfor n in range(100000): print('line', n)\nsys.stdout.flush(); sys.exit(2)"
     it = control(start=program(tmp_path, f"while not (here / 'end').exists(): time.sleep(0.01)\n{code}"))
     it.start()
@@ -96,8 +96,8 @@ def test_last_words_are_bounded(tmp_path, control):
     assert len(it.why_dead()) < 6000
 
 
-def test_old_words_are_given_back_without_cutting_the_file(tmp_path, control):
-    """Cutting it would lose what is said between looking and cutting."""
+def test_disk_space_of_old_output_is_freed_without_truncating_the_file(tmp_path, control):
+    """Truncating it would lose output that is written between reading and truncating."""
     it = control(start=program(tmp_path, "time.sleep(60)"), settle=0)
     it.start()
     assert it._output is not None
@@ -151,14 +151,14 @@ def test_a_launcher(tmp_path, control):
     os.kill(second, signal.SIGKILL)
     eventually(lambda: it.alive() is False, "it is gone")
     assert it.why_dead() == f"process {second} is gone"
-    # Without a process to look at, nothing is known.
+    # Without a process to watch, the cause is unknown.
     blind = control(start="true", settle=PATIENCE)
     blind.start()
     assert (blind.alive(), blind.why_dead()) == (None, "")
 
 
 @pytest.mark.parametrize("stubborn", [False, True])
-def test_what_a_launcher_has_detached_is_ended_with_it(tmp_path, control, stubborn):
+def test_detached_children_of_a_launcher_are_ended(tmp_path, control, stubborn):
     """Without a command that stops it, a restart would leave two of them on the link."""
     ignore = "signal.signal(signal.SIGTERM, signal.SIG_IGN)\n" if stubborn else ""
     service = program(tmp_path, ignore + FOREVER, "service")
@@ -190,7 +190,7 @@ def test_a_launcher_on_a_busy_machine(tmp_path, control):
     assert it.why_dead() == ""
 
 
-def test_a_program_that_ends_in_peace_is_dead_all_the_same(tmp_path, control):
+def test_a_program_that_exits_with_status_0_is_dead(tmp_path, control):
     """Status 0 after the settling time, and nothing that it has started is left."""
     code = "while not (here / 'go').exists(): time.sleep(0.01)"
     it = control(start=program(tmp_path, code), settle=0.01)
@@ -237,7 +237,7 @@ def test_watching_a_process(control):
         control(pid=other.pid)
 
 
-def test_a_number_that_is_used_again_is_another_process(control):
+def test_a_reused_pid_is_another_process(control):
     it = control(pid=os.getpid())
     assert it.alive()
     pid, started = it._watched
@@ -245,7 +245,7 @@ def test_a_number_that_is_used_again_is_another_process(control):
     assert it.alive() is False
 
 
-def test_a_pidfile_that_names_nothing(tmp_path, control):
+def test_a_pidfile_without_a_running_process(tmp_path, control):
     path = tmp_path / "sut.pid"
     with pytest.raises(UsageError, match="it names no process that runs"):
         control(pidfile=path)
@@ -258,7 +258,7 @@ def test_a_pidfile_that_names_nothing(tmp_path, control):
     assert control(pidfile=path).alive() is True
 
 
-def test_all_that_it_started_ends_with_it(tmp_path, control):
+def test_children_that_ignore_sigterm_are_ended(tmp_path, control):
     code = (
         "import subprocess\nchild = subprocess.Popen(['sleep', '600'])\n"
         "signal.signal(signal.SIGTERM, signal.SIG_IGN)\n(here / 'pid').write_text(str(child.pid))\ntime.sleep(600)"
@@ -273,7 +273,7 @@ def test_all_that_it_started_ends_with_it(tmp_path, control):
     eventually(lambda: started_at(child) is None, "the child ends")
 
 
-def test_not_even_sigkill_leaves_it_behind(tmp_path):
+def test_the_implementation_ends_even_if_the_tester_is_killed(tmp_path):
     inner = program(tmp_path, FOREVER, "inner")
     outer = (
         "from dcp_conformance.sut.process import ProcessControl\n"

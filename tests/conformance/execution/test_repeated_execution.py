@@ -70,7 +70,7 @@ def test_a_late_tester_tries_again_and_the_last_execution_counts():
     assert note.startswith("TC_BP_X_BV_01 was executed again, since the tester could not decide it: it acted late by 1")
 
 
-def test_a_failure_of_the_second_execution_is_one():
+def test_a_failure_of_the_second_execution_counts():
     rig = Rig()
 
     def body(bench: Bench, number: int) -> None:
@@ -96,7 +96,7 @@ def test_the_executions_are_bounded():
     assert result.reason.endswith(f"; executed {MOST_EXECUTIONS} times")
 
 
-def test_frames_that_the_kernel_dropped_are_the_testers_trouble_too():
+def test_frames_dropped_by_the_kernel_also_cause_another_execution():
     rig = Rig()
 
     def body(bench: Bench, number: int) -> None:
@@ -108,7 +108,7 @@ def test_frames_that_the_kernel_dropped_are_the_testers_trouble_too():
     assert "the kernel dropped 3 frames" in rig.runner.notes[0]
 
 
-def test_what_a_late_tester_could_not_even_try_is_tried_again():
+def test_a_stimulus_that_a_late_tester_did_not_send_is_repeated():
     rig = Rig()
 
     def body(bench: Bench, number: int) -> None:
@@ -121,7 +121,7 @@ def test_what_a_late_tester_could_not_even_try_is_tried_again():
 
 
 @pytest.mark.parametrize("reason", ["in time", "assumed", "another reason", "passed", "shown"])
-def test_only_lateness_and_nothing_else_is_a_reason(reason: str):
+def test_only_lateness_causes_another_execution(reason: str):
     rig = Rig()
 
     def body(bench: Bench, number: int) -> None:
@@ -145,7 +145,7 @@ def test_only_lateness_and_nothing_else_is_a_reason(reason: str):
     assert rig.run(body).executions == 1
 
 
-def test_a_failure_is_not_lost_to_a_later_execution_without_it():
+def test_a_failure_is_kept_if_a_later_execution_lacks_it():
     """The octets that were wrong once stay a failure, though the rest of the case could not be observed."""
     rig = Rig()
 
@@ -162,7 +162,7 @@ def test_a_failure_is_not_lost_to_a_later_execution_without_it():
     assert result.reason == "octets 01: 02; executed 2 times"
 
 
-def test_what_was_not_observed_beside_a_failure_is_observed_by_another_execution():
+def test_unobserved_checks_of_a_failed_case_are_observed_by_another_execution():
     rig = Rig()
 
     def body(bench: Bench, number: int) -> None:

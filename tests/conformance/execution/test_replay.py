@@ -44,7 +44,7 @@ def replayed(
     speed: float = 1.0,
     services: bool = True,
 ) -> CaseResult:
-    """Play a recording at our node, which is ``called`` as the one whose part it takes unless it is said otherwise."""
+    """Play a recording to our node, whose identifier is ``called``, by default that of the node it replaces."""
     codec = codec_of(guessed_profile(path))
     name = octets(called or node or NODES[0])
     sut = InProcess(reference_config(codec, node_id=name), make=make)
@@ -59,14 +59,14 @@ def replayed(
 @pytest.mark.parametrize("node", NODES)
 @pytest.mark.parametrize("name", GOLDENS)
 class TestGoldens:
-    def test_our_node_takes_the_part_of_each(self, name: str, node: str):
+    def test_our_node_replaces_each_recorded_node(self, name: str, node: str):
         result = replayed(CAPTURES / f"{name}.mcap", node)
         assert result.verdict is Verdict.PASS, result.reason
         assert {"VD-CMP-04", "VD-PC-09", "VD-PU-07"} <= set(result.requirements)
         assert result.evidence
 
     @pytest.mark.parametrize("speed", [0, 4])
-    def test_as_fast_as_it_keeps_up_and_faster_than_recorded(self, name: str, node: str, speed: float):
+    def test_playing_faster_than_recorded(self, name: str, node: str, speed: float):
         result = replayed(CAPTURES / f"{name}.mcap", node, speed=speed)
         assert result.verdict is Verdict.PASS, result.reason
 
@@ -96,7 +96,7 @@ class TestWhatIsFound:
                  for each in check.requirements}  # fmt: skip
         assert named in wrong
 
-    def test_a_node_that_changes_what_it_passes_on_fails(self):
+    def test_a_node_that_changes_forwarded_values_fails(self):
         def reversed_values(octets: bytes) -> bytes:
             beacon = codec.decode(octets)
             payloads = []
@@ -133,7 +133,7 @@ class TestWhatIsFound:
         result = runner.run(Replay(path, ReplayOptions(octets(NODES[2]))).cases()[0])
         assert result.verdict is Verdict.FAIL
 
-    def test_a_node_that_says_nothing_is_no_pass(self):
+    def test_a_silent_node_does_not_pass(self):
         class Mute(InProcess):
             def carry_out(self) -> None:
                 super().carry_out()
@@ -147,7 +147,7 @@ class TestWhatIsFound:
         result = Runner(session, sut).run(Replay(path, ReplayOptions()).cases()[0])
         assert result.verdict is Verdict.FAIL
 
-    def test_a_recording_decides_only_what_it_gives_an_occasion_for(self, tmp_path: Path):
+    def test_a_recording_decides_only_requirements_that_it_exercises(self, tmp_path: Path):
         air = Script()
         for _ in range(20):
             air.say(1, *([air.create(7, 1)] if not air.frames else []), VarSumm(7, 0))
@@ -161,7 +161,7 @@ class TestWhatIsFound:
         assert {"VD-PC-09", "VD-PC-10", "VD-SCP-02"} <= set(result.requirements)
         assert not {"VD-PD-04", "VD-RC-03", "VD-RU-04", "VD-PS-04", "VD-UPD-08"} & set(result.requirements)
 
-    def test_broken_frames_are_played_too_and_make_nothing_certain(self, tmp_path: Path):
+    def test_malformed_frames_are_played_and_make_results_inconclusive(self, tmp_path: Path):
         frames = simulated("dcp-2.0", 4, seconds=10)
         path = tmp_path / "broken.mcap"
         with create_capture(path) as writer:
@@ -177,7 +177,7 @@ def _with(frame: Frame, data: bytes) -> Frame:
 
 
 class TestParts:
-    def test_its_own_if_it_was_recorded_else_the_one_that_produces_least(self):
+    def test_the_node_itself_is_replaced_if_recorded_else_the_one_that_produces_least(self):
         path = CAPTURES / "b_crud.mcap"
         cast = recorded_nodes(path, codec_of("cpp-2.0"))
         assert sorted(each.hex(":") for each in cast.beacons) == list(NODES)
@@ -186,11 +186,11 @@ class TestParts:
         assert choose_node(cast, b"\x02\0\0\0\0\x99") == octets(NODES[2])
         assert isinstance(cast, RecordedNodes)
 
-    def test_a_name_of_its_own_is_no_obstacle(self):
+    def test_the_node_may_have_an_unrecorded_identifier(self):
         result = replayed(CAPTURES / "c_latejoin.mcap", NODES[2], called="02:00:00:00:00:77")
         assert result.verdict is Verdict.PASS, result.reason
 
-    def test_an_implementation_whose_name_nobody_knows_is_listened_to_first(self):
+    def test_an_unknown_node_identifier_is_learned_from_beacons_first(self):
         path, codec = CAPTURES / "b_crud.mcap", codec_of("cpp-2.0")
         sut = InProcess(reference_config(codec, node_id=b"\x02\0\0\0\0\x77"))
         session = Session(codec, sut.lower_tester(), None, Pics())
@@ -198,7 +198,7 @@ class TestParts:
         assert session.sut_id == b"\x02\0\0\0\0\x77"
         assert result.verdict is Verdict.PASS, result.reason
 
-    def test_the_name_of_another_recorded_node_cannot_be(self):
+    def test_the_identifier_of_another_recorded_node_is_refused(self):
         replay = Replay(CAPTURES / "b_crud.mcap", ReplayOptions(octets(NODES[0])))
         with pytest.raises(UsageError, match=r"has the identifier 02:00:00:00:00:02 of another recorded node"):
             replay.take_part(codec_of("cpp-2.0"), octets(NODES[1]))
@@ -216,13 +216,13 @@ class TestCommand:
         assert (tmp_path / "report.html").exists()
         assert set(run.requirements.values()) == {Verdict.PASS}
 
-    def test_it_says_whose_part_was_taken(self, dcp_conformance: Command):
+    def test_the_replaced_node_is_reported(self, dcp_conformance: Command):
         done = dcp_conformance("replay", CAPTURES / "b_crud.mcap", "--in-process")
         assert f"note: it took the part of {NODES[2]} of the recording" in done.out
         assert done.err == ""
 
     @pytest.mark.parametrize(("speed", "told"), [("100000", "the replay takes 1 h 0 min; --speed 0"), ("0", "")])
-    def test_long_pauses_are_told_before(self, dcp_conformance: Command, tmp_path: Path, speed: str, told: str):
+    def test_long_pauses_are_announced(self, dcp_conformance: Command, tmp_path: Path, speed: str, told: str):
         path = tmp_path / "paused.pcap"
         frames = simulated("dcp-2.0", 3, seconds=4)
         with create_capture(path) as writer:
@@ -244,17 +244,19 @@ class TestCommand:
             (["no-such.mcap"], "no-such.mcap"),
             ([__file__], "test_replay.py"),
             ([CAPTURES / "b_crud.mcap", "--node", "02:00:00:00:00:09"], "no node 02:00:00:00:00:09 in it; there are"),
-            ([CAPTURES / "b_crud.mcap", "--node", "nobody"], "'nobody' is not a node identifier"),
+            ([CAPTURES / "b_crud.mcap", "--node", "drone"], "'drone' is not a node identifier"),
             ([CAPTURES / "b_crud.mcap", "--profile", "dcp-9"], "dcp-9"),
             ([CAPTURES / "b_crud.mcap", "--speed", "-1"], "--speed"),
         ],
     )
-    def test_what_cannot_be_played_says_so(self, dcp_conformance: Command, arguments: list[object], message: str):
+    def test_recordings_that_cannot_be_played_are_refused(
+        self, dcp_conformance: Command, arguments: list[object], message: str
+    ):
         done = dcp_conformance("replay", *arguments, "--in-process")
         assert done.status == 2
         assert message in done.err
 
-    def test_a_recording_without_the_profile_says_so(self, dcp_conformance: Command, tmp_path: Path):
+    def test_a_recording_without_the_profile_is_refused(self, dcp_conformance: Command, tmp_path: Path):
         path = tmp_path / "other.pcap"
         with create_capture(path) as writer:
             for frame in simulated("dcp-2.0", 3, seconds=4)[:5]:

@@ -38,7 +38,7 @@ class Forgetful(VirtualUpperTester):
 
 
 def state(sut: InProcess) -> dict[str, Any]:
-    """What must be as before: parameters, client protocols, and whether BP and VarDis work."""
+    """Return the state to be restored: parameters, client protocols, and whether BP and VarDis are active."""
     upper = sut.upper_tester()
     told = {method: upper.call(method, {}).result for method in sorted(upper.methods) if method.endswith("Parameters")}
     listed = upper.call("BP-ListRegisteredProtocols", {}).result["protocols"]
@@ -63,7 +63,7 @@ def left_by(case: Case, lost: int) -> tuple[dict[str, Any], dict[str, Any], int]
 
 
 @pytest.mark.parametrize("case_id", CASES)
-def test_a_lost_answer_leaves_nothing_behind(case_id: str):
+def test_the_state_is_restored_after_a_lost_answer(case_id: str):
     case = known_cases()[case_id]
     lost, calls = 1, 1
     while lost <= min(calls, 40):
@@ -101,7 +101,7 @@ def test_parameters_whose_bounds_depend_on_each_other_get_their_values_back():
     assert bench.restoration.failure == ""
 
 
-def test_what_cannot_be_undone_is_told():
+def test_changes_that_cannot_be_undone_are_reported():
     def body(bench: Bench) -> None:
         bench.must("VD-MGMT-Deactivate")
 
@@ -114,7 +114,7 @@ def test_what_cannot_be_undone_is_told():
     assert bench.restoration.failure == "VD-MGMT-Activate: VD-MGMT-Activate was not answered within 1 s"
 
 
-def test_an_entity_is_active_again_before_what_stopped_the_block_goes_on():
+def test_an_entity_is_reactivated_before_an_exception_propagates():
     def body(bench: Bench) -> None:
         with pytest.raises(StopCase), bench.services.deactivated("VD"):
             bench.inconclusive("something", "else")
@@ -170,7 +170,7 @@ ONE: dict[str, Any] = {"protId": 1}
         ([(OFF, {}, OK), (REGISTER, ONE, OK), ("UT-Reset", {}, OK)], []),
     ],
 )
-def test_what_is_to_be_undone(
+def test_changes_to_be_undone(
     calls: list[tuple[str, dict[str, Any], Answer | None]], due: list[tuple[str, dict[str, Any]]]
 ):
     assert changes_after(*calls) == due
@@ -210,13 +210,13 @@ def after_a_change(sut: InProcess) -> tuple[Runner, list[CaseResult]]:
     return runner, [runner.run(case) for case in cases]
 
 
-def test_what_a_case_could_not_undo_does_not_spoil_the_next_one():
+def test_changes_that_remain_do_not_affect_the_next_case():
     runner, results = after_a_change(InProcess(reference_config(codec_of("dcp-2.0"))))
     assert [each.verdict for each in results] == [Verdict.PASS, Verdict.PASS]
     assert runner.notes == []
 
 
-def test_without_a_restart_the_reader_is_told_what_could_not_be_undone():
+def test_without_a_restart_remaining_changes_are_reported():
     sut = InProcess(reference_config(codec_of("dcp-2.0")))
     sut.can_restart = False
     runner, _ = after_a_change(sut)

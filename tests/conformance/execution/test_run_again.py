@@ -1,4 +1,4 @@
-"""The command that a result shows does it again, exactly as it is printed."""
+"""The command that a result shows reproduces the result when it is run exactly as printed."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ WORD = TEXT.map(lambda text: f"a {text} 'b\" $x")
         seed=st.integers(-(2**63), 2**63),
     )
 )
-def test_all_options_of_a_target_come_back(options: TargetOptions):
+def test_all_options_of_a_target_are_in_the_command(options: TargetOptions):
     words = shlex.split(options.command_line())
     assert words[:2] == ["dcp-conformance", "run"]
     taken: list[TargetOptions] = []
@@ -107,7 +107,7 @@ def test_a_finding_of_the_fuzzer_as_a_case(tmp_path: Path):
     if status != 1 or not found:
         pytest.fail("the fuzzer finds nothing any more: take another mutant")
     name = f"TC_DCP_FUZZ_BI_01-{found[0].stem}"
-    # Our node as it is passes; that is the verdict to see again.
+    # Our node without changes passes; that is the verdict to be reproduced.
     run(["dcp-conformance", "run", "--in-process", "--artefacts", folder, name, "--report-dir", "r"], tmp_path)
     case = next(each for each in load_results(tmp_path / "r").cases if each.id == name)
     status, _ = run([*shlex.split(case.rerun), "--report-dir", "r2"], tmp_path)

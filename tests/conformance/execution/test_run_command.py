@@ -1,4 +1,4 @@
-"""``dcp-conformance run`` and ``list``: what they say, how they end, and what they leave behind."""
+"""``dcp-conformance run`` and ``list``: output, exit status, and remaining files and processes."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ class TestExitStatus:
         assert FAILS in done.out
         assert FAILS in [case.id for case in load_results(tmp_path).cases]
 
-    def test_3_nobody_is_there_to_answer(self, dcp_conformance: Command, tmp_path: Path):
+    def test_3_no_implementation_answers(self, dcp_conformance: Command, tmp_path: Path):
         """Silence is not a fault that a requirement could be named for."""
         link = f"udp:239.77.1.1:{own_port()}"
         done = dcp_conformance("run", "--link", link, "--beacon-period", "20", SANITY, "--report-dir", tmp_path)
@@ -100,8 +100,8 @@ class TestExitStatus:
         assert exit_status([result_of(Verdict.PASS), result_of(Verdict.INCONCLUSIVE)]) == INCONCLUSIVE == 3
         assert exit_status([result_of(Verdict.FAIL), result_of(Verdict.INCONCLUSIVE)]) == UNEXPECTED
 
-    def test_3_by_an_upper_tester_that_dies_in_the_middle(self, dcp_conformance: Command, tmp_path: Path):
-        """It answers so many requests and is gone; the report says so."""
+    def test_3_by_an_upper_tester_that_exits_during_the_run(self, dcp_conformance: Command, tmp_path: Path):
+        """It answers a few requests and exits; the report records it."""
         upper = tmp_path / "upper.py"
         upper.write_text(_UPPER)
         link = f"udp:239.77.2.1:{own_port()}"
@@ -113,16 +113,16 @@ class TestExitStatus:
         assert done.status != AS_EXPECTED
         assert (tmp_path / "report" / "report.html").exists()
 
-    def test_4_nobody_listens_where_the_upper_tester_should_be(self, dcp_conformance: Command, tmp_path: Path):
+    def test_4_no_listener_at_the_address_of_the_upper_tester(self, dcp_conformance: Command, tmp_path: Path):
         done = dcp_conformance("run", "--link", "udp", "--ut", f"unix:{tmp_path}/node.sock", "TC_DCP_SANITY_BV_01")
         assert done.status == TESTER_ERROR
-        # Nobody was told to start it: there is nothing to wait for.
+        # The tester was not asked to start it, so it does not wait.
         assert f"unix:{tmp_path}/node.sock: there is no such socket; is the implementation running" in done.err
 
     def test_4_the_start_command_fails_later(
         self, dcp_conformance: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ):
-        """Its last words tell why nobody listens at the upper tester's address."""
+        """The last output of the command explains why there is no listener at the upper tester's address."""
         monkeypatch.setattr("dcp_conformance.execution.target.UPPER_PATIENCE", 1.5)
         script = tmp_path / "start.sh"
         script.write_text("sleep 0.7; echo config file missing >&2; exit 3\n")
@@ -133,7 +133,7 @@ class TestExitStatus:
         assert done.status == TESTER_ERROR
         assert "--start: it ended with exit status 3; its output: config file missing" in done.err
 
-    def test_4_the_testers_own_trouble(self, dcp_conformance: Command, tmp_path: Path):
+    def test_4_an_error_of_the_tester(self, dcp_conformance: Command, tmp_path: Path):
         done = dcp_conformance(
             "run", "--link", "udp", "--ut", f"tcp:127.0.0.1:{own_port()}", ONE, "--report-dir", tmp_path
         )
@@ -194,14 +194,14 @@ class TestWhatIsRun:
             (["--pytest", "--no-such-option", "--in-process"], "pytest could not begin"),
         ],
     )
-    def test_what_makes_no_sense_says_so(self, dcp_conformance: Command, arguments: list[str], message: str):
+    def test_contradictory_options_are_refused(self, dcp_conformance: Command, arguments: list[str], message: str):
         done = dcp_conformance("run", *arguments)
         assert done.status == USAGE, done.out
         assert message in done.err
         # Nothing was executed: a summary would hide the message.
         assert "requirement" not in done.out
 
-    def test_near_names_are_told_once(self):
+    def test_similar_names_are_suggested_once(self):
         with pytest.raises(UsageError) as raised:
             select(all_cases(), Selection(patterns=("TC_VD_UPD_BV_1",)))
         near = re.findall(r"TC_\w+(?:-\w+)?", str(raised.value).partition("did you mean")[2])
@@ -213,7 +213,7 @@ class TestWhatIsRun:
         assert ONE in done.out
         assert all(line.startswith("TC_") for line in done.out.splitlines())
 
-    def test_only_what_was_asked_for_is_run(self, dcp_conformance: Command, tmp_path: Path):
+    def test_only_selected_cases_are_run(self, dcp_conformance: Command, tmp_path: Path):
         dcp_conformance("run", "--in-process", "-r", "VD-UPD-08", "-x", ONE, "--report-dir", tmp_path)
         ran = {case.id for case in load_results(tmp_path).cases}
         wanted = {case.id for case in all_cases().values() if "VD-UPD-08" in case.requirements} - {ONE}
@@ -237,7 +237,7 @@ class TestWhatIsRun:
         assert done.status == 0
         assert [case.id for case in load_results(tmp_path).cases] == [SANITY]
 
-    def test_what_was_typed_need_be_no_text(
+    def test_arguments_need_not_be_valid_text(
         self, dcp_conformance: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ):
         name = os.fsdecode(b"\xf6")
@@ -277,8 +277,8 @@ class TestWhatIsRun:
             done = dcp_conformance("run", "--in-process", "--plan", "smoke", "--profile", profile)
             assert done.status == 0, done.out
 
-    def test_lines_are_shown_by_a_command_of_its_own(self, tmp_path: Path):
-        """In one process pytest runs the cases, and must neither keep what is said meanwhile nor leave anything."""
+    def test_output_is_shown_in_a_separate_process(self, tmp_path: Path):
+        """In one process pytest runs the cases: it must neither capture their output nor leave files."""
         command = [sys.executable, "-c", "from dcp_conformance.cli import main; main()", "run", "--in-process"]
         done = subprocess.run(
             [*command, "-v", ONE], capture_output=True, text=True, timeout=PATIENCE, check=True, cwd=tmp_path
@@ -287,7 +287,7 @@ class TestWhatIsRun:
         assert not list(tmp_path.iterdir())
 
     @pytest.mark.parametrize("options", [["-v"], ["-q"], []])
-    def test_what_it_shows(self, dcp_conformance: Command, options: list[str]):
+    def test_output_of_a_run(self, dcp_conformance: Command, options: list[str]):
         done = dcp_conformance("run", "--in-process", ONE, *options)
         assert (f"pass     {ONE}" in done.out) == (options == ["-v"])
         assert "\x1b" not in done.out
@@ -295,14 +295,14 @@ class TestWhatIsRun:
 
 
 class TestExpectedResults:
-    def test_what_is_expected_to_fail_and_does(
-        self, dcp_conformance: Command, failing: tuple[str, ...], tmp_path: Path
-    ):
+    def test_an_expected_failure(self, dcp_conformance: Command, failing: tuple[str, ...], tmp_path: Path):
         known = expected_file(tmp_path, entry(FAILS, match='"half a period"'))
         done = dcp_conformance("run", *failing, FAILS, "--expected", known)
         assert done.status == AS_EXPECTED, done.out
 
-    def test_that_it_fails_for_another_reason(self, dcp_conformance: Command, failing: tuple[str, ...], tmp_path: Path):
+    def test_a_failure_for_another_reason_than_expected(
+        self, dcp_conformance: Command, failing: tuple[str, ...], tmp_path: Path
+    ):
         known = expected_file(tmp_path, entry(FAILS, match='"quite another"'))
         done = dcp_conformance("run", *failing, FAILS, "--expected", known)
         assert done.status == UNEXPECTED
@@ -314,11 +314,11 @@ class TestExpectedResults:
         assert done.status == UNEXPECTED
         assert "no result matches this entry; remove it" in done.out
 
-    def test_entries_about_cases_that_were_not_run_are_left_alone(self, dcp_conformance: Command, tmp_path: Path):
+    def test_entries_about_cases_that_were_not_run_are_ignored(self, dcp_conformance: Command, tmp_path: Path):
         known = expected_file(tmp_path, entry("TC_BP_HDR_BV_01"))
         assert dcp_conformance("run", "--in-process", ONE, "--expected", known).status == AS_EXPECTED
 
-    def test_an_entry_whose_day_has_come_fails_the_run(self, dcp_conformance: Command, tmp_path: Path):
+    def test_an_expired_entry_fails_the_run(self, dcp_conformance: Command, tmp_path: Path):
         known = expected_file(tmp_path, entry(ONE, verdict="pass", expires="2020-01-31"))
         done = dcp_conformance("run", "--in-process", ONE, "--expected", known)
         assert done.status == UNEXPECTED
@@ -337,7 +337,7 @@ class TestExpectedResults:
             ("\udcff", "expected.toml"),
         ],
     )
-    def test_what_cannot_be_read_says_so(self, tmp_path: Path, text: str, message: str):
+    def test_an_unreadable_file_is_reported(self, tmp_path: Path, text: str, message: str):
         path = tmp_path / "expected.toml"
         path.write_bytes(text.encode("utf-8", "surrogateescape"))
         with pytest.raises(UsageError, match=re.escape(message)):
@@ -345,7 +345,7 @@ class TestExpectedResults:
 
 
 class TestList:
-    def test_it_shows_cases_with_what_they_decide(self, dcp_conformance: Command):
+    def test_cases_are_shown_with_their_requirements(self, dcp_conformance: Command):
         done = dcp_conformance("list", "VD-UPD-08")
         assert done.status == 0
         assert re.search(rf"{ONE} .*\[.*VD-UPD-08.*\]", done.out)
@@ -373,7 +373,7 @@ class TestPytest:
         assert done.returncode == 0, done.stdout + done.stderr
         assert re.search(r"\d+ pass", done.stdout)
 
-    def test_its_options_work_in_a_run(self, tmp_path: Path):
+    def test_pytest_options_work_in_a_run(self, tmp_path: Path):
         run = ConformanceRun(TargetOptions(in_process=True), Selection())
         run_with_pytest(run, ["-k", ONE, "-q"])
         assert {result.id for result in run.results} == {SANITY, ONE}
@@ -391,7 +391,7 @@ class TestLanes:
         pics.write_text("[pixit]\nleast_patience_ms = 20000\n")
         return TargetOptions(beacon_period_ms=20.0, pics=pics)
 
-    def test_the_upper_tester_has_the_patience_of_the_pixit(self, options: TargetOptions, tmp_path: Path):
+    def test_the_upper_tester_has_the_timeout_of_the_pixit(self, options: TargetOptions, tmp_path: Path):
         upper = tmp_path / "upper.py"
         upper.write_text(_UPPER)
         link = f"udp:239.77.6.1:{own_port()}"
@@ -400,7 +400,7 @@ class TestLanes:
             assert target.runner.session.upper is not None
             assert target.runner.session.upper._patience == 20
 
-    def test_they_come_to_the_same_as_one(self, options: TargetOptions):
+    def test_several_lanes_give_the_same_verdicts_as_one(self, options: TargetOptions):
         # Without those that wait all of that time for something that must not come.
         wanted = Selection(patterns=("VD-UPD-0*", "BP-HDR-01", "SRP-RX-06"), exclude=("*deleted*",))
         verdicts = []
@@ -422,7 +422,7 @@ class TestLanes:
             (TargetOptions(link="udp"), (), 4, 1),
         ],
     )
-    def test_there_are_no_more_than_there_is_work_for(self, target, patterns, jobs: int, workers: int):
+    def test_there_are_at_most_as_many_lanes_as_cases(self, target, patterns, jobs: int, workers: int):
         assert workers_for(ConformanceRun(target, Selection(patterns=patterns)), jobs) == workers
 
     def test_the_sanity_case_alone_stays_alone(self, options: TargetOptions):
@@ -430,7 +430,7 @@ class TestLanes:
         run_in_workers(run, 4)
         assert {result.id for result in run.results} == {SANITY}
 
-    def test_a_lane_that_is_killed_is_the_testers_trouble(self, tmp_path: Path):
+    def test_a_killed_lane_is_an_error_of_the_tester(self, tmp_path: Path):
         command = self._for_ever(tmp_path)
         with subprocess.Popen(
             command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
@@ -440,7 +440,7 @@ class TestLanes:
             _, err = process.communicate(timeout=PATIENCE)
         assert process.returncode == TESTER_ERROR, err
         assert "a worker of the tester has ended" in err
-        # No case is missing without a word.
+        # Each missing case has a reason.
         lost = {case.id: case for case in load_results(tmp_path).cases if case.verdict is Verdict.ERROR}
         assert set(lost) == set(RUN[-2:])
         assert all("a worker of the tester has ended" in case.reason for case in lost.values())

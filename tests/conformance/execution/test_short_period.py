@@ -1,4 +1,4 @@
-"""The short beacon period: what is executed with it, and that nothing but a plain pass comes of it."""
+"""The short beacon period: which cases are executed with it; only a pass is accepted, others are repeated."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def told(runner: Runner) -> object:
     return runner.session.upper.call("BP-GetParameters", {}).result["parameters"][PERIOD]
 
 
-def test_the_period_is_short_after_a_reset_too_and_restored_in_the_end() -> None:
+def test_the_period_stays_short_after_a_reset_and_is_restored_at_the_end() -> None:
     runner, _ = bench_of()
     before = runner.session.reaction
     short, begun = begin(runner)
@@ -63,7 +63,7 @@ def test_the_period_is_short_after_a_reset_too_and_restored_in_the_end() -> None
     assert runner.run(all_cases()["TC_VD_CMP_BV_01"]).short_period == 0
 
 
-def test_a_restart_ends_it() -> None:
+def test_a_restart_ends_the_short_period() -> None:
     runner, _ = bench_of()
     _, begun = begin(runner)
     assert begun
@@ -81,7 +81,7 @@ def test_an_implementation_that_does_not_use_the_parameter_keeps_its_period() ->
     assert short.milliseconds < 100
 
 
-def test_a_period_that_is_not_the_told_one_is_left_alone() -> None:
+def test_a_period_other_than_the_stated_one_is_not_changed() -> None:
     runner, _ = bench_of(beacon_period_ms=80)
     _, begun = begin(runner)
     assert not begun
@@ -96,7 +96,7 @@ def test_cases_about_the_configured_period_are_executed_with_it() -> None:
             assert not at_short_period(case), case.id
 
 
-def test_what_does_not_pass_at_the_short_period_is_decided_at_the_configured_one() -> None:
+def test_cases_that_do_not_pass_at_the_short_period_are_repeated_at_the_configured_one() -> None:
     runner, _ = bench_of()
     wrong = all_cases()["TC_BP_PAR_BV_05"]
     short, begun = begin(runner)
@@ -120,7 +120,7 @@ def test_a_whole_run_is_short_and_gives_the_verdicts_of_our_node() -> None:
 
 
 @pytest.mark.parametrize("pattern", ["TC_VD_DB_BV_06-", "TC_NET_RACE_BO_02-", "TC_NET_JOIN_BV_07", "TC_VD_UPD_BV_0"])
-def test_no_case_waits_for_repetitions_that_are_over(monkeypatch, pattern: str) -> None:
+def test_no_case_waits_for_finished_repetitions(monkeypatch, pattern: str) -> None:
     vain: list[str] = []
     until_quiet = Waiting.until_quiet
 

@@ -1,4 +1,4 @@
-"""Cases that are executed side by side get the verdicts that they get one after the other."""
+"""Cases that are executed concurrently get the same verdicts as in succession."""
 
 from __future__ import annotations
 
@@ -57,13 +57,13 @@ def test_our_node_gets_the_same_verdicts(profile: str) -> None:
 
 
 @pytest.mark.parametrize("mutant", MUTANTS)
-def test_a_mutant_is_noticed_side_by_side_too(mutant: str) -> None:
+def test_a_mutant_is_detected_in_a_concurrent_run(mutant: str) -> None:
     mutants = all_mutants()
     assert mutant in mutants
     assert compare(mutants[mutant], mutants[mutant].profile, cases(), companions=20).killed == (True, True)
 
 
-def test_most_cases_pass_beside_others_and_each_has_one_result() -> None:
+def test_most_cases_pass_concurrently_and_each_has_one_result() -> None:
     found = run(WIDTH)
     assert not found.trouble
     results = Counter(result.id for result in found.results)
@@ -76,7 +76,7 @@ def test_most_cases_pass_beside_others_and_each_has_one_result() -> None:
     assert any(f"{len(beside)} cases passed while others were executed" in note for note in found.result().notes)
 
 
-def test_what_does_not_pass_beside_others_is_repeated_alone() -> None:
+def test_cases_that_do_not_pass_concurrently_are_repeated_alone() -> None:
     found = run(WIDTH, "TC_BP_REG_*", "TC_SRP_NT_BV_03")
     # It reports what it has seen, which is not a plain pass.
     assert found.repeated_alone.keys() == {"TC_SRP_NT_BV_03"}
@@ -85,14 +85,14 @@ def test_what_does_not_pass_beside_others_is_repeated_alone() -> None:
     assert not result.side_by_side
 
 
-def test_every_rule_for_cases_alone_is_about_some_case() -> None:
+def test_every_rule_for_exclusive_cases_matches_some_case() -> None:
     names = list(all_cases())
     for pattern, reason in _MEASURES:
         assert reason
         assert any(re.fullmatch(pattern, name) for name in names), pattern
 
 
-def test_cases_that_change_the_node_as_a_whole_are_alone() -> None:
+def test_cases_that_change_the_whole_node_run_alone() -> None:
     for case in all_cases().values():
         if ALONE & set(case.needs.ut) or case.needs.restart or case.needs.link:
             assert why_alone(case), case.id
@@ -108,7 +108,7 @@ def test_vardis_stays_registered_while_others_are_executed(monkeypatch, name: st
     assert {result.verdict for result in found.results} == {Verdict.PASS}
 
 
-def test_a_signal_ends_the_run_with_what_was_decided_and_leaves_nothing_registered(monkeypatch) -> None:
+def test_a_signal_ends_the_run_with_its_results_and_deregisters_everything(monkeypatch) -> None:
     steps = Counter()
     step = Scheduler.step
     left: list[object] = []
@@ -254,7 +254,7 @@ def test_every_task_receives_every_frame_at_its_time_and_none_after_its_deadline
     assert accounted == [10, 20, 20, 35]
 
 
-def test_losses_of_the_kernel_are_told_to_every_task_once() -> None:
+def test_kernel_losses_are_reported_to_every_task_once() -> None:
     link = Link(10)
     scheduler = Scheduler(link, None, lambda _: None)
     losses: list[list[int]] = []
@@ -294,7 +294,7 @@ class GoneUpper:
         return ()
 
 
-def test_a_lost_link_is_for_the_cases_to_meet() -> None:
+def test_a_lost_link_is_reported_by_the_cases() -> None:
     scheduler = Scheduler(BrokenLink(10), None, lambda _: None)
     met: list[str] = []
 
@@ -311,7 +311,7 @@ def test_a_lost_link_is_for_the_cases_to_meet() -> None:
     assert met == ["lost", "lost"]
 
 
-def test_a_lost_upper_tester_is_for_the_cases_to_meet() -> None:
+def test_a_lost_upper_tester_is_reported_by_the_cases() -> None:
     scheduler = Scheduler(Link(10), GoneUpper(), lambda _: None)
     met: list[str] = []
 
@@ -349,7 +349,7 @@ WAITING, BLOCKED, RETURNED = threading.Event(), threading.Event(), threading.Eve
 
 
 class SlowUpper:
-    """An upper tester whose calls last until a frame has been received by somebody else."""
+    """An upper tester whose calls last until another task has received a frame."""
 
     name = "slow"
     about: ClassVar[dict] = {}
@@ -375,7 +375,7 @@ class SlowUpper:
         pass
 
 
-def test_others_go_on_while_a_call_lasts() -> None:
+def test_other_cases_continue_during_a_call() -> None:
     WAITING.clear()
     BLOCKED.clear()
     scheduler = Scheduler(RealLink(10, 20, 30), SlowUpper(), lambda _: None)
@@ -399,7 +399,7 @@ def test_others_go_on_while_a_call_lasts() -> None:
     assert order == ["heard", "heard", "heard", "called"]
 
 
-def test_an_implementation_that_dies_is_found_and_its_killer_named() -> None:
+def test_a_crash_is_detected_and_attributed_to_its_case() -> None:
     codec = Codec("dcp-2.0")
     sut = InProcess(reference_config(codec))
     handle = sut.deliver
@@ -431,7 +431,7 @@ def test_an_implementation_that_dies_is_found_and_its_killer_named() -> None:
     assert any("executed side by side" in note and "alone" in note for note in runner.notes)
 
 
-def test_malformed_containers_are_executed_beside_each_other_only(monkeypatch) -> None:
+def test_cases_with_malformed_containers_run_only_beside_each_other(monkeypatch) -> None:
     """Their octets may be read as records of any variable: one had a request sent for the variable of another case."""
     beside: set[str] = set()
     account = SideBySide._account

@@ -1,4 +1,4 @@
-"""Waiting for an implementation that was started: how long, what the user is told, and what is not held against it."""
+"""Waiting for a started implementation: duration, messages to the user, and silence that is excused."""
 
 from __future__ import annotations
 
@@ -45,19 +45,19 @@ class Starting(InProcess):
 
 
 def started(sut: Starting, timeout: float | None = None) -> tuple[str, list[str]]:
-    """Why waiting has ended (empty: it answers), and what the user was told."""
+    """Return why waiting has ended (empty: the implementation answers), and the messages to the user."""
     said: list[str] = []
     session = Session(codec_of("dcp-2.0"), sut.lower_tester(), None, Pics())
     return Life(session, sut, timeout).await_start(known_cases()[SANITY], said.append), said
 
 
-def test_what_answers_at_once_is_not_waited_for():
+def test_an_implementation_that_answers_at_once_is_not_waited_for():
     sut = Starting(0, 0)
     assert started(sut) == ("", [])
     assert sut.passed < 1
 
 
-def test_the_user_is_told_what_is_waited_for():
+def test_the_reason_for_waiting_is_reported():
     sut = Starting(NEVER)
     why, [said] = started(sut)
     assert why == f"does not answer within {START_PATIENCE:g} s"
@@ -69,7 +69,7 @@ def test_the_user_is_told_what_is_waited_for():
 
 
 @pytest.mark.parametrize("opens", [0.0, 10.0])
-def test_what_has_opened_the_link_and_does_not_answer_has_started(opens: float):
+def test_an_implementation_that_opened_the_link_counts_as_started(opens: float):
     sut = Starting(NEVER, opens)
     why, [said] = started(sut)
     assert "does not answer, though it opened the link" in why
@@ -78,13 +78,13 @@ def test_what_has_opened_the_link_and_does_not_answer_has_started(opens: float):
 
 
 @pytest.mark.parametrize("timeout", [5.0, 60.0])
-def test_what_the_user_tells_is_what_is_waited(timeout: float):
+def test_the_timeout_of_the_user_is_used(timeout: float):
     sut = Starting(NEVER, 0)
     assert started(sut, timeout)[0] == f"does not answer within {timeout:g} s"
     assert timeout <= sut.passed < timeout + 2
 
 
-def test_a_slow_starter_is_waited_for():
+def test_an_implementation_that_starts_slowly_is_waited_for():
     sut = Starting(20)
     assert started(sut)[0] == ""
     assert 20 <= sut.passed < 22
@@ -92,7 +92,7 @@ def test_a_slow_starter_is_waited_for():
     assert started(sut, 60)[0] == ""
 
 
-def test_what_has_died_is_not_waited_for():
+def test_a_dead_implementation_is_not_waited_for():
     sut = Starting(NEVER)
     sut.died = "RuntimeError: a word"
     assert started(sut) == ("is dead again: RuntimeError: a word", [])
@@ -137,9 +137,9 @@ def sanity(sut: InProcess) -> tuple[Check, ...]:
     return runner.run(known_cases()[SANITY]).checks
 
 
-def test_what_comes_up_during_the_sanity_case_is_not_accused_of_silence():
+def test_starting_during_the_sanity_case_is_not_silence():
     """The first summaries were sent before it was there, and the VarCreates after them are answered."""
-    # The measurement asks in vain for 5 s; three questions of 8 periods follow.
+    # The measurement gets no answer for 5 s; three questions of 8 periods follow.
     for after in (5.5, 7.0, 7.6, 8.0):
         [check] = sanity(Starting(after))
         assert check.verdict is Verdict.PASS, (after, check.observed)

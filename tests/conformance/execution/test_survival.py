@@ -1,4 +1,4 @@
-"""What is asked behind a case: does the implementation still live?"""
+"""The check after each case whether the implementation is still alive."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_beacons_are_enough_when_no_variable_is_left_to_ask_about():
     assert not killed
 
 
-def test_services_are_enough_when_there_is_nothing_to_say_either():
+def test_service_calls_are_enough_when_there_are_no_beacons_either():
     result = run(all_used, talking=False)
     verdict, killed = result.verdict, result.killed
     assert verdict is Verdict.PASS
@@ -52,7 +52,7 @@ def test_services_are_enough_when_there_is_nothing_to_say_either():
 
 
 def test_the_identifiers_of_the_last_variables_are_found():
-    def all_but_one(bench: Bench) -> None:
+    def uses_all_identifiers_except_one(bench: Bench) -> None:
         bench.identifiers.created.update(set(range(256)) - {254})
         found = (bench.identifiers.has_unknown_ids(), bench.identifiers.unknown_ids(1))
         bench.identifiers.created.add(254)
@@ -60,11 +60,11 @@ def test_the_identifiers_of_the_last_variables_are_found():
             (*found, bench.identifiers.has_unknown_ids()) == (True, [254], False), "the last one is found", str(found)
         )
 
-    verdict = run(all_but_one).verdict
+    verdict = run(uses_all_identifiers_except_one).verdict
     assert verdict is Verdict.PASS
 
 
-def test_a_death_violates_no_freedom():
+def test_a_crash_violates_no_requirement_that_leaves_a_choice():
     """How an implementation reacts to an unknown type is its own choice (VD-RX-05): to survive it is what is asked."""
     result = one_case("TC_VD_ROB_BI_01-type-0", make=all_mutants()["M-VD-ROB-01-dies-of-type"].make)
     assert result.killed
@@ -97,7 +97,7 @@ NEXT = "TC_VD_STATE_BV_01-unknown.rx-summary"
 
 
 def died_and_then(kind: type[InProcess], pics: Pics | None = None) -> tuple[Runner, CaseResult]:
-    """The runner, and the result of what is run behind a death."""
+    """The runner, and the result of a case that is run after a crash."""
     sut = kind(reference_config(codec_of("dcp-2.0")), make=all_mutants()["M-VD-ROB-01-dies-of-type"].make)
     runner = Runner(Session(codec_of("dcp-2.0"), sut.lower_tester(), None, pics or Pics()), sut)
     runner.prepare()
@@ -106,7 +106,7 @@ def died_and_then(kind: type[InProcess], pics: Pics | None = None) -> tuple[Runn
     return runner, runner.run(known_cases()[NEXT])
 
 
-def test_who_was_restarted_gets_time_to_be_there():
+def test_a_restarted_implementation_gets_time_to_start():
     runner, result = died_and_then(Slow)
     verdict = result.verdict
     assert verdict is Verdict.PASS, result.reason
@@ -115,13 +115,13 @@ def test_who_was_restarted_gets_time_to_be_there():
     assert len([event for event in result.evidence if event.direction == "sent"]) < 4
 
 
-def test_who_is_restarted_before_each_case_gets_time_too():
+def test_an_implementation_restarted_before_each_case_gets_time_to_start():
     pics = Pics(pixit=Testing(reset="restart"))
     verdict = died_and_then(Slow, pics)[1].verdict
     assert verdict is Verdict.PASS
 
 
-def test_who_does_not_come_back_is_not_blamed_for_more():
+def test_an_implementation_that_does_not_come_back_fails_nothing_else():
     runner, result = died_and_then(Gone)
     verdict = result.verdict
     assert verdict is Verdict.INCONCLUSIVE
@@ -141,8 +141,8 @@ class Stillborn(InProcess):
 @pytest.mark.parametrize(
     ("kind", "why"), [(Gone, "does not answer within 30 s"), (Stillborn, "is dead again: a file is missing")]
 )
-def test_no_case_fails_that_could_not_begin(kind: type[InProcess], why: str):
-    """Who is not there after a restart has not died of a case."""
+def test_a_case_that_could_not_begin_does_not_fail(kind: type[InProcess], why: str):
+    """An implementation that does not come back after a restart was not killed by the next case."""
     sut = kind(reference_config(codec_of("dcp-2.0")))
     pics = Pics(pixit=Testing(reset="restart"))
     runner = Runner(Session(codec_of("dcp-2.0"), sut.lower_tester(), None, pics), sut)
@@ -154,8 +154,8 @@ def test_no_case_fails_that_could_not_begin(kind: type[InProcess], why: str):
     assert not result.killed
 
 
-def test_a_death_is_told_with_the_last_sign_of_life():
-    """Of many frames that were sent, those behind the last beacon may have been the deadly ones."""
+def test_a_crash_is_reported_with_the_last_sign_of_life():
+    """Of many frames sent, those after the last beacon are suspects."""
 
     def deadly(bench: Bench) -> None:
         peer = bench.peer()
@@ -181,7 +181,7 @@ class Renamed(InProcess):
         super().restart()
 
 
-def test_who_draws_a_new_identifier_is_known_by_it_after_a_restart_within_a_case():
+def test_a_new_node_identifier_after_a_restart_within_a_case_is_recognised():
     def verdicts(pics: Pics) -> list[Verdict]:
         sut = Renamed(reference_config(codec_of("dcp-2.0")))
         runner = Runner(Session(codec_of("dcp-2.0"), sut.lower_tester(), sut.upper_tester(), pics), sut)
@@ -189,6 +189,6 @@ def test_who_draws_a_new_identifier_is_known_by_it_after_a_restart_within_a_case
         return [runner.run(known_cases()[name]).verdict for name in ("TC_VD_INI_BV_04", "TC_DCP_SANITY_BV_01")]
 
     assert verdicts(Pics()) == [Verdict.PASS, Verdict.PASS]
-    # Who has said how it is called is held to it.
+    # A node identifier stated in the PIXIT is checked.
     told = Pics(pixit=Testing(node_id="02:00:00:00:00:01"))
     assert verdicts(told) == [Verdict.INCONCLUSIVE, Verdict.FAIL]

@@ -1,4 +1,4 @@
-"""BP-TransmitPayload without a confirm: what is wrong is seen on the air and in the numbers of buffered payloads."""
+"""BP-TransmitPayload without a confirm: faults are found by beacons and by the numbers of buffered payloads."""
 
 from __future__ import annotations
 

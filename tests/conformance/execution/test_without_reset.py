@@ -20,9 +20,9 @@ from dcp_spec.constants import ICType, SpecVersion
 from ..rig import codec_of, known_cases
 
 FINE = (Verdict.PASS, Verdict.INFO, Verdict.NOT_APPLICABLE)
-#: What the user is told to provide when identifiers are used up.
+#: Remedies that the tester offers to the user when identifiers are used up.
 REMEDIES = ("UT-Reset", "--start", "--restart", 'reset = "restart"')
-#: What a PICS or a profile says is not behaviour of our node.
+#: Checks of statements in a PICS or profile: not behaviour of our node.
 ON_PAPER = (DECLARED, DENIED)
 
 
@@ -46,7 +46,7 @@ def runner_of(profile: str) -> Runner:
 
 
 def still_reporting(profile: str, result: CaseResult) -> bool:
-    """Whether there was no pause because a report that an earlier case has handed down is repeated.
+    """Return whether there was no pause because a report submitted by an earlier case is repeated.
 
     Up to 1.2 SRP repeats it in every beacon until a reset.
     """
@@ -59,7 +59,7 @@ def still_reporting(profile: str, result: CaseResult) -> bool:
 
 
 def odd(results: Iterator[CaseResult], profile: str) -> list[str]:
-    """What a right implementation should not be told."""
+    """Results that a conforming implementation should not get."""
     return [
         f"{each.id}: {each.verdict}: {each.reason} {each.error_detail}"
         for each in results
@@ -70,7 +70,7 @@ def odd(results: Iterator[CaseResult], profile: str) -> list[str]:
 
 
 @pytest.mark.parametrize("profile", ["dcp-2.0", "dcp-1.3", "dcp-1.0", "cpp-2.0"])
-def test_the_whole_suite_in_one_life_of_the_node(profile: str):
+def test_the_whole_suite_without_a_restart_of_the_node(profile: str):
     runner = runner_of(profile)
     cases = [each for each in ordered(known_cases().values()) if not each.needs.restart and each.id not in ON_PAPER]
     assert odd((runner.run(each) for each in cases), profile) == []
@@ -114,10 +114,10 @@ def used(bench: Bench) -> None:
 
 
 def idle(bench: Bench) -> None:
-    """The last deletions are told."""
+    """Wait until the last deletions are announced."""
     bench.until_quiet(lambda heard: heard.instructions(ICType.DELETE_VARIABLES))
     bench.wait(30)
-    bench.require(True, "nothing is told any more", "")
+    bench.require(True, "nothing is announced any more", "")
 
 
 @pytest.mark.parametrize("case_id", list(known_cases()))

@@ -8,7 +8,7 @@ from dcp_conformance.interop.implementations import built_in
 from dcp_conformance.model.verdict import Verdict
 
 
-def test_a_node_that_does_not_react_is_named_rather_than_the_sender_of_the_frames() -> None:
+def test_the_node_that_does_not_react_is_blamed_rather_than_the_sender() -> None:
     both = built_in("node:dcp-2.0"), built_in("mutant:M-VD-PU-07-ignored")
     test = all_tests()["IT_VD_LATE-pair"]
     result = run_cell(Cell(a="node", b="mutant", test=test.id, implementations=both), test)

@@ -24,7 +24,7 @@ def scheduler() -> Iterator[str]:
         yield cluster.scheduler_address
 
 
-def test_a_cluster_comes_to_the_same_verdicts_as_this_machine(scheduler: str) -> None:
+def test_a_cluster_gives_the_same_verdicts_as_this_machine(scheduler: str) -> None:
     cells = cells_of(resolve(NAMES, {}), [all_tests()[name] for name in TESTS])
     ours, theirs = run_matrix(cells, seeds=2, jobs=1), run_matrix(cells, seeds=2, dask=scheduler)
     assert [cell.verdict for cell in theirs.cells].count(Verdict.FAIL) == 2

@@ -32,7 +32,7 @@ class Hanging:
         """There are no notifications."""
 
 
-def test_a_method_that_was_not_answered_is_called_once(tmp_path: Path) -> None:
+def test_a_method_without_an_answer_is_called_once(tmp_path: Path) -> None:
     station = Station(0, "", ["false"], "unix:x", tmp_path / "log", 1.0)
     upper = Hanging()
     station._upper = upper  # type: ignore[assignment]

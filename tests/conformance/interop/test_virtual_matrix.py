@@ -63,20 +63,20 @@ def test_our_node_passes_in_every_version(profile: str, test: str) -> None:
         ("M-VD-SCR-06-not-refreshed", "IT_VD_TIMEOUT-pair"),
     ],
 )
-def test_a_fault_turns_a_cell_red(fault: str, test: str) -> None:
+def test_a_fault_fails_a_cell(fault: str, test: str) -> None:
     result = play(NODE, f"mutant:{fault}", test)
     assert result.verdict is Verdict.FAIL
     assert result.reason
 
 
-def test_the_same_seed_does_the_same_and_another_one_does_not() -> None:
+def test_runs_depend_on_the_seed_only() -> None:
     one, again, other = (play(NODE, NODE, "IT_VD_LOSS-line3-50", seed) for seed in (3, 3, 4))
     assert one.moments == again.moments
     assert one.links == again.links
     assert one.moments != other.moments
 
 
-def test_versions_that_never_meet_share_a_bus_and_nothing_else() -> None:
+def test_incompatible_versions_share_a_bus_without_interaction() -> None:
     assert play(NODE, "node:dcp-1.3", "IT_NET_MIXED-bus4").verdict is Verdict.PASS
     missing = play(NODE, "node:dcp-1.3", "IT_VD_CREATE-pair")
     assert missing.verdict is Verdict.NOT_APPLICABLE
@@ -122,8 +122,8 @@ def test_names_of_cells() -> None:
 
 
 @pytest.mark.parametrize("test", ["IT_VD_CREATE-pair", "IT_SRP_DISCOVERY-pair"])
-def test_what_the_common_profile_declares_fails_no_cell(test: str, tmp_path: Path) -> None:
-    # Its byte order and its padding are what both implementations have agreed on; they say nothing about the network.
+def test_declarations_of_the_common_profile_fail_no_cell(test: str, tmp_path: Path) -> None:
+    # Both implementations have agreed on its byte order and padding, which do not affect the network.
     name = "node:cpp-2.0"
     matrix = run_matrix(cells_of({name: built_in(name)}, [all_tests()[test]]), jobs=1, folder=tmp_path)
     (cell,) = matrix.cells
@@ -157,7 +157,7 @@ def test_the_first_change_that_is_too_late_ends_the_cell(fault: str, test: str) 
 
 
 @pytest.mark.parametrize("off", [False, True])
-def test_time_in_which_nobody_listened_makes_no_station_silent(off: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_time_without_listening_does_not_make_a_station_silent(off: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     # In real time 500 calls of services take seconds.
     def deaf(scene: Scene) -> None:
         scene.start()

@@ -38,7 +38,7 @@ def unreachable(cell: Cell, test) -> VirtualWorld:
 
 
 @pytest.mark.parametrize("name", [name for name, test in all_tests().items() if test.shape.name == "pair"])
-def test_a_station_that_never_gets_there_costs_one_bounded_wait(name: str, monkeypatch) -> None:
+def test_an_unreachable_station_costs_one_bounded_wait(name: str, monkeypatch) -> None:
     monkeypatch.setattr(cells, "_world", unreachable)
     result = run_cell(Cell(a="a", b="b", test=name, implementations=(NODE, NODE)), all_tests()[name])
     assert result.verdict is Verdict.FAIL, result.reason

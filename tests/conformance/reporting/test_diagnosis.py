@@ -62,13 +62,13 @@ def test_one_fault_explains_all_its_cases() -> None:
     assert found.unexplained == ()
 
 
-def test_a_fault_that_others_make_superfluous_is_taken_back() -> None:
+def test_a_fault_whose_cases_are_explained_by_others_is_removed() -> None:
     # Z shares cases with both and is the best single one; X and Y explain everything, and Z nothing more.
     known = Dictionary((fault("X", *"abcd"), fault("Y", *"efgh"), fault("Z", *"bcdefgz")))
     assert named(explain(results("abcdefgh", "z"), known)) == ["X", "Y"]
 
 
-def test_a_case_that_passes_speaks_against_a_fault() -> None:
+def test_a_passing_case_is_evidence_against_a_fault() -> None:
     known = Dictionary((fault("X", "a", "b", "c", "d"), fault("Y", "a")))
     assert named(explain(results("a", "bcd"), known)) == ["Y"]
 
@@ -84,14 +84,14 @@ def test_a_fault_that_leaves_nearly_all_cases_undecided_is_not_named_if_these_pa
     assert named(explain(results("a", "", every[1:]), Dictionary((silent,)))) == ["silent"]
 
 
-def test_cases_that_were_not_decided_are_no_evidence() -> None:
+def test_inconclusive_cases_are_not_evidence() -> None:
     known = Dictionary((fault("X", "a", "b", "c", "d"),))
     (found,) = explain(results("a", undecided="bcd"), known).faults
     assert found.expected == 1
     assert found.missing == ()
 
 
-def test_what_no_fault_explains_is_left() -> None:
+def test_unexplained_cases_are_listed() -> None:
     found = explain(results("abq", "c"), Dictionary((fault("X", "a", "b"),)))
     assert named(found) == ["X"]
     assert found.unexplained == ("q",)
@@ -133,8 +133,8 @@ def test_an_observation_is_compared_without_its_numbers() -> None:
     assert pattern("increases by -3 (-4)") == "increases by # (#)"
 
 
-def test_one_case_with_another_observation_is_no_fault() -> None:
-    """It was told as a fact: "registers without a name", of an implementation that has another name."""
+def test_one_case_with_another_observation_does_not_show_a_fault() -> None:
+    """Diagnosis once reported as a fact: "registers without a name", of an implementation that has another name."""
     assert named(explain(results("a", "bc"), Dictionary((seen(fault("X", "a"), {"a": "no name"}),)))) == []
     found = explain(results("a", "bc"), Dictionary((seen(fault("X", "a"), {"a": "that"}),)))
     assert named(found) == ["X"]
@@ -165,7 +165,7 @@ def test_a_statement_is_only_probable_if_an_observation_differs_or_an_expected_f
     assert sentence(found) == "the implementation does X"
 
 
-def test_cases_with_other_observations_are_no_statement_about_the_implementation() -> None:
+def test_cases_with_other_observations_do_not_describe_the_implementation() -> None:
     known = Dictionary((seen(fault("X", "a", "b", "c"), dict.fromkeys("abc", "by 2")),))
     (found,) = explain(results("abc", "xyz"), known).faults
     assert (found.alike, found.likely, found.certain) == (0, False, False)
@@ -212,7 +212,7 @@ faults = st.builds(
 
 
 @given(st.lists(faults, unique_by=lambda each: each.id), st.text("abcdefghij"), st.text("abcdefghij"))
-def test_every_failed_case_is_explained_or_left(known: list[Fault], fails: str, passes: str) -> None:
+def test_every_failed_case_is_explained_or_listed_as_unexplained(known: list[Fault], fails: str, passes: str) -> None:
     found = explain(results("".join(set(fails)), "".join(set(passes) - set(fails))), Dictionary(tuple(known)))
     explained = {case for each in found.faults for case in each.explains}
     assert explained.isdisjoint(found.unexplained)
@@ -224,7 +224,7 @@ def test_every_failed_case_is_explained_or_left(known: list[Fault], fails: str, 
 
 
 @given(st.lists(faults, unique_by=lambda each: each.id))
-def test_the_dictionary_is_read_as_it_was_written(known: list[Fault]) -> None:
+def test_the_dictionary_survives_a_round_trip(known: list[Fault]) -> None:
     octets = encode(Dictionary(tuple(known)))
     assert set(decode(octets).faults) == set(known)
     assert encode(decode(octets)) == octets
@@ -255,7 +255,7 @@ def test_the_signatures_of_the_dictionary_are_those_of_the_present_cases(mutant:
     )
 
 
-def test_faults_that_are_held_back_are_counted_once() -> None:
+def test_faults_left_out_of_the_dictionary_are_counted_once() -> None:
     """Without its own entry a fault is explained by similar ones, or not at all."""
     found = measuring.hold_back(3, 7, Dictionary((fault("X", "a", "b"), fault("Y", "a", "b"), fault("Z", "c", "d"))))
     assert (found.faults, found.same, found.other, found.none) == (3, 2, 0, 1)

@@ -1,4 +1,4 @@
-"""What comes from an implementation, an upper tester, the air or a file is shown and never obeyed."""
+"""Text from an implementation, an upper tester, a received frame or a file is shown, never interpreted."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ EVIL = (
     "[red]x[/red] [/] [link=javascript:alert(1)]y[/link] \x1b[31m \x1b]0;owned\x07 \x9b31m \r\x08 \u202e "
     "<script>document.title='owned'</script> <img src=x onerror=alert(1)> javascript:alert(1) '\"&]]>\x00 {{ 7*7 }}"
 )
-#: What no output may contain, whatever was put in: control characters and marks of direction.
+#: Control characters and direction marks, which no output may contain for any input.
 CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\u200e\u200f]")
 
 
@@ -79,13 +79,13 @@ def results(tmp_path: Path) -> Path:
 
 
 @given(st.text())
-def test_plain_text_has_nothing_to_obey(text: str):
+def test_plain_text_has_no_control_characters(text: str):
     assert plain(text).isprintable()
     assert plain(plain(text)) == plain(text)
 
 
 @given(st.text(alphabet=st.characters(categories=["L", "N", "P", "S"])))
-def test_what_can_be_printed_is_as_it_was(text: str):
+def test_printable_text_is_unchanged(text: str):
     assert plain(text) == text
 
 
@@ -156,7 +156,7 @@ class TestTerminal:
 
 
 class TestFiles:
-    def test_the_page_shows_it_and_leads_nowhere(self, results: Path):
+    def test_the_page_shows_hostile_text_without_links(self, results: Path):
         page = harmless(render(load_results(results), None))
         found = links_of(page)
         assert found.scripts == 1
@@ -185,7 +185,7 @@ class TestFiles:
         assert "unsafe-eval" not in policy
         assert not re.search(r"script-src[^;]*unsafe", policy)
 
-    def test_frames_that_are_none(self):
+    def test_invalid_frames(self):
         run = evil_run()
         for octets, start in (("zz", 0), ("ff", 99), ("ff" * 60, -5), ("", 14)):
             cases = tuple(
@@ -199,7 +199,7 @@ class TestFiles:
             )
             harmless(render(msgspec.structs.replace(run, cases=cases), codec_of("dcp-2.0")))
 
-    def test_a_profile_in_results_is_no_path_to_open(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    def test_a_profile_in_results_is_never_opened_as_a_path(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
         from dcp_conformance.reporting.files import codec_of as codec_of_run
 
         path = tmp_path / "profile.toml"
@@ -214,7 +214,7 @@ class TestFiles:
         assert any("[red]x[/red]" in (element.get("message") or "") for element in root.iter())
 
     @pytest.mark.tool("chromium")
-    def test_a_browser_runs_nothing_of_it(self, results: Path, tmp_path: Path):
+    def test_a_browser_executes_no_hostile_text(self, results: Path, tmp_path: Path):
         page = write_report(load_results(results), tmp_path / "report")
         done = subprocess.run(
             [*CHROMIUM, f"--user-data-dir={tmp_path / 'profile'}", "--enable-logging=stderr", "--dump-dom", f"file://{page}"],
@@ -244,7 +244,7 @@ def died(number: int, how: str) -> CaseResult:
     return msgspec.structs.replace(case, checks=(check,), killed=True, death=how)
 
 
-def test_many_deaths_of_one_cause_are_one_finding(capsys: pytest.CaptureFixture[str]):
+def test_many_crashes_with_one_cause_are_one_finding(capsys: pytest.CaptureFixture[str]):
     alone = died(90, "died: another way")
     run = assemble(codec_of("dcp-2.0").profile, Pics(), [*(died(n, "died: status 1") for n in range(38)), alone])
     print_summary(run)

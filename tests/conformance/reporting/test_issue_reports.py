@@ -53,7 +53,8 @@ def test_a_report_says_what_is_asked_what_happens_and_how_to_repeat_it(answered:
     text = page.read_text()
     fault = answered.diagnosis.faults[0]
     assert text.startswith(f"# drone {fault.what.replace('-', '-')[:20]}")
-    for part in ("VD-RU-03", "What was observed", "observed: **", fault.rerun, f"{page.stem}.py", f"`{fault.case}`"):
+    heading = "What was observed"  # prose: data
+    for part in ("VD-RU-03", heading, "observed: **", fault.rerun, f"{page.stem}.py", f"`{fault.case}`"):
         assert part in text, part
     assert "```\n0000 " in text
     assert "|" not in text.splitlines()[0]

@@ -28,7 +28,7 @@ def a_failed_run() -> RunResult:
     return a_run_of(a_case(Verdict.FAIL), undecided, read, notes=["a note"])
 
 
-def test_what_matters_comes_first() -> None:
+def test_the_most_important_sections_come_first() -> None:
     page = render(a_failed_run(), None)
     places = [page.index(each) for each in (
         'class="headline"', 'class="tiles"', 'class="toc"', 'id="failing"', 'id="pics"', 'id="requirements"',
@@ -63,7 +63,7 @@ def test_a_requirement_leads_to_its_sentence_in_the_specification() -> None:
 
 
 @pytest.mark.parametrize("version", [str(each) for each in SpecVersion])
-def test_every_requirement_has_a_place_or_no_sentence_at_all(version: str) -> None:
+def test_every_requirement_with_a_sentence_has_an_address(version: str) -> None:
     assert requirement_links(version).keys() >= {name for name, each in requirements().items() if not each.derived}
 
 
@@ -84,7 +84,7 @@ def test_readings_and_hazards_are_explained_where_they_are_shown() -> None:
         assert section_link(entry.sections[0]).replace("&", "&amp;") in section
 
 
-def test_it_says_what_to_state_in_the_pics() -> None:
+def test_the_page_names_missing_statements_of_the_pics() -> None:
     run = a_failed_run()
     assert [(each.key, each.cases) for each in to_declare(run.cases)] == [("pixit.max_repetitions", ("TC_VD_Y_BV_01",))]
     page = render(run, None)
@@ -95,7 +95,7 @@ def test_it_says_what_to_state_in_the_pics() -> None:
     assert 'id="pics"' not in render(a_run_of(passed), None)
 
 
-def test_a_frame_is_taken_apart_once_with_the_octets_of_all_checks_marked() -> None:
+def test_a_frame_is_dissected_once_with_the_octets_of_all_checks_marked() -> None:
     case = a_case(Verdict.FAIL)
     checks = tuple(
         Check(Verdict.FAIL, ("VD-TYP-01",), f"expectation {number}", "other", (Mark(1, 14 + number, 1),))
@@ -108,7 +108,7 @@ def test_a_frame_is_taken_apart_once_with_the_octets_of_all_checks_marked() -> N
     assert all(f"expectation {number}" in page for number in range(4))
 
 
-def test_what_came_is_called_observed_everywhere() -> None:
+def test_observations_are_labelled_observed_everywhere() -> None:
     page = render(a_run_of(*(a_case(verdict, f"TC_VD_{n}_BV_01") for n, verdict in enumerate(Verdict))), None)
     assert "<dt>observed</dt>" in page
     assert "<dt>instead</dt>" not in page

@@ -1,4 +1,4 @@
-"""What is left of a run: results as data, a page, a file for build servers, recordings."""
+"""Reports of a run: results as data, a page, a file for build servers, recordings."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ EVERY = a_run_of(*(a_case(verdict, f"TC_VD_{number}_BV_01") for number, verdict 
 
 
 class TestResults:
-    def test_they_come_back_as_they_went(self, failed: RunResult, tmp_path: Path):
+    def test_results_survive_a_round_trip(self, failed: RunResult, tmp_path: Path):
         page = write_report(failed, tmp_path)
         assert page == tmp_path / "report.html"
         back = load_results(tmp_path)
@@ -97,7 +97,7 @@ class TestResults:
         assert [case.checks for case in back.cases] == [case.checks for case in failed.cases]
         assert [case.evidence for case in back.cases] == [case.evidence for case in failed.cases]
 
-    def test_they_keep_to_their_schema(self, failed: RunResult, tmp_path: Path):
+    def test_results_are_valid_by_the_schema(self, failed: RunResult, tmp_path: Path):
         validator = jsonschema.Draft202012Validator(schema_of_results.results_schema())
         validator.check_schema(validator.schema)
         for run in (failed, EVERY, a_run_of()):
@@ -107,12 +107,12 @@ class TestResults:
         data["cases"] = [{"id": 1}]
         assert list(validator.iter_errors(data))
 
-    def test_the_schema_in_the_package_is_theirs(self):
+    def test_the_schema_in_the_package_is_up_to_date(self):
         assert schema_of_results.PATH.read_text(encoding="utf-8") == schema_of_results.text(), (
             "run: python -m dcp_conformance.reporting.schema"
         )
 
-    def test_what_tools_rely_on_is_there(self, failed: RunResult, tmp_path: Path):
+    def test_members_that_tools_rely_on_exist(self, failed: RunResult, tmp_path: Path):
         write_report(failed, tmp_path)
         data = json.loads((tmp_path / "results.json").read_text())
         assert data["schema"] == "dcp-conformance-results/1"
@@ -130,7 +130,7 @@ class TestResults:
             ("\udcff", "not a result file of dcp-conformance"),
         ],
     )
-    def test_what_is_none_says_so(self, tmp_path: Path, content: str | None, message: str):
+    def test_an_invalid_result_file_is_refused(self, tmp_path: Path, content: str | None, message: str):
         path = tmp_path / "results.json"
         if content is not None:
             path.write_bytes(content.encode("utf-8", "surrogateescape"))
@@ -141,7 +141,7 @@ class TestResults:
         with pytest.raises(UsageError, match=message):
             load_results(path)
 
-    def test_a_folder_that_cannot_be_written_says_so(self, tmp_path: Path):
+    def test_an_unwritable_folder_is_reported(self, tmp_path: Path):
         (tmp_path / "file").write_text("")
         with pytest.raises(UsageError, match="cannot be written"):
             write_report(EVERY, tmp_path / "file" / "below")
@@ -154,7 +154,7 @@ class TestResults:
 
 
 class TestJUnit:
-    def test_outcomes_are_told_apart(self):
+    def test_outcomes_are_distinguished(self):
         root = ET.fromstring(junit_xml(EVERY))
         outcomes = {
             element.get("name"): [child.tag for child in element if child.tag != "properties"]
@@ -165,8 +165,8 @@ class TestJUnit:
             "tests": "7", "failures": "1", "errors": "1", "skipped": "3",
         }  # fmt: skip
 
-    def test_it_is_what_build_servers_read(self, failed: RunResult):
-        """The members that Jenkins' and GitLab's readers look at, in the order of the usual schema."""
+    def test_build_servers_can_read_the_file(self, failed: RunResult):
+        """The members that Jenkins and GitLab read, in the order of the usual schema."""
         root = ET.fromstring(junit_xml(failed))
         assert root.tag == "testsuites"
         total = 0
@@ -213,7 +213,7 @@ class TestJUnit:
 
 
 class _Links(html.parser.HTMLParser):
-    """What a page loads, where it leads to, and what ids it has."""
+    """Collects the sources, links and ids of a page."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -240,7 +240,7 @@ def links_of(text: str) -> _Links:
 
 
 class TestPage:
-    def test_it_needs_nothing_else(self, failed: RunResult):
+    def test_the_page_loads_nothing_else(self, failed: RunResult):
         text = render(failed, codec_of("dcp-2.0"))
         links = links_of(text)
         assert links.loads == []
@@ -259,7 +259,7 @@ class TestPage:
         assert {"r-BP-PAR-07", "r-VD-TYP-01"} <= set(links.ids)
 
     def test_requirements_that_fail_come_first_with_their_cases(self):
-        """One fault fails many cases: those that fail with a requirement are told together, the most first."""
+        """One fault fails many cases: cases that fail with a requirement are shown together, largest group first."""
         cases = [a_case(Verdict.FAIL, f"TC_VD_X_BV_{number:02}") for number in range(3)]
         other = a_case(Verdict.FAIL, "TC_VD_Y_BV_01")
         check = msgspec.structs.replace(other.checks[0], requirements=("BP-RX-15",))
@@ -284,7 +284,7 @@ class TestPage:
         print_summary(a_run_of(a_case(Verdict.PASS)))
         assert "failing" not in capsys.readouterr().out
 
-    def test_the_summary_is_not_hidden_behind_notes(self, capsys: pytest.CaptureFixture[str]):
+    def test_the_summary_comes_before_notes(self, capsys: pytest.CaptureFixture[str]):
         print_summary(a_run_of(a_case(Verdict.PASS), notes=[f"restarted in {number}" for number in range(30)]))
         lines = capsys.readouterr().out.splitlines()
         assert [line for line in lines if line.startswith("note: ")] == [f"note: restarted in {n}" for n in range(6)]
@@ -296,7 +296,7 @@ class TestPage:
         assert cards == [" open"] * 10 + [""] * 20
 
     def test_repeated_beacons_are_collapsed(self):
-        """They differ in their sequence number only. What a check has marked is shown."""
+        """Beacons that differ only in their sequence number are collapsed. Beacons marked by a check are shown."""
         beacons = [
             Beacon(BPHeader(b"\2\0\0\0\0\1", number, 0x1111), (Payload(0x7000, b"x" * (2 if number == 9 else 1)),))
             for number in range(20)
@@ -315,7 +315,7 @@ class TestPage:
         ]
         assert lines[2][3] == "... 7 more like this, until 800.0 ms"
 
-    def test_it_shows_what_came_instead_with_the_octets_marked(self):
+    def test_the_page_shows_the_observed_frame_with_octets_marked(self):
         air = Script()
         deleted(air, True)
         text = render(judged(air.frames, "dcp-2.0"), codec_of("dcp-2.0"))
@@ -325,14 +325,14 @@ class TestPage:
         # A recording has no implementation under test.
         assert "SUT" not in text
 
-    def test_every_verdict_and_a_requirement_that_nobody_knows(self):
+    def test_every_verdict_and_an_unknown_requirement(self):
         odd = msgspec.structs.replace(a_case(Verdict.FAIL, "TC_X_Y_BV_01"), requirements=("XX-01",))
         text = render(a_run_of(*EVERY.cases, odd, a_case(Verdict.PASS, "TC_X_Y_BV_01", attempt=2)), None)
         for verdict in Verdict:
             assert f'data-verdict="{verdict}"' in text
         assert "TC_X_Y_BV_01 (attempt 2)" in text
 
-    def test_what_is_said_of_a_recording_stands_above_its_findings(self):
+    def test_notes_about_a_recording_are_above_its_findings(self):
         run = a_run_of(a_case(Verdict.FAIL), notes=["the profile was guessed"])
         page = render(msgspec.structs.replace(run, kind="check"), None)
         assert page.count("the profile was guessed") == 1
@@ -348,7 +348,7 @@ class TestPage:
             assert "<script>document" not in text
             assert links_of(text).scripts == 1
 
-    def test_hostile_descriptions_from_the_air_are_text(self):
+    def test_hostile_descriptions_in_beacons_are_text(self):
         air = Script()
         create = air.create(1, 1, descr=b"<script>alert(1)</script>", value=b"<img src=x>")
         air.say(1, create, air.create(1, 1, descr=b"<b>"))
@@ -372,7 +372,7 @@ class TestInABrowser:
             capture_output=True, text=True, timeout=600, check=True,
         )  # fmt: skip
 
-    def test_its_script_runs_without_errors(self, failed: RunResult, tmp_path: Path):
+    def test_the_script_runs_without_errors(self, failed: RunResult, tmp_path: Path):
         page = write_report(failed, tmp_path / "report")
         number = next(n for n, case in enumerate(failed.cases) if case.verdict is Verdict.PASS)
         done = self.show(page, tmp_path, "--enable-logging=stderr", "--v=0", "--dump-dom", fragment=f"#c{number}")
@@ -380,7 +380,7 @@ class TestInABrowser:
         # The case that the address names was opened by the script.
         assert re.search(rf'<details class="card" id="c{number}"[^>]* open', done.stdout)
 
-    def test_its_filter_hides_what_does_not_fit(self, failed: RunResult, tmp_path: Path):
+    def test_the_filter_hides_rows_that_do_not_match(self, failed: RunResult, tmp_path: Path):
         page = write_report(failed, tmp_path / "report")
         probe = (
             "<script>document.querySelector('#search').value = 'vd-rc-03';"
@@ -402,7 +402,7 @@ class TestInABrowser:
         dom = self.show(page, tmp_path, "--dump-dom").stdout
         assert "<title>DCP conformance: &lt;script&gt;" in dom
 
-    def test_it_prints(self, failed: RunResult, tmp_path: Path):
+    def test_the_page_can_be_printed(self, failed: RunResult, tmp_path: Path):
         page = write_report(failed, tmp_path / "report")
         self.show(page, tmp_path, f"--print-to-pdf={tmp_path / 'page.pdf'}")
         assert (tmp_path / "page.pdf").read_bytes().startswith(b"%PDF")
@@ -441,7 +441,7 @@ class TestRecordings:
 
 
 class TestSeveralRuns:
-    def test_they_are_told_apart(self, failed: RunResult, passed: RunResult):
+    def test_runs_are_distinguished(self, failed: RunResult, passed: RunResult):
         assert len(set(labels([failed, passed]))) == 2
         assert len(set(labels([failed, failed, passed]))) == 3
 
@@ -451,10 +451,10 @@ class TestSeveralRuns:
         assert set(rows) == set(failed.requirements) | set(passed.requirements)
         assert links_of(render_matrix([failed, passed])).loads == []
 
-    def test_what_became_worse_comes_first(self, failed: RunResult, passed: RunResult):
+    def test_regressions_come_first(self, failed: RunResult, passed: RunResult):
         changes = compare(passed, failed)
         assert changes[0].kind == "regression"
-        # What the fault left undecided changes without having failed.
+        # Results that the fault made inconclusive change without having failed.
         better = {(each.kind, each.old) for each in compare(failed, passed)}
         assert {("fixed", Verdict.FAIL)} <= better <= {("fixed", Verdict.FAIL), ("changed", Verdict.INCONCLUSIVE)}
         assert compare(failed, failed) == []
@@ -474,7 +474,7 @@ class TestSeveralRuns:
 
 
 class TestCommands:
-    def test_a_page_is_made_again(self, dcp_conformance: Command, failed: RunResult, tmp_path: Path):
+    def test_a_page_is_regenerated(self, dcp_conformance: Command, failed: RunResult, tmp_path: Path):
         write_report(failed, tmp_path / "one")
         page = tmp_path / "again.html"
         done = dcp_conformance("report", tmp_path / "one", "--out", page)
@@ -499,7 +499,7 @@ class TestCommands:
         assert re.search(r"VD-RC-03 +fail +pass", done.out)
         assert "VD-RC-03" in (tmp_path / "m.html").read_text()
 
-    def test_compare_fails_where_something_became_worse(
+    def test_compare_fails_on_a_regression(
         self, dcp_conformance: Command, failed: RunResult, passed: RunResult, tmp_path: Path
     ):
         write_report(failed, tmp_path / "bad")
@@ -525,7 +525,7 @@ class TestCommands:
         assert "dcp-1.3" in done.err
 
     @pytest.mark.parametrize("command", ["report", "compare"])
-    def test_what_is_not_there_says_so(self, dcp_conformance: Command, command: str, tmp_path: Path):
+    def test_a_missing_folder_is_reported(self, dcp_conformance: Command, command: str, tmp_path: Path):
         done = dcp_conformance(command, tmp_path / "no", tmp_path / "no")
         assert done.status == 2
         assert "cannot be read" in done.err

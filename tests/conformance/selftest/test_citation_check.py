@@ -51,7 +51,7 @@ def last(kind):
 '''
 
 
-def test_what_a_citation_stands_on():
+def test_the_lines_that_a_citation_covers():
     listed = list(citations_in("p/m.py", SOURCE))
     found = {each.requirement: (each.line, each.first, each.last, each.function) for each in listed}
     assert found == {
@@ -71,7 +71,7 @@ def citation(requirement: str, file: str = "") -> Citation:
     return next(each for each in citations() if each.requirement == requirement and file in each.path)
 
 
-def test_changes_lie_in_the_cited_code():
+def test_changes_are_in_the_cited_code():
     for each in citations():
         for change in changes_under(each):
             assert each.first <= change.line <= each.last
@@ -93,7 +93,7 @@ def misplaced(requirement: str, code_of: Citation) -> Citation:
 
 
 def test_two_ids_in_each_others_place_are_noticed():
-    """The pair that nobody noticed: drop-tail and repeat in the table of queueing modes."""
+    """A real mistake that was overlooked: drop-tail and repeat in the table of queueing modes."""
     droptail, repeat = citation("BP-QM-01", "bp/queue.py"), citation("BP-QM-05", "bp/queue.py")
     right = run([droptail, repeat], jobs=1)
     assert [each.proof for each in right.verdicts] == ["case", "case"]

@@ -81,7 +81,7 @@ def compute():
 """
 
 
-def test_what_only_reports_or_shows_is_not_changed():
+def test_code_that_only_reports_or_displays_is_not_changed():
     tree = ast.parse(SOURCE)
     assert reports_of(tree).functions - _SHOWING == {"_drop", "_plain"}
     changed = {(function, ast.unparse(node)) for function, _, node in _candidates(tree) if list(_changes(node))}
@@ -100,7 +100,7 @@ def test_the_same_seed_draws_the_same():
     assert {each.module for each in draw(40, 1, patterns=["vardis/receive.py"])} == {"vardis.receive"}
 
 
-def test_the_ledger_is_well_formed_and_about_code_that_is_there():
+def test_the_ledger_is_well_formed_and_about_existing_code():
     known = {each.key for each in sites()}
     named = [change.split()[0] for entry in entries() for change in entry.changes]
     assert len(named) == len(set(named))
@@ -111,7 +111,7 @@ def test_the_ledger_is_well_formed_and_about_code_that_is_there():
 
 
 def test_faults_are_noticed_and_others_survive():
-    """One that breaks a rule, one that ends the node at its start, one that nobody outside can see."""
+    """One fault breaks a rule, one ends the node at its start, and one cannot be observed from outside."""
     wrong = site("Database.store: dropped assignment: entry.value = value", "dropped assignment")
     broken = site("BeaconingProtocol.__init__: dropped assignment: self._seqno =", "dropped assignment")
     result = run([wrong, broken], jobs=2)
@@ -123,7 +123,7 @@ def test_faults_are_noticed_and_others_survive():
     assert result.survivors == ()
 
 
-def test_what_a_profile_declares_kills_nothing():
+def test_declarations_of_a_profile_kill_no_mutant():
     """TC_DCP_PROF_BV_01 fails on cpp-2.0 whatever the node does: once every change counted as killed for that."""
     reported = site("Vardis._scrub: dropped call: self._core.changed('deleted', entry)", "dropped call")
     wanted = ("TC_DCP_SANITY_BV_01", DECLARED, "TC_VD_PC_BI_01")
@@ -144,13 +144,13 @@ def test_a_trial_runs_the_cases_that_execute_the_changed_lines():
     assert stores.cases(one._replace(first=0, last=0)) is None
 
 
-def test_what_cases_execute_is_measured():
+def test_lines_executed_by_cases_are_measured():
     number = {case.id: number for number, case in enumerate(cases())}
     few = [number[SANITY], number["TC_VD_UPD_BV_01"]]
     [reach] = _in_new_processes(measure, ("dcp-2.0", few))
     store = site("Database.store: dropped assignment: entry.value = value", "dropped assignment")
     assert reach.cases(store) == {number["TC_VD_UPD_BV_01"]}
-    # What builds tables and configurations is executed before the first case.
+    # The code that builds tables and configurations is executed before the first case.
     assert reach.cases(site("_known: other return value", "other return value")) is None
     assert reach.cases(site("_terminator: other return value", "other return value")) is None
 
@@ -169,7 +169,7 @@ def test_a_fixed_draw_is_killed_or_in_the_ledger():
 
 
 def _in_new_processes(work, *calls):
-    """What ``work`` returns in processes that have not imported the node."""
+    """Return the results of ``work`` in processes that have not imported the node."""
     context = multiprocessing.get_context("forkserver")
     with ProcessPoolExecutor(1, mp_context=context) as pool:
         return [pool.submit(work, *arguments).result() for arguments in calls]
@@ -182,7 +182,7 @@ def test_a_node_that_does_not_work_by_itself_ends_the_run(monkeypatch):
         run(sites()[:1])
 
 
-def test_what_the_ledger_excuses_does_not_count():
+def test_survivors_excused_by_the_ledger_do_not_count():
     one = sites()[0]
     excused = Trial(one, Outcome(one.key, "survived"), "counter: only dcp-node shows it")
     wrong = Trial(one, Outcome(one.key, "killed"), "counter: only dcp-node shows it")
@@ -194,7 +194,7 @@ def test_what_the_ledger_excuses_does_not_count():
     assert result.score == 0.0
 
 
-def test_a_trial_refuses_a_process_that_knows_the_node():
+def test_a_trial_refuses_a_process_that_has_imported_the_node():
     code = "import dcp_stack.bp.entity\nfrom dcp_conformance.selftest.generated.trial import try_site\ntry_site(None)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert "has been imported already" in done.stderr

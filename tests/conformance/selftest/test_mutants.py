@@ -72,7 +72,7 @@ def test_a_version_that_is_neither_tried_nor_excused_is_refused():
         mutant("x", "VD-RU-03", "nothing", since=SpecVersion.V1_1)
 
 
-def test_a_profile_that_there_is_not_is_told():
+def test_an_unknown_profile_is_reported():
     with pytest.raises(UsageError, match="unknown profile 'none-such'"):
         selftest([MUTANTS[EQUAL]], profiles=["none-such"])
 
@@ -126,7 +126,7 @@ def test_our_node_kills_nothing():
 
 
 @pytest.mark.part("suite")
-def test_what_fails_for_another_reason_is_told_apart():
+def test_a_failure_for_another_reason_is_distinguished():
     outcome = trial(MUTANTS["M-BP-HDR-11-swapped-protocol"], full=True)
     assert outcome.killers
     assert outcome.also
@@ -135,19 +135,19 @@ def test_what_fails_for_another_reason_is_told_apart():
         assert not set(each.requirements) & set(outcome.requirements)
 
 
-def test_a_node_that_dies_is_a_kill_and_the_next_case_meets_a_living_one():
+def test_a_crash_kills_a_mutant_and_the_next_case_gets_a_new_node():
     outcome = trial(MUTANTS["M-VD-ROB-01-dies-of-zero"], every=True)
     assert outcome.killers
     assert len(outcome.killers) < outcome.candidates
 
 
-def test_what_killed_a_mutant_on_one_version_is_tried_first_on_the_next():
+def test_the_case_that_killed_a_mutant_on_one_version_is_tried_first_on_the_next():
     first, *rest = trials(MUTANTS["M-VD-RC-02-deletion-answered"])
     assert [each.profile for each in (first, *rest)] == ["dcp-2.0", "dcp-1.3", "dcp-1.2", "dcp-1.1", "dcp-1.0"]
     assert all(each.cases == 2 for each in rest), "the sanity case and the killer"
 
 
-def test_parts_find_their_place():
+def test_parts_are_put_into_the_node():
     class Other(Receiver):
         pass
 
@@ -265,13 +265,13 @@ def test_command_lists_mutants():
     assert f"since {SpecVersion.V1_1}]" in found.output
 
 
-def test_command_says_what_is_no_mutant():
+def test_command_reports_unknown_mutants():
     with pytest.raises(UsageError, match="no mutant is called"):
         CliRunner().invoke(command, ["M-nothing"], standalone_mode=False, catch_exceptions=False)
 
 
 @pytest.mark.part("suite")
-def test_command_says_that_it_cannot_write(tmp_path):
+def test_command_reports_an_unwritable_file(tmp_path):
     (tmp_path / "file").write_text("")
     arguments = [EQUAL, "--profile", "dcp-2.0", "--jobs", "1", "--report-dir", str(tmp_path / "file")]
     with pytest.raises(UsageError, match="cannot be written"):

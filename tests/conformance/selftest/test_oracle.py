@@ -1,4 +1,4 @@
-"""The model of VarDis: it agrees with our node whatever is said to it, and notices what no node may do."""
+"""The model of VarDis: it agrees with our node for any input, and detects forbidden behaviour."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ WINDOW = 6 * PERIOD
 OWN = b"\2\0\0\0\0\1"
 IDS = range(6)
 STRANGE = range(90, 93)
-"""Variables that nobody creates."""
+"""Variables that are never created."""
 
 
 class Duel:
@@ -59,7 +59,7 @@ class Duel:
         self.seqno = [0, 0, 0]
         self.frame = 0
 
-    # -- what is said to it --------------------------------------------------------------------------------------
+    # -- input ---------------------------------------------------------------------------------------------------
 
     def peer(self, number: int) -> bytes:
         return b"\2\0\0\0\1" + bytes([number])
@@ -69,7 +69,7 @@ class Duel:
         types = self.codec.profile.vardis.container_types.by_name()
         containers = tuple(Container(types[KINDS[type(each)]], (each,)) for each in records)
         if not self.features.several_containers_per_type:
-            # What 1.0 allows: one container for each kind.
+            # 1.0 allows one container of each kind.
             kinds = dict.fromkeys(type(each) for each in records)
             containers = tuple(
                 Container(types[KINDS[kind]], tuple(each for each in records if type(each) is kind)) for kind in kinds
@@ -148,7 +148,7 @@ class Duel:
             self.wait(rng.choice([0.1, 0.3, 1, 1, 2, 5]))
 
     def holdings(self) -> dict[int, tuple[str, int, str]]:
-        """What the node says that it holds."""
+        """Variables that the node reports to hold."""
         listed = self.upper.call("RTDB-DescribeDatabase", {}).result["variables"]
         found = {}
         for each in listed:
@@ -160,7 +160,7 @@ class Duel:
 
 @pytest.mark.parametrize("profile", PROFILES)
 @pytest.mark.parametrize("seed", range(12))
-def test_it_agrees_with_our_node_whatever_is_said(profile: str, seed: int):
+def test_the_model_agrees_with_our_node_for_any_input(profile: str, seed: int):
     duel = Duel(profile, seed)
     for _ in range(150):
         duel.step()
@@ -179,7 +179,7 @@ def test_it_agrees_with_our_node_whatever_is_said(profile: str, seed: int):
     for var_id in certain:
         ours, theirs = modelled.get(var_id), held.get(var_id)
         assert ours == theirs or (ours is not None and theirs is not None and ours[0] == theirs[0] == "deleted"), var_id
-    # A model that is never certain would agree with everybody.
+    # A model that is never certain would agree with any node.
     assert certain or not duel.features.creation_time
 
 
@@ -226,7 +226,7 @@ class Model:
         return [each.requirement for each in self.oracle.overdue(round(at * PERIOD))]
 
     def settled(self) -> VarCreate:
-        """The node has taken variable 7 and passed it on; all is quiet."""
+        """Let the node store variable 7 and forward it, until nothing is pending."""
         create = self.create()
         self.hear(0, create)
         assert self.say(1, create) == self.say(2, create) == []
@@ -348,14 +348,14 @@ def does_not_pass_a_deletion_on(model: Model) -> list[str]:
     return model.late(12)
 
 
-def goes_on_with_what_is_deleted(model: Model) -> list[str]:
+def announces_a_deleted_variable(model: Model) -> list[str]:
     model.settled()
     model.hear(4, VarDelete(7))
     assert model.say(5, VarDelete(7)) == []
     return model.say(8, VarSumm(7, 5))
 
 
-def deletes_what_nobody_deleted(model: Model) -> list[str]:
+def announces_a_deletion_that_never_happened(model: Model) -> list[str]:
     model.settled()
     return model.say(5, VarDelete(7))
 
@@ -410,8 +410,8 @@ WRONG: dict[Callable[[Model], list[str]], str] = {
     answers_a_request_with_an_equal_number: "VD-SCP-02",
     does_not_answer_a_request_for_a_create: "VD-RC-03",
     does_not_pass_a_deletion_on: "VD-PD-04",
-    goes_on_with_what_is_deleted: "VD-CMP-05",
-    deletes_what_nobody_deleted: "VD-PD-04",
+    announces_a_deleted_variable: "VD-CMP-05",
+    announces_a_deletion_that_never_happened: "VD-PD-04",
     takes_an_empty_value: "VD-UPD-10",
     takes_its_own_variable_back: "VD-CMP-05",
     forgets_what_its_application_wrote: "VD-UPD-08",
@@ -426,7 +426,7 @@ def test_wrong_behaviour_is_noticed(behave: Callable[[Model], list[str]]):
 
 
 class TestWhatIsLeftOpen:
-    def test_half_the_circle_away_nothing_is_said_any_more(self):
+    def test_a_sequence_number_half_the_range_away_is_undefined(self):
         model = Model()
         model.settled()
         model.hear(4, VarUpdate(7, 5 + 128, b"far"))
@@ -434,7 +434,7 @@ class TestWhatIsLeftOpen:
         assert model.late(20) == []
         assert list(model.oracle.holdings()) == []
 
-    def test_what_was_composed_before_counts_as_true(self):
+    def test_a_record_composed_before_the_update_is_accepted(self):
         model = Model()
         model.settled()
         model.hear(4, VarUpdate(7, 6, b"six"))
@@ -455,7 +455,7 @@ class TestWhatIsLeftOpen:
         model.hear(0, VarReqCreate(9))
         assert model.late(10) == asked
 
-    def test_before_2_0_a_deleted_variable_is_gone_once_that_was_told(self):
+    def test_before_2_0_a_variable_is_gone_once_its_deletion_was_announced(self):
         model = Model("dcp-1.3")
         model.settled()
         model.hear(4, VarDelete(7))

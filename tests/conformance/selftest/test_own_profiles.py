@@ -22,12 +22,12 @@ def profile(tmp_path: Path) -> Path:
     return write_profile("odd-own", tmp_path)
 
 
-def test_the_suite_refuses_it(profile: Path) -> None:
+def test_the_suite_refuses_such_a_profile(profile: Path) -> None:
     with pytest.raises(UsageError, match=r"bp\.header: has hops, load.*vardis\.records\.VarSumm: has age"):
         describe(TargetOptions(in_process=True, profile=str(profile)))
 
 
-def test_a_node_refuses_it(profile: Path) -> None:
+def test_a_node_refuses_such_a_profile(profile: Path) -> None:
     codec = Codec(profile)
     with pytest.raises(ValueError, match=r"vardis\.records\.VarSumm: has age"):
         NodeConfig(node_id=bytes(6), codec=codec)

@@ -75,7 +75,7 @@ def test_the_order_and_the_number_of_blocks_are_free(case_id: str, variant: type
         assert result.verdict in FINE, f"{profile}: {result.reason}"
 
 
-def test_a_payload_that_nothing_keeps_back_and_is_never_sent_fails():
+def test_a_payload_that_is_never_sent_without_reason_fails():
     made_of = node_with(Forgets)
 
     def make(config, rng, now, wall):  # type: ignore[no-untyped-def]
@@ -91,7 +91,7 @@ _APPLICATIONS = ["V-APP-initial-report", "V-APP-reports-1Hz", "V-APP-reports-10H
 
 
 def judged(variant: str, profile: str, *modules: str) -> list[str]:
-    """What the suite holds against a variant of the collection."""
+    """Findings of the suite about a variant of the collection."""
     cases = [all_cases()[each] for each in ids_of(*modules)]
     result = judge(all_variants()[variant], profile, cases)
     assert result.passed
@@ -100,7 +100,7 @@ def judged(variant: str, profile: str, *modules: str) -> list[str]:
 
 @pytest.mark.parametrize("profile", ["dcp-2.0", "dcp-1.2"])
 @pytest.mark.parametrize("variant", _APPLICATIONS)
-def test_reports_of_an_application_are_not_taken_for_the_testers(variant: str, profile: str):
+def test_reports_of_an_application_are_distinguished_from_those_of_the_tester(variant: str, profile: str):
     assert not judged(variant, profile, *_SRP.split())
 
 
@@ -125,7 +125,7 @@ def test_an_empty_payload_is_judged_without_a_confirm_too():
         "V-PAR-packet-600-unknown",
     ],
 )
-def test_freedoms_of_bp_do_not_fail(variant: str, profile: str):
+def test_permitted_variants_of_bp_do_not_fail(variant: str, profile: str):
     modules = (
         "bp.queues.fitting bp.beacons.header bp.services.parameters bp.queues.queueing "
         "bp.services.registration bp.services.services bp.beacons.timing"
@@ -161,7 +161,7 @@ def test_whole_records_may_be_listed_in_1_0():
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )
-def test_the_suite_is_fair(variant: str, profile: str, cases: list[str]):
+def test_the_suite_passes_permitted_variants(variant: str, profile: str, cases: list[str]):
     picked = [case for case in all_cases().values() if any(fnmatchcase(case.id, each) for each in cases)]
     result = judge(all_variants()[variant], profile, picked)
     assert picked
@@ -183,7 +183,7 @@ _STAMPS = [
 
 
 @pytest.mark.parametrize("offset_ms", range(0, 2000, 250))
-def test_a_clock_that_is_set_between_two_stamps_is_no_fault(offset_ms: int):
+def test_a_clock_that_is_set_between_two_time_stamps_is_not_a_fault(offset_ms: int):
     def steps(now: int) -> int:
         """Set back by 1.5 s each 4 s, the first time after ``offset_ms``."""
         return -1_500_000_000 if (now // 1_000_000 + offset_ms) // 2000 % 2 else 0

@@ -15,7 +15,7 @@ DOCUMENT = Path(__file__).parents[3] / "docs" / "selftest.md"
 
 
 @pytest.mark.parametrize("order", list(permutations(SECTIONS)), ids=" ".join)
-def test_sections_stand_in_their_order_whoever_writes_first(order: tuple[str, ...]):
+def test_sections_have_a_fixed_order(order: tuple[str, ...]):
     document = ""
     for name in order:
         document = with_section(document, name, f"## {name}\n\ntext\n")

@@ -20,14 +20,14 @@ from dcp_conformance.test_system.session import Session
 from dcp_codec.codec import Codec
 
 
-def test_the_file_is_what_the_command_makes_of_times_and_dictionary() -> None:
+def test_the_file_is_the_output_of_the_command() -> None:
     times = load()
     assert times.smoke == choose(cases(), times.seconds, load_dictionary())
     file = Path(__file__).parents[3] / "conformance/dcp_conformance/data/case-times.json"
     assert file.read_bytes() == encode(times)
 
 
-def test_it_notices_most_faults() -> None:
+def test_the_smoke_plan_detects_most_faults() -> None:
     faults = [fault for fault in load_dictionary().faults if fault.fails]
     smoke = load().smoke.keys()
     noticed = [fault for fault in faults if smoke & fault.fails]
@@ -35,7 +35,7 @@ def test_it_notices_most_faults() -> None:
     assert len(noticed) > 0.7 * len(faults)
 
 
-def test_an_implementation_without_upper_tester_gets_a_good_part_of_it() -> None:
+def test_a_good_part_of_the_smoke_plan_needs_no_upper_tester() -> None:
     every = all_cases()
     assert sum(not every[name].needs.ut for name in load().smoke) >= 50
 
@@ -50,7 +50,7 @@ def test_greedy_choice_prefers_more_faults_per_second() -> None:
 
 
 @pytest.mark.parametrize("upper", [True, False])
-def test_it_takes_less_than_ten_seconds_side_by_side(upper: bool) -> None:
+def test_the_smoke_plan_takes_less_than_ten_seconds_in_concurrent_execution(upper: bool) -> None:
     suite = Suite("dcp-2.0")
     if not upper:
         codec = Codec("dcp-2.0")

@@ -68,18 +68,18 @@ def test_there_are_enough_variants_and_each_can_be_built_on_every_profile_it_app
     ]
     assert {variant.id for variant, _, _ in built} == set(all_variants())
     for variant, _, made in built:
-        # A sentence goes on after "the node".
+        # The text follows "the node" in a sentence.
         assert variant.what[0].islower(), variant.id
         assert variant.why, variant.id
         assert isinstance(made, Setup)
 
 
-def test_what_explains_an_inconclusive_verdict_names_its_reason():
+def test_the_explanation_of_an_inconclusive_verdict_names_its_reason():
     """An expression that matches whatever a case says would hide faults of the suite."""
     cases = known_cases()
     for variant in all_variants().values():
         for case in cases:
-            assert not variant.explanation(case, "it goes on, which this case needs: it does not answer"), variant.id
+            assert not variant.explanation(case, "it continues, which this case needs: it does not answer"), variant.id
             assert not variant.explanation(case, ""), variant.id
 
 
@@ -109,7 +109,7 @@ def test_an_inconclusive_verdict_counts_unless_the_variant_explains_it():
     assert (again.inconclusive, again.explained, again.good) == ((), 1, True)
 
 
-def test_an_explanation_that_nothing_needs_is_told():
+def test_an_unused_explanation_is_reported():
     loud = all_variants()["V-APP-every-beacon"]
     explains = ("^TC_BP_HDR_BV_09: no beacon during the pause", "^TC_BP_HDR_BV_09: something else")
     variant = Variant(loud.id, loud.what, loud.why, loud.build, SpecVersion.V2_0, explains=explains)

@@ -66,7 +66,7 @@ def test_an_alternative_has_a_variant(reading: str, name: str, followed: dict[tu
     assert ours or followed.get((reading, name)) or f"V-{reading}-{name}" in {each.id for each in _beside_the_node()}
 
 
-def test_a_choice_that_the_node_ignores_is_no_variant():
+def test_a_choice_that_the_node_ignores_is_not_a_variant():
     """A configuration can choose any reading of the catalogue; only those that the node asks for change anything."""
     asked = set(re.findall(r'readings?\("([A-Z]\d+)"\)', _source_of_the_node()))
     elsewhere = {match[1] for each in _beside_the_node() if (match := re.match(r"V-([A-Z]\d+)-", each.id))}
@@ -74,6 +74,6 @@ def test_a_choice_that_the_node_ignores_is_no_variant():
     assert ignored == {each.partition(" ")[0] for each in EXEMPT} & ignored
 
 
-def test_exemptions_are_of_alternatives_that_there_are():
+def test_exemptions_are_of_existing_alternatives():
     assert set(EXEMPT) <= {f"{reading} {name}" for reading, name in ALTERNATIVES}
     assert all(EXEMPT.values())

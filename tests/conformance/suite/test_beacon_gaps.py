@@ -52,7 +52,7 @@ def two_payloads(bench: Bench, client: BPClient, stall: Callable[[], None]) -> C
 
 
 @pytest.mark.parametrize("held_up", [0, 1, 3])
-def test_it_is_repeated_until_no_beacon_comes_in_between(held_up: int):
+def test_calls_are_repeated_until_no_beacon_is_sent_between_them(held_up: int):
     bench = bench_of()
     with BPClient(bench, ONCE) as client:
         act = two_payloads(bench, client, stalling(bench, held_up))
@@ -63,7 +63,7 @@ def test_it_is_repeated_until_no_beacon_comes_in_between(held_up: int):
     assert bench.verdicts.checks == []
 
 
-def test_at_last_with_bp_deactivated():
+def test_the_last_attempt_deactivates_bp():
     bench = bench_of()
     with BPClient(bench, ONCE) as client:
         act = two_payloads(bench, client, stalling(bench, 100))
@@ -83,7 +83,7 @@ def test_slow_calls_are_made_with_bp_deactivated_from_the_start():
         assert calls.count(DEACTIVATE) == calls.count(ACTIVATE) == 1
 
 
-def test_what_never_works_is_not_judged():
+def test_calls_that_never_fit_between_beacons_are_not_judged():
     bench = bench_of(without=(DEACTIVATE,))
     with BPClient(bench, ONCE) as client, pytest.raises(StopCase):
         between_beacons(
@@ -139,7 +139,7 @@ class WaitsForRoom(Upper):
         return super().call(method, params)
 
 
-def test_who_waits_for_beacons_is_told_apart_from_who_is_slow():
+def test_waiting_for_beacons_is_distinguished_from_slowness():
     case = known_cases()["TC_BP_QM_BV_03-droptail"]
     runner = runner_for()
     sut = runner.session.upper

@@ -16,7 +16,7 @@ def test_claims_are_checked_and_hold(case_id: str) -> None:
     assert result.verdict is Verdict.PASS, result.reason
 
 
-def test_a_mean_that_is_not_certain_is_no_failure() -> None:
+def test_an_uncertain_mean_is_not_a_failure() -> None:
     result = one_case("TC_BP_TX_TI_01", pics=Pics(pixit=Testing(period_tolerance=0.0001)))
     assert result.verdict is Verdict.INCONCLUSIVE
     assert "too few beacons for their variance" in result.reason

@@ -28,7 +28,7 @@ MS = 1_000_000
 
 
 class Services:
-    """The services of BP; what is not overridden is as it should be."""
+    """The services of BP; those that are not overridden are right."""
 
     def __init__(self, node: Wrong) -> None:
         self.node = node
@@ -39,7 +39,7 @@ class Services:
 
 
 class Wrong:
-    """A node with something between it and the air, and between it and its clients."""
+    """A node whose received and sent frames, and whose effects for clients, can be changed."""
 
     services: type[Services] = Services
 
@@ -106,7 +106,7 @@ class AnyMagic(Wrong):
         return put(octets, MAGIC, 0x497E, 2) if len(octets) > HEADER else octets
 
 
-class LooksAtOneOctetOfMagic(Wrong):
+class ChecksOneOctetOfMagic(Wrong):
     def hears(self, octets: bytearray) -> bytearray:
         return put(octets, MAGIC, 0x497E, 2) if len(octets) > HEADER and octets[MAGIC] == 0x49 else octets
 
@@ -219,20 +219,20 @@ class NoRepeatedNumbers(Wrong):
         return octets
 
 
-class DiesOfShortFrames(Wrong):
+class CrashesOnShortFrames(Wrong):
     def hears(self, octets: bytearray) -> bytearray:
         octets[HEADER - 1]
         return octets
 
 
-class DiesOfLongLengths(Wrong):
+class CrashesOnLongLengths(Wrong):
     def hears(self, octets: bytearray) -> bytearray:
         if len(octets) >= HEADER and number_at(octets, LENGTH, 2) + HEADER > len(octets):
             raise BufferError("read beyond the end")
         return octets
 
 
-class DiesOfEmptyBlocks(Wrong):
+class CrashesOnEmptyBlocks(Wrong):
     def hears(self, octets: bytearray) -> bytearray:
         if len(octets) >= HEADER + 4 and number_at(octets, HEADER + 2, 2) == 0:
             raise BufferError("no octets")
@@ -288,7 +288,7 @@ class NumberStays(Wrong):
         return put(octets, SEQNO, 0, 4)
 
 
-class NumbersGoOnAfterReset(Wrong):
+class NumbersContinueAfterReset(Wrong):
     def says(self, octets: bytearray) -> bytearray:
         return put(octets, SEQNO, self.beacons + 1000, 4)
 
@@ -357,7 +357,7 @@ class TellsNothingOfTransmission(Wrong):
         return [] if isinstance(effect, PayloadTransmitted) else [effect]
 
 
-class TellsOfFirstTransmission(Wrong):
+class ConfirmsFirstTransmissionOnly(Wrong):
     told = 0
 
     def tells(self, effect: Effect) -> list[Effect]:
@@ -465,7 +465,7 @@ def _keeps_nothing_back(bp: Any, name: str, value: Any) -> Any:
 RECEPTION: list[tuple[type[Wrong], str, str]] = [
     (AnyVersion, "TC_BP_RX_BI_01-ff", "BP-RX-01"),
     (AnyMagic, "TC_BP_RX_BI_02-7e49", "BP-RX-02"),
-    (LooksAtOneOctetOfMagic, "TC_BP_RX_BI_02-497f", "BP-RX-02"),
+    (ChecksOneOctetOfMagic, "TC_BP_RX_BI_02-497f", "BP-RX-02"),
     (LengthZeroMeansAll, "TC_BP_RX_BI_03", "BP-RX-03"),
     (ZeroPayloadsMeansOne, "TC_BP_RX_BI_04", "BP-RX-04"),
     (AnyNetwork, "TC_BP_RX_BI_05-next", "BP-RX-05"),
@@ -484,9 +484,9 @@ RECEPTION: list[tuple[type[Wrong], str, str]] = [
     (NoRepeatedNumbers, "TC_BP_RX_BV_05-repeated", "BP-RX-10"),
     (NoRepeatedNumbers, "TC_BP_RX_BV_05-decreasing", "BP-RX-10"),
     (NoRepeatedNumbers, "TC_BP_RX_BV_05-wrapping", "BP-RX-10"),
-    (DiesOfShortFrames, "TC_BP_RX_BI_24", "BP-RX-16"),
-    (DiesOfLongLengths, "TC_BP_RX_BI_13-1-octet", "BP-RX-15"),
-    (DiesOfEmptyBlocks, "TC_BP_RX_BV_04-vardis", "BP-RX-16"),
+    (CrashesOnShortFrames, "TC_BP_RX_BI_24", "BP-RX-16"),
+    (CrashesOnLongLengths, "TC_BP_RX_BI_13-1-octet", "BP-RX-15"),
+    (CrashesOnEmptyBlocks, "TC_BP_RX_BV_04-vardis", "BP-RX-16"),
 ]
 TRANSMISSION: list[tuple[type[Wrong], str, str]] = [
     (SaysVersion2, "TC_BP_HDR_BV_01", "BP-HDR-01"),
@@ -499,7 +499,7 @@ TRANSMISSION: list[tuple[type[Wrong], str, str]] = [
     (AlwaysOneBlock, "TC_BP_HDR_BV_07", "BP-HDR-07"),
     (EverySecondNumber, "TC_BP_HDR_BV_08", "BP-HDR-08"),
     (NumberStays, "TC_BP_HDR_BV_08", "BP-HDR-08"),
-    (NumbersGoOnAfterReset, "TC_BP_INI_BV_01", "BP-INI-02"),
+    (NumbersContinueAfterReset, "TC_BP_INI_BV_01", "BP-INI-02"),
     (CountsTicks, "TC_BP_HDR_BV_09", "BP-HDR-09"),
     (FixedNetwork, "TC_BP_PAR_BV_04", "BP-HDR-04"),
     (NetworkInOneOctet, "TC_BP_HDR_BV_05", "BP-HDR-04"),
@@ -511,7 +511,7 @@ INDICATIONS: list[tuple[type[Wrong], str, str]] = [
     (TellsTwice, "TC_BP_RXP_BV_01-37", "BP-RXP-02"),
     (TellsLess, "TC_BP_RXP_BV_01-256", "BP-RXP-01"),
     (TellsNothingOfTransmission, "TC_BP_PTI_BV_01-once", "BP-PTI-01"),
-    (TellsOfFirstTransmission, "TC_BP_PTI_BV_02", "BP-PTI-03"),
+    (ConfirmsFirstTransmissionOnly, "TC_BP_PTI_BV_02", "BP-PTI-03"),
     (TellsEpochOfThisBeacon, "TC_BP_PTI_TI_01", "BP-PTI-02"),
 ]
 SERVICES: list[tuple[type[Wrong], str, str]] = [
@@ -571,7 +571,7 @@ SERVICES: list[tuple[type[Wrong], str, str]] = [
         for each in (*RECEPTION, *TRANSMISSION, *INDICATIONS, *SERVICES)
     ],
 )
-def test_what_is_wrong_is_noticed(wrong: type[Wrong], case_id: str, requirement: str) -> None:
+def test_each_mutant_is_detected(wrong: type[Wrong], case_id: str, requirement: str) -> None:
     assert one_case(case_id).verdict is not Verdict.FAIL
     result = one_case(case_id, make=wrong)
     failed = {each for check in result.checks if check.verdict is Verdict.FAIL for each in check.requirements}

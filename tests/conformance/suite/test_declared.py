@@ -40,11 +40,11 @@ def test_the_profiles_of_the_specification_declare_nothing(profile: str):
 
 
 @pytest.mark.parametrize("profile", [*PROFILES, *OTHER_PROFILES])
-def test_what_is_declared_are_requirements(profile: str):
+def test_declarations_are_requirements(profile: str):
     assert set(declared_by(codec_of(profile).profile)) <= set(requirements())
 
 
-def test_a_case_that_passes_is_no_pass_of_the_requirement(capsys: pytest.CaptureFixture[str]):
+def test_a_passing_case_does_not_pass_a_declared_requirement(capsys: pytest.CaptureFixture[str]):
     case = one_case("TC_DCP_DATA_BV_02", "cpp-2.0")
     assert case.verdict is Verdict.PASS
     for profile, verdict in (("cpp-2.0", Verdict.FAIL), ("dcp-2.0", Verdict.PASS)):
@@ -57,7 +57,7 @@ def test_a_case_that_passes_is_no_pass_of_the_requirement(capsys: pytest.Capture
 
 
 @pytest.mark.parametrize("profile", [*PROFILES, *OTHER_PROFILES])
-def test_what_is_declared_fails_in_a_run(profile: str):
+def test_declared_requirements_fail_in_a_run(profile: str):
     codec = codec_of(profile)
     declared = declared_by(codec.profile)
     case = one_case(DECLARED, profile)
@@ -70,7 +70,7 @@ def test_what_is_declared_fails_in_a_run(profile: str):
         assert check.observed == f"declared by the profile {profile}: {declared[identifier]}"
 
 
-def test_one_line_accepts_what_is_declared(tmp_path: Path):
+def test_one_line_accepts_all_declared_requirements(tmp_path: Path):
     path = tmp_path / "expected.toml"
     path.write_text(f'[[expected]]\ncase = "{DECLARED}"\nreason = "the published layout"\nmatch = "cpp-2.0"\n')
     expected = ExpectedResults.load(path, known_cases().values())
@@ -79,7 +79,7 @@ def test_one_line_accepts_what_is_declared(tmp_path: Path):
     assert expected.complaints([case], datetime.date(2030, 1, 1)) == []
 
 
-def test_a_baseline_is_good_with_what_is_declared_and_with_nothing_else(monkeypatch: pytest.MonkeyPatch):
+def test_a_baseline_accepts_declared_requirements_only(monkeypatch: pytest.MonkeyPatch):
     chosen = tuple(known_cases()[each] for each in (SANITY, DECLARED, "TC_DCP_DATA_BV_02"))
     monkeypatch.setattr("dcp_conformance.selftest.runner.cases", lambda: chosen)
     assert baseline("cpp-2.0").good
@@ -103,7 +103,7 @@ WRONG: dict[str, tuple[str, str]] = {
 
 
 @pytest.mark.parametrize("name", WRONG)
-def test_each_departure_is_declared_under_its_requirement(name: str, tmp_path: Path):
+def test_each_deviation_is_declared_under_its_requirement(name: str, tmp_path: Path):
     requirement, text = WRONG[name]
     path = tmp_path / "own.toml"
     path.write_text(f'extends = "dcp-2.0"\nname = "own"\ntitle = "own"\n{text}\n')
@@ -121,20 +121,20 @@ def test_each_departure_is_declared_under_its_requirement(name: str, tmp_path: P
         "[link]\nether_type = 0x88b5",
     ],
 )
-def test_what_the_specification_leaves_open_is_no_departure(text: str, tmp_path: Path):
+def test_choices_permitted_by_the_specification_are_not_deviations(text: str, tmp_path: Path):
     path = tmp_path / "own.toml"
     path.write_text(f'extends = "dcp-2.0"\nname = "own"\ntitle = "own"\n{text}\n')
     assert declared_by(load_profile(path)) == {}
 
 
-def test_a_failure_stays_one():
+def test_a_failure_of_a_declared_requirement_is_kept():
     case = a_case(Verdict.FAIL)
     check = msgspec.structs.replace(case.checks[0], requirements=("DATA-01",))
     run = assemble(codec_of("cpp-2.0").profile, Pics(), [msgspec.structs.replace(case, checks=(check,))])
     assert run.requirements["DATA-01"] is Verdict.FAIL
 
 
-def test_a_recording_shows_no_pass_either():
+def test_a_declared_requirement_does_not_pass_in_a_recording():
     air = Script("cpp-2.0")
     air.say(1, air.create(1, 1), VarSumm(1, 0))
     assert judged(air.frames, "cpp-2.0").requirements.get("DATA-01") is not Verdict.PASS
@@ -182,17 +182,17 @@ def test_a_pics_that_denies_something_mandatory_fails_in_run_and_check(name: str
         (Capabilities(multiple_payloads=False, triggered_beacons=False, parameter_feedback=False), "dcp-2.0"),
     ],
 )
-def test_a_pics_that_denies_what_is_free_fails_nothing(capabilities: Capabilities, profile: str):
+def test_a_pics_that_denies_optional_features_fails_nothing(capabilities: Capabilities, profile: str):
     assert denied_by(capabilities, codec_of(profile).profile) == {}
 
 
-def test_a_profile_speaks_for_a_pics_that_is_silent():
+def test_the_profile_applies_where_the_pics_is_silent():
     denied = denied_by(Capabilities(), codec_of("cpp-2.0").profile)
     assert list(denied) == ["BP-PTI-01", "BP-PTI-02", "BP-PTI-03"]
     assert all("the profile cpp-2.0, as the PICS is silent" in text for text in denied.values())
 
 
-def test_one_line_accepts_what_the_pics_denies(tmp_path: Path):
+def test_one_line_accepts_everything_the_pics_denies(tmp_path: Path):
     path = tmp_path / "expected.toml"
     path.write_text(f'[[expected]]\ncase = "{DENIED}"\nreason = "clients of ours poll"\n')
     case = known_cases()[DENIED]
@@ -229,7 +229,7 @@ def compare_command(*args: str) -> Result:
         ([Verdict.INFO], AS_EXPECTED),
     ],
 )
-def test_a_run_in_which_nothing_was_decided_is_no_success(verdicts: list[Verdict], status: int):
+def test_a_run_that_decided_nothing_is_not_a_success(verdicts: list[Verdict], status: int):
     cases = [a_case(verdict) for verdict in verdicts]
     assert exit_status(cases) == status
     sanity = msgspec.structs.replace(a_case(Verdict.PASS), id=SANITY)

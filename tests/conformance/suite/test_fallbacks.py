@@ -41,7 +41,7 @@ def one(case_id: str, pixit: Testing = TOLD, **how: Any) -> CaseResult:
     return runner_for(without=HIDDEN, pics=Pics(pixit=pixit), **how).run(known_cases()[case_id])
 
 
-def test_what_is_not_applicable_without_parameters():
+def test_cases_that_are_not_applicable_without_parameters():
     open_, hidden = runner_for(), runner_for(without=HIDDEN, pics=Pics(pixit=TOLD))
     results = [(open_.run(each), hidden.run(each)) for each in ordered(known_cases().values())]
     assert Counter(str(each.verdict) for _, each in results).keys() == {"pass", "info", "not-applicable"}
@@ -76,7 +76,7 @@ def test_what_is_not_applicable_without_parameters():
         "M-VD-IC-05-too-large",
     ],
 )
-def test_their_faults_are_found_without_parameters(mutant: str):
+def test_faults_are_found_without_parameters(mutant: str):
     fault = all_mutants()[mutant]
     runner = runner_for(make=fault.make, without=HIDDEN, pics=Pics(pixit=TOLD))
     failed = set()
@@ -89,7 +89,7 @@ def test_their_faults_are_found_without_parameters(mutant: str):
 
 @pytest.mark.parametrize("size", [200, 333, 700])
 @pytest.mark.parametrize("base", ["TC_VD_PAY_BV_07", "TC_VD_SUM_BV_05", "TC_VD_SUM_BV_02"])
-def test_other_sizes_pass_when_they_are_told_and_fail_nobody_when_not(base: str, size: int):
+def test_other_sizes_never_fail_and_pass_if_they_are_stated(base: str, size: int):
     for case in (each for each in known_cases().values() if each.base == base):
         told = Testing(max_payload_size=size, max_value_length=30, max_description_length=20, max_summaries=7)
         node = {
@@ -103,7 +103,7 @@ def test_other_sizes_pass_when_they_are_told_and_fail_nobody_when_not(base: str,
         assert one(case.id, Testing(), **node).verdict in (Verdict.PASS, Verdict.INCONCLUSIVE)
 
 
-def test_no_summaries_where_none_are_configured():
+def test_no_summaries_if_none_are_configured():
     told = Testing(max_summaries=0)
     assert one("TC_VD_SUM_BV_03", told, max_summaries=0).verdict is Verdict.PASS
     make = all_mutants()["M-VD-CMP-01-zero-is-all"].make
@@ -122,7 +122,7 @@ class Small(Composer):
 
 
 class SmallAndStops(Small, Stops):
-    """Sends nothing behind a container whose first record does not fit."""
+    """Sends nothing after a container whose first record does not fit."""
 
 
 def node_of(part: type) -> MakeNode:
@@ -140,7 +140,7 @@ def test_a_record_that_is_larger_than_a_payload():
     assert "with the maximum sizes in the PIXIT" in one("TC_VD_CMP_BV_12").reason
 
 
-def test_the_longest_value_is_found_by_trying():
+def test_the_longest_value_is_found_by_trial():
     assert one("TC_VD_PAR_BV_01").verdict is Verdict.PASS
     other = one("TC_VD_PAR_BV_01", Testing(), max_value_length=64)
     assert "33 octets: VARDIS-STATUS-OK" in next(check.observed for check in other.checks if check.observed)
@@ -152,7 +152,7 @@ def test_the_beacon_period_is_measured(period: int, verdict: Verdict):
 
 
 def every(period_ms: int) -> MakeNode:
-    """A node with another beacon period than anybody knows."""
+    """A node with a beacon period that is stated nowhere."""
 
     def make(config: NodeConfig, rng: random.Random, now: int, wall: int) -> Any:
         other = msgspec.structs.replace(config, bp=BPConfig(beacon_period_ms=period_ms))

@@ -34,7 +34,7 @@ class Frame(NamedTuple):
     count: int = 0
     seqno: bytes = b"\0\0\0\x29"
     more: int = 0
-    """What block lengths say too much."""
+    """Excess of each block length, in octets."""
     blocks: tuple[tuple[int, bytes], ...] = TWO
 
     def octets(self, *, padded: bool = False) -> bytes:
@@ -78,7 +78,7 @@ def named(found: list[Violation]) -> list[str]:
 
 @pytest.mark.parametrize("padded", [False, True])
 @pytest.mark.parametrize("name", FAULTS)
-def test_a_fault_of_a_new_implementer_is_named(name: str, padded: bool) -> None:
+def test_a_typical_mistake_is_named(name: str, padded: bool) -> None:
     frame, requirement, said = FAULTS[name]
     octets = frame.octets(padded=padded)
     with pytest.raises(DecodeError):
@@ -100,7 +100,7 @@ def test_the_octets_that_are_wrong_are_marked() -> None:
 
 @pytest.mark.parametrize("profile", ["dcp-2.0", "dcp-1.3", "dcp-1.2", "dcp-1.1", "dcp-1.0"])
 @pytest.mark.parametrize("padded", [False, True])
-def test_integers_least_significant_octet_first(profile: str, padded: bool) -> None:
+def test_little_endian_integers(profile: str, padded: bool) -> None:
     codec = codec_of(profile)
     names = {"version": "B", "magicNo": "H", "senderId": "6s", "networkId": "H", "length": "H", "numPayloads": "B"}
     values = {"version": 1, "magicNo": 0x497E, "senderId": SENDER, "networkId": 0x1112, "length": 7, "numPayloads": 1}
@@ -112,7 +112,7 @@ def test_integers_least_significant_octet_first(profile: str, padded: bool) -> N
 
 
 @pytest.mark.parametrize(("order", "requirement"), [(">", ["DATA-02"]), ("<", ["DATA-02", "DATA-01"])])
-def test_a_structure_sent_as_it_lies_in_memory(order: str, requirement: list[str]) -> None:
+def test_a_structure_sent_in_its_memory_layout(order: str, requirement: list[str]) -> None:
     octets = struct.pack(f"{order}BxH6sHHBxI", 1, 0x497E, SENDER, 0x1111, 7, 1, 41) + struct.pack(f"{order}HH", 2, 3)
     assert named(judge(octets + REQUEST, CODEC)) == requirement
 
@@ -126,18 +126,18 @@ def test_the_header_of_another_version(version: str) -> None:
     assert found == [{"dcp-1.0": "BP-HDR-10", "dcp-1.1": "BP-HDR-10", "dcp-1.3": "BP-HDR-04"}[version]]
 
 
-def test_an_unreadable_report_is_nobody_elses_fault() -> None:
+def test_an_unreadable_report_fails_only_its_own_requirement() -> None:
     octets = Frame(blocks=((1, bytes(40)), *TWO)).octets()
     assert named(judge(octets, CODEC)) == ["SRP-FMT-01"]
 
 
-def test_a_bad_container_is_told_beside_the_header() -> None:
+def test_a_bad_container_is_reported_in_addition_to_the_header() -> None:
     octets = Frame(magic=b"\x7e\x49", blocks=((2, REQUEST + b"\x09\x01\x01"),)).octets()
     assert named(judge(octets, CODEC)) == ["BP-HDR-02", "VD-IC-02"]
 
 
 @given(data=st.data())
-def test_frames_that_can_be_decoded_break_nothing_and_no_frame_raises(data: st.DataObject) -> None:
+def test_decodable_frames_violate_nothing_and_no_frame_raises(data: st.DataObject) -> None:
     valid = strategies.beacons(CODEC).map(CODEC.encode)
     assert judge(data.draw(valid), CODEC) == []
     octets = data.draw(st.one_of(st.binary(max_size=60), strategies.mutations(valid, CODEC.dissect)))

@@ -57,13 +57,13 @@ def test_the_same_sequence_in_spite_of_noise_and_lost_beacons():
 
 
 @pytest.mark.parametrize("clock_ms", [10, 15, 20])
-def test_a_coarse_clock_makes_no_sequences_alike(clock_ms: int):
+def test_sequences_of_a_coarse_clock_do_not_count_as_equal(clock_ms: int):
     """Intervals take few values, so that many agree by chance."""
     pairs = [(drawn(seed, clock_ms=clock_ms), drawn(500 + seed, clock_ms=clock_ms)) for seed in range(200)]
     assert "same" not in {compare(one, two, PERIOD) for one, two in pairs}
 
 
-def test_a_single_value_beside_another_tells_nothing():
+def test_two_values_are_not_enough_evidence():
     one = [PERIOD if place % 8 else PERIOD + 10 * MS for place in range(COUNT)]
     assert compare(one, one, PERIOD) in ("strict", "coarse")
 
@@ -74,11 +74,11 @@ def test_strictly_periodic_beacons_with_some_late_ones(late: tuple[int, ...]):
     assert compare(strict, with_late(strict, *late), PERIOD) == "strict"
 
 
-def test_too_little_was_heard():
+def test_too_few_beacons():
     assert compare([PERIOD], [], PERIOD) == "coarse"
 
 
-def test_a_beacon_that_was_not_heard_hides_two_intervals():
+def test_a_missed_beacon_removes_two_intervals():
     air = Script("dcp-2.0")
     air.step = PERIOD
     for number in (4, 5, 8, 9):

@@ -61,7 +61,7 @@ def test_only_the_requirements_of_extraction_fail(extractor: type[Extractor], pr
     assert failed >= {"VD-RX-02", "VD-RX-04"}
 
 
-def test_what_is_lost_is_told() -> None:
+def test_lost_containers_are_reported() -> None:
     runner = runner_for(make=make_with(UntilTheMiddle))
     assert runner.run(known_cases()["TC_DCP_SANITY_BV_01"]).verdict is Verdict.PASS
     result = runner.run(known_cases()["TC_VD_ROOM_BV_01-a-VarDelete"])
@@ -69,7 +69,7 @@ def test_what_is_lost_is_told() -> None:
     assert "it loses the second of two containers in a payload (VD-RX-04)" in result.reason
 
 
-def test_nothing_is_lost_by_a_good_node() -> None:
+def test_a_conforming_node_loses_nothing() -> None:
     runner = runner_for()
     runner.run(known_cases()["TC_DCP_SANITY_BV_01"])
     assert runner.session.lost_container == ""

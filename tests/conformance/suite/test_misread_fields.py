@@ -48,7 +48,7 @@ def outcome_of(spoken: Profile, *, cases: tuple[str, ...] = ("",)) -> tuple[Runn
     return runner, failed, reasons
 
 
-def test_swapped_times_and_reports_copied_from_memory_are_told_once() -> None:
+def test_swapped_times_and_reports_in_memory_layout_are_reported_once() -> None:
     runner, failed, reasons = outcome_of(codec_of("cpp-2.0").profile)
     assert failed.keys() == {"DATA-01", "DATA-05", "SRP-FMT-01", "SRP-TYP-02"}
     assert runner.session.misread.keys() == {"creationTime", "report"}
@@ -57,7 +57,7 @@ def test_swapped_times_and_reports_copied_from_memory_are_told_once() -> None:
         assert sum(note.startswith(text) for note in runner.notes) == 1
 
 
-def test_swapped_protocol_identifiers_are_told_and_nothing_that_follows() -> None:
+def test_swapped_protocol_identifiers_are_reported_without_their_consequences() -> None:
     _, failed, _ = outcome_of(
         other(protocol_id={"byte_order": "little"}), cases=("TC_BP_HDR_", "TC_VD_RX", "TC_VD_SPLIT", "TC_SRP_")
     )
@@ -66,7 +66,7 @@ def test_swapped_protocol_identifiers_are_told_and_nothing_that_follows() -> Non
     assert failed["DATA-01"]
 
 
-def test_creations_that_are_not_understood_are_told_once() -> None:
+def test_misread_creations_are_reported_once() -> None:
     runner, failed, _ = outcome_of(
         other(var_timeout={"width": 4}), cases=("TC_VD_CRT", "TC_VD_LEN", "TC_VD_ROB", "TC_NET_HOP", "TC_VD_FWD")
     )
@@ -74,13 +74,13 @@ def test_creations_that_are_not_understood_are_told_once() -> None:
     assert failed.keys() <= {"VD-PC-09", "VD-PC-07", "VD-CMP-06", "VD-SCP-02", "SRP-FMT-01"}
 
 
-def test_who_sends_what_cannot_be_read_is_alive() -> None:
+def test_a_node_that_sends_unreadable_payloads_is_alive() -> None:
     _, _, reasons = outcome_of(other(var_seqno={"width": 2}), cases=("TC_VD_CRE", "TC_VD_UPD"))
     assert not any("does not answer any more" in each for each in reasons)
 
 
 @pytest.mark.parametrize("profile", ["dcp-1.0", "dcp-1.2", "dcp-2.0", "cpp-2.0"])
-def test_a_good_node_misreads_nothing(profile: str) -> None:
+def test_a_conforming_node_misreads_nothing(profile: str) -> None:
     runner = runner_for(profile)
     runner.run(known_cases()["TC_DCP_SANITY_BV_01"])
     assert runner.session.misread == {}

@@ -1,4 +1,4 @@
-"""Cases about composing, runtime, scrubbing and networks: what they say of nodes that are slow, and that are wrong."""
+"""Cases about composing, runtime, scrubbing and networks: their verdicts on slow nodes and on faulty ones."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def test_a_claim_about_several_containers_is_checked(claim, profile, verdict):
 
 
 class Around:
-    """A node with something between it and the air; all else goes through."""
+    """A node whose received and sent frames can be changed; everything else is unchanged."""
 
     def __init__(self, config: NodeConfig, rng: random.Random, now: int, wall: int) -> None:
         self.inner = Node(config, rng=rng, now=now, wall=wall)
@@ -67,7 +67,7 @@ class Around:
 
 
 class Slow(Around):
-    """Looks at what it receives 70 ms later, and so composes most payloads a period before they matter."""
+    """Processes what it receives 70 ms later, and so composes most payloads a period before they matter."""
 
     def __init__(self, config: NodeConfig, rng: random.Random, now: int, wall: int) -> None:
         super().__init__(config, rng, now, wall)
@@ -174,7 +174,7 @@ def one_summary(codec: Codec, containers: tuple[Container, ...]) -> tuple[Contai
 
 
 class EveryOther(Around):
-    """Says nothing in every second beacon: VarDis payloads that were composed are lost."""
+    """Removes the VarDis payload from every second beacon, although it was composed."""
 
     def __init__(self, config: NodeConfig, rng: random.Random, now: int, wall: int) -> None:
         super().__init__(config, rng, now, wall)
@@ -194,7 +194,7 @@ class EveryOther(Around):
 
 
 class Echoing(Around):
-    """Sends everything that it receives once more, under its own name."""
+    """Repeats everything that it receives, with its own identifier as the sender."""
 
     def __init__(self, config: NodeConfig, rng: random.Random, now: int, wall: int) -> None:
         super().__init__(config, rng, now, wall)

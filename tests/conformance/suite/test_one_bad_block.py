@@ -1,6 +1,6 @@
 """One fault in a beacon is one fault in the report: the whole suite against nodes that send one thing wrong.
 
-What fails names the requirement of what is wrong, and nothing that merely stands in the same beacon.
+Failures name the requirement that is violated, and none about other parts of the same beacon.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ def failed(outcome: Trial) -> set[str]:
 
 @pytest.mark.parametrize("identifier", REPORTS)
 @pytest.mark.parametrize("profile", ["dcp-2.0", "dcp-1.2"])
-def test_an_unreadable_state_report_is_the_fault_of_srp_only(identifier: str, profile: str) -> None:
+def test_an_unreadable_state_report_fails_srp_only(identifier: str, profile: str) -> None:
     outcome = trial(MUTANTS[identifier], profile=profile, full=True)
     assert outcome.killed
     assert failed(outcome) == {"SRP-FMT-01", "SRP-TYP-02"}
 
 
 @pytest.mark.parametrize("identifier", HEADERS)
-def test_a_fault_in_the_header_fails_what_asks_for_that_field(identifier: str) -> None:
+def test_a_fault_in_the_header_fails_requirements_about_that_field(identifier: str) -> None:
     outcome = trial(MUTANTS[identifier], full=True)
     assert outcome.killed
     assert failed(outcome) == HEADERS[identifier]
@@ -58,9 +58,7 @@ def test_a_fault_in_the_header_fails_what_asks_for_that_field(identifier: str) -
         ("", {"BP-HDR-11"}),
     ],
 )
-def test_each_difference_in_the_header_of_a_block_is_the_fault_of_its_own_rule(
-    head: str, requirements: set[str]
-) -> None:
+def test_each_fault_in_the_header_of_a_block_fails_its_own_rule(head: str, requirements: set[str]) -> None:
     assert set(broken_by(bytes.fromhex(head), bytes.fromhex("70 19 01 02"))) == requirements
 
 

@@ -1,4 +1,4 @@
-"""The sanity case finds out how tester and implementation reach each other, and blames nobody for anything else."""
+"""The sanity case finds out how tester and implementation reach each other, and causes no unrelated failures."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def failed(result: CaseResult) -> set[str]:
 
 @pytest.mark.parametrize("upper", [True, False])
 @pytest.mark.parametrize("profile", ["dcp-1.0", "dcp-1.2", "dcp-2.0", "cpp-1.3"])
-def test_one_question_and_one_answer(profile: str, upper: bool):
+def test_the_sanity_case_needs_one_question_and_one_answer(profile: str, upper: bool):
     result, contact = sanity(node(profile), profile, upper=upper)
     assert (result.verdict, result.reason) == (Verdict.PASS, "")
     assert [each.direction for each in result.evidence if each.frame] == ["sent", "heard"]
@@ -109,7 +109,7 @@ def test_without_vardis_a_beacon_is_enough():
 # -- the tester is set up wrongly --------------------------------------------------------------------------------------
 
 
-def test_it_speaks_another_profile():
+def test_the_implementation_uses_another_profile():
     result, contact = sanity(talking(node("cpp-1.3")))
     assert result.verdict is Verdict.INCONCLUSIVE
     assert contact.mistaken
@@ -117,14 +117,14 @@ def test_it_speaks_another_profile():
     assert result.reason.endswith("try --profile cpp-1.3")
 
 
-def test_it_speaks_another_profile_and_only_when_it_is_asked():
+def test_the_implementation_uses_another_profile_only_in_answers():
     result, contact = sanity(node("cpp-1.3"), "sim-1.0")
     assert (result.verdict, contact.mistaken) == (Verdict.INCONCLUSIVE, True)
     assert "its frames look like cpp-1.3 (" in result.reason
     assert not failed(result)
 
 
-def test_it_says_that_it_speaks_another_profile():
+def test_the_implementation_reports_another_profile():
     result, contact = sanity(node("cpp-1.3", deaf), "sim-1.0", upper=True)
     # It beacons when its services are asked for.
     assert (result.verdict, contact.mistaken) == (Verdict.INCONCLUSIVE, True)
@@ -132,7 +132,7 @@ def test_it_says_that_it_speaks_another_profile():
 
 
 @pytest.mark.parametrize("says_something", [True, False])
-def test_it_is_in_another_network(says_something: bool):
+def test_the_implementation_is_in_another_network(says_something: bool):
     sut = node(network_id=3)
     result, contact = sanity(talking(sut) if says_something else sut)
     assert (result.verdict, contact.mistaken) == (Verdict.INCONCLUSIVE, True)
@@ -140,7 +140,7 @@ def test_it_is_in_another_network(says_something: bool):
     assert result.reason.endswith("give [pixit] network_id = 3")
 
 
-def test_as_advised_it_passes():
+def test_following_the_advice_makes_it_pass():
     result, _ = sanity(node(network_id=3), pics=Pics(pixit=Testing(network_id=3)))
     assert result.verdict is Verdict.PASS
 
@@ -155,7 +155,7 @@ def test_another_node_is_named():
 # -- nothing, or little, is heard --------------------------------------------------------------------------------------
 
 
-def test_it_is_silent():
+def test_the_implementation_is_silent():
     result, contact = sanity(node(make=deaf))
     assert result.verdict is Verdict.INCONCLUSIVE
     assert "nothing was heard: is it running, on this link, with this EtherType or port?" in result.reason
@@ -175,20 +175,20 @@ def without_vardis() -> InProcess:
     return InProcess(msgspec.structs.replace(reference_config(codec_of("dcp-2.0")), vardis=None))
 
 
-def test_it_may_have_no_vardis():
+def test_the_implementation_may_have_no_vardis():
     result, contact = sanity(repeating(without_vardis()))
     assert result.verdict is Verdict.INCONCLUSIVE
     assert "if the implementation has no VarDis, set vardis = false in [pics]" in result.reason
     assert contact.unanswered == {"summary", "create", "request"}
 
 
-def test_it_is_known_to_have_vardis():
+def test_the_implementation_is_known_to_have_vardis():
     result, _ = sanity(repeating(without_vardis()), pics=Pics(pics=Capabilities(vardis=True)))
     assert (result.verdict, failed(result)) == (Verdict.FAIL, {"BP-RX-07"})
 
 
 @pytest.mark.parametrize("upper", [True, False])
-def test_it_beacons_and_answers_nothing(upper: bool):
+def test_the_implementation_sends_beacons_without_answers(upper: bool):
     result, contact = sanity(talking(node(make=deaf)), upper=upper)
     assert (result.verdict, failed(result)) == (Verdict.FAIL, {"BP-RX-07"})
     assert contact.unanswered >= {"summary", "create", "request"}
@@ -197,7 +197,7 @@ def test_it_beacons_and_answers_nothing(upper: bool):
 
 
 @pytest.mark.parametrize("upper", [True, False])
-def test_it_answers_no_summary_but_other_stimuli(upper: bool):
+def test_the_implementation_answers_other_stimuli_but_no_summary(upper: bool):
     result, contact = sanity(node(make=mutant("M-VD-PS-01-ignored")), upper=upper)
     assert (result.verdict, failed(result)) == (Verdict.FAIL, {"VD-PS-01"})
     assert contact.answered >= {"create", "request"}
@@ -212,20 +212,20 @@ def test_a_tester_that_is_a_little_late_still_finds_a_kind_of_stimulus_without_a
     assert [each.requirements for each in result.checks if each.verdict is Verdict.FAIL] == [("VD-PS-01",)]
 
 
-def test_it_delivers_payloads_but_vardis_sends_nothing():
+def test_the_implementation_delivers_payloads_but_vardis_sends_nothing():
     result, contact = sanity(node(make=mutant("M-VD-RUN-02-ignored")), upper=True)
     assert failed(result) == {"VD-RUN-02"}
     assert contact.answered >= {"payload", "transmit"}
 
 
-def test_it_answers_with_a_record_of_another_kind():
+def test_the_implementation_answers_with_another_kind_of_record():
     result, contact = sanity(node(make=mutant("M-VD-IC-02-request-types-exchanged")), upper=True)
     assert (result.verdict, failed(result)) == (Verdict.INCONCLUSIVE, set())
     assert contact.odd.startswith("a REQUEST-VARUPDATES record of variable ")
     assert contact.odd in result.reason
 
 
-def test_it_is_inactive():
+def test_the_implementation_is_inactive():
     result, contact = sanity(node(make=mutant("M-BP-INI-03-inactive")), upper=True)
     assert failed(result) == {"BP-INI-03"}
     assert contact.inactive
@@ -247,7 +247,7 @@ HEADER_FAULTS = {
 
 @pytest.mark.parametrize("upper", [True, False])
 @pytest.mark.parametrize("name", HEADER_FAULTS)
-def test_a_broken_header_is_called_by_its_requirement(name: str, upper: bool):
+def test_a_wrong_header_is_reported_by_its_requirement(name: str, upper: bool):
     result, contact = sanity(node(make=mutant(name)), upper=upper)
     assert (result.verdict, failed(result)) == (Verdict.FAIL, HEADER_FAULTS[name])
     assert not contact.mistaken
@@ -259,7 +259,7 @@ def test_a_broken_header_is_called_by_its_requirement(name: str, upper: bool):
     assert mark.length > 0
 
 
-def test_a_name_backwards_is_a_broken_header():
+def test_a_reversed_node_identifier_is_a_wrong_header():
     result, contact = sanity(node(make=mutant("M-BP-HDR-03-reversed")), upper=True)
     assert failed(result) == {"BP-HDR-03"}
     assert not contact.mistaken
@@ -279,13 +279,13 @@ def others_blamed(name: str) -> list[tuple[str, Check]]:
 
 
 @pytest.mark.parametrize("name", list(HEADER_FAULTS)[:4])
-def test_nobody_else_is_blamed_for_a_broken_header(name: str):
+def test_a_wrong_header_fails_no_other_requirement(name: str):
     assert others_blamed(name) == []
 
 
 @pytest.mark.parametrize("name", list(HEADER_FAULTS)[4:])
-def test_what_cannot_be_read_is_not_taken_to_be_missing(name: str):
-    """What is seen in the octets beside it may be another fault; an answer that cannot be read is none."""
+def test_an_unreadable_answer_does_not_count_as_missing(name: str):
+    """Checks of received octets may find another fault; an unreadable answer does not count as an answer."""
     assert all(check.shown for _, check in others_blamed(name))
 
 
@@ -304,12 +304,12 @@ def failing(make: MakeNode, choose: Callable[[str], bool] = lambda _: True) -> d
     return found
 
 
-def test_one_kind_that_is_not_answered_fails_its_own_requirement_only():
+def test_one_kind_without_answer_fails_its_own_requirement_only():
     found = failing(mutant("M-VD-PS-01-ignored"), lambda name: name.startswith(("TC_BP_", "TC_NET_", "TC_VD_RX")))
     assert set(found) == {"VD-PS-01"}
 
 
-def test_a_rule_broken_in_octets_fails_whatever_is_not_answered():
+def test_a_violation_in_received_octets_fails_despite_missing_answers():
     """The contact excuses what is missing, and nothing that was received."""
     runner = runner_for(node(make=mutant("M-VD-PS-01-ignored")), upper=True)
     runner.run(known_cases()[SANITY])

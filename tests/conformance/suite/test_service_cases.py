@@ -1,4 +1,4 @@
-"""Cases about SRP and about the services of VarDis: what they say of claims, of slow nodes, and of wrong ones."""
+"""Cases about SRP and about the services of VarDis: their verdicts on claims, on slow nodes, and on faulty ones."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ CLAIMS = [
 
 @pytest.mark.parametrize(("name", "case_id", "truth"), CLAIMS)
 @pytest.mark.parametrize("claimed", [True, False])
-def test_claims_about_what_is_open_are_checked(name, case_id, truth, claimed):
+def test_claims_about_optional_behaviour_are_checked(name, case_id, truth, claimed):
     pics = Pics(pics=Capabilities(**{name: claimed}))
     expected = Verdict.PASS if claimed is truth else Verdict.FAIL
     assert one_case(case_id, pics=pics).verdict is expected
@@ -86,7 +86,7 @@ def case_over(upper: type[VirtualUpperTester], case_id: str, profile: str) -> Ca
 @pytest.mark.parametrize("case_id", CASES)
 def test_slow_services_pass_too(case_id, profile):
     result = case_over(SlowUpperTester, case_id, profile)
-    # Where BP cannot be deactivated meanwhile, what must fall between two beacons does not, and is not judged.
+    # If BP cannot be deactivated, two calls may not fit between two beacons; then they are not judged.
     not_judged = result.verdict is Verdict.INCONCLUSIVE and "between two beacons" in result.reason
     assert result.verdict in GOOD or not_judged, f"{result.reason}\n{result.error_detail}"
 
@@ -115,7 +115,7 @@ class NumbersForLists(VirtualUpperTester):
         "TC_VD_UPD_BV_07",
     ],
 )
-def test_answers_of_another_shape_are_no_finding_about_the_implementation(case_id):
+def test_malformed_answers_of_the_adapter_are_not_failures(case_id):
     result = case_over(NumbersForLists, case_id, "dcp-2.0")
     assert result.verdict is Verdict.INCONCLUSIVE, f"{result.verdict} {result.reason}\n{result.error_detail}"
     assert "must be a" in result.reason

@@ -33,7 +33,7 @@ class Proxy:
 
 
 class Wrong:
-    """A node with proxies for SRP and VarDis, and something between it and the air."""
+    """A node with proxies for SRP and VarDis whose received and sent frames can be changed."""
 
     srp_proxy: type[Proxy] = Proxy
     vardis_proxy: type[Proxy] = Proxy
@@ -360,7 +360,7 @@ WRONG = [
 @pytest.mark.parametrize(
     ("make", "case_id", "requirement"), WRONG, ids=[f"{make.__name__}-{case_id}" for make, case_id, _ in WRONG]
 )
-def test_a_wrong_node_is_noticed(make, case_id, requirement):
+def test_a_faulty_node_is_detected(make, case_id, requirement):
     result = one_case(case_id, "dcp-2.0", make)
     failed = [check for check in result.checks if check.verdict is Verdict.FAIL]
     assert any(requirement in check.requirements for check in failed), (result.verdict, result.reason)

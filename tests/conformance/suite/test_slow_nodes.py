@@ -1,4 +1,4 @@
-"""The whole suite against nodes that are slow but legal: nobody fails for being slow. In virtual time."""
+"""The whole suite against nodes that are slow but legal: slowness is never a failure. In virtual time."""
 
 from __future__ import annotations
 
@@ -40,9 +40,9 @@ TOO_SLOW_FOR_A_GAP = "between two beacons: a beacon in between in each attempt; 
         ("500 ms for each call", "dcp-1.1"),
     ],
 )
-def test_nobody_fails_for_being_slow(how: str, profile: str):
+def test_a_slow_node_does_not_fail(how: str, profile: str):
     runner = runner_for(profile, **SLOW[how])
-    # What a profile declares is not behaviour of a node.
+    # Declarations of a profile are not behaviour of a node.
     results = [runner.run(each) for each in ordered(known_cases().values()) if each.id not in (DECLARED, DENIED)]
     wrong = [(each.id, each.reason) for each in results if each.verdict in (Verdict.FAIL, Verdict.ERROR)]
     assert wrong == []
@@ -55,7 +55,7 @@ def test_nobody_fails_for_being_slow(how: str, profile: str):
 
 @pytest.mark.parametrize("profile", ["dcp-1.3", "dcp-2.0"])
 @pytest.mark.parametrize(("late_ms", "verdict"), [(40, Verdict.PASS), (150, Verdict.INCONCLUSIVE)])
-def test_an_offset_of_the_clock_that_is_known_only_roughly_fails_nobody(profile: str, late_ms: int, verdict: Verdict):
+def test_an_imprecise_clock_offset_fails_no_node(profile: str, late_ms: int, verdict: Verdict):
     codec = codec_of(profile)
     sut = InProcess(reference_config(codec))
     runner = Runner(Session(codec, sut.lower_tester(), LateAnswers(sut, late_ms * MS), Pics()), sut)
@@ -94,7 +94,7 @@ def test_numbers_that_wrap_early_are_found_however_slow_the_upper_tester_is(case
 )
 @pytest.mark.parametrize("how", ["buffer check period of 400 ms", "500 ms for each call"])
 def test_faults_of_slow_nodes_are_found(mutant: str, how: str):
-    """What must fall between two beacons does, or is not judged."""
+    """A case whose steps must fall between two beacons either manages that or is not judged."""
     fault = all_mutants()[mutant]
     runner = runner_for(fault.profile, make=fault.make, **SLOW[how])
     cases = [each for each in ordered(known_cases().values()) if set(each.requirements) & set(fault.requirements)]

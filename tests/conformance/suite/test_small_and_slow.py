@@ -125,7 +125,7 @@ def test_rows_of_the_database_need_no_more_than_a_specification():
     ],
     ids=str,
 )
-def test_small_limits_fail_nobody(vardis: dict[str, int]):
+def test_small_limits_fail_no_case(vardis: dict[str, int]):
     ids = [each for each in known_cases() if each.startswith(("TC_VD", "TC_NET", "TC_DCP_DATA"))]
     assert not not_fine(results(ids, vardis=vardis))
 

@@ -1,4 +1,4 @@
-"""What cases make of answers: a wrong status fails, one that was merely needed does not, nor does the adapter."""
+"""Verdicts by answers: a wrong status fails, a status that was merely needed does not, nor does the adapter."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def test_an_answer_that_the_specification_does_not_have_fails_where_a_status_is_
 @pytest.mark.parametrize(
     "instead", [Answer(code=-32003, message="the daemon is away"), Answer(code=-32602, message="no such type")]
 )
-def test_what_the_upper_tester_could_not_ask_decides_nothing(
+def test_a_call_that_the_upper_tester_could_not_make_decides_nothing(
     case_id: str, method: str, requirement: str, instead: Answer
 ):
     result = result_of(case_id, method, instead)
@@ -83,12 +83,12 @@ def test_what_the_upper_tester_could_not_ask_decides_nothing(
         assert "the upper tester could not ask: error -32003: the daemon is away" in result.reason
 
 
-def test_a_request_that_an_adapter_has_no_way_to_make_says_nothing_of_the_implementation():
-    result = result_of("TC_VD_CRE_BV_01", "RTDB-Create", CouldNotAskError("the command can be told repCnt not at all"))
+def test_a_request_that_an_adapter_cannot_make_is_inconclusive():
+    result = result_of("TC_VD_CRE_BV_01", "RTDB-Create", CouldNotAskError("the command has no option for repCnt"))
     verdict = result.verdict
     assert verdict is Verdict.INCONCLUSIVE
     assert not result.killed
-    assert "it could not: the command can be told repCnt not at all" in result.reason
+    assert "it could not: the command has no option for repCnt" in result.reason
 
 
 def test_a_status_that_is_merely_needed_is_inconclusive_and_named():
@@ -122,7 +122,7 @@ _ANY_REFUSAL = frozenset(
 @pytest.mark.parametrize(
     "case_id", [each.id for each in known_cases().values() if each.needs.ut and each.base not in _ANY_REFUSAL]
 )
-def test_no_case_passes_on_odd_answers(case_id: str):
+def test_no_case_passes_with_unknown_statuses(case_id: str):
     """A status that the specification lacks, to every call of one method that the case makes."""
     for method in set(known_cases()[case_id].needs.ut) - _UNJUDGED:
         result = result_of(case_id, method, Answer(ODD))

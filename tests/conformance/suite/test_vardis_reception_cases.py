@@ -1,4 +1,4 @@
-"""The cases about received VarDis payloads, one after the other, against nodes that cannot be reset or are late."""
+"""The cases about received VarDis payloads in succession, against nodes that cannot be reset or are late."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class Slow(Node):
 
 
 def all_in_one_session(profile: str, *, make: MakeNode | None = None, upper: bool, reset: bool) -> list[str]:
-    """The cases that do not come out well when they are run one after the other against one node."""
+    """The cases that do not pass when they are run in succession against one node."""
     codec = codec_of(profile)
     sut = InProcess(reference_config(codec), make=make or plain_node)
     pics = Pics(pixit=Testing(reset="auto" if reset else "none"))
@@ -82,5 +82,5 @@ def test_a_node_that_cannot_be_reset(profile: str, upper: bool) -> None:
 
 
 @pytest.mark.parametrize("profile", ["dcp-1.2", "dcp-2.0"])
-def test_a_node_that_hears_late(profile: str) -> None:
+def test_a_node_that_receives_late(profile: str) -> None:
     assert not all_in_one_session(profile, make=Slow, upper=True, reset=True)

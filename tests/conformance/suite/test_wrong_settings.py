@@ -25,7 +25,7 @@ def silent_with(**about: Any) -> Any:
     runner = runner_for(node(make=deaf), upper=True)
     upper = runner.session.upper
     assert upper is not None
-    # It answers, and nothing that it is asked for comes on the air.
+    # Its upper tester answers, but no requested change has an effect on its beacons.
     upper.methods = frozenset({"UT-Hello", "BP-GetParameters"})
     upper.about = {**upper.about, **about}
     result = runner.run(all_cases()[SANITY])
@@ -50,7 +50,7 @@ def test_profile_version_and_network_are_the_first_suspects_if_only_the_upper_te
     assert "probe" in text
 
 
-def test_a_version_that_the_upper_tester_tells_names_the_profiles_of_that_version() -> None:
+def test_a_reported_version_leads_to_the_profiles_of_that_version() -> None:
     result, contact = silent_with(profile="", specVersion="1.3")
     assert (result.verdict, contact.mistaken) == (Verdict.INCONCLUSIVE, True)
     assert not failed(result)
@@ -60,7 +60,7 @@ def test_a_version_that_the_upper_tester_tells_names_the_profiles_of_that_versio
 
 
 @pytest.mark.parametrize("told", ["2.0", "2.0-draft", "", None, 7])
-def test_a_version_that_fits_or_says_nothing_is_no_suspect(told: Any) -> None:
+def test_a_matching_or_unknown_version_is_not_suspected(told: Any) -> None:
     _, contact = silent_with(profile="", specVersion=told)
     assert "try --profile" not in contact.suspicion
 
@@ -110,7 +110,7 @@ def test_probe_finds_the_ether_type() -> None:
     assert lower.asked
 
 
-def test_probe_that_may_only_listen_asks_in_no_ether_type() -> None:
+def test_a_passive_probe_tries_no_ether_type() -> None:
     lower = OnAnotherType(node(make=deaf))
     _, remarks = draft(lower, None, CANDIDATES, 2, ask=False)
     assert "--ether-type" not in remarks[-1]

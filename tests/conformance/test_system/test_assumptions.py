@@ -1,4 +1,4 @@
-"""What nobody has said of an implementation is taken from the profile: nobody fails for that."""
+"""A property that the implementation does not report is taken from the profile; a wrong assumption fails no case."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def judged(
     ("case_id", "length"),
     [("TC_VD_LEN_BI_01-value-max+1", 64), ("TC_VD_LEN_BI_02-max+1", 64), ("TC_VD_LEN_BI_01-value-max", 16)],
 )
-def test_a_bound_that_nobody_has_told_decides_nothing(case_id: str, length: int):
+def test_an_assumed_bound_decides_nothing(case_id: str, length: int):
     result = judged(case_id, Testing(), max_value_length=length)
     verdict = result.verdict
     assert verdict is Verdict.INCONCLUSIVE
@@ -49,14 +49,14 @@ def test_a_bound_that_nobody_has_told_decides_nothing(case_id: str, length: int)
         assert verdict is Verdict.PASS, known.reason
 
 
-def test_a_bound_that_was_told_decides():
+def test_a_stated_bound_decides():
     make = all_mutants()["M-VD-PC-04-any-value"].make
     result = judged("TC_VD_LEN_BI_01-value-max+1", Testing(max_value_length=32), make=make, max_value_length=32)
     verdict = result.verdict
     assert verdict is Verdict.FAIL
 
 
-def test_what_no_parameter_may_allow_fails_without_a_word_about_it():
+def test_values_forbidden_by_the_specification_fail_without_stated_bounds():
     """An empty value is none, whatever the maximum is."""
     verdict = judged("TC_VD_LEN_BI_01-value-0", Testing(), make=all_mutants()["M-VD-PC-04-empty-value"].make).verdict
     assert verdict is Verdict.FAIL
@@ -70,7 +70,7 @@ def test_what_no_parameter_may_allow_fails_without_a_word_about_it():
         ("TC_VD_CRE_BI_05-taken+value", "M-VD-CRE-13-exists-last"),
     ],
 )
-def test_what_no_bound_excuses_fails_whoever_has_told_it(case_id: str, mutant: str):
+def test_failures_independent_of_bounds_fail_with_assumed_bounds(case_id: str, mutant: str):
     """One octet is never too long, and what is deleted or there already is so however long a value is."""
     make = all_mutants()[mutant].make
     codec = codec_of("dcp-2.0")
@@ -83,7 +83,7 @@ def test_what_no_bound_excuses_fails_whoever_has_told_it(case_id: str, mutant: s
     assert verdict is Verdict.FAIL
 
 
-def test_many_variables_that_are_not_learnt_are_told_briefly():
+def test_many_variables_that_are_not_learnt_give_a_short_reason():
     result = judged("TC_VD_PAY_BV_02-creates", Testing(), max_value_length=4)
     verdict = result.verdict
     assert verdict is Verdict.INCONCLUSIVE

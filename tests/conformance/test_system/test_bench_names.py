@@ -18,7 +18,7 @@ GONE = 100
 
 
 class Ticking(VirtualLowerTester):
-    """Every look at the clock takes 100 ns."""
+    """Reading the clock takes 100 ns."""
 
     def __init__(self, sut: InProcess) -> None:
         super().__init__(sut)
@@ -54,23 +54,23 @@ def beacons(names: IdentifierPool, count: int) -> None:
 # -- what is unknown ---------------------------------------------------------------------------------------------------
 
 
-def test_unknown_ones_are_given_from_the_top_and_in_turn():
+def test_unknown_identifiers_are_given_from_the_top_in_turn():
     names = timed()
     assert names.unknown(3, 0) == [15, 14, 13]
     assert names.unknown(2, 0, without=(12,)) == [11, 10]
-    # Nobody has created them: after the others they come again.
+    # The tester has not created them: they are offered again after the others.
     assert names.unknown(16, 0) == [9, 8, 7, 6, 5, 4, 3, 2, 1, 0, 15, 14, 13, 12, 11, 10]
 
 
 @pytest.mark.parametrize("by_peer", [True, False])
-def test_what_somebody_may_have_created_is_not_unknown(by_peer: bool):
+def test_a_variable_that_may_have_been_created_is_not_unknown(by_peer: bool):
     names = timed()
     names.offered(15, 7, by_peer=by_peer)
     assert 15 not in names.unknown(16, 0)
     assert names.left(0) == 15
 
 
-def test_what_only_the_database_can_have_told_is_not_unknown():
+def test_a_variable_that_only_the_database_shows_is_not_unknown():
     names = timed()
     names.heard((3,), (4,), GONE)
     assert not names.is_unknown(3, 0)
@@ -94,7 +94,7 @@ def test_after_a_reset_everything_is_unknown():
     assert names.left(0) == 16
 
 
-def test_up_to_1_3_a_variable_has_left_after_its_last_deletion():
+def test_up_to_1_3_a_variable_is_gone_after_its_last_deletion():
     names = leaving()
     names.offered(3)
     names.heard((), (3,), GONE)
@@ -102,7 +102,7 @@ def test_up_to_1_3_a_variable_has_left_after_its_last_deletion():
     assert names.is_unknown(3, GONE)
 
 
-def test_a_deletion_that_was_not_heard_proves_nothing_until_beacons_say_nothing_of_the_variable():
+def test_an_unheard_deletion_counts_once_beacons_lack_the_variable():
     names = leaving()
     names.offered(3)
     names.deleted(3, GONE)
@@ -112,7 +112,7 @@ def test_a_deletion_that_was_not_heard_proves_nothing_until_beacons_say_nothing_
     assert names.is_unknown(3, GONE)
 
 
-def test_a_variable_that_is_still_told_was_not_deleted():
+def test_a_variable_that_is_still_announced_was_not_deleted():
     names = leaving()
     names.offered(3)
     names.deleted(3, GONE)
@@ -142,7 +142,7 @@ def test_a_variable_that_is_created_again_is_known_again():
 # -- what can be created -----------------------------------------------------------------------------------------------
 
 
-def test_a_quarter_is_kept_for_what_stays_unknown():
+def test_a_quarter_of_identifiers_is_reserved_for_unknown_variables():
     names = timed()
     given = []
     while (number := names.for_own(0)) is not None:
@@ -152,11 +152,11 @@ def test_a_quarter_is_kept_for_what_stays_unknown():
     assert names.left(0) == 4
 
 
-def test_peers_take_turns_with_their_half():
+def test_peers_use_their_half_of_identifiers_in_turn():
     names = timed()
     given = [names.for_peer(0, 1) for _ in range(10)]
     assert given == [0, 1, 2, 3, 4, 5, 6, 7, 0, 1]
-    # None of them was created.
+    # The tester has created none of these.
     assert names.left(0) == 16
 
 
@@ -170,12 +170,12 @@ def test_since_2_0_peers_create_again_what_peers_have_deleted_with_an_earlier_cr
         names.offered(number, 1)
         names.deleted(number, 2 * GONE)
     assert [names.for_peer(GONE, 7) for _ in range(3)] == [0, 1, 0]
-    # Those of which something may still be told only if there are no others.
+    # Variables whose deletion may still be announced are used only if there are no others.
     assert names.for_peer(GONE, 7, without=(0, 1)) == 4
     assert names.for_peer(GONE, 7, without=(0, 1, 4, 5, 6, 7)) is None
 
 
-def test_up_to_1_3_nothing_is_created_again_before_it_has_left():
+def test_up_to_1_3_no_variable_is_created_again_before_it_is_gone():
     names = leaving()
     for number in range(16):
         names.offered(number)
@@ -188,7 +188,7 @@ def test_up_to_1_3_nothing_is_created_again_before_it_has_left():
 # -- the bench ---------------------------------------------------------------------------------------------------------
 
 
-def test_unknown_names_are_found_while_time_passes():
+def test_unknown_identifiers_are_found_while_time_passes():
     bench = bench_of("dcp-1.3")
     names = bench.session.identifier_pool
     names.heard((), (200,), 1 << 60)
@@ -198,7 +198,7 @@ def test_unknown_names_are_found_while_time_passes():
     assert 201 in found
 
 
-def test_what_a_case_has_made_a_creation_of_is_not_unknown_to_the_next():
+def test_a_variable_created_by_a_case_is_not_unknown_to_the_next():
     bench = bench_of()
     number = bench.unknown_id()
     bench.peer().create(number)
@@ -207,7 +207,7 @@ def test_what_a_case_has_made_a_creation_of_is_not_unknown_to_the_next():
     assert number in bench.identifiers.created
 
 
-def test_what_is_only_measured_is_free():
+def test_a_variable_used_only_for_measuring_is_free():
     bench = bench_of()
     bench.records.sample(7)
     assert 7 in bench.identifiers.unknown_ids(252)
@@ -254,7 +254,7 @@ def test_no_peer_has_the_identifier_of_the_implementation():
 
 
 @pytest.mark.parametrize("profile", ["dcp-1.0", "dcp-2.0"])
-def test_what_a_case_calls_unknown_is_no_variable_of_it(profile: str):
+def test_unknown_identifiers_of_a_case_are_not_used_for_its_variables(profile: str):
     bench = bench_of(profile)
     unknown = [bench.unknown_id() for _ in range(20)]
     # Just before them in the order in which peers are given identifiers.

@@ -32,7 +32,7 @@ def triggered_node(config, rng, now, wall):
 
 
 @pytest.mark.parametrize("case_id", CASES)
-def test_what_nobody_claims_is_not_judged(run_case, case_id):
+def test_unclaimed_capabilities_are_not_judged(run_case, case_id):
     verdict = run_case(case_id).verdict
     assert verdict is Verdict.NOT_APPLICABLE
 
@@ -72,7 +72,7 @@ def test_a_table_without_losses_is_noticed(run_case, monkeypatch):
     assert verdict is Verdict.FAIL
 
 
-def test_parameters_that_stay_and_refusals_that_are_hidden_are_noticed(run_case, monkeypatch):
+def test_unchanged_parameters_and_hidden_refusals_are_noticed(run_case, monkeypatch):
     real = Services.call
 
     def deaf(services, method, /, **params):
@@ -85,8 +85,8 @@ def test_parameters_that_stay_and_refusals_that_are_hidden_are_noticed(run_case,
     assert verdicts == [Verdict.FAIL, Verdict.FAIL]
 
 
-def test_every_claim_is_looked_at_somewhere():
-    """A capability that no case needs or reads could be claimed by anybody."""
+def test_every_claim_is_read_by_some_case():
+    """A capability that no case needs or reads could be claimed by any implementation."""
     text = "".join(path.read_text() for path in Path(cases.__file__).parent.rglob("*.py"))
     text += Path(cases.__file__).parent.parent.joinpath("test_steps", "bp_clients.py").read_text()
     needed = {name for case in all_cases().values() for name in (*case.needs.pics, *case.needs.entities)}

@@ -1,4 +1,4 @@
-"""What excuses a failed check: losses and lateness of the tester excuse what is missing, never what was received."""
+"""Excuses of failed checks: losses and lateness of the tester excuse missing data, never received data."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def test_without_losses_both_kinds_count():
     assert verdict_of(bench, shown=True) is Verdict.FAIL
 
 
-def test_what_is_missing_may_have_been_dropped_and_what_was_received_not():
+def test_a_drop_excuses_missing_data_but_not_received_data():
     bench, lower, _ = rig()
     lower.dropped = 2
     assert verdict_of(bench, shown=["a record"]) is Verdict.FAIL
@@ -74,15 +74,15 @@ def test_what_is_missing_may_have_been_dropped_and_what_was_received_not():
     assert bench.verdicts.checks[-1].verdict is Verdict.INCONCLUSIVE
 
 
-def test_what_follows_an_excused_failure_is_excused_too():
-    """What was received after something was lost may follow from the loss."""
+def test_failures_after_an_excused_failure_are_excused():
+    """Data received after a loss may be a consequence of it."""
     bench, lower, _ = rig()
     lower.dropped = 1
     assert verdict_of(bench) is Verdict.INCONCLUSIVE
     assert verdict_of(bench, shown=True) is Verdict.INCONCLUSIVE
 
 
-def test_a_gap_is_no_excuse_for_a_fault_of_the_numbers():
+def test_a_gap_does_not_excuse_wrong_sequence_numbers():
     bench, lower, _ = rig()
     bench.call("RTDB-Create", varId=1, repCnt=1, descr="x", value="01")
     bench.beacons(3)
@@ -95,7 +95,7 @@ def test_a_gap_is_no_excuse_for_a_fault_of_the_numbers():
     assert verdict_of(bench, numbers=True) is Verdict.INCONCLUSIVE
 
 
-def test_what_was_assumed_excuses_both_kinds():
+def test_an_assumption_excuses_both_kinds():
     bench, _, sut = rig()
     bench.session.upper = None
     bench.sut.bound("VARDISPAR_MAX_VALUE_LENGTH")
@@ -108,11 +108,11 @@ def test_what_was_assumed_excuses_both_kinds():
 
 
 def idle(sut: InProcess, duration: int) -> None:
-    """Time passes in which the tester is held up; the node goes on."""
+    """Let time pass while the tester is held up; the node continues."""
     sut.elapse(duration)
 
 
-def test_waits_and_calls_are_no_lateness():
+def test_waits_and_calls_are_not_lateness():
     bench, _, sut = rig()
     upper = bench.services.upper
     plain = upper.call
@@ -173,8 +173,8 @@ def test_an_answer_to_a_frame_that_was_read_late_is_late():
     assert bench.steps.late_ns == 3 * PERIOD
 
 
-def test_frames_that_waited_during_a_call_are_read_and_no_lateness():
-    """What came in a call is asked by the next wait, and has the time at which it came."""
+def test_frames_that_arrive_during_a_call_are_read_and_not_late():
+    """Frames that arrive during a call are read by the next wait, with their time of arrival."""
     bench, _, sut = rig()
     plain = bench.services.upper.call
 
@@ -196,7 +196,7 @@ def test_frames_that_waited_during_a_call_are_read_and_no_lateness():
 
 
 class Clock:
-    """A clock that stands still. At the n-th look at it something can happen first (``at[n]``)."""
+    """A clock that stands still. When it is read for the n-th time a function is called first (``at[n]``)."""
 
     def __init__(self) -> None:
         self.time = 1_000 * PERIOD
@@ -248,7 +248,7 @@ def pair():
         made.there.close()
 
 
-def test_what_arrived_in_time_is_read_however_late(clock: Clock, pair: Pair):
+def test_a_frame_that_arrived_in_time_is_read_however_late(clock: Clock, pair: Pair):
     """The tester is held up after it has found nothing to read, until after the deadline."""
     deadline = clock.time + PERIOD
 
@@ -266,7 +266,7 @@ def test_what_arrived_in_time_is_read_however_late(clock: Clock, pair: Pair):
     assert pair.health() == LinkHealth(0)
 
 
-def test_what_is_taken_in_is_received_later_with_its_time(clock: Clock, pair: Pair):
+def test_buffered_frames_are_received_later_with_their_time_of_arrival(clock: Clock, pair: Pair):
     for number in range(3):
         pair.there.send((clock.time + number).to_bytes(8, "big"))
     clock.time += 10 * PERIOD

@@ -23,12 +23,12 @@ RIGHT = "such as 02:00:00:00:00:01 or 020000000001"
 
 
 @pytest.mark.parametrize("text", ["02:00:00:00:00:01", "020000000001", "02:00:00:00:00:01".upper()])
-def test_what_is_one(text: str):
+def test_valid_node_identifiers(text: str):
     assert node_id_octets(text) == OURS
 
 
 @pytest.mark.parametrize("text", ["", ":", "drone1", "02-00-00-00-00-01", "0:1", "02::01", "02:0000:1", "02 00", "٠١"])
-def test_what_is_none(text: str):
+def test_invalid_node_identifiers(text: str):
     with pytest.raises(ValueError, match="is not a node identifier") as refused:
         node_id_octets(text)
     assert repr(text) in str(refused.value)
@@ -39,7 +39,9 @@ def test_what_is_none(text: str):
     ("node_id", "what"),
     [("drone1", RIGHT), ("", RIGHT), ("02:00:00:00:01", "it has 5 octets, in the profile dcp-2.0 it has 6")],
 )
-def test_a_wrong_one_in_a_file_is_wrong_usage(dcp_conformance: Command, tmp_path: Path, node_id: str, what: str):
+def test_an_invalid_identifier_in_a_file_is_a_usage_error(
+    dcp_conformance: Command, tmp_path: Path, node_id: str, what: str
+):
     pics = tmp_path / "pics.toml"
     pics.write_text(f'[pixit]\nnode_id = "{node_id}"\n', encoding="utf-8")
     ended = dcp_conformance("run", "--in-process", "TC_DCP_SANITY_BV_01", "--pics", pics)
@@ -49,14 +51,14 @@ def test_a_wrong_one_in_a_file_is_wrong_usage(dcp_conformance: Command, tmp_path
     assert len(ended.err.splitlines()) == 1
 
 
-def test_a_right_one_in_a_file(dcp_conformance: Command, tmp_path: Path):
+def test_a_valid_identifier_in_a_file(dcp_conformance: Command, tmp_path: Path):
     pics = tmp_path / "pics.toml"
     pics.write_text('[pixit]\nnode_id = "020000000001"\n', encoding="utf-8")
     ended = dcp_conformance("run", "--in-process", "TC_DCP_SANITY_BV_01", "--pics", pics)
     assert ended.status == 0, ended.err
 
 
-def test_a_wrong_one_on_the_command_line(dcp_conformance: Command, tmp_path: Path):
+def test_an_invalid_identifier_on_the_command_line(dcp_conformance: Command, tmp_path: Path):
     ended = dcp_conformance("replay", tmp_path / "none.mcap", "--node", "drone1")
     assert ended.status == UNUSABLE
     for each in ("--node", "'drone1'", RIGHT):
@@ -73,7 +75,7 @@ class Misnamed(VirtualUpperTester):
         return answer
 
 
-def test_a_wrong_one_of_an_upper_tester_is_its_fault():
+def test_an_invalid_identifier_of_an_upper_tester_is_its_fault():
     codec = codec_of("dcp-2.0")
     sut = InProcess(reference_config(codec))
     runner = Runner(Session(codec, sut.lower_tester(), Misnamed(sut), Pics()), sut)

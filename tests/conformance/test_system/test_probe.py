@@ -39,7 +39,7 @@ def codec(name: str) -> Codec:
 
 
 CANDIDATES = [codec(name) for name in profile_names()]
-#: Without the profile whose SRP payloads are the pattern of the mutant: for whoever sends one that no profile knows.
+#: Without the profile whose SRP payloads are the pattern of the mutant, so that no profile knows the pattern.
 WITHOUT_PATTERN = [each for each in CANDIDATES if each.profile.name != "cpp-1.2"]
 
 
@@ -56,7 +56,7 @@ def busy(sut: InProcess, count: int = 3) -> None:
     upper.close()
 
 
-def test_what_an_upper_tester_tells():
+def test_a_draft_from_an_upper_tester():
     sut = node("cpp-1.3", beacon_period_ms=250)
     busy(sut)
     pics, remarks = draft(sut.lower_tester(), sut.upper_tester(), CANDIDATES, 20)
@@ -67,12 +67,12 @@ def test_what_an_upper_tester_tells():
     assert (pics.pics.srp, pics.pics.vardis, pics.pics.runtime_parameters, pics.pics.jitter) == (True,) * 4
     (measured,) = [each for each in remarks if each.startswith("the beacon period was measured")]
     assert measured.endswith("it says 250 ms")
-    # Nothing speaks against anything else, so nothing is said of it.
+    # There is no evidence about other properties, so they are not stated.
     assert pics.pics.parameter_feedback is None
     assert pics.pixit.reaction_periods is None
 
 
-def test_what_is_seen_without_one():
+def test_a_draft_without_an_upper_tester():
     sut = node("dcp-2.0", beacon_period_ms=50)
     busy(sut)
     safety_data = {"x": 1, "y": 2, "z": 3}
@@ -102,13 +102,13 @@ def test_a_silent_node_is_asked():
 
 
 class Silent(VirtualLowerTester):
-    """A link that must not be sent on."""
+    """A link on which the tester must not send."""
 
     def send(self, octets: bytes, source: bytes) -> bytes:
         raise AssertionError("something was sent")
 
 
-def test_nothing_is_sent_unless_it_may():
+def test_nothing_is_sent_without_permission():
     pics, remarks = draft(Silent(node("dcp-2.0")), None, CANDIDATES, 5, ask=False)
     assert pics == Pics()
     assert remarks[-1].startswith("nothing was heard on in process in 5 s: is the implementation running")
@@ -150,7 +150,7 @@ class Air:
         return self._now
 
     def send(self, octets: bytes, source: bytes) -> bytes:
-        """Nobody answers."""
+        """Return a frame to another station: no node answers."""
         return b"\xff" * 6 + source + b"\x49\x53" + octets
 
     def health(self) -> LinkHealth:
@@ -189,7 +189,7 @@ def test_several_senders():
     assert pics.pics.vardis is True
 
 
-def test_several_of_one_kind():
+def test_several_senders_of_one_kind():
     made = codec("dcp-2.0")
     builder = FrameBuilder(made)
     twice = builder.vardis(builder.container(VarSumm(1, 1)), builder.container(VarSumm(2, 1)))
@@ -200,7 +200,7 @@ def test_several_of_one_kind():
     assert "pics.several_containers: seen in 20 of 20 beacons" in remarks
 
 
-def test_garbage_is_no_profile():
+def test_garbage_does_not_give_a_profile():
     arrivals = [Arrival(at, at, bytes(range(at, at + 60)), b"", b"\x02" * 6) for at in range(1, 20)]
     pics, remarks = draft(Air(list(arrivals)), None, CANDIDATES, 1)  # type: ignore[arg-type]
     assert pics == Pics(pixit=Testing(profile=UNKNOWN_PROFILE))
@@ -220,10 +220,10 @@ class Lying(VirtualUpperTester):
         return answer
 
 
-def test_parameters_that_make_no_sense():
+def test_invalid_parameters():
     sut = node("dcp-2.0")
     pics, remarks = draft(sut.lower_tester(), Lying(sut), CANDIDATES, 1)
-    # What is on the air is not taken for what it says.
+    # Observed values take precedence over those that the upper tester reports.
     assert pics.pixit.network_id == codec("dcp-2.0").profile.bp.network_id
     assert pics.pixit.max_packet_size is None
     assert any("BPPAR_BEACON_PERIOD = 0, which makes no sense" in each for each in remarks)
@@ -231,7 +231,7 @@ def test_parameters_that_make_no_sense():
 
 
 @pytest.mark.parametrize("profile", profile_names())
-def test_which_profile_frames_look_like(profile):
+def test_guessing_the_profile_of_frames(profile):
     sut = node(profile)
     busy(sut)
     if "SRP-UpdateSafetyData" in sut.upper_tester().methods:
@@ -265,7 +265,7 @@ def test_a_tie_goes_to_the_profile_that_was_asked_for(asked_for):
     assert f"{other} would explain them as well: is {asked_for} right?" in remark
 
 
-def test_a_profile_that_was_asked_for_and_is_wrong_is_told():
+def test_a_wrong_requested_profile_is_reported():
     sut = node("cpp-1.3")
     busy(sut)
     pics, remarks = draft(sut.lower_tester(), None, CANDIDATES, 10, asked_for="dcp-2.0")
@@ -290,7 +290,7 @@ def test_one_bad_block_does_not_hide_what_the_others_say():
     assert any("cannot be read to their end: SRP-FMT-01: a payload of fixed size" in each for each in remarks)
 
 
-def test_a_pattern_that_a_profile_knows_is_no_state_report():
+def test_a_pattern_of_a_profile_is_not_a_state_report():
     sut = with_mutant("M-SRP-FMT-01-test-pattern", "cpp-1.3")
     busy(sut)
     for number in range(40):
@@ -309,10 +309,10 @@ def test_a_pattern_that_a_profile_knows_is_no_state_report():
         ("M-BP-HDR-02-swapped", "BP-HDR-02: 0x7e49: its octets are swapped"),
         ("M-BP-HDR-06-with-header", "BP-HDR-06: "),
         ("M-BP-FMT-01-block-with-header", "BP-FMT-01: "),
-        ("M-DATA-01-all-swapped", "DATA-01: integers with their least significant octet first"),
+        ("M-DATA-01-all-swapped", "DATA-01: integers with their least significant octet first"),  # prose: data
     ],
 )
-def test_a_fault_in_the_header_is_told_and_the_profile_found(identifier, told):
+def test_a_fault_in_the_header_is_reported_and_the_profile_found(identifier, told):
     sut = with_mutant(identifier)
     busy(sut)
     pics, remarks = draft(sut.lower_tester(), None, CANDIDATES, 10)
@@ -332,7 +332,7 @@ def test_a_draft_never_makes_a_conforming_node_fail(profile, told, tmp_path):
     write_pics(drafted, path, remarks)
     pics = load_pics(path)
     assert pics.pixit.profile == profile
-    # What the profile denies where the PICS is silent; the draft denies nothing more.
+    # The profile denies some capabilities where the PICS is silent; the draft denies no more.
     assert denied_by(pics.pics, codec(profile).profile) == denied_by(Capabilities(), codec(profile).profile)
     fresh = node(profile)
     session = Session(codec(pics.pixit.profile), fresh.lower_tester(), fresh.upper_tester(), pics)
@@ -432,7 +432,7 @@ def test_a_written_file_reads_back(tmp_path, capsys):
 
 
 @pytest.mark.parametrize(("check_ms", "periods"), [(50, "4.0"), (400, "8.5")])
-def test_how_fast_it_reacts_is_measured(check_ms: int, periods: str):
+def test_the_reaction_time_is_measured(check_ms: int, periods: str):
     config = msgspec.structs.replace(
         reference_config(codec("dcp-2.0")), vardis=VardisConfig(buffer_check_period_ms=check_ms)
     )
@@ -440,7 +440,7 @@ def test_how_fast_it_reacts_is_measured(check_ms: int, periods: str):
     busy(sut)
     pics, remarks = draft(sut.lower_tester(), sut.upper_tester(), CANDIDATES, 5)
     assert any(each.startswith(f"reactions are waited for {periods} beacon periods (slowest of 5") for each in remarks)
-    # Each run measures it: a number in the file would be taken for what somebody knows.
+    # Each run measures it: a number in the file would count as stated by the user.
     assert pics.pixit.reaction_periods is None
 
 
@@ -454,7 +454,7 @@ def silent_but_for_a_pattern(**options):
 
 
 @pytest.mark.parametrize("asked_for", [None, "dcp-1.2", "dcp-2.0"])
-def test_a_node_with_only_unreadable_blocks_is_told_by_its_headers(asked_for):
+def test_a_node_with_only_unreadable_blocks_is_identified_by_its_headers(asked_for):
     pics, remarks = silent_but_for_a_pattern(ask=False, asked_for=asked_for)
     assert pics.pixit.profile in ("dcp-1.2", "dcp-1.3", "cpp-1.3")
     assert asked_for != "dcp-1.2" or pics.pixit.profile == asked_for
@@ -469,7 +469,7 @@ def test_a_node_with_only_unreadable_blocks_is_told_by_its_headers(asked_for):
     assert "asked for" not in profile
 
 
-def test_who_sends_no_variables_is_asked_for_some():
+def test_a_node_that_sends_no_variables_is_asked_for_some():
     pics, remarks = silent_but_for_a_pattern()
     assert pics.pixit.profile in ("cpp-1.3", "dcp-1.2", "dcp-1.3")
     assert pics.pics.vardis is True
@@ -477,7 +477,7 @@ def test_who_sends_no_variables_is_asked_for_some():
     assert any("0 of" in each and "for SRP can be read" in each for each in remarks)
 
 
-def test_nobody_has_asked_for_the_usual_profile():
+def test_the_default_profile_is_not_called_requested():
     sut = with_mutant("M-BP-HDR-02-swapped")
     busy(sut)
     _, remarks = draft(sut.lower_tester(), None, CANDIDATES, 10)

@@ -16,7 +16,7 @@ def bench_of(**how) -> Bench:
     return Bench(runner_for(**how).session, known_cases()["TC_BP_RX_BV_01-8"])
 
 
-def test_a_fast_implementation_gets_the_floor():
+def test_a_fast_implementation_gets_the_minimum_reaction_time():
     found = measure(bench_of())
     assert (found.periods, found.per_payload, len(found.samples)) == (FLOOR, 0, 5)
     assert 0 < max(found.samples) < 2
@@ -53,7 +53,7 @@ def test_while_payloads_wait_reactions_may_take_longer():
     assert bench.sut.reaction == pytest.approx(found.periods)
 
 
-def test_it_is_measured_once_and_told_if_it_matters():
+def test_the_reaction_time_is_measured_once_and_reported_if_relevant():
     runner = runner_for(buffer_check_period_ms=400)
     for case_id in ("TC_DCP_SANITY_BV_01", "TC_BP_RX_BV_01-8"):
         assert runner.run(known_cases()[case_id]).verdict == "pass"
@@ -65,7 +65,7 @@ def test_it_is_measured_once_and_told_if_it_matters():
     assert runner.notes == []
 
 
-def test_what_the_pixit_tells_overrides_what_is_measured():
+def test_the_pixit_overrides_the_measurement():
     bench = bench_of(pics=Pics(pixit=Testing(reaction_periods=2.5)), make=polling(120))
     prepare(bench.session)
     assert bench.sut.one_by_one
@@ -73,14 +73,14 @@ def test_what_the_pixit_tells_overrides_what_is_measured():
     assert bench.sut.reaction == 2.5
 
 
-def test_it_is_not_measured_where_there_is_nobody_to_ask():
+def test_the_reaction_time_is_not_measured_without_an_implementation_to_ask():
     bench = bench_of(pics=Pics(pics=Capabilities(vardis=False)))
     assert prepare(bench.session) is None
     assert bench.session.reaction is None
     assert bench.sut.reaction == FLOOR
 
 
-def test_who_does_not_answer_gets_the_floor_and_may_be_asked_again():
+def test_a_silent_implementation_gets_the_minimum_and_may_be_asked_again():
     bench = bench_of(buffer_check_period_ms=65_000)
     found = prepare(bench.session)
     assert found is not None

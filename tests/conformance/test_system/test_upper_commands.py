@@ -81,7 +81,7 @@ def tools(tmp_path):
     return tool
 
 
-def test_what_a_file_offers(tools):
+def test_methods_of_an_adapter_file(tools):
     upper = tools.open()
     assert upper.methods == set(load_adapter(str(tools.path)).methods)
     assert upper.about == upper.call("UT-Hello", {}).result
@@ -94,7 +94,7 @@ def test_what_a_file_offers(tools):
     upper.close()
 
 
-def test_parameters_stand_in_commands(tools, tmp_path):
+def test_parameters_are_inserted_into_commands(tools, tmp_path):
     tools("create", f'for each in "$@"; do printf "<%s>" "$each"; done > {tmp_path}/said')
     upper = tools.open()
     value = "a b; $(id) é"
@@ -107,7 +107,7 @@ def test_parameters_stand_in_commands(tools, tmp_path):
     assert (tmp_path / "said").read_text().endswith("<9>")
 
 
-def test_what_a_command_cannot_say(tools):
+def test_values_that_a_command_cannot_express(tools):
     upper = tools.open()
     create = {"varId": 7, "repCnt": 2, "descr": "x", "value": "ff"}
     with pytest.raises(UpperTesterError, match=r"RTDB-Create: the command takes value as text, which 'ff' is not"):
@@ -124,7 +124,7 @@ def test_what_a_command_cannot_say(tools):
         upper.call("BP-RegisterProtocol", {**register, "queueingMode": "BP_QMODE_REPEAT"})
 
 
-def test_how_outcomes_are_read(tools):
+def test_outcomes_of_commands(tools):
     tools("update", 'read value; test "$value" = 55 && { echo "varid out of range" >&2; exit 1; }; exit $value')
     upper = tools.open()
     assert upper.call("RTDB-Update", {"varId": 1, "value": "0"}).ok
@@ -210,7 +210,7 @@ def test_commands_that_hang_flood_or_die(tools, tmp_path):
     tools("list", "kill -SEGV $$")
     with pytest.raises(UpperTesterError, match="the command ended with signal SIGSEGV"):
         upper.call("RTDB-DescribeDatabase", {})
-    # Something that goes on in the background does not keep us.
+    # A process that stays in the background does not delay the call.
     tools("list", "sleep 600 & exit 0")
     assert upper.call("RTDB-DescribeDatabase", {}).ok
     (tmp_path / "list").unlink()
@@ -263,7 +263,7 @@ BAD = {
 
 
 @pytest.mark.parametrize("case", BAD)
-def test_files_that_make_no_sense(tmp_path, case):
+def test_invalid_files(tmp_path, case):
     text, message = BAD[case]
     path = tmp_path / "bad.toml"
     path.write_text(text)
@@ -419,13 +419,13 @@ def test_the_example_in_the_documentation(tmp_path):
         assert f"`{kind}`" in text
 
 
-def test_a_file_does_not_stand_in_for_a_built_in_adapter(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_does_not_replace_a_built_in_adapter(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "cpp-tools").write_text('name = "evil"\n[methods]\n')
     assert load_adapter("cpp-tools").name != "evil"
 
 
-def test_an_adapter_that_somebody_else_can_change_is_refused(tmp_path: Path) -> None:
+def test_an_adapter_writable_by_other_users_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
     path.write_text('name = "mine"\n[methods]\n')
     assert load_adapter(str(path)).name == "mine"

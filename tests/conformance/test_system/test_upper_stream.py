@@ -99,7 +99,7 @@ LIES = {
 
 
 @pytest.mark.parametrize("lie", LIES)
-def test_lies_while_connecting(tmp_path, lie):
+def test_wrong_answers_while_connecting(tmp_path, lie):
     code, message = LIES[lie]
     with pytest.raises(UpperTesterError, match=message) as caught:
         open_upper(adapter(tmp_path, code))
@@ -119,13 +119,13 @@ LATER = {
 
 
 @pytest.mark.parametrize("lie", LATER)
-def test_lies_later_on(tmp_path, lie):
+def test_wrong_answers_later(tmp_path, lie):
     code, message = LATER[lie]
     upper = open_upper(adapter(tmp_path, code))
     try:
         with pytest.raises(UpperTesterError, match=message):
             upper.call("X", {})
-        # What is wrong with one answer is not wrong with the connection.
+        # A wrong answer does not make the connection unusable.
         assert upper.call("UT-Hello", {}).ok
     finally:
         upper.close()
@@ -157,14 +157,14 @@ def test_a_program_that_hangs(tmp_path):
         assert time.monotonic() - begun < PATIENCE
         upper._patience = PATIENCE
         (tmp_path / "go").touch()
-        # The answer that comes too late is not taken for that of another request.
+        # A late answer is not matched to another request.
         assert upper.call("UT-Hello", {}).ok
         assert upper.call("X", {}).result["name"] == "fake"
     finally:
         upper.close()
 
 
-def test_a_program_that_talks_without_end_hangs_all_the_same(tmp_path):
+def test_endless_output_counts_as_hanging(tmp_path):
     upper = open_upper(adapter(tmp_path, "def other(r):\n    while True: say(method='M', params={})"))
     try:
         upper._patience = 0.3
@@ -200,7 +200,7 @@ def test_a_program_that_dies(tmp_path, death):
         upper.close()
 
 
-def test_a_death_is_noticed_while_waiting(tmp_path):
+def test_the_end_of_a_program_is_noticed_while_waiting(tmp_path):
     code = "def other(r): say(id=r['id'], result={'status': 'BP-STATUS-OK'}); sys.exit(4)"
     upper = open_upper(adapter(tmp_path, code))
     try:
@@ -244,7 +244,7 @@ def test_a_line_without_end(tmp_path):
         upper.close()
 
 
-def test_a_program_that_takes_nothing(tmp_path):
+def test_a_program_that_reads_no_input(tmp_path):
     code = "def other(r): time.sleep(3600)"
     upper = open_upper(adapter(tmp_path, code))
     try:
@@ -384,7 +384,7 @@ def test_tcp(family):
     server.end()
 
 
-def test_it_is_waited_for(tmp_path):
+def test_a_socket_that_appears_later_is_waited_for(tmp_path):
     path = tmp_path / "late.sock"
     listening = socket.socket(socket.AF_UNIX)
     servers = []
@@ -421,12 +421,12 @@ USELESS = {
 
 
 @pytest.mark.parametrize("spec", USELESS)
-def test_specifications_that_make_no_sense(spec):
+def test_invalid_specifications(spec):
     with pytest.raises(UsageError, match=USELESS[spec]):
         open_upper(spec)
 
 
-def test_nobody_there(tmp_path):
+def test_no_listener(tmp_path):
     with pytest.raises(UpperTesterError, match=r"there is no such socket, after 0.1 s"):
         open_upper(f"unix:{tmp_path}/nobody.sock", patience=0.1)
     path = tmp_path / "dead.sock"
@@ -440,13 +440,13 @@ def test_nobody_there(tmp_path):
             open_upper(f"tcp:127.0.0.1:{free.getsockname()[1]}", patience=0.1)
 
 
-def test_nobody_is_waited_for_whom_nobody_starts(tmp_path):
+def test_a_listener_that_the_tester_does_not_start_is_not_waited_for(tmp_path):
     for spec in (f"unix:{tmp_path}/nobody.sock", "tcp:127.0.0.1:1"):
         with pytest.raises(UpperTesterError, match=r"there is no such socket; is|no process listens there; is"):
             open_upper(spec, patience=0.5, starting=False)
 
 
-def test_who_was_there_is_waited_for(unix_server):
+def test_a_listener_that_disappeared_is_waited_for(unix_server):
     _, path = unix_server
     upper = open_upper(f"unix:{path}", starting=False)
     upper._patience = 0.5

@@ -108,7 +108,7 @@ def test_the_network_identifier_exists_since_2_0(version):
 @pytest.mark.parametrize(
     ("name", "value"), [("UWB-MaxPacketSize", 1400), ("ownNodeIdentifier", bytes(6)), ("protocol type", 0x0800)]
 )
-def test_what_is_determined_once_cannot_be_set(name, value):
+def test_fixed_parameters_cannot_be_set(name, value):
     rig = Rig()
     before = rig.bp.parameters()
     assert "left alone" in str(rig.bp.set_parameter(name, value))
@@ -116,7 +116,7 @@ def test_what_is_determined_once_cannot_be_set(name, value):
 
 
 @pytest.mark.parametrize("name", ["BP_BEACON_PERIOD", "", "SRPPAR_NEIGHBOUR_TABLE_TIMEOUT", "VARDISPAR_MAX_SUMMARIES"])
-def test_names_that_are_none_of_bps(name):
+def test_unknown_parameters(name):
     with pytest.raises(UnknownParameterError):
         Rig().bp.set_parameter(name, 1)
 
@@ -138,7 +138,7 @@ def test_a_configuration_out_of_bounds(settings):
 
 @pytest.mark.req("UWB-03")
 @pytest.mark.parametrize(("version", "size", "good"), [("2.0", 256, True), ("2.0", 255, False), ("1.0", 255, True)])
-def test_a_bearer_takes_at_least_256_octets(version, size, good):
+def test_a_bearer_must_carry_at_least_256_octets(version, size, good):
     profile = get_codec(f"dcp-{version}").profile
     limits = msgspec.structs.replace(profile.limits, uwb_max_packet=size, max_beacon_size=size)
     codec = Codec(msgspec.structs.replace(profile, name="small", limits=limits))

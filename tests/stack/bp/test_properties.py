@@ -24,7 +24,7 @@ LIMITS = (60, 104, 130, 240, 400, 1500)
 
 
 class Kept:
-    """What the model knows of a client: a list, and what happens to it."""
+    """State of a client in the model: a list, and operations on it."""
 
     def __init__(self, mode, entries, several):
         self.mode = mode
@@ -58,7 +58,7 @@ class Queues(RuleBasedStateMachine):
         self.active = True
         self.seqno = 1 if version == "1.0" else 0
         self.serial = 0
-        # How many beacons with others' payloads a client that could be alone in one has waited for.
+        # Number of beacons with other clients' payloads for which a client that fits alone has waited.
         self.waited = dict.fromkeys(CLIENTS, 0)
 
     @property
@@ -160,7 +160,7 @@ class Queues(RuleBasedStateMachine):
         assert served <= fitting
         for protocol in CLIENTS:
             self.waited[protocol] = self.waited[protocol] + 1 if protocol in fitting - served else 0
-        # Whoever is passed over is further in front next time.
+        # A client that was skipped has a better position next time.
         assert max(self.waited.values()) < len(CLIENTS)
 
     def check(self, beacon):
@@ -182,7 +182,7 @@ class Queues(RuleBasedStateMachine):
             left -= 4 + len(block.content)
         for protocol, client in self.clients.items():
             assert count[protocol] <= 1 or client.several
-            # What was left behind had no room, or had its turn.
+            # A payload that was not sent had no room, or its client had its turn.
             if client.payloads and (count[protocol] == 0 or client.several):
                 assert len(client.payloads[0]) + 4 > left
         announced = [effect.protocol_id for effect in self.rig.transmitted()[-len(beacon.payloads) :]]

@@ -1,4 +1,4 @@
-"""What BP does with what it receives: every decision of the receive path, on boundaries and on damage."""
+"""Reception by BP: every decision of the receive path, on boundaries and on damaged beacons."""
 
 from __future__ import annotations
 
@@ -242,7 +242,7 @@ def test_a_block_may_not_reach_into_the_padding(version):
 @pytest.mark.req("BP-RX-09")
 @pytest.mark.parametrize("rest", [1, 2, 3])
 @pytest.mark.parametrize("version", SINCE_1_2)
-def test_octets_that_are_no_payload_header_end_the_parsing(version, rest):
+def test_octets_that_are_not_a_payload_header_end_the_parsing(version, rest):
     rig = listening(version)
     octets = rig.patch(rig.builder(A), "length", 9 + rest) + bytes(rest)
     delivered, dropped = rig.receive(octets)
@@ -290,7 +290,7 @@ def test_reading_x02_goes_by_the_size_of_the_frame(version):
 @pytest.mark.req("BP-RX-12")
 @pytest.mark.parametrize("number", [1, 3, 255])
 @pytest.mark.parametrize("version", SINCE_1_2)
-def test_the_announced_number_of_blocks_is_not_binding(version, number):
+def test_fewer_blocks_than_announced_are_delivered(version, number):
     rig = listening(version)
     octets = rig.patch(rig.builder(A, B), "numPayloads", number)
     assert rig.receive(octets) == ([A, B], [])
@@ -300,7 +300,7 @@ def test_the_announced_number_of_blocks_is_not_binding(version, number):
 
 @pytest.mark.req("BP-RX-12")
 @pytest.mark.parametrize("version", ["1.0", "1.1"])
-def test_without_a_length_the_number_tells_blocks_from_padding(version):
+def test_without_a_length_the_number_distinguishes_blocks_from_padding(version):
     rig = listening(version)
     good = rig.builder(A, B)
     assert rig.receive(rig.patch(good, "numPayloads", 1)) == ([A], [])
@@ -323,7 +323,7 @@ def test_truncation_at_every_octet(version):
         elif version >= "1.2":
             assert (delivered, [effect.reason for effect in dropped]) == ([], ["beacon-overrun"])
         else:
-            # No length tells that something is missing: what is whole is delivered.
+            # There is no length to show that something is missing: complete blocks are delivered.
             assert delivered == ([] if end < rig.header + 9 else [A])
             whole = end in (rig.header, rig.header + 9)
             assert len(dropped) == (0 if whole else 1)
@@ -332,15 +332,15 @@ def test_truncation_at_every_octet(version):
 
 @pytest.mark.req("BP-RX-10")
 @pytest.mark.parametrize("version", VERSIONS)
-def test_sequence_numbers_decide_nothing(version):
+def test_beacons_are_accepted_with_any_sequence_number(version):
     rig = listening(version)
     for seqno in (5, 5, 4, 0, 0xFFFFFFFF, 0x80000000, 5):
         assert rig.receive(rig.builder(A, seqno=seqno)) == ([A], [])
 
 
 @pytest.mark.parametrize(("sender", "receiver"), [("1.2", "2.0"), ("1.3", "2.0"), ("1.1", "1.2"), ("2.0", "1.3")])
-def test_beacons_of_other_versions_are_no_beacons(sender, receiver):
-    """The version octet is the same in all of them; the fields behind it are not (X09)."""
+def test_beacons_of_other_versions_are_not_accepted(sender, receiver):
+    """The version octet is the same in all of them; the fields after it are not (X09)."""
     octets = Rig(sender, node_id=OTHER).builder(A)
     rig = listening(receiver)
     assert len(rig.reasons(octets)) == 1
@@ -409,7 +409,7 @@ def test_only_beacons_that_count_are_counted():
     assert rig.bp.losses() == ()
 
 
-def test_the_longest_silent_makes_room():
+def test_the_sender_that_was_silent_for_longest_is_replaced():
     table = LossTable(capacity=3)
     for moment, node_id in enumerate((b"a", b"b", b"c", b"a", b"d")):
         table.record(node_id, moment, moment)
@@ -462,7 +462,7 @@ def test_counters():
 
 
 @pytest.mark.req("BP-MGT-06")
-def test_what_every_node_counts_is_there_from_the_start():
+def test_common_counters_exist_from_the_start():
     fresh = Rig().bp.counters()
     assert set(fresh) == {
         "beacons-left-out",

@@ -97,13 +97,13 @@ def test_the_bound_follows_the_parameter():
     assert rig.register(7, size=100).status is OK
 
 
-def test_a_registration_is_bounded_by_what_a_block_can_hold():
+def test_a_registration_is_bounded_by_the_size_of_a_block():
     rig = Rig(profile="student-2024")
     assert rig.register(7, size=1000).status is OK
     assert rig.register(8, size=1001).status is BPStatus.ILLEGAL_MAX_PAYLOAD_SIZE
 
 
-def test_a_registration_is_bounded_by_what_the_length_field_can_say():
+def test_a_registration_is_bounded_by_the_length_field():
     codec = wide()
     rig = Rig(codec=codec)
     assert rig.register(7, size=0xFFFF).status is OK
@@ -121,7 +121,7 @@ def wide() -> Codec:
 @pytest.mark.parametrize("entries", [0, -1])
 @pytest.mark.parametrize("mode", [DROPTAIL, DROPHEAD])
 @pytest.mark.parametrize("version", SINCE_1_1)
-def test_a_queue_needs_places(version, mode, entries):
+def test_a_queue_needs_a_positive_length(version, mode, entries):
     rig = Rig(version)
     assert rig.register(7, mode, entries=entries).status is BPStatus.ILLEGAL_DROPPING_QUEUE_SIZE
     assert rig.bp.list_registered().protocols == ()
@@ -132,7 +132,7 @@ def test_a_queue_needs_places(version, mode, entries):
 @pytest.mark.parametrize("entries", [0, -5])
 @pytest.mark.parametrize("mode", [ONCE, REPEAT])
 @pytest.mark.parametrize("version", VERSIONS)
-def test_buffers_do_not_look_at_max_entries(version, mode, entries):
+def test_buffers_ignore_max_entries(version, mode, entries):
     rig = Rig(version)
     assert rig.register(7, mode, entries=entries).status is OK
     assert rig.submit(b"A") is OK
@@ -141,7 +141,7 @@ def test_buffers_do_not_look_at_max_entries(version, mode, entries):
 
 @pytest.mark.req("BP-REG-07")
 @pytest.mark.parametrize("version", SINCE_1_1)
-def test_the_confirm_tells_the_own_identifier(version):
+def test_the_confirm_contains_the_own_identifier(version):
     rig = Rig(version)
     assert rig.register().own_node_identifier == ME
     assert rig.register().own_node_identifier == ME, "the parameter is there whatever the status"
@@ -188,7 +188,7 @@ def test_modes_of_other_versions_are_refused(version, mode):
     assert Rig(version).register(7, mode, entries=0).status is BPStatus.UNKNOWN_QUEUEING_MODE
 
 
-def test_modes_go_by_their_names_as_well():
+def test_modes_can_be_given_by_name():
     rig = Rig()
     assert rig.register(7, "BP_QMODE_REPEAT").status is OK
     assert rig.bp.list_registered().protocols[0].queue_mode is REPEAT
@@ -267,7 +267,7 @@ def test_registering_again_starts_empty(version, mode):
 @pytest.mark.req("BP-INI-01")
 @pytest.mark.req("DATA-10")
 @pytest.mark.parametrize("profile", PROFILES)
-def test_nobody_is_registered_at_the_start(profile):
+def test_no_client_is_registered_at_the_start(profile):
     rig = Rig(profile=profile, node_id=b"02:00:00:00:00:01" if profile == "student-2024" else ME)
     confirm = rig.bp.list_registered()
     assert (confirm.status, confirm.protocols) == (OK, ())
@@ -276,7 +276,7 @@ def test_nobody_is_registered_at_the_start(profile):
 @pytest.mark.req("BP-LST-01")
 @pytest.mark.req("BP-LST-02")
 @pytest.mark.parametrize("version", VERSIONS)
-def test_the_list_tells_what_was_registered(version):
+def test_the_list_contains_registered_clients(version):
     rig = Rig(version)
     mode = QUEUE if version == "1.0" else DROPHEAD
     rig.register(9, mode, size=50, entries=3, several=True, name="Grüße", wall=WALL + 5)
@@ -357,7 +357,7 @@ def test_an_empty_payload_is_refused_by_the_queue_of_1_0():
 @pytest.mark.req("BP-TXP-09")
 @pytest.mark.parametrize("mode", [DROPTAIL, DROPHEAD])
 @pytest.mark.parametrize("version", SINCE_1_1)
-def test_a_full_queue_is_no_error(version, mode):
+def test_a_full_queue_is_not_an_error(version, mode):
     rig = Rig(version)
     rig.register(7, mode, entries=2)
     assert [rig.submit(payload) for payload in (b"A", b"B", b"C", b"D")] == [OK] * 4
@@ -474,7 +474,7 @@ def test_the_number_in_a_buffer(version, mode, after):
 @pytest.mark.req("BP-MGT-05")
 @pytest.mark.req("BP-TX-07")
 @pytest.mark.parametrize("version", SINCE_1_2)
-def test_inactive_means_silence(version):
+def test_an_inactive_node_is_silent(version):
     rig = Rig(version)
     rig.register(7, REPEAT)
     rig.submit(b"A")
@@ -495,7 +495,7 @@ def test_inactive_means_silence(version):
 @pytest.mark.req("BP-MGT-03")
 @pytest.mark.req("BP-RX-13")
 @pytest.mark.parametrize("version", SINCE_1_2)
-def test_what_is_received_while_inactive_is_lost(version):
+def test_payloads_received_while_inactive_are_lost(version):
     rig = Rig(version)
     rig.register(7)
     rig.bp.deactivate()
@@ -529,7 +529,7 @@ def test_services_while_inactive(version):
 
 
 @pytest.mark.req("BP-MGT-05")
-def test_activating_an_active_entity_does_not_put_beacons_off():
+def test_activating_an_active_entity_does_not_delay_beacons():
     rig = Rig()
     due = rig.bp.poll_timeout()
     assert rig.bp.activate(due - 1).status is OK

@@ -96,8 +96,8 @@ def test_missed_beacons_are_not_made_up_for(sleep):
 
 @pytest.mark.req("BP-MGT-06")
 @pytest.mark.parametrize("longest", [60, 250, 3000])
-def test_what_a_late_caller_costs_is_counted(longest):
-    """Whoever looks at the counters can tell a machine that was busy from a node that keeps another period."""
+def test_beacons_missed_by_a_late_caller_are_counted(longest):
+    """The counters distinguish a busy machine from a node with another period."""
     rig, lateness = repeating(), random.Random(7)
     begun = rig.now
     times(rig, 2000, lambda: lateness.randrange(longest * MS))
@@ -159,7 +159,7 @@ def test_a_payload_brings_the_next_beacon_forward(version):
     assert rig.bp.poll_timeout() == rig.now
 
 
-def test_a_trigger_keeps_no_distance_to_a_beacon_that_was_none():
+def test_a_trigger_keeps_no_distance_to_an_empty_slot():
     rig = Rig(triggered=True)
     rig.register(7, ONCE)
     assert rig.tick() is None
@@ -175,7 +175,7 @@ def test_without_triggers_a_payload_waits():
     assert rig.bp.poll_timeout() == due
 
 
-def test_what_is_not_kept_triggers_nothing():
+def test_a_discarded_payload_triggers_no_beacon():
     rig = Rig(triggered=True)
     rig.register(7, DROPTAIL, entries=1)
     rig.submit(bytes(100))

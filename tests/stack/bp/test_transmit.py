@@ -1,4 +1,4 @@
-"""What BP puts into beacons: header, queueing modes, space, and the order of serving."""
+"""Beacons that BP sends: header, queueing modes, space, and the order of serving."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ def test_sequence_numbers_wrap():
 @pytest.mark.req("BP-HDR-09")
 @pytest.mark.req("BP-FMT-03")
 @pytest.mark.parametrize("version", VERSIONS)
-def test_nothing_to_send_is_no_beacon_and_no_number(version):
+def test_an_empty_slot_uses_no_beacon_and_no_number(version):
     rig = Rig(version)
     assert [rig.tick() for _ in range(3)] == [None] * 3
     rig.register(7, ONCE)
@@ -220,7 +220,7 @@ def test_several_payloads_of_a_client_share_a_beacon(version, mode):
 
 
 @pytest.mark.parametrize("mode", [ONCE, REPEAT])
-def test_buffers_have_no_use_for_several(mode):
+def test_buffers_ignore_several_payloads_per_beacon(mode):
     rig = Rig()
     rig.register(7, mode, several=True)
     rig.submit(b"A")
@@ -277,8 +277,8 @@ def test_repeated_payloads_are_indicated_each_time(version):
 @pytest.mark.req("BP-TX-04")
 @pytest.mark.parametrize("spare", [0, 1])
 @pytest.mark.parametrize("version", VERSIONS)
-def test_the_last_octet_counts(version, spare):
-    """Two payloads that fill the packet to the octet share a beacon; with one octet less they do not."""
+def test_payloads_may_fill_the_packet_to_the_last_octet(version, spare):
+    """Two payloads that fill the packet to the octet share a beacon; with one octet less each has its own beacon."""
     rig = Rig(version)
     rig.register(1, ONCE)
     rig.register(2, ONCE)
@@ -326,7 +326,7 @@ def test_reading_x04_never_exceeds_the_bearer():
 
 @pytest.mark.req("BP-TX-06")
 @pytest.mark.parametrize("version", VERSIONS)
-def test_a_large_head_blocks_what_is_behind_it(version):
+def test_a_large_head_blocks_the_rest_of_its_queue(version):
     rig = Rig(version)
     rig.register(1, ONCE, size=1000)
     rig.register(2, queue_of(version), size=1000, several=version != "1.0")
@@ -343,7 +343,7 @@ def test_a_large_head_blocks_what_is_behind_it(version):
 
 @pytest.mark.req("BP-TX-04")
 @pytest.mark.req("BP-PAR-06")
-def test_a_payload_that_fits_no_more_waits_for_the_parameter():
+def test_a_payload_that_no_longer_fits_waits_for_a_larger_packet_size():
     rig = Rig()
     rig.register(1, REPEAT)
     rig.register(2, DROPTAIL)
@@ -430,7 +430,7 @@ def test_a_large_payload_is_not_starved_by_small_ones():
 
 
 @pytest.mark.req("BP-TX-03")
-def test_everybody_has_a_turn_before_anybody_has_a_second():
+def test_each_client_has_a_turn_before_any_has_a_second():
     rig = Rig()
     rig.register(1, DROPTAIL, entries=9, several=True)
     rig.register(2, ONCE)
@@ -442,7 +442,7 @@ def test_everybody_has_a_turn_before_anybody_has_a_second():
     assert [octets for _, octets in rig.tick()] == [b"10", b"2", b"30", b"11", b"31", b"12", b"32"]
 
 
-def test_what_is_sent_depends_on_nothing_but_the_calls():
+def test_beacons_depend_only_on_the_calls():
     def run():
         rig = Rig(seed=3)
         for protocol in range(5):

@@ -1,4 +1,4 @@
-"""Lines and JSON-RPC: what is asked in a wrong way gets a clear answer, and nobody else notices."""
+"""Lines and JSON-RPC: an invalid request gets a clear answer, and does not affect other clients."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def only_error(answers):
         (b"1" * 5_000, "not JSON"),
     ],
 )
-def test_what_is_not_json(rig, line, text):
+def test_invalid_json(rig, line, text):
     client = rig.client()
     identifier, code, message = only_error(client.feed(line + b"\n"))
     assert (identifier, code) == (None, -32700)
@@ -75,7 +75,7 @@ def test_what_is_not_json(rig, line, text):
         ([HELLO] * (MAX_BATCH + 1), None, f"more than {MAX_BATCH}"),
     ],
 )
-def test_what_is_no_request(rig, message, identifier, text):
+def test_invalid_requests(rig, message, identifier, text):
     found, code, shown = only_error(rig.client().say(message))
     assert (found, code) == (identifier, -32600)
     assert text in shown
@@ -121,7 +121,7 @@ def test_wrong_methods_and_parameters(rig, method, params, code, text):
 
 
 @pytest.mark.parametrize("method", ["BP-ListRegisteredProtocols", "BP-GetParameters"])
-def test_a_type_error_in_a_core_is_not_blamed_on_the_parameters(rig, method):
+def test_a_type_error_in_a_core_is_not_reported_as_invalid_parameters(rig, method):
     """The types of parameters are checked with the message, so that a later TypeError is a mistake of the node."""
     name = "list_registered" if method == "BP-ListRegisteredProtocols" else "parameters"
     with patch.object(type(rig.node.bp), name, side_effect=TypeError("not iterable")):
@@ -134,7 +134,7 @@ def test_a_confirm_without_a_status_is_a_mistake_of_the_node(rig):
     assert error == {"code": -32603, "message": "TypeError: BP-DeregisterProtocol was confirmed without a status"}
 
 
-def test_a_mistake_of_ours_is_an_internal_error_and_no_end(rig, caplog):
+def test_an_internal_error_does_not_end_the_session(rig, caplog):
     # A fuzzing target may have silenced it in this process.
     caplog.set_level("ERROR", logger="dcp_stack.control.server")
     client = rig.client()
@@ -154,7 +154,7 @@ def test_requests_without_id_are_carried_out_and_not_answered(rig):
 
 
 @pytest.mark.parametrize("identifier", [0, -5, "x", "", None, 1.5, (1 << 63) - 1])
-def test_ids_come_back_as_they_were(rig, identifier):
+def test_ids_are_returned_unchanged(rig, identifier):
     (answer,) = rig.client().say({"jsonrpc": "2.0", "id": identifier, "method": "UT-Hello"})
     assert answer["id"] == identifier
     assert "result" in answer
@@ -171,7 +171,7 @@ def test_batches_answer_each_request_in_order(rig):
     assert client.say([{"jsonrpc": "2.0", "method": "UT-Hello"}] * 3) == []
 
 
-def test_a_batch_cannot_ask_for_endless_answers(rig):
+def test_the_answers_to_a_batch_are_bounded(rig):
     client = rig.client()
     with patch.object(server_module, "MAX_BATCH_ANSWER", 1000):
         (answers,) = client.say([{**HELLO, "id": number} for number in range(10)])
@@ -197,7 +197,7 @@ def test_the_longest_line_is_taken_and_a_longer_one_skipped(rig):
     fitting = line + b" " * (MAX_LINE - len(line))
     assert "result" in client.feed(fitting + b"\n")[0]
     assert only_error(client.feed(fitting + b" \n"))[:2] == (None, -32600)
-    # The error comes once, as soon as it is clear, and nothing of the line is kept.
+    # The error comes once, as soon as the line is too long; the rest is discarded.
     answers = []
     for _ in range(40):
         answers += client.feed(b"x" * 65_536)
@@ -206,7 +206,7 @@ def test_the_longest_line_is_taken_and_a_longer_one_skipped(rig):
     assert client.feed(b"rest\n" + line + b"\n")[0]["id"] == 1
 
 
-def test_line_buffers_hold_no_more_than_they_must():
+def test_line_buffers_are_bounded():
     lines = LineBuffer(limit=10)
     for _ in range(100):
         lines.add(b"x" * 8)
@@ -229,7 +229,7 @@ def test_a_last_line_needs_no_end(rig):
     assert not session.wants_input
 
 
-def test_requests_wait_while_answers_do(rig):
+def test_requests_wait_while_answers_are_queued(rig):
     session = rig.server.open()
     request = json.dumps({**HELLO, "method": "UT-Status"}).encode() + b"\n"
     session.receive(request * 1000)
@@ -247,14 +247,14 @@ def test_requests_wait_while_answers_do(rig):
     assert session.wants_input
 
 
-def test_process_answers_a_portion(rig):
+def test_each_call_of_process_answers_a_portion(rig):
     session = rig.server.open()
     session.receive((json.dumps(HELLO).encode() + b"\n") * 100)
     assert session.process(now=0, wall=0, most=10)
     assert session.output.count(b"\n") == 10
 
 
-def test_who_does_not_read_what_it_wants_to_be_told_is_given_up(rig):
+def test_a_subscriber_that_does_not_read_is_disconnected(rig):
     deaf, other = rig.client(), rig.client()
     for client in (deaf, other):
         client.call("UT-Subscribe", variables=True)

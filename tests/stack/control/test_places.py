@@ -1,4 +1,4 @@
-"""Where the control socket is if nobody says, and who may use it."""
+"""The default place of the control socket, and its permissions."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class TestPlaces:
         assert places() == [tmp_path / "dcp-node.sock", SYSTEM]
 
     @pytest.mark.parametrize("folder", [None, "", "relative", "/there/is/none"])
-    def test_without_one_root_has_a_place_and_others_have_none(self, folder, monkeypatch):
+    def test_without_a_runtime_folder_only_root_has_a_default_place(self, folder, monkeypatch):
         monkeypatch.delenv("XDG_RUNTIME_DIR", raising=False)
         if folder is not None:
             monkeypatch.setenv("XDG_RUNTIME_DIR", folder)
@@ -31,7 +31,7 @@ class TestPlaces:
         assert default_socket() == SYSTEM
         assert places() == [SYSTEM]
 
-    def test_a_socket_is_found_where_there_is_one(self, tmp_path, monkeypatch):
+    def test_an_existing_socket_is_found(self, tmp_path, monkeypatch):
         monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
         monkeypatch.setattr("dcp_stack.control.places.SYSTEM", tmp_path / "system.sock")
         assert find_socket() is None
@@ -40,7 +40,7 @@ class TestPlaces:
         (tmp_path / "dcp-node.sock").touch()
         assert find_socket() == tmp_path / "dcp-node.sock"
 
-    def test_a_socket_that_nobody_listens_at(self, tmp_path):
+    def test_a_socket_without_a_listener(self, tmp_path):
         path = tmp_path / "s"
         assert not is_answered(path)
         with socket.socket(socket.AF_UNIX) as listener:
@@ -77,12 +77,12 @@ class TestSharing:
         share(bound, group.gr_name, None)
         assert (stat.S_IMODE(bound.stat().st_mode), bound.stat().st_gid) == (0o660, group.gr_gid)
 
-    def test_a_mode_of_its_own(self, bound):
+    def test_a_configured_mode(self, bound):
         share(bound, None, "0666")
         assert stat.S_IMODE(bound.stat().st_mode) == 0o666
 
     @pytest.mark.parametrize("text", ["rw", "0060", "99", "7777", "-1", "0400"])
-    def test_modes_that_are_none(self, text):
+    def test_invalid_modes(self, text):
         with pytest.raises(SettingsError, match="control_mode"):
             parse_mode(text)
 
@@ -92,7 +92,7 @@ class TestSharing:
             find_group("no-such-group-here")
 
     def test_a_link_in_its_place_is_not_followed(self, bound, tmp_path):
-        """Whoever may write to the folder cannot have the node open up another file."""
+        """A user who can write to the folder cannot make the node change the mode of another file."""
         victim = tmp_path / "victim"
         victim.write_text("secret")
         victim.chmod(0o600)

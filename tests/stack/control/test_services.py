@@ -1,4 +1,4 @@
-"""Every method of the control interface on a node, and who is told what."""
+"""Every method of the control interface on a node, and the receivers of its notifications."""
 
 from __future__ import annotations
 
@@ -122,7 +122,7 @@ def test_variables(rig):
     assert client.call("RTDB-Create", varId=8, repCnt=99, descr="", value="00")["status"].endswith("ILLEGAL-REPCOUNT")
 
 
-def test_a_description_that_is_no_text_comes_as_hex(rig):
+def test_a_description_that_is_not_text_is_hex(rig):
     rig.node.vardis.create(1, None, 1, b"\xff\xfe", b"x", now=0, wall=WALL)
     (shown,) = rig.client().call("RTDB-DescribeDatabase")["variables"]
     assert shown["descrHex"] == "fffe"
@@ -229,7 +229,7 @@ def test_srp_that_is_not_registered_is_inactive(rig):
     assert client.call("SRP-NeighbourTable") == {"status": "SRP-STATUS-INACTIVE", "neighbours": []}
 
 
-def test_indications_go_to_who_registered(rig):
+def test_indications_go_to_the_registered_client(rig):
     owner, other, watcher = rig.client(), rig.client(), rig.client()
     register(owner)
     watcher.call("UT-Subscribe", protIds=[0x1234])
@@ -242,7 +242,7 @@ def test_indications_go_to_who_registered(rig):
     assert owner.notifications() == [told]
     assert watcher.notifications() == [told]
     assert other.notifications() == []
-    # Anybody may send under a registered protocol; the owner is told.
+    # Any client may send under a registered protocol; the owner gets the indication.
     assert other.call("BP-TransmitPayload", protId=0x1234, payload="01") == OK["BP"]
     rig.run(200)
     (sent,) = owner.notifications()
@@ -256,7 +256,7 @@ def test_indications_go_to_who_registered(rig):
     assert owner.notifications() == other.notifications() == watcher.notifications() == []
 
 
-def test_a_subscriber_that_registered_is_told_once(rig):
+def test_a_registered_subscriber_gets_one_notification(rig):
     client = rig.client()
     register(client)
     client.call("UT-Subscribe", protIds=[0x1234, 0x1234])
@@ -311,7 +311,7 @@ def test_watching_neighbours(rig):
     ]
 
 
-def test_each_confirm_goes_to_who_asked(rig):
+def test_each_confirm_goes_to_the_requesting_client(rig):
     first, second = rig.client(), rig.client()
     line = b'{"jsonrpc":"2.0","id":"%s","method":"UT-Hello"}'
     half = line % b"a"

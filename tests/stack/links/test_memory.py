@@ -60,7 +60,7 @@ TOPOLOGIES = st.sampled_from([Full(), Line(), Grid(3), Grid(2, diagonal=True)])
 
 
 @given(COUNTS, TOPOLOGIES, st.integers(0, 300 * MS), st.integers(0, 400 * MS))
-def test_without_loss_everybody_in_range_hears_every_frame_once(count, topology, delay, jitter):
+def test_without_loss_each_node_in_range_hears_every_frame_once(count, topology, delay, jitter):
     medium, _ = medium_of(count, topology=topology, quality=Quality(delay=delay, jitter=jitter))
     sendings = beacons(count, 3)
     heard = sorted((each.receiver, each.reception.octets) for each in run(medium, sendings))
@@ -104,7 +104,7 @@ def test_deliveries_come_in_the_order_of_their_times(count, quality):
 def test_a_partition_isolates_until_it_heals(count, data):
     groups = data.draw(st.lists(st.integers(0, 2), min_size=count, max_size=count))
     medium, _ = medium_of(count)
-    # Those of group 0 are in none.
+    # Nodes of group 0 are in no partition.
     medium.partition(*[[node for node in range(count) if groups[node] == group] for group in (1, 2)])
     apart = run(medium, beacons(count, 1))
     assert sorted((each.sender, each.receiver) for each in apart) == [
@@ -141,7 +141,7 @@ def test_the_trace_depends_neither_on_hashes_nor_on_the_python_process():
     assert digests == {"33b5ed34dc199907b4379ac0563599ebca6023b0a9ec204c46fe3d0165f621ed"}
 
 
-def test_what_becomes_of_a_frame_does_not_depend_on_the_traffic_of_others():
+def test_the_fate_of_a_frame_does_not_depend_on_other_traffic():
     quality = Quality(loss=0.5, jitter=MS)
     alone, _ = medium_of(4, quality=quality)
     busy, _ = medium_of(4, quality=quality)
@@ -155,7 +155,7 @@ def test_what_becomes_of_a_frame_does_not_depend_on_the_traffic_of_others():
     assert sorted(fates(run(alone, mine))) == sorted(fates(together))
 
 
-def test_loss_is_about_what_was_asked_for():
+def test_loss_is_close_to_the_configured_rate():
     medium, _ = medium_of(10, quality=Quality(loss=0.2))
     run(medium, beacons(10, 100))
     assert 0.18 < medium.counters.lost / medium.counters.expected < 0.22
@@ -269,7 +269,7 @@ def test_links_run_by_themselves_with_a_clock():
     assert b.receive() == []
 
 
-def test_a_link_that_left_neither_hears_nor_speaks():
+def test_a_closed_link_neither_receives_nor_sends():
     medium, (a, b, c) = medium_of(3, quality=Quality(delay=MS))
     a.send(b"under way")
     b.close()
@@ -281,7 +281,7 @@ def test_a_link_that_left_neither_hears_nor_speaks():
     assert medium.counters.missed == 1
 
 
-def test_what_does_not_fit_is_not_sent():
+def test_frames_that_are_too_long_are_not_sent():
     medium, (a, _) = medium_of(2, max_packet_size=256)
     assert a.send(bytes(256))
     assert not a.send(bytes(257))
@@ -335,7 +335,7 @@ def test_positions_are_the_same_as_comparing_all_pairs(points, radio_range, rang
         assert set(places.neighbours(sender, len(now))) == near
 
 
-def test_nodes_without_a_place_hear_nobody():
+def test_nodes_without_a_position_hear_no_node():
     places = Positions([None, (0, 0, 0), None], 5.0)
     medium, _ = medium_of(3, topology=places)
     assert [medium.neighbours(node) for node in range(3)] == [(), (), ()]

@@ -29,7 +29,7 @@ def test_replay(config, tmp_path):
     heard = []
     while not link.finished:
         heard += link.receive()
-    # Those of the node itself are left out.
+    # Frames of the node itself are left out.
     assert {each.source for each in heard} == {bytes.fromhex("020000000002"), bytes.fromhex("020000000003")}
     # A comma is fine in the name of a file.
     odd = tmp_path / "a,b=c.mcap"
@@ -85,7 +85,7 @@ def test_the_port_of_a_profile_is_used():
         ("replay:/nowhere.mcap,speed=fast", "fast"),
     ],
 )
-def test_what_is_wrong_is_said(config, spec, message):
+def test_errors_are_reported(config, spec, message):
     with pytest.raises(LinkError, match=message):
         open_link(spec, config)
 

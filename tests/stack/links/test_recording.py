@@ -51,7 +51,7 @@ def test_a_folder_gets_a_new_recording_for_each_start(tmp_path):
     assert recording_path(f"{tmp_path}/none/", MAC, wall).parent == tmp_path / "none"
 
 
-def test_the_recording_explains_itself_and_is_decoded(tmp_path, codec, beacons):
+def test_the_recording_contains_its_profile_and_is_decoded(tmp_path, codec, beacons):
     from mcap.reader import make_reader
 
     recorder = Recorder(tmp_path / "a.mcap", codec, about={"node": "02:00:00:00:00:01"})
@@ -83,7 +83,7 @@ def test_it_can_be_replayed(tmp_path, codec, beacons):
     assert heard == beacons
 
 
-def test_what_was_seen_can_be_read_after_a_second_without_an_end(tmp_path, codec, beacons):
+def test_an_unfinished_recording_can_be_read_after_a_second(tmp_path, codec, beacons):
     now = 0
     recorder = Recorder(tmp_path / "a.mcap", codec, clock=lambda: now)
 
@@ -173,7 +173,7 @@ def test_recordings_are_not_replaced_by_mistake(tmp_path, codec):
         Recorder(tmp_path / "no" / "a.mcap", codec)
 
 
-def test_nothing_that_is_seen_raises(tmp_path, codec):
+def test_no_frame_raises(tmp_path, codec):
     recorder = Recorder(tmp_path / "a.mcap", codec)
     for octets, wall in [(b"", -1), (bytes(65_600), 2**70), (b"garbage", 0)]:
         recorder.saw(octets, wall, outgoing=False, source=b"")

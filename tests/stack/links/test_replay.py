@@ -77,14 +77,14 @@ def test_time_is_scaled(tmp_path, speed, times):
     assert found == times or (speed == math.inf and found == [0] * 3)
 
 
-def test_being_late_does_not_lose_frames(tmp_path):
+def test_late_calls_do_not_lose_frames(tmp_path):
     clock = Clock()
     link = replay(recording(tmp_path / "a.pcap", THREE), clock)
     link.receive()
     clock.now += 10_000
     late = link.receive()
     assert [each.octets for each in late] == [b"two", b"three"]
-    # They say when they arrived, not when they were looked for.
+    # Their times are those of arrival, not of reading.
     assert [each.wall - Clock().wall() for each in late] == [100, 350]
 
 
@@ -144,7 +144,7 @@ def test_sends_are_counted_also_after_the_end(tmp_path):
     assert (link.counters.sent, link.counters.send_errors, link.receive(), link.poll_timeout()) == (2, 2, [], None)
 
 
-def test_portions_leave_time_for_other_things(tmp_path):
+def test_frames_are_delivered_in_portions(tmp_path):
     clock = Clock()
     path = recording(tmp_path / "a.pcap", [(0, ethernet(b"x"))] * (PORTION + 1))
     link = replay(path, clock)
@@ -162,7 +162,7 @@ def test_damage_is_reported_and_the_rest_arrives(tmp_path, caplog):
     assert "a.pcap" in caplog.text
 
 
-def test_what_cannot_be_opened(tmp_path):
+def test_files_that_cannot_be_opened(tmp_path):
     with pytest.raises(LinkError, match="No such file"):
         ReplayLink(tmp_path / "nothing.pcap", FRAMING)
     with pytest.raises(LinkError, match="speed -1"):

@@ -1,4 +1,4 @@
-"""What a node does about its memory."""
+"""How a node manages its memory."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import subprocess
 import sys
 
 
-def test_what_lives_is_left_alone_and_goes_on_living():
+def test_live_objects_survive_the_freezing_of_memory():
     """In a process of its own: the collector is frozen, and pages move."""
     program = (
         "import gc, random\n"

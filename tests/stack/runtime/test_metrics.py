@@ -21,7 +21,7 @@ def test_a_request_in_pieces_is_answered_when_it_is_complete():
     assert scrape.finished
 
 
-def test_an_endless_request_or_none_ends_the_exchange():
+def test_an_endless_or_invalid_request_closes_the_connection():
     endless, silent = Scrape(answer), Scrape(answer)
     endless.receive(b"x" * (MAX_REQUEST + 1))
     silent.end_of_input()
@@ -29,7 +29,7 @@ def test_an_endless_request_or_none_ends_the_exchange():
     assert (endless.output, silent.output) == (b"", b"")
 
 
-def test_who_is_too_slow_is_disconnected():
+def test_a_slow_client_is_disconnected():
     scrape = Scrape(answer)
     for now, overrun in ((10, False), (10 + PATIENCE, False), (11 + PATIENCE, True)):
         assert not scrape.process(now=now, wall=0)

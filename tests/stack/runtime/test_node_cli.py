@@ -63,7 +63,7 @@ def test_help_names_the_commands_and_the_exit_statuses(run):
     assert run("--version").out.startswith("dcp-node")
 
 
-def test_help_and_a_node_do_without_what_is_slow_to_load():
+def test_help_and_a_node_import_no_slow_modules():
     code = (
         "import sys\n"
         "from dcp_stack.cli import main\n"
@@ -118,7 +118,7 @@ def test_print_config(run, tmp_path):
         (["--metrics", "70000"], "70000"),
     ],
 )
-def test_what_cannot_run_says_so_and_ends_with_2(run, args, message):
+def test_invalid_configurations_are_reported_with_status_2(run, args, message):
     shown = run("run", *args)
     assert shown.status == 2
     assert message in shown.err
@@ -189,7 +189,7 @@ def test_no_node_is_3(run, args, tmp_path):
     assert f"{tmp_path}: is not a socket" in shown.err
 
 
-def test_without_a_path_the_usual_places_are_looked_at(run, tmp_path, monkeypatch):
+def test_without_a_path_the_usual_places_are_searched(run, tmp_path, monkeypatch):
     monkeypatch.delenv("DCP_NODE_CONTROL", raising=False)
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     monkeypatch.setattr("dcp_stack.control.places.SYSTEM", tmp_path / "system.sock")
@@ -233,7 +233,7 @@ def test_wrong_usage_is_2(run, tmp_path, monkeypatch):
     ],
 )
 @pytest.mark.parametrize("number", ["nan", "inf", "1e300", "-1"])
-def test_durations_that_nobody_can_wait_for(run, tmp_path, monkeypatch, args, number):
+def test_durations_that_are_too_long(run, tmp_path, monkeypatch, args, number):
     monkeypatch.setenv("DCP_NODE_CONTROL", str(tmp_path / "no.sock"))
     done = run(*args, number)
     assert done.status == 2
@@ -249,14 +249,14 @@ def test_durations_that_nobody_can_wait_for(run, tmp_path, monkeypatch, args, nu
         ("param", "set", "BPPAR_BEACON_PERIOD", "1e400"),
     ],
 )
-def test_what_json_cannot_carry_is_refused_before_a_node_is_asked(run, tmp_path, monkeypatch, args):
+def test_values_that_json_cannot_express_are_refused_before_a_request(run, tmp_path, monkeypatch, args):
     monkeypatch.setenv("DCP_NODE_CONTROL", str(tmp_path / "no.sock"))
     done = run(*args)
     assert done.status == 2
     assert "Invalid value" in done.err
 
 
-def test_octets_that_are_no_utf8_are_sent_as_they_were_typed():
+def test_octets_that_are_not_utf8_are_sent_unchanged():
     assert octets_given("--value", None, "a\udcff") == "61ff"
     assert octets_given("--value", "02:AB cd", None) == "02abcd"
 
@@ -281,7 +281,7 @@ def test_names_that_no_interface_can_have(name):
         b'{"jsonrpc":"2.0","method":5}',
     ],
 )
-def test_who_is_no_node_is_told_from_one(run, tmp_path, answer):
+def test_another_server_is_distinguished_from_a_node(run, tmp_path, answer):
     path = tmp_path / "other.sock"
     with socket.socket(socket.AF_UNIX) as listening:
         listening.bind(str(path))
@@ -296,7 +296,7 @@ def test_who_is_no_node_is_told_from_one(run, tmp_path, answer):
     )
 
 
-def test_an_answer_to_a_request_that_could_not_be_read_is_ours(run, tmp_path):
+def test_an_answer_without_id_belongs_to_the_pending_request(run, tmp_path):
     path = tmp_path / "other.sock"
     error = b'{"jsonrpc":"2.0","id":null,"error":{"code":-32600,"message":"the line is too long"}}\n'
     with socket.socket(socket.AF_UNIX) as listening:
@@ -329,11 +329,11 @@ def answer_once(listening: socket.socket, answer: bytes) -> None:
         ([2, 17, 5, 9], 10, [2, 17, 5, 9]),
     ],
 )
-def test_columns_that_may_be_cut_are(widths, room, expected):
+def test_columns_are_shortened_to_fit(widths, room, expected):
     assert fitted(widths, room, (2, 3)) == expected
 
 
-def test_rates_forget_who_has_gone():
+def test_rates_of_vanished_nodes_are_forgotten():
     rates = Rates()
     for number in range(5):
         rates.look()
@@ -373,7 +373,7 @@ def test_the_monitor_has_variables_in_order():
 
 
 @pytest.mark.parametrize(("number", "title"), [(200, "200 variables"), (201, "201 variables, the first 200:")])
-def test_the_monitor_says_that_there_is_more(number, title):
+def test_the_monitor_indicates_hidden_rows(number, title):
     rig = Rig()
     client = rig.client()
     for each in range(number):

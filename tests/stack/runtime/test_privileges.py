@@ -1,4 +1,4 @@
-"""What a node does as root before it goes on as another user: nothing that this user could turn against root."""
+"""Actions of a node as root before it changes to another user: that user cannot exploit them."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def test_the_mode_of_the_socket_does_not_come_from_the_umask(tmp_path: Path, mon
 
 
 @needs_root
-def test_a_folder_of_somebody_else_is_not_roots_alone(tmp_path: Path) -> None:
+def test_a_folder_of_another_user_is_not_controlled_by_root_alone(tmp_path: Path) -> None:
     assert roots_alone(tmp_path)
     theirs = tmp_path / "theirs"
     theirs.mkdir()
@@ -47,14 +47,14 @@ def test_a_folder_of_somebody_else_is_not_roots_alone(tmp_path: Path) -> None:
 
 
 @needs_root
-def test_root_gives_no_socket_away_that_somebody_else_could_replace(tmp_path: Path) -> None:
+def test_root_does_not_chown_a_socket_that_another_user_could_replace(tmp_path: Path) -> None:
     theirs = tmp_path / "theirs"
     theirs.mkdir()
     os.chown(theirs, NOBODY, NOBODY)
     secret = tmp_path / "secret"
     secret.write_text("of root")
     control = ControlSocket(theirs / "control")
-    # What the attacker does between bind and chown.
+    # An attack between bind and chown.
     (theirs / "control").unlink()
     (theirs / "control").symlink_to(secret)
     with pytest.raises(ControlSocketError, match="not only root can change its folder"):
@@ -94,7 +94,7 @@ class _Opened:
 
 
 @needs_root
-def test_names_in_the_users_folder_are_made_as_the_user(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_files_in_the_users_folder_are_created_as_the_user(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     os.chown(tmp_path, NOBODY, NOBODY)
     names = {"control": str(tmp_path / "control"), "neighbour_file": str(tmp_path / "table")}
     opened = _Opened(monkeypatch, **names)
@@ -103,7 +103,7 @@ def test_names_in_the_users_folder_are_made_as_the_user(tmp_path: Path, monkeypa
 
 
 @needs_root
-def test_names_in_a_folder_of_root_are_made_as_root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_files_in_a_folder_of_root_are_created_as_root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     names = {"control": str(tmp_path / "control"), "neighbour_file": str(tmp_path / "table")}
     opened = _Opened(monkeypatch, **names)
     assert opened.then == opened.after == {"control", "table"}

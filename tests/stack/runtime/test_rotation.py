@@ -1,4 +1,4 @@
-"""Recordings that go on: in a new file, and after the disk was full."""
+"""Recordings that continue: in a new file, and after the disk was full."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Disk:
     def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         self.folder = folder
         self.now = 0
-        # What is written is compressed: zeros would take no room.
+        # Recordings are compressed, so zeros would take no room.
         self.chance = random.Random(1)
         self.full = False
         monkeypatch.setattr(rotation, "LEAST_FREE", 0)
@@ -100,7 +100,7 @@ def test_a_new_file_when_it_is_large(disk):
     disk.see(recorder, 30, size=1400)
     recorder.close()
     sizes = [path.stat().st_size for path in recordings_of(disk.folder, NODE)]
-    # 14 KB each second, looked at each second: none is larger than that and a chunk, and none but the last smaller.
+    # 14 KB each second, checked each second: none is larger than that and a chunk, and only the last is smaller.
     assert all(200_000 <= size < 200_000 + 160_000 for size in sizes[:-1])
     assert len(sizes) == 3
     assert sum(disk.frames()) == 300
@@ -116,7 +116,7 @@ def test_only_the_last_files_of_this_node_are_kept(disk):
     assert strange.exists()
 
 
-def test_it_goes_on_after_the_disk_was_full(disk):
+def test_recording_continues_after_the_disk_was_full(disk):
     recorder = disk.recorder()
     disk.see(recorder, 5)
     disk.full = True
@@ -136,7 +136,7 @@ def test_it_goes_on_after_the_disk_was_full(disk):
     assert recorder.frames == sum(disk.frames())
 
 
-def test_too_little_room_is_not_filled_with_beginnings(disk, monkeypatch):
+def test_a_nearly_full_disk_is_not_filled_with_empty_recordings(disk, monkeypatch):
     recorder = disk.recorder()
     disk.see(recorder, 1)
     disk.full = True
@@ -156,6 +156,6 @@ def test_names_of_single_files(tmp_path):
 
 
 @pytest.mark.parametrize("limits", [{"octets": 0}, {"seconds": 0.0}, {"files": 0}])
-def test_limits_that_are_none(limits):
+def test_invalid_limits(limits):
     with pytest.raises(ValueError, match="must be greater than 0"):
         Limits(**limits)

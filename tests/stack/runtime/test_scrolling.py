@@ -1,4 +1,4 @@
-"""The part of a long view that is shown, and what is said of the rest."""
+"""The part of a long view that is shown, and the note about the rest."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def test_a_short_view_is_whole():
     assert drawn(Window(), 10) == [f"line {number}" for number in range(10)]
 
 
-def test_a_long_view_says_what_it_hides():
+def test_a_long_view_states_the_number_of_hidden_lines():
     window = Window()
     shown = drawn(window, 31)
     assert shown[:9] == [f"line {number}" for number in range(9)]
@@ -44,7 +44,7 @@ def test_a_long_view_says_what_it_hides():
         (["end", "top"], 0),
     ],
 )
-def test_keys_move_it(keys, first):
+def test_keys_scroll_the_view(keys, first):
     window = Window()
     drawn(window, 31)
     for key in keys:
@@ -54,7 +54,7 @@ def test_keys_move_it(keys, first):
     assert f"{first} lines above, {22 - first} below" in shown[9]
 
 
-def test_it_stays_inside_when_the_view_becomes_shorter():
+def test_the_position_stays_valid_when_the_view_becomes_shorter():
     window = Window()
     drawn(window, 31)
     window.move("end")

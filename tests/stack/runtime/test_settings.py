@@ -72,7 +72,7 @@ def test_a_whole_file(tmp_path):
     assert config.reading("X05") == "usable-minimum"
 
 
-def test_settings_are_shown_as_a_file_that_says_the_same(tmp_path):
+def test_settings_are_shown_as_an_equivalent_file(tmp_path):
     settings = load_settings(write(tmp_path, FULL), {})
     assert load_settings(write(tmp_path, settings_text(settings)), {}) == settings
     defaults = load_settings(None, {})
@@ -93,7 +93,7 @@ def test_the_documentation_names_every_key():
         assert f"`[{name}]`" in text, name
 
 
-def test_flags_go_before_the_file(tmp_path):
+def test_flags_take_precedence_over_the_file(tmp_path):
     path = write(tmp_path, FULL)
     settings = load_settings(path, {"bp.beacon_period_ms": 50, "node_id": "02:00:00:00:00:02", "profile": None})
     assert settings.bp.beacon_period_ms == 50
@@ -121,7 +121,7 @@ def test_flags_go_before_the_file(tmp_path):
         ("a = 1\na = 2", "not TOML"),
     ],
 )
-def test_wrong_files_are_told_by_file_and_key(tmp_path, text, message):
+def test_errors_name_file_and_key(tmp_path, text, message):
     path = write(tmp_path, text)
     with pytest.raises(SettingsError) as caught:
         load_settings(path, {})
@@ -151,7 +151,7 @@ def test_files_that_cannot_be_read(tmp_path):
         ({"neighbour_file": "/dev/shm/x", "srp.enabled": False}, "runs without SRP"),
     ],
 )
-def test_settings_that_make_no_node(flags, message):
+def test_settings_that_make_a_node_impossible(flags, message):
     settings = load_settings(None, flags)
     with pytest.raises(SettingsError) as caught:
         node_config(settings, Codec(settings.profile))
@@ -178,13 +178,13 @@ def test_node_identifiers():
     assert node_config(Settings(), Codec("dcp-2.0"), default_id=bytes(6)).node_id != bytes(6)
 
 
-def test_among_other_implementations_a_node_starts_with_what_their_profile_recommends():
+def test_recommended_settings_of_a_profile_apply():
     def limits(**flags):
         settings = load_settings(None, {"profile": "cpp-2.0", **flags})
         vardis = node_config(settings, Codec("cpp-2.0")).vardis
         return vardis.max_payload_size, vardis.max_summaries, vardis.max_repetitions
 
-    # What others send is taken as before: only what this node sends is limited.
+    # The limits apply to the records that this node sends only, not to received ones.
     assert limits() == (600, 2, None)
     assert limits(**{"vardis.max_summaries": 9}) == (600, 9, None)
     assert limits(**{"vardis.max_summaries": 0}) == (600, 0, None)

@@ -45,7 +45,7 @@ def test_json_and_the_same_digest_for_the_same_seed(run):
     assert [each["node"] for each in first["traffic"]] == list(range(9))
 
 
-def test_what_became_of_the_beacons_adds_up(run):
+def test_the_counts_of_delivered_and_lost_beacons_add_up(run):
     # Two that hear each other; the medium has delivered all, lost all, or something in between.
     for loss in (0, 0.5, 1):
         arguments = ("simulate", "-n", 2, "--duration", 8, "--loss", loss)
@@ -65,7 +65,7 @@ def test_options_replace_what_the_scenario_says(run):
     assert status == 1
     assert report["shares"]["lost"] == 1
     assert not report["met"]
-    # Nodes 5 and 6 hear their neighbours, and the line goes on.
+    # Nodes 5 and 6 hear their neighbours; the line is extended.
     assert len(json.loads(run("simulate", LINE, "--nodes", 7, "--json")[1])["traffic"]) == 7
 
 
@@ -78,7 +78,7 @@ def test_recordings(run, tmp_path):
     assert (tmp_path / "all.mcap").stat().st_size > 1000
 
 
-def test_a_recording_that_ends_early_is_told(tmp_path):
+def test_a_recording_that_ends_early_is_reported(tmp_path):
     """Files may become so long and no longer: as on a full disk."""
     # Without -B the interpreter would leave compiled modules that are cut off, for all who come after.
     simulate = [sys.executable, "-B", "-m", "dcp_stack.cli", "simulate", "-n", "4", "--duration", "30"]
@@ -90,7 +90,7 @@ def test_a_recording_that_ends_early_is_told(tmp_path):
     assert "met      no node raises an exception" in done.stdout
 
 
-def test_a_network_of_one(run):
+def test_a_network_of_one_node(run):
     assert run("simulate", "-n", 1, "--duration", 2)[0] == 0
 
 
@@ -107,7 +107,7 @@ def test_a_network_of_one(run):
         (["two"], ""),
     ],
 )
-def test_wrong_usage_is_said_in_a_line(run, what, arguments, complaint):
+def test_usage_errors_are_one_line(run, what, arguments, complaint):
     if what == "simulate":
         arguments = [each for each in arguments if each != "--scenario"]
         arguments = ["--nodes", *arguments] if arguments[:1] == ["2"] else arguments
@@ -162,14 +162,14 @@ def test_a_recording_of_the_medium_claims_nothing_about_losses(run, tmp_path, ca
 
     assert {each["lost"] for each in json.loads(stats(medium, "--format", "json"))["senders"].values()} == {None}
     assert "lost: unknown; this recording has each transmission once" in stats(medium)
-    # What a node recorded itself has the losses of its own reception.
+    # The recording of a node contains its reception losses.
     own = json.loads(stats(folder / "node-0.mcap", "--format", "json"))["senders"]
     assert own["02:00:00:00:00:00"]["lost"] == 0
     assert own["02:00:00:00:00:01"]["lost"] > 5
 
 
 @pytest.mark.parametrize("vantage", ["medium", "node"])
-def test_nor_does_the_page_of_such_a_recording(run, tmp_path, vantage):
+def test_the_page_of_a_recording_of_the_medium_claims_nothing_about_losses(run, tmp_path, vantage):
     pytest.importorskip("bokeh")
     from dcp_codec.cli import main as codec
 
@@ -183,7 +183,7 @@ def test_nor_does_the_page_of_such_a_recording(run, tmp_path, vantage):
     assert "No sequence number of a beacon is missing" not in text
 
 
-def test_the_default_scenario_knows_how_far_values_have_to_go(run):
+def test_the_default_scenario_allows_for_the_number_of_hops(run):
     """Values need 1.5 beacon periods a hop: 5 s are too few for 62 hops, and nothing is amiss."""
     report = json.loads(
         run("simulate", "-n", 60, "--topology", "line", "--duration", 16, "--variables", 1, "--json")[1]

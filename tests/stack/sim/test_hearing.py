@@ -55,7 +55,7 @@ def states(simulation: Simulation) -> list[object]:
 
 
 def played(scenario: Scenario, looks: tuple[float, ...], *, shared: bool) -> list[object]:
-    """What nodes know at the end and at some moments before, and the results."""
+    """State of nodes at the end and at some moments before, and the results."""
     simulation = Simulation(scenario, share_decoding=shared)
     seen: list[object] = []
     for at in looks:
@@ -129,8 +129,8 @@ def test_a_full_neighbour_table():
     assert cheap == plain
 
 
-def test_most_beacons_are_taken_in_cheaply(monkeypatch):
-    """What all this is for: the ordinary way is for beacons with something new in them."""
+def test_most_beacons_take_the_fast_path(monkeypatch):
+    """The purpose of the shortcut: the ordinary path is for beacons with new contents only."""
     handled = 0
     original = HearingNode.handle_frame
 

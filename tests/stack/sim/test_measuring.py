@@ -1,5 +1,5 @@
-"""What a simulation says of values: delays, shares, distances, consistency. Each file of a reviewer who was told
-something false is a test here."""
+"""Measurements of a simulation: delays, shares, distances, consistency. Each file for which a reviewer found a wrong
+number is a test here."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def mean(report, kind: str = "update") -> float:
     return row.mean_ms
 
 
-class TestWhatWasSaidFalsely:
+class TestFormerErrors:
     def test_a_link_of_60_s_is_not_one_of_9_s(self):
         """followed.toml: 256 updates later the sequence number is the same again."""
         events = [event for variable in range(10) for event in updates(0, variable, start=1, every=0.1)]
@@ -86,7 +86,7 @@ class TestWhatWasSaidFalsely:
         assert found.report.values.wrapped == 30
         assert any("sequence numbers wrapped 30 times" in note for note in found.report.values.notes)
 
-    def test_values_are_not_forgotten_because_they_are_many(self):
+    def test_many_concurrent_values_are_all_followed(self):
         """followed3.toml: more values are under way than were followed."""
         events = [event for variable in range(50) for event in updates(0, variable, start=1, every=0.2)]
         found = Oracle(
@@ -96,7 +96,7 @@ class TestWhatWasSaidFalsely:
         assert found.report.values.unidentified == 0
         assert mean(found.report) > 20_000
 
-    def test_a_link_that_loses_everything_is_no_hop(self):
+    def test_a_link_that_loses_everything_does_not_count_as_a_hop(self):
         """oneway.toml: a full mesh of three in which 0 and 2 do not hear each other."""
         cut = LinkBetween(sender=0, receiver=2, quality=LinkQuality(loss=1))
         found = simulate(
@@ -107,7 +107,7 @@ class TestWhatWasSaidFalsely:
         assert by_hops[1].due == by_hops[2].due == 50
         assert by_hops[2].mean_ms > by_hops[1].mean_ms
 
-    def test_a_cut_in_one_direction_is_a_cut_in_one_direction(self):
+    def test_a_link_cut_in_one_direction_works_in_the_other(self):
         cut = LinkBetween(sender=0, receiver=2, both_ways=False, quality=LinkQuality(loss=1))
         for producer, distances in ((0, {1, 2}), (2, {1})):
             found = simulate(
@@ -134,7 +134,7 @@ class TestWhatWasSaidFalsely:
 
 
 class TestCounts:
-    def test_creations_and_updates_are_apart(self):
+    def test_creations_and_updates_are_counted_separately(self):
         found = simulate(Scenario(nodes=3, duration_s=10, events=updates(0, 1, start=1, every=1, times=8)))
         assert [(row.kind, row.due) for row in found.delays] == [("creation", 2), ("update", 16)]
 
@@ -271,7 +271,7 @@ class TestMovingNodes:
         path.write_text(text)
         return simulate(load_scenario(path))
 
-    def test_tracks_move_who_hears_whom(self, tmp_path):
+    def test_tracks_change_the_links(self, tmp_path):
         # Node 1 flies past node 0 at 10 m/s: 100 m away at first, nearest after 10 s, out of range again after 13 s.
         text = """
             nodes = 2
@@ -296,7 +296,7 @@ class TestMovingNodes:
         assert received == pytest.approx(2 * 60, abs=6)
         assert report.expected == received
 
-    def test_distances_are_those_when_the_value_was_born(self, tmp_path):
+    def test_distances_are_those_at_the_time_of_the_update(self, tmp_path):
         # In a line of three, 25 m apart with a range of 30 m, the last node flies to the first.
         text = """
             nodes = 3

@@ -65,7 +65,7 @@ class TestSeeds:
 
     @settings(max_examples=examples(10))
     @given(st.integers(0, 2**64), st.floats(0, 0.6), st.sampled_from(["full", "line", "grid"]))
-    def test_lossy_networks_agree_in_the_end_and_nobody_raises(self, seed, loss, shape):
+    def test_lossy_networks_agree_in_the_end_without_exceptions(self, seed, loss, shape):
         scenario = default_scenario(5, topology=parse_topology(shape), duration_s=30.0, seed=seed)
         # Two events, and then time for repetitions by request: nothing else brings back what was lost.
         scenario = Scenario(
@@ -82,7 +82,7 @@ class TestSeeds:
         assert report.met, report.findings
         assert simulation.agreement.reached
 
-    def test_bursts_and_corruption_harm_nobody_and_are_told(self):
+    def test_bursts_and_corruption_are_harmless_and_reported(self):
         def play() -> tuple[str, dict]:
             scenario = default_scenario(5, topology=parse_topology("line"), duration_s=40.0, seed=3)
             link = LinkQuality(loss=0.3, burst=5, corrupt=0.0005, corrupt_frames=0.05, flips=3)
@@ -117,7 +117,7 @@ class TestServices:
         with pytest.raises(LookupError, match="node 1 is switched off"):
             net.request(1, "UT-Hello")
 
-    def test_a_node_that_raises_is_a_finding_and_the_others_go_on(self, monkeypatch):
+    def test_a_node_that_raises_is_a_finding_and_the_others_continue(self, monkeypatch):
         simulation = Simulation(grid(4))
         broken = simulation.network.stations[2].config.node_id
         original = Node.handle_timeout
@@ -174,7 +174,7 @@ STEPS = st.one_of(
 
 class TestAgreement:
     @given(st.lists(STEPS, max_size=40))
-    def test_it_says_the_same_as_comparing_everything(self, steps):
+    def test_agreement_equals_a_comparison_of_everything(self, steps):
         agreement = Agreement(3)
         present, known = [False] * 3, [{}, {}, {}]
         for name, node, *rest in steps:

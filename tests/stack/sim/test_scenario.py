@@ -1,4 +1,4 @@
-"""Scenario files: what they do when played, and what is said about bad ones."""
+"""Scenario files: how they are played, and messages about invalid ones."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class TestPlaying:
             (kind, hops) for kind in ("creation", "update") for hops in (1, 2, 3, 4)
         ]
 
-    def test_who_comes_late_catches_up(self, play):
+    def test_a_node_that_starts_late_catches_up(self, play):
         play(
             LINE
             + "down_at_start = [4]\n"
@@ -169,7 +169,7 @@ class TestPlaying:
 
 
 class TestUnmet:
-    def test_what_was_found_instead_is_said(self, written):
+    def test_unmet_expectations_report_the_actual_value(self, written):
         report = simulate(
             load_scenario(
                 written(
@@ -194,7 +194,7 @@ class TestUnmet:
         assert "node 1 updates variable 1: VARDIS-STATUS-NOT-PRODUCER" in text
         assert report.plain()["met"] is False
 
-    def test_what_the_machine_has_to_do_with_it_is_told(self):
+    def test_the_influence_of_a_busy_machine_is_reported(self):
         normal, busy = NodeTraffic(0, 200, 0, 0, 10.0), NodeTraffic(1, 181, 0, 0, 9.05, left_out_per_s=0.95)
         (finding,) = judge_all([BeaconRate(per_s=10)], [], [normal, busy])
         assert not finding.met
@@ -275,7 +275,7 @@ class TestBadFiles:
             ('[readings]\nX99 = "never"\n', "X99"),
         ],
     )
-    def test_what_nodes_refuse(self, written, keys, complaint):
+    def test_settings_that_nodes_refuse(self, written, keys, complaint):
         with pytest.raises(ScenarioError, match=complaint):
             Simulation(load_scenario(written(LINE + keys)))
 
@@ -295,7 +295,7 @@ class TestTopologies:
         found = load_scenario(written("nodes = 3\nduration_s = 1\ntopology = 'place.toml'\n"))
         assert found.topology.pairs(3) == [(0, 1), (1, 2)]
 
-    def test_one_end_is_enough(self):
+    def test_naming_one_end_of_a_link_is_enough(self):
         shape = Topology(kind="neighbours", neighbours=((2,), (2,), ()))
         assert shape.pairs(3) == [(0, 2), (1, 2)]
 

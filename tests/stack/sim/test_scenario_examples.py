@@ -20,7 +20,7 @@ STATION = EXAMPLES / "base-station"
 @pytest.mark.parametrize(
     "path", sorted(EXAMPLES.glob("**/*.toml")), ids=lambda path: path.parent.name + "/" + path.name
 )
-def test_every_scenario_comes_out_as_it_expects(path):
+def test_every_scenario_meets_its_expectations(path):
     report = simulate(load_scenario(path))
     assert report.met, "\n".join(lines(report))
 
@@ -30,10 +30,10 @@ def station(*arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, capture_output=True, text=True, timeout=600)
 
 
-def test_the_base_station_shows_what_its_readme_shows():
+def test_the_output_of_the_base_station_is_that_of_its_readme():
     done = station("simulate")
     assert done.returncode == 0, done.stderr
-    # What it took of real time is another every time.
+    # The real time taken differs every time.
     shown = re.sub(r"in \d+\.\d+ s", "in N s", done.stdout)
     session = re.search(r"base_station\.py simulate\n(.*?)```", (STATION / "README.md").read_text(), re.DOTALL)
     assert session is not None
@@ -41,7 +41,7 @@ def test_the_base_station_shows_what_its_readme_shows():
         assert part in shown
 
 
-def test_the_base_station_says_what_is_missing():
+def test_the_base_station_reports_missing_dependencies():
     done = station("monitor", "--control", "/nowhere.sock")
     assert done.returncode == 3
     assert "there is no such socket" in done.stderr

@@ -69,14 +69,14 @@ def test_losses_are_counted_by_sequence_numbers():
     ("before", "after", "restart"),
     [(5, 4, True), (100, 0, True), (0, RESTART_GAP, True), (0, RESTART_GAP - 1, False), (2**32 - 1, 0, False)],
 )
-def test_restarts_are_no_losses(before, after, restart):
+def test_restarts_do_not_count_as_losses(before, after, restart):
     table = Table()
     table.add((0, 0, 0), seqno=before)
     table.add((1, 0, 0), seqno=after, now=S)
     entry = table.lookup(NODE)
     assert entry.restarts == restart
     assert entry.lost == (0 if restart else (after - before) % 2**32 - 1)
-    # Nor is there a velocity between where a node was before and after it was started anew.
+    # Nor is there a velocity between the positions before and after a restart.
     assert (table.motion(entry).velocity is None) == restart
 
 
@@ -90,7 +90,7 @@ def test_the_capacity_holds():
         Table(capacity=0)
 
 
-def test_a_full_table_gives_up_who_was_silent_for_longest():
+def test_a_full_table_drops_the_neighbour_that_was_silent_for_longest():
     table = Table(capacity=3)
     for number in range(3):
         for seqno in range(2):
@@ -100,8 +100,8 @@ def test_a_full_table_gives_up_who_was_silent_for_longest():
     assert (table.displaced, sorted(table.list_all_node_ids())) == (node(1), [node(0), node(2), node(7)])
 
 
-def test_a_flood_of_forged_nodes_displaces_one_another():
-    """Who reports again and again stays, and a genuine newcomer becomes one of them."""
+def test_forged_nodes_displace_one_another():
+    """A node that reports regularly stays, and a genuine newcomer becomes one of them."""
     table = Table(capacity=50)
     genuine = [bytes([2, 0, 0, 0, 0, number]) for number in range(10)]
     for step in range(200):
@@ -176,7 +176,7 @@ def test_queries():
     assert [entry.node_id for entry in table.older_than(7 * S, now=9 * S)] == [node(0), node(1)]
 
 
-def test_closest_approaches_are_ordered_and_say_what_they_know():
+def test_closest_approaches_are_ordered_and_state_their_data():
     table = Table("sim-2.0")
     table.add((100, 0, 0, -10, 0, 0), node(1))
     table.add((0, 50, 0, 0, 0, 0), node(2))
@@ -191,7 +191,7 @@ def test_closest_approaches_are_ordered_and_say_what_they_know():
     assert unknown.closest_approaches(own, now=0, horizon=S)[0].velocity == "unknown"
 
 
-def test_everybody_is_brought_to_now():
+def test_all_positions_are_extrapolated_to_now():
     table = Table("sim-2.0")
     table.add((100, 0, 0, -10, 0, 0), now=0)
     own = Motion((0, 20, 0), (0, -10, 0), 3 * S)
@@ -240,7 +240,7 @@ def test_both_see_the_same_approach(own, other, horizon):
 
 
 @given(vectors, velocities, st.integers(0, 300 * S))
-def test_without_relative_motion_it_is_now(position, velocity, horizon):
+def test_without_relative_motion_the_closest_approach_is_now(position, velocity, horizon):
     own, other = Motion((0, 0, 0), velocity, 0), Motion(position, velocity, 0)
     assert closest_approach(own, other, now=0, horizon=horizon).time == 0
 
@@ -271,7 +271,7 @@ def test_no_numbers_raise(place, velocity, other, horizon):
     velocity_between(place, other, 1)
 
 
-def test_a_horizon_lies_ahead():
+def test_a_horizon_is_in_the_future():
     still = Motion((0, 0, 0), None, 0)
     with pytest.raises(ValueError, match="horizon"):
         closest_approach(still, still, now=0, horizon=-1)
@@ -291,7 +291,7 @@ walls = st.integers(0, 2**63 - 1)
 
 @pytest.mark.req("DATA-05")
 @given(layouts, walls, walls)
-def test_a_stamp_comes_back_within_its_unit(layout, wall, origin):
+def test_a_time_stamp_round_trip_is_exact_within_its_unit(layout, wall, origin):
     clock = StampClock(layout, origin=origin)
     stamp = clock.stamp(wall)
     low = -(1 << (8 * layout.width - 1)) if layout.signed else 0
@@ -334,6 +334,6 @@ def test_known_stamps(layout, wall, stamp):
     assert StampClock(layout, origin=100).stamp(wall) == stamp
 
 
-def test_which_stamps_can_be_compared():
+def test_comparable_time_stamps():
     assert StampClock(TimestampType(epoch="gps")).comparable
     assert not StampClock(TimestampType(epoch="boot")).comparable

@@ -153,7 +153,7 @@ def test_a_former_registration_is_deregistered_first():
 
 
 @pytest.mark.req("SRP-INI-05")
-def test_a_start_forgets_everything():
+def test_a_start_clears_the_state():
     bench = Bench()
     bench.update()
     bench.update()
@@ -469,7 +469,7 @@ def test_a_call_for_another_reason_traverses_from_half_the_interval_on():
     assert bench.srp.poll_timeout() == 750 * MS
 
 
-def test_called_for_each_beacon_it_never_has_to_wake():
+def test_srp_needs_no_timer_if_called_for_each_beacon():
     bench = Bench()
     bench.receive(bench.report(), now=0)
     for beacon in range(1, 30):
@@ -554,7 +554,7 @@ def test_nothing_received_is_sent(bench):
 
 
 @pytest.mark.req("SRP-RX-03")
-def test_a_full_table_gives_up_an_old_neighbour_and_tells():
+def test_a_full_table_drops_an_old_neighbour_with_a_notification():
     bench = Bench(max_neighbours=2)
     nodes = [bytes([2, 0, 0, 0, 1, number]) for number in range(3)]
     for each in nodes:
@@ -570,8 +570,8 @@ def test_a_full_table_gives_up_an_old_neighbour_and_tells():
 @pytest.mark.parametrize(
     ("profile", "given", "effective"), [("cpp-2.0", None, 1000), ("cpp-2.0", 5000, 5000), ("dcp-2.0", None, 4096)]
 )
-def test_the_limit_is_the_one_that_is_shown(profile, given, effective):
-    """What the user asks for is taken as it is; the limit of the profile is a default."""
+def test_the_shown_limit_is_the_effective_one(profile, given, effective):
+    """The value of the user is used unchanged; the limit of the profile is a default."""
     bench = Bench(profile, max_neighbours=given)
     assert bench.srp.neighbours.capacity == bench.srp.snapshot()["max_neighbours"] == effective
 
@@ -607,7 +607,7 @@ def test_no_octets_raise(profile, data):
 
 @pytest.mark.parametrize("profile", PROFILES)
 @given(data=st.data())
-def test_valid_reports_are_taken_as_they_are(profile, data):
+def test_valid_reports_are_stored_unchanged(profile, data):
     bench = Bench(profile)
     report = data.draw(strategies.reports(bench.codec).filter(lambda each: each.node_id != bench.own))
     bench.srp.handle_payload(bench.codec.encode_report(report), b"", now=0, wall=WALL)

@@ -1,4 +1,4 @@
-"""What goes into payloads: order, sizes, repetition, round robin (B.6)."""
+"""Contents of payloads: order, sizes, repetition, round robin (B.6)."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def labels(rig: Rig, containers: tuple) -> list[str]:
 
 
 def with_everything_pending(version: str = "2.0", **settings) -> Rig:
-    """Variables 1 created, 2 deleted, 3 updated, 4 asked for, 5 behind a neighbour."""
+    """Variables 1 created, 2 deleted, 3 updated, 4 requested, 5 outdated at a neighbour."""
     rig = Rig(version, **settings)
     for var_id in (2, 3):
         rig.create(var_id)
@@ -84,7 +84,7 @@ def test_container_numbers_are_those_of_the_profile() -> None:
 
 @pytest.mark.req("VD-PAY-04")
 @pytest.mark.req("VD-CMP-01")
-def test_nothing_to_say_is_no_payload() -> None:
+def test_no_payload_is_composed_if_nothing_is_pending() -> None:
     rig = Rig(max_summaries=0)
     rig.create(rep_cnt=1)
     assert rig.sent() != ()
@@ -132,7 +132,7 @@ def test_repetitions_come_in_the_next_payloads() -> None:
 
 @pytest.mark.req("VD-SCP-03")
 @pytest.mark.req("VD-SCP-01")
-def test_what_is_not_new_and_what_is_for_neighbours_is_not_repeated() -> None:
+def test_summaries_and_requests_are_not_repeated() -> None:
     rig = Rig(max_summaries=0)
     rig.receive(rig.vc(seqno=3))
     rig.drain()
@@ -217,7 +217,7 @@ def test_deleted_variables_are_not_summarised() -> None:
 @pytest.mark.req("VD-PAY-02")
 @pytest.mark.req("VD-PAY-06")
 @pytest.mark.req("VD-CMP-08")
-def test_counting_stops_at_the_first_that_does_not_fit() -> None:
+def test_counting_stops_at_the_first_record_that_does_not_fit() -> None:
     # VarUpdate is 3 octets and the value, its container 2 more.
     rig = Rig(max_payload_size=80, max_description_length=4, max_summaries=0)
     for var_id in (1, 2, 3, 4):
@@ -242,7 +242,7 @@ def test_a_head_that_does_not_fit_makes_room_for_other_containers() -> None:
 
 @pytest.mark.req("VD-CMP-08")
 @pytest.mark.req("VD-ROB-01")
-def test_what_fits_into_no_payload_since_limits_were_lowered_waits_without_blocking() -> None:
+def test_a_record_too_large_for_lowered_limits_waits_without_blocking() -> None:
     rig = Rig()
     rig.create(1, bytes(32), descr=bytes(32))
     rig.create(2, b"v", descr=b"d")
@@ -273,7 +273,7 @@ def test_every_limit_is_kept_and_used_to_the_last_octet(version: str) -> None:
         }
         room = limit - sum(sizes.values())
         assert room >= 0
-        # What is missing would not have fitted when its turn came.
+        # Missing records would not have fitted when their turn came.
         used = 0
         for kind in order:
             found = sizes.get(kind.label, 0)
@@ -410,7 +410,7 @@ def test_queues_are_first_in_first_out() -> None:
 @pytest.mark.req("VD-CMP-06")
 @pytest.mark.req("VD-CMP-09")
 @pytest.mark.req("VD-CMP-10")
-def test_what_is_repeated_goes_behind_what_waits() -> None:
+def test_repetitions_are_queued_after_waiting_records() -> None:
     rig = Rig(max_payload_size=60, max_description_length=4, max_summaries=0)
     for var_id in (1, 2, 3):
         rig.create(var_id, bytes(30), descr=b"d", rep_cnt=2)

@@ -1,4 +1,4 @@
-"""What does not get through to neighbours is noticed, and nothing else is."""
+"""Values that do not reach neighbours are noticed, without false alarms."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def found(rig: Rig) -> list[str]:
     return [str(each) for each in rig.vardis.obstacles(rig.now)]
 
 
-def test_a_neighbour_that_asks_on_and_on() -> None:
+def test_a_neighbour_that_repeats_a_request_forever() -> None:
     rig = Rig()
     rig.create()
     rig.vardis.hears(OTHER)
@@ -41,7 +41,7 @@ def test_a_neighbour_that_asks_on_and_on() -> None:
     assert found(rig) == []
 
 
-def test_requests_of_several_neighbours_are_counted_apart() -> None:
+def test_requests_of_several_neighbours_are_counted_separately() -> None:
     rig = Rig()
     rig.create()
     rig.update()
@@ -63,7 +63,7 @@ def test_a_neighbour_has_asked_until_it_shows_what_it_asked_for() -> None:
     assert not delivery.asked_by(OTHER)
 
 
-def test_what_is_counted_is_bounded() -> None:
+def test_counters_are_bounded() -> None:
     rig = Rig()
     rig.create()
     for number in range(2 * MOST_ENTRIES):
@@ -72,7 +72,7 @@ def test_what_is_counted_is_bounded() -> None:
     assert len(rig.vardis._core.delivery._asked) <= MOST_ENTRIES
 
 
-def test_an_update_that_nobody_shows() -> None:
+def test_an_update_that_no_neighbour_confirms() -> None:
     rig = Rig()
     rig.create()
     rig.update()
@@ -93,12 +93,12 @@ def test_updates_that_come_faster_than_their_confirmations() -> None:
     for number in range(300):
         rig.update(value=b"%d" % number)
         rig.wait(100)
-        # Three updates behind, always.
+        # The neighbour is always three updates late.
         rig.receive(VarSumm(7, max(0, number - 2) % 256))
         assert found(rig) == []
 
 
-def test_nobody_there_confirms_nothing() -> None:
+def test_without_neighbours_there_are_no_confirmations() -> None:
     rig = Rig()
     rig.create()
     rig.update()
@@ -129,7 +129,7 @@ def test_a_deleted_variable_that_another_node_creates_is_not_taken_over() -> Non
 
 
 @pytest.mark.req("VD-CRE-09")
-def test_a_restart_with_a_clock_that_is_behind() -> None:
+def test_a_restart_with_a_clock_that_is_slow() -> None:
     rig = Rig()
     rig.receive(rig.vc(prod_id=ME, created=WALL + 3600 * SECOND))
     rig.create()
@@ -160,14 +160,14 @@ def test_the_system_time_can_be_taken_literally() -> None:
     assert rig.entry().spec.creation_time == WALL
 
 
-def test_own_repetitions_are_no_later_creation() -> None:
+def test_own_repetitions_do_not_count_as_a_later_creation() -> None:
     rig = Rig()
     rig.create()
     rig.receive(rig.vc(prod_id=ME, created=rig.entry().spec.creation_time))
     assert found(rig) == []
 
 
-def test_what_others_produce_is_not_awaited() -> None:
+def test_confirmations_of_foreign_variables_are_not_awaited() -> None:
     rig = Rig()
     rig.receive(rig.vc())
     for _ in range(200):
@@ -187,7 +187,7 @@ STATUS: dict[str, Any] = {
 }
 
 
-def test_the_status_shows_what_does_not_get_through() -> None:
+def test_the_status_shows_undelivered_variables() -> None:
     lines = status._lines(STATUS)
     assert "link       eth:dcp0, DOWN, 33 send errors, 1 outage" in lines
     assert "beacons    32 sent (33 could not be sent), 0 received" in lines
@@ -199,7 +199,7 @@ def test_the_status_shows_what_does_not_get_through() -> None:
     assert not any(line.startswith("undelivered") for line in lines)
 
 
-def test_the_control_interface_tells() -> None:
+def test_the_control_interface_reports_undelivered_variables() -> None:
     node = Node(NodeConfig(node_id=ME, codec=get_codec("dcp-2.0")), rng=random.Random(1), now=0, wall=WALL)
     node.start(0, WALL)
     assert node.vardis is not None
@@ -230,11 +230,11 @@ class Answers:
 @pytest.mark.parametrize(
     ("profile", "most", "expected"), [("dcp-2.0", 15, 3), ("dcp-2.0", 2, 2), ("cpp-2.0", 15, 1), ("mine.toml", 15, 3)]
 )
-def test_variables_get_as_many_repetitions_as_neighbours_take(profile: str, most: int, expected: int) -> None:
+def test_variables_get_as_many_repetitions_as_neighbours_accept(profile: str, most: int, expected: int) -> None:
     assert var._repetitions(Answers(profile, most)) == expected  # type: ignore[arg-type]
 
 
-def test_more_repetitions_than_neighbours_take_are_warned_of() -> None:
+def test_more_repetitions_than_neighbours_accept_cause_a_warning() -> None:
     warnings = list(var._ignored_by_others(Answers("cpp-2.0", 15), "pos", 3))  # type: ignore[arg-type]
     assert warnings == [
         "unless configured otherwise, nodes of this profile refuse variables with more than 1 repetitions"

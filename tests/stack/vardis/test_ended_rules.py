@@ -27,7 +27,7 @@ def test_an_identifier_in_the_database_is_refused(version: str):
 
 @pytest.mark.req("VD-DEL-08")
 @pytest.mark.parametrize("version", BEFORE_2_0)
-def test_the_last_var_delete_takes_the_entry_away(version: str):
+def test_the_last_var_delete_removes_the_entry(version: str):
     rig = Rig(version)
     rig.create(7, rep_cnt=2)
     rig.delete(7)
@@ -42,7 +42,7 @@ def test_the_last_var_delete_takes_the_entry_away(version: str):
 @pytest.mark.req("VD-UPD-12")
 @pytest.mark.req("VD-REA-06")
 @pytest.mark.parametrize("version", BEFORE_2_0)
-def test_services_say_that_a_variable_is_being_deleted(version: str):
+def test_services_report_that_a_variable_is_being_deleted(version: str):
     rig = Rig(version)
     rig.create(7, rep_cnt=3)
     rig.delete(7)

@@ -1,4 +1,4 @@
-"""What nodes do to each other by following the specification to the letter (H1 to H4 and H7 to H9 of the readings).
+"""Harmful effects of nodes that follow the specification to the letter (H1 to H4 and H7 to H9 of the readings).
 
 These are not faults of a node. They are written down so that a change which removes one does not go unnoticed.
 """
@@ -42,7 +42,7 @@ def test_two_nodes_ask_each_other_for_ever() -> None:
 
 
 @pytest.mark.req("VD-PC-03")
-def test_a_restarted_producer_asks_for_its_own_variable_in_vain() -> None:
+def test_a_restarted_producer_requests_its_own_variable_without_success() -> None:
     """H2."""
     one, other = Rig(), Rig(node_id=OTHER)
     one.create()
@@ -55,7 +55,7 @@ def test_a_restarted_producer_asks_for_its_own_variable_in_vain() -> None:
 
 @pytest.mark.req("VD-PD-03")
 @pytest.mark.req("VD-PD-04")
-def test_a_deletion_that_the_producer_ignores_splits_a_variable_until_it_is_created_anew() -> None:
+def test_a_deletion_ignored_by_the_producer_splits_a_variable_until_it_is_created_again() -> None:
     """H3."""
     one, other = Rig(), Rig(node_id=OTHER)
     one.create()
@@ -85,8 +85,8 @@ def test_a_producer_can_be_replaced() -> None:
 @pytest.mark.req("VD-PC-01")
 @pytest.mark.req("VD-CRE-03")
 @pytest.mark.parametrize("deleted", [False, True])
-def test_a_creation_anew_that_is_missed_goes_unnoticed(deleted: bool) -> None:
-    """H7. Only a VarCreate has a creation time; who knows the variable from before has no reason to ask for another."""
+def test_a_missed_new_creation_goes_unnoticed(deleted: bool) -> None:
+    """H7. Only a VarCreate has a creation time; a node with the earlier variable does not ask for the new one."""
     one, other = Rig(), Rig(node_id=OTHER)
     one.create(value=b"before")
     for _ in range(9):
@@ -105,20 +105,20 @@ def test_a_creation_anew_that_is_missed_goes_unnoticed(deleted: bool) -> None:
 
 
 @pytest.mark.req("VD-PU-07")
-def test_a_value_of_an_earlier_creation_can_pass_for_a_newer_one() -> None:
+def test_a_value_of_an_earlier_creation_can_seem_newer() -> None:
     """H8. An update that was composed before its sender heard of the new creation."""
     rig = Rig()
     rig.receive(rig.vc(value=b"anew", seqno=0, created=WALL + 1))
     rig.receive(VarUpdate(7, 9, b"before"))
     assert rig.read() == b"before"
-    rig.receive(VarSumm(7, 0))  # of the producer, who is taught in vain
+    rig.receive(VarSumm(7, 0))  # of the producer, which ignores the update
     assert rig.records(VarUpdate) == [VarUpdate(7, 9, b"before")]
     assert rig.records(VarReqUpdate) == []
     assert rig.entry().spec.prod_id == OTHER != ME
 
 
 @pytest.mark.req("VD-PU-06", "VD-PS-03", "VD-PU-03")
-def test_a_consumer_far_behind_starves_until_the_distance_leaves_half_the_range() -> None:
+def test_a_consumer_that_missed_half_the_range_starves() -> None:
     """H9."""
     one, other = Rig(), Rig(node_id=OTHER)
     one.create(value=b"first")
@@ -127,7 +127,7 @@ def test_a_consumer_far_behind_starves_until_the_distance_leaves_half_the_range(
         one.update(value=b"%d" % number)
     exchange(one, other, 5)
     assert (one.read(), other.read()) == (b"128", b"first")
-    assert "update-own" in one.drops()  # taught in vain
+    assert "update-own" in one.drops()  # the producer ignores it
     for number in range(129, 256):
         one.update(value=b"%d" % number)
         exchange(one, other, 2)

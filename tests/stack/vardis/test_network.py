@@ -1,22 +1,23 @@
-"""Several nodes over a simulated broadcast: whatever is lost, doubled or cut off, nobody is ahead and all agree again.
+"""Several nodes over a simulated broadcast: whatever is lost, doubled or cut off, all nodes agree again.
 
-A rule-based state machine drives two to four nodes. Invariants hold after every step. ``heal`` ends a history: all
-links work, and after a bounded number of rounds every live variable must have its producer's value at every node.
+A rule-based state machine drives two to four nodes. Invariants hold after every step: no node has a newer value than
+the producer. ``heal`` ends a history: all links work, and after a bounded number of rounds every live variable must
+have its producer's value at every node.
 
-What the specification itself keeps from converging (A.7 of the protocol reference) is left out, and nothing else:
+Only cases in which the specification itself prevents convergence are left out (A.7 of the protocol reference):
 
 * H1 is noise, not divergence; the number of rounds allows for it.
 * H2: a node that has restarted forgets its variables and ignores creations of its own. They need not converge. It asks
-  for them with every summary, and what it is sent in answer goes before updates: in small payloads these would starve.
+  for them with every summary, and the answers to it go before updates: in small payloads these would starve.
   So payloads have room for all variables once a node has restarted.
 * H3: deletions have no creation time and no check of the producer, timeouts are local, and a deleted variable stays so
   until a later creation. A variable with a timeout need not converge where it is deleted while its producer has it.
-* H4, H5: identifiers belong to one node each, so nobody takes over. Clocks are skewed and set back and forth, but one
-  node's creations of a variable are in order. A restarted node does not use its old identifiers.
-* Creating anew: summaries and updates have no creation time. Who knows an earlier creation and misses all repetitions
-  of the new VarCreate never asks for it, takes numbers of the new creation for those of the old one, and passes values
-  of the old one on to others, who may take them for newer. So a variable that was created anew while others knew it, or
-  while instructions about it were under way, need not converge (``tainted``); it does when nobody had heard of it.
+* H4, H5: identifiers belong to one node each, so no node takes over another's. Clocks are skewed and set back and
+  forth, but one node's creations of a variable are in order. A restarted node does not use its old identifiers.
+* Creating again: summaries and updates have no creation time. A node that knows an earlier creation and misses all
+  repetitions of the new VarCreate never asks for it, confuses sequence numbers of both creations, and forwards values
+  of the old one to nodes that may treat them as newer. So a variable that was created again while other nodes knew it,
+  or while instructions about it were under way, need not converge (``tainted``); it does if no node knew it.
 * A consumer that misses half the number space takes old for new (C.1). Histories hold fewer updates than that.
 """
 
@@ -253,12 +254,12 @@ class Network(RuleBasedStateMachine):
         rounds = 12 + 12 * len(self.owners)
         for _ in range(rounds):
             self.round()
-            if not (behind := self.behind()):
+            if not (outdated := self.outdated()):
                 return
         raise AssertionError(f"after {rounds} rounds: {behind}")
 
-    def behind(self) -> list:
-        """Who does not have the producer's value of which variable."""
+    def outdated(self) -> list:
+        """Each node without the producer's value, with the variable."""
         found = []
         for var_id in self.own_alive():
             wanted = self.owners[var_id].entry(var_id)
@@ -293,7 +294,7 @@ class Network(RuleBasedStateMachine):
             )
 
     @invariant()
-    def nobody_is_ahead_of_the_producer(self) -> None:
+    def no_node_is_ahead_of_the_producer(self) -> None:
         for peer in getattr(self, "peers", []):
             for found in peer.vardis.describe_database().variables:
                 entry = peer.entry(found.spec.var_id)
@@ -304,7 +305,7 @@ class Network(RuleBasedStateMachine):
                 assert any(entry.value in values[entry.seqno : entry.seqno + 1] for values in histories)
 
     @invariant()
-    def changes_are_told(self) -> None:
+    def changes_are_notified(self) -> None:
         for peer in getattr(self, "peers", []):
             told = {effect.var_id: effect for effect in peer.effects if isinstance(effect, VariableChanged)}
             for found in peer.vardis.describe_database().variables:

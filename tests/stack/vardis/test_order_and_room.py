@@ -22,7 +22,7 @@ def _expected(rig: Rig, status: VardisStatus) -> VardisStatus:
 @pytest.mark.req("VD-UPD-11")
 @pytest.mark.parametrize("version", VERSIONS)
 @pytest.mark.parametrize("value", [LONG, b""])
-def test_update_looks_for_the_variable_before_it_looks_at_the_value(version: str, value: bytes):
+def test_update_checks_the_variable_before_the_value(version: str, value: bytes):
     rig = Rig(version)
     assert rig.update(9, value) is S.VARIABLE_DOES_NOT_EXIST
     rig.receive(rig.vc(8))
@@ -47,7 +47,7 @@ def test_inactive_comes_first_and_the_producer_before_the_deletion(version: str)
 
 
 @pytest.mark.req("VD-SRV-03")
-def test_what_a_confirm_says_has_happened():
+def test_a_confirm_means_that_the_change_has_happened():
     rig = Rig()
     rig.create(7)
     assert rig.update(7, b"new") is S.OK
@@ -59,7 +59,7 @@ def test_what_a_confirm_says_has_happened():
 
 @pytest.mark.req("VD-CMP-13")
 @pytest.mark.parametrize("kind", [VarUpdate, VarDelete, VarReqCreate, VarReqUpdate, VarSumm])
-def test_what_has_no_room_stays_queued(kind: type):
+def test_records_without_room_stay_queued(kind: type):
     # Room for the VarCreate of variable 1 and one octet more.
     rig = Rig(max_payload_size=65, max_value_length=20, max_description_length=20, max_summaries=3)
     rig.create(1, rep_cnt=1, descr=b"d" * 20, value=b"v" * 20)
@@ -83,7 +83,7 @@ def test_what_has_no_room_stays_queued(kind: type):
 
 @pytest.mark.req("VD-CMP-14")
 @pytest.mark.parametrize("version", ["1.0", "1.1", "1.2"])
-def test_purging_before_composing_finds_nothing_to_remove(version: str):
+def test_purging_before_composing_removes_nothing(version: str):
     rig = Rig(version)
     rig.create(7, rep_cnt=3)
     rig.receive(rig.vc(8, rep_cnt=3))
@@ -119,7 +119,7 @@ def test_up_to_1_1_the_containers_before_a_bad_one_are_processed(version: str):
     rig = Rig(version)
     rig.receive_octets(rig.octets((VarSumm(9, 1),)) + b"\xff\x01\x00")
     assert rig.queue("reqCreateQ") == [9]
-    # What comes after it is not, in 1.1; in 1.0 the end of a container of unknown type is not known.
+    # Records after it are not processed, in 1.1; in 1.0 the end of a container of unknown type is not known.
     rig.receive_octets(b"\xff\x01\x00" + rig.octets((VarSumm(10, 1),)))
     assert rig.queue("reqCreateQ") == [9]
 
@@ -142,7 +142,7 @@ def test_scrubbing_of_an_inactive_node(reading: str, deleted: bool):
 
 
 @pytest.mark.parametrize(("reading", "left"), [("stay-queued", 2), ("are-dropped", 0)])
-def test_what_is_pending_when_a_node_is_deactivated(reading: str, left: int):
+def test_pending_records_of_a_deactivated_node(reading: str, left: int):
     rig = Rig(readings={"X37": reading})
     rig.receive(rig.vc(8, rep_cnt=2), VarSumm(9, 1))
     rig.vardis.deactivate()
@@ -154,7 +154,7 @@ def test_what_is_pending_when_a_node_is_deactivated(reading: str, left: int):
 
 
 @pytest.mark.parametrize(("reading", "version", "left"), [("are-dropped", "1.3", 0), ("stay-queued", "1.3", 1)])
-def test_up_to_1_3_a_deletion_that_is_dropped_is_over(reading: str, version: str, left: int):
+def test_up_to_1_3_a_dropped_deletion_is_not_repeated(reading: str, version: str, left: int):
     rig = Rig(version, readings={"X37": reading})
     rig.create(7)
     rig.delete(7)

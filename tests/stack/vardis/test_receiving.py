@@ -60,14 +60,14 @@ def test_the_order_of_containers_does_not_matter() -> None:
 
 
 @pytest.mark.req("VD-RX-08")
-def test_what_comes_first() -> None:
+def test_the_order_of_processing() -> None:
     rig = Rig()
     rig.receive(rig.vc(1))
     rig.receive(VarSumm(1, 9), VarUpdate(1, 9, b"v"))  # not requested, the update was there already
     assert rig.queue("reqUpdQ") == []
     rig.receive(VarUpdate(1, 10, b"w"), VarDelete(1))  # deleted first
     assert (rig.entry(1).is_deleted, rig.entry(1).seqno) == (True, 9)
-    rig.receive(VarDelete(1), rig.vc(1, created=LATER))  # created anew, then deleted
+    rig.receive(VarDelete(1), rig.vc(1, created=LATER))  # created again, then deleted
     assert (rig.entry(1).is_deleted, rig.entry(1).spec.creation_time) == (True, LATER)
 
 
@@ -233,7 +233,7 @@ def test_distances(distance: int, stored: int, half: str) -> None:
     assert rig.entry().count_update == (2 if answered else 0)
 
 
-def test_the_profile_chooses_what_half_the_range_is_unless_told() -> None:
+def test_the_profile_determines_the_meaning_of_half_the_range_by_default() -> None:
     for readings, answered in (({}, True), ({"X28": "half-range-neither"}, False)):
         rig = Rig(profile="cpp-2.0", readings=readings)
         rig.receive(rig.vc(seqno=128))
@@ -300,7 +300,7 @@ def test_every_ignored_record_has_a_reason_and_a_place() -> None:
 
 @pytest.mark.req("VD-RU-01")
 @pytest.mark.req("VD-RC-01")
-def test_requests_for_what_is_unknown_are_dropped_in_1_0() -> None:
+def test_requests_for_unknown_variables_are_dropped_in_1_0() -> None:
     rig = Rig("1.0")
     rig.receive(VarReqUpdate(7, 0), VarReqCreate(7))
     assert rig.drops() == ["create-request-unknown", "update-request-unknown"]
@@ -357,7 +357,7 @@ def test_payloads_cut_off_at_every_octet(policy: str) -> None:
         if complete:
             assert known == [1, 2, 3][: 3 if length else 0]
         elif policy == "keep-prefix":
-            # Records in front of the error, in whole containers or not.
+            # Records before the error, in whole containers or not.
             assert known == [var_id for var_id, end in zip((1, 2, 3), ends[1:], strict=True) if end <= length]
             assert rig.queue("reqCreateQ") == ([8] if length == len(payload) - 1 or length == len(payload) - 2 else [])
         elif policy == "drop-payload":
@@ -446,6 +446,6 @@ def test_a_bound_for_creation_times_ahead_of_the_own_clock(ahead_ms, taken) -> N
     assert isinstance(rig.read(7), bytes) == taken
 
 
-def test_a_bound_is_no_negative_number() -> None:
+def test_a_bound_must_not_be_negative() -> None:
     with pytest.raises(ValueError, match="max_creation_ahead_s"):
         Rig(max_creation_ahead_s=-1.0)

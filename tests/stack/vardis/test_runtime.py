@@ -102,7 +102,7 @@ def test_shutdown_and_a_new_start() -> None:
     assert rig.entry() is None
 
 
-def test_a_node_without_vardis_has_none() -> None:
+def test_a_node_without_vardis() -> None:
     config = NodeConfig(node_id=ME, codec=Rig().codec, vardis=None)
     with pytest.raises(ValueError, match="without VarDis"):
         Vardis(config, OneSlot(ME), emit=lambda effect: None, now=0, wall=WALL)
@@ -146,7 +146,7 @@ def test_a_payload_is_composed_with_what_arrives_before_its_beacon() -> None:
 
 @pytest.mark.req("VD-RUN-02")
 @pytest.mark.parametrize(("period", "composed_at"), [(20, 100), (100, 100), (130, 130), (240, 240)])
-def test_after_idling_the_look_at_the_buffer_waits_for_the_beacon(period: int, composed_at: int) -> None:
+def test_after_idling_the_buffer_is_checked_at_the_beacon(period: int, composed_at: int) -> None:
     rig = Rig(buffer_check_period_ms=period, scrubbing_period_ms=60_000)
     rig.bp.beacon = BEACON
     rig.create()
@@ -200,7 +200,7 @@ def test_composing_after_the_beacon_can_be_chosen() -> None:
 
 
 @pytest.mark.req("VD-RUN-02")
-def test_what_bp_still_holds_is_not_displaced() -> None:
+def test_a_payload_still_buffered_by_bp_is_not_displaced() -> None:
     rig = Rig()
     rig.create(rep_cnt=3)
     rig.bp.beacon = BEACON
@@ -213,7 +213,7 @@ def test_what_bp_still_holds_is_not_displaced() -> None:
 
 
 @pytest.mark.req("VD-RUN-02")
-def test_the_buffer_is_looked_at_in_every_period() -> None:
+def test_the_buffer_is_checked_in_every_period() -> None:
     rig = Rig(buffer_check_period_ms=20)
     rig.create()
     # The request itself asks BP, too.
@@ -237,7 +237,7 @@ def test_the_buffer_is_looked_at_in_every_period() -> None:
 @pytest.mark.req("VD-RUN-02")
 @pytest.mark.req("VD-PAR-01")
 @pytest.mark.req("VD-PAR-08")
-def test_a_new_period_counts_from_the_last_look() -> None:
+def test_a_new_period_counts_from_the_last_check() -> None:
     rig = Rig(buffer_check_period_ms=1000, scrubbing_period_ms=60000)
     rig.wait(1000)
     rig.wait(100)
@@ -340,7 +340,7 @@ def test_variables_without_timeout_stay_for_ever() -> None:
 
 @pytest.mark.req("VD-SCR-04")
 @pytest.mark.req("VD-SCR-05")
-def test_every_node_scrubs_and_tells() -> None:
+def test_every_node_scrubs_and_notifies_clients() -> None:
     rig = Rig(scrubbing_period_ms=50)
     rig.receive(rig.vc(timeout=60))
     rig.receive(VarSumm(7, 3), VarUpdate(7, 1, b"v"))
@@ -378,7 +378,7 @@ def test_a_step_of_the_wall_clock_ages_nothing() -> None:
 
 
 @pytest.mark.req("VD-SCR-01")
-def test_scrubbing_goes_on_while_inactive() -> None:
+def test_scrubbing_continues_while_inactive() -> None:
     rig = Rig()
     rig.create(timeout=10)
     rig.vardis.deactivate()

@@ -38,7 +38,7 @@ def every_service(rig: Rig) -> list[Callable[[], object]]:
 def test_without_a_registration_services_are_refused() -> None:
     rig = Rig()
     assert rig.create() is S.OK
-    # Somebody else deregistered VarDis: it is not told.
+    # Another client deregistered VarDis: VarDis gets no notification.
     rig.bp.deregister(BP_PROTID_VARDIS)
     rig.effects.clear()
     assert [service() for service in every_service(rig)] == [S.INACTIVE] * 6
@@ -137,7 +137,7 @@ def test_descriptions_are_counted_in_bytes() -> None:
 
 @pytest.mark.req("VD-CRE-13")
 @pytest.mark.req("DATA-11")
-def test_the_first_check_that_fails_decides() -> None:
+def test_the_first_failed_check_determines_the_status() -> None:
     rig = Rig(max_description_length=4, max_value_length=4)
     rig.receive(rig.vc(9, b"v", descr=b"d"))
     wrong: dict[str, object] = {"descr": b"ddddd", "value": b"vvvvv", "rep_cnt": 0}
@@ -186,7 +186,7 @@ def test_creation_times_are_in_the_unit_of_the_profile(unit: str, expected: int)
         assert rig.entry().spec.creation_time == expected + later
 
 
-def test_nothing_is_later_than_the_last_time_stamp() -> None:
+def test_no_creation_is_later_than_the_last_time_stamp() -> None:
     profile = get_codec("dcp-2.0").profile
     stamp = msgspec.structs.replace(profile.types.timestamp, width=1, unit="s")
     types = msgspec.structs.replace(profile.types, timestamp=stamp)
@@ -198,7 +198,7 @@ def test_nothing_is_later_than_the_last_time_stamp() -> None:
 
 
 @pytest.mark.req("VD-CRE-11")
-def test_creating_anew_withdraws_everything_pending() -> None:
+def test_creating_again_withdraws_everything_pending() -> None:
     rig = Rig()
     rig.create()
     rig.update()
@@ -242,7 +242,7 @@ def test_the_confirm_is_the_answer_to_the_call_and_carries_a_status_only() -> No
 @pytest.mark.parametrize(
     "wrong", [{"var_id": 256}, {"var_id": -1}, {"timeout": 65536}, {"timeout": -1}, {"prod_id": b"short"}]
 )
-def test_what_a_variable_cannot_express_is_misuse(wrong: dict[str, object]) -> None:
+def test_arguments_that_cannot_be_encoded_are_misuse(wrong: dict[str, object]) -> None:
     with pytest.raises(ValueError, match="not"):
         Rig().create(**wrong)
 
@@ -259,7 +259,7 @@ def test_misuse_that_only_old_versions_know() -> None:
 @pytest.mark.req("VD-TYP-07")
 @pytest.mark.req("VD-CMP-07")
 @pytest.mark.parametrize("version", VERSIONS)
-def test_what_was_created_goes_on_the_air(version: str) -> None:
+def test_created_variables_are_sent(version: str) -> None:
     rig = Rig(version)
     rig.create(255, b"\0", rep_cnt=1, timeout=65535 if version == "2.0" else 0)
     (record,) = rig.records(VarCreate)
@@ -275,7 +275,7 @@ def test_a_variable_that_fits_into_no_payload_is_refused() -> None:
     assert rig.vardis.set_parameter("VARDISPAR_MAX_VALUE_LENGTH", 60) is None
     assert rig.create(1, bytes(30), descr=bytes(10)) is S.OK
     assert rig.create(2, bytes(31), descr=bytes(10)) is S.VALUE_TOO_LONG
-    # Its VarCreate fits into no payload any more, its VarUpdate does: RTDB-Update looks at the value alone.
+    # Its VarCreate no longer fits into a payload, its VarUpdate does: RTDB-Update checks the value only.
     assert rig.update(1, bytes(31)) is S.OK
     assert rig.vardis.set_parameter("VARDISPAR_MAX_PAYLOAD_SIZE", 40) is None
     assert rig.create(2, b"v", descr=bytes(16)) is S.VARIABLE_DESCRIPTION_TOO_LONG
@@ -336,7 +336,7 @@ def test_limits_of_update(version: str) -> None:
 
 @pytest.mark.req("VD-UPD-03")
 @pytest.mark.req("VD-DEL-03")
-def test_foreign_comes_before_deleted_and_before_the_value() -> None:
+def test_the_producer_is_checked_before_deletion_and_value() -> None:
     rig = Rig()
     rig.receive(rig.vc())
     rig.receive(VarDelete(7))
@@ -388,7 +388,7 @@ def test_a_deleted_variable_stays_and_only_its_deletion_is_sent() -> None:
 
 
 @pytest.mark.req("VD-DEL-05")
-def test_deleting_leaves_no_request_behind() -> None:
+def test_deleting_removes_requests() -> None:
     rig = Rig()
     rig.receive(rig.vc(9))
     rig.receive(VarSumm(9, 3))
@@ -442,7 +442,7 @@ def test_describing_shows_deleted_variables_too() -> None:
 
 
 @pytest.mark.req("VD-DVA-03")
-def test_what_was_described_does_not_change_afterwards() -> None:
+def test_a_description_does_not_change_afterwards() -> None:
     rig = Rig()
     rig.create()
     before = rig.entry()
@@ -474,7 +474,7 @@ def answers(rig: Rig) -> list[VardisStatus]:
 @pytest.mark.req("VD-REA-01")
 @pytest.mark.req("VD-DDB-01")
 @pytest.mark.req("VD-DVA-01")
-def test_inactive_services_answer_so_and_do_nothing() -> None:
+def test_inactive_services_report_it_and_do_nothing() -> None:
     rig = Rig()
     rig.create()
     before = rig.vardis.snapshot()
@@ -491,7 +491,7 @@ def test_inactive_services_answer_so_and_do_nothing() -> None:
 @pytest.mark.req("VD-MGT-05")
 @pytest.mark.req("VD-MGT-06")
 @pytest.mark.req("VD-RUN-03")
-def test_inactive_nothing_is_composed_and_activated_it_goes_on() -> None:
+def test_composing_stops_while_inactive_and_continues_afterwards() -> None:
     rig = Rig()
     rig.create(rep_cnt=3)
     rig.sent()
@@ -519,7 +519,7 @@ def test_inactive_received_payloads_are_lost() -> None:
 
 
 @pytest.mark.req("VD-PAR-01")
-def test_parameters_change_what_comes_and_nothing_that_is() -> None:
+def test_parameters_affect_later_changes_only() -> None:
     rig = Rig()
     rig.create(1, bytes(32), descr=bytes(32), rep_cnt=5)
     for name, value in (("VALUE_LENGTH", 4), ("DESCRIPTION_LENGTH", 4), ("REPETITIONS", 2)):

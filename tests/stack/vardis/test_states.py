@@ -31,7 +31,7 @@ STATES = (UNKNOWN, OWN, FOREIGN, OWN_DELETED, FOREIGN_DELETED)
 
 @dataclass
 class Seen:
-    """What can be seen of variable 7 from outside, when nothing was pending before."""
+    """The state of variable 7 as seen from outside, when nothing was pending before."""
 
     state: str
     create: int = 0
@@ -246,7 +246,7 @@ def test_the_table_is_complete() -> None:
     assert TABLE.keys() == EVENTS.keys() == ROWS.keys()
 
 
-#: What differs before 2.0: (event, state) -> what follows. Deleted variables are looked at before their last VarDelete.
+#: Differences before 2.0: (event, state) -> result. Deleted variables are those before their last VarDelete.
 BEFORE_2_0 = {
     ("app Create", OWN): "VARIABLE-EXISTS",
     ("app Create", OWN_DELETED): "VARIABLE-EXISTS",
@@ -284,7 +284,7 @@ def test_cell_before_2_0(version: str, event: str, state: str, expected: object)
 @pytest.mark.req("VD-PU-06")
 @pytest.mark.req("VD-PS-03")
 @pytest.mark.parametrize("event", ["rx VU older", "rx VS older"])
-def test_a_pending_update_is_not_started_again_for_somebody_behind(event: str) -> None:
+def test_a_pending_update_is_not_restarted_for_an_outdated_neighbour(event: str) -> None:
     rig = in_state(FOREIGN)
     EVENTS["rx VU newer"](rig)
     rig.sent()
@@ -295,7 +295,7 @@ def test_a_pending_update_is_not_started_again_for_somebody_behind(event: str) -
 
 @pytest.mark.req("VD-RU-04")
 @pytest.mark.req("VD-PU-07")
-def test_a_pending_update_is_started_again_for_a_request_and_for_a_newer_value() -> None:
+def test_a_pending_update_is_restarted_by_a_request_and_a_newer_value() -> None:
     rig = in_state(FOREIGN)
     for event in ("rx RU, own strictly newer", "rx VU newer"):
         rig.receive(VarReqUpdate(7, SEQ - 1))
@@ -307,7 +307,7 @@ def test_a_pending_update_is_started_again_for_a_request_and_for_a_newer_value()
 
 
 @pytest.mark.req("VD-RC-03")
-def test_a_pending_creation_is_started_again_for_a_request() -> None:
+def test_a_pending_creation_is_restarted_by_a_request() -> None:
     rig = in_state(FOREIGN)
     rig.receive(VarReqCreate(7))
     rig.sent()
