@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
 from dcp_spec.profile.loading import profile_names
 
 from dcp_codec import Codec, get_codec
@@ -130,8 +131,12 @@ ODD_PROFILES: dict[str, str] = {
     """,
 }
 
-#: What tests of "every profile" go through.
+#: The profiles for tests of every profile.
 NAMES = (*profile_names(), *ODD_PROFILES)
+#: The profiles among them that between them have every kind of field; the others are part of `make test-suite`.
+CORE = frozenset(("dcp-1.0", "dcp-2.0", "cpp-2.0", "student-2024", "odd-areas", "odd-own"))
+#: ``NAMES`` as parameters of a test or fixture.
+PARAMETERS = [each if each in CORE else pytest.param(each, marks=pytest.mark.part("suite")) for each in NAMES]
 
 
 def write_profile(name: str, folder: Path) -> Path:

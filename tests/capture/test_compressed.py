@@ -81,6 +81,7 @@ class _told:  # noqa: N801 - stands in for pytest.raises
         return isinstance(error, CaptureError) and "damaged" in str(error)
 
 
+@pytest.mark.part("tools")
 @pytest.mark.parametrize("compression", ["gz", "zst"])
 def test_memory_does_not_grow_with_what_is_decompressed(compression: str, tmp_path: Path) -> None:
     head = written(tmp_path / "a.pcap").read_bytes()

@@ -43,6 +43,7 @@ def test_a_pipe_of_many_frames(peak):
     assert peak() < LIMIT
 
 
+@pytest.mark.part("tools")
 @pytest.mark.parametrize("format", FORMATS)
 def test_files_of_any_length(tmp_path, format, peak):
     source, target = tmp_path / f"a.{format}", tmp_path / "b.mcap"

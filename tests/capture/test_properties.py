@@ -158,6 +158,7 @@ ALL["mcap-none"] = written(SOME, "mcap", metadata={"a": {"b": "c"}}, compression
 ALL["mcap-lz4"] = written(SOME[:3], "mcap", compression="lz4")
 
 
+@pytest.mark.part("suite")
 @pytest.mark.parametrize("name", list(ALL))
 def test_any_octet_may_be_any_other(name):
     octets = bytearray(ALL[name])

@@ -12,7 +12,7 @@ pytest.importorskip("scapy", reason="scapy is not installed (pip install 'dcp-co
 from dcp_codec import Codec
 from dcp_codec.scapy import layers as scapy_layers
 
-from ..odd_profiles import NAMES, ODD_PROFILES, write_profile
+from ..odd_profiles import ODD_PROFILES, PARAMETERS, write_profile
 
 
 @pytest.fixture(autouse=True)
@@ -21,7 +21,7 @@ def _default_profile() -> Iterator[None]:
     scapy_layers.use_profile("dcp-2.0")
 
 
-@pytest.fixture(params=NAMES)
+@pytest.fixture(params=PARAMETERS)
 def codec(request: pytest.FixtureRequest, tmp_path: Path) -> Codec:
     """The codec of each profile in turn, which the layers use, too."""
     odd = request.param in ODD_PROFILES

@@ -29,6 +29,7 @@ from dcp_stack.links.quality import Quality
 from dcp_stack.links.topology import Full, Grid, Line, Topology
 
 from ...chance import examples
+from ...parts import also
 from ..air import MS, SECOND, Script, case_of, findings, judged, simulated, thinned
 from ..rig import codec_of
 
@@ -630,14 +631,14 @@ class TestEveryInvariant:
 class TestNetworksThatFollowTheSpecification:
     """Nothing may be found in them, whatever happens to nodes, frames and recorder."""
 
-    @pytest.mark.parametrize("profile", PROFILES)
+    @pytest.mark.parametrize("profile", [PROFILES[0], *also("suite", *PROFILES[1:])])
     @pytest.mark.parametrize("shape", TOPOLOGIES)
     def test_nothing_is_found(self, profile: str, shape: str):
         for seed, count, busy in ((1, 3, 6), (2, 5, 3), (3, 10, 0.5)):
             frames = simulated(profile, count, seed=seed, topology=TOPOLOGIES[shape], busy=busy, seconds=10)
             assert findings(judged(frames, profile)) == []
 
-    @pytest.mark.parametrize("profile", ["dcp-2.0", "dcp-1.3", "dcp-1.0"])
+    @pytest.mark.parametrize("profile", ["dcp-2.0", *also("suite", "dcp-1.3", "dcp-1.0")])
     @pytest.mark.parametrize("shape", TOPOLOGIES)
     def test_nothing_is_found_where_nodes_are_restarted_and_frames_are_lost(self, profile: str, shape: str):
         for seed in (1, 2):
@@ -646,8 +647,8 @@ class TestNetworksThatFollowTheSpecification:
             )
             assert findings(judged(frames, profile)) == []
 
-    @pytest.mark.parametrize("profile", ["dcp-2.0", "dcp-1.3"])
-    @pytest.mark.parametrize("share", [0.1, 0.2, 0.6])
+    @pytest.mark.parametrize("profile", ["dcp-2.0", *also("suite", "dcp-1.3")])
+    @pytest.mark.parametrize("share", [0.2, *also("suite", 0.1, 0.6)])
     def test_nothing_is_found_where_the_recorder_misses_frames(self, profile: str, share: float):
         for seed in (1, 2):
             frames = simulated(profile, 4, seed=seed, restarts=seed == 2, busy=3)
@@ -667,6 +668,7 @@ class TestNetworksThatFollowTheSpecification:
         run, _ = judge_recording(path, "dcp-2.0", Pics())
         assert findings(run) == []
 
+    @pytest.mark.part("suite")
     def test_each_rule_about_networks_was_exercised(self):
         """A rule that passes without having checked anything would prove nothing."""
         exercised: set[str] = set()
@@ -863,7 +865,7 @@ def framed(octets: list[bytes]) -> list[Frame]:
     ]
 
 
-@pytest.mark.parametrize("profile", ["dcp-2.0", "dcp-1.0", "cpp-2.0"])
+@pytest.mark.parametrize("profile", ["dcp-2.0", *also("suite", "dcp-1.0", "cpp-2.0")])
 def test_no_recording_raises_an_exception(profile: str):
     codec = codec_of(profile)
     valid = beacons(codec).map(codec.encode)

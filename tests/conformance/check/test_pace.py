@@ -50,6 +50,7 @@ def calls_of(judge: Judge, frames: list[Frame]) -> int:
     return count
 
 
+@pytest.mark.part("tools")
 @pytest.mark.parametrize("kind", ["Flight", "Attack"])
 def test_later_beacons_cost_as_much_as_earlier_ones(flights, kind):
     codec = get_codec("dcp-2.0")
@@ -82,6 +83,7 @@ def test_a_synthetic_flight_violates_nothing(flights):
     assert [check.observed for case in run.cases for check in case.checks if check.verdict is Verdict.FAIL] == []
 
 
+@pytest.mark.part("tools")
 def test_memory_does_not_grow_with_the_recording(flights):
     codec = get_codec("dcp-2.0")
     judge = Judge(codec, Pics(), period_known=False)

@@ -11,6 +11,7 @@ from dcp_conformance.selftest.mutants import all_mutants
 from dcp_conformance.selftest.recordings import clean, faulty, situation
 from dcp_conformance.selftest.recordings.table import document
 
+from ...parts import also
 from ..air import case_of, findings, judged
 
 #: Networks of the fixed draw: together all shapes, and losses, restarts, variants.
@@ -44,7 +45,10 @@ def test_links_of_a_line_are_those_of_neighbours():
 
 @pytest.mark.parametrize(
     ("name", "shape", "rule"),
-    [("M-VD-PD-04-ignored", "bus", "CK_VD_TAKES_DELETE"), ("M-VD-PU-07-ignored", "line", "CK_VD_TAKES_UPDATE")],
+    [
+        ("M-VD-PD-04-ignored", "bus", "CK_VD_TAKES_DELETE"),
+        *also("suite", ("M-VD-PU-07-ignored", "line", "CK_VD_TAKES_UPDATE")),
+    ],
 )
 def test_a_faulty_node_in_a_network_is_found_with_its_requirement(name: str, shape: Literal["bus", "line"], rule: str):
     result = faulty([all_mutants()[name]], shapes=[shape])
@@ -59,7 +63,7 @@ def test_a_faulty_node_in_a_network_is_found_with_its_requirement(name: str, sha
     ("name", "shape", "why"),
     [
         ("M-VD-CMP-06-no-rotation", "bus", ("check has no rule about VD-CMP-06", "beacons differ, the first, frame ")),
-        ("M-VD-PD-02-again", "bus", ("records: ", " -> ")),
+        *also("suite", ("M-VD-PD-02-again", "bus", ("records: ", " -> "))),
     ],
 )
 def test_a_faulty_node_that_is_not_found_has_its_reason(name: str, shape: Literal["bus", "line"], why: tuple[str, ...]):

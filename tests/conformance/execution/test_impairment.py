@@ -130,6 +130,7 @@ def strict(monkeypatch: pytest.MonkeyPatch) -> None:
     )
 
 
+@pytest.mark.part("suite")
 @pytest.mark.usefixtures("strict")
 @pytest.mark.parametrize(("impair", "seed"), [("loss=0.1", 1), ("loss=0.25,burst=2", 2)])
 def test_losses_fail_no_node_but_received_frames_still_prove_failures(impair: str, seed: int) -> None:
@@ -143,6 +144,7 @@ def test_losses_fail_no_node_but_received_frames_still_prove_failures(impair: st
     assert any("the link was impaired while cases were executed (loss=" in note for note in run.result().notes)
 
 
+@pytest.mark.part("suite")
 @pytest.mark.usefixtures("strict")
 @pytest.mark.parametrize("profile", ["dcp-1.0", "dcp-1.3", "cpp-2.0"])
 def test_queues_whose_beacons_are_lost_on_the_link_pass(profile: str) -> None:
@@ -151,6 +153,7 @@ def test_queues_whose_beacons_are_lost_on_the_link_pass(profile: str) -> None:
     assert [f"{each.id}: {each.reason}" for each in run.results if each.verdict in (Verdict.FAIL, Verdict.ERROR)] == []
 
 
+@pytest.mark.part("suite")
 @pytest.mark.parametrize(
     "impair",
     [

@@ -16,6 +16,8 @@ from dcp_conformance.reporting import load_results
 
 from ...waiting import PATIENCE
 
+pytestmark = pytest.mark.part("tools")
+
 CHOSEN = ("-k", "TC_SRP_REC or TC_BP_CLAIM")
 #: Fails where a PICS claims what our node does not do.
 FAILS = "TC_BP_CLAIM_TI_01"

@@ -120,6 +120,7 @@ def idle(bench: Bench) -> None:
     bench.require(True, "nothing is announced any more", "")
 
 
+@pytest.mark.part("suite")
 @pytest.mark.parametrize("case_id", list(known_cases()))
 def test_a_case_where_many_identifiers_have_been_used(case_id: str):
     """Since 2.0 they stay in the database for good."""

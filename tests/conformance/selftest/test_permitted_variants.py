@@ -62,6 +62,7 @@ BP = ids_of(
 )
 
 
+@pytest.mark.part("suite")
 @pytest.mark.parametrize("variant", [FixedOrder, LastFirst, OneBlock])
 @pytest.mark.parametrize("case_id", BP)
 def test_the_order_and_the_number_of_blocks_are_free(case_id: str, variant: type[ClientList]):
@@ -98,6 +99,7 @@ def judged(variant: str, profile: str, *modules: str) -> list[str]:
     return [f"{each}" for each in (*result.fails, *result.inconclusive, *result.errors)]
 
 
+@pytest.mark.part("suite")
 @pytest.mark.parametrize("profile", ["dcp-2.0", "dcp-1.2"])
 @pytest.mark.parametrize("variant", _APPLICATIONS)
 def test_reports_of_an_application_are_distinguished_from_those_of_the_tester(variant: str, profile: str):
