@@ -1,4 +1,4 @@
-"""What all tests share: the environment, Hypothesis profiles, tools that must be there, and random order.
+"""Setup of all tests: the environment, Hypothesis profiles, tools that must be there, and random order.
 
 `make test`, `.ci/run` and a plain `pytest` run the same tests on the same examples. Only `make test-fresh` differs: it
 sets HYPOTHESIS_PROFILE=fresh (see tests/meta/fresh.py).

@@ -130,7 +130,7 @@ ODD_PROFILES: dict[str, str] = {
     """,
 }
 
-#: What tests of "every profile" go through.
+#: Profiles for tests of "every profile".
 NAMES = (*profile_names(), *ODD_PROFILES)
 
 

@@ -1,4 +1,4 @@
-"""Run `make test` in fresh clones of the committed tree, one after the other, and print a table of the results.
+"""Run `make test` in fresh clones of the committed tree, in succession, and print a table of the results.
 
 ``make test-repeat N=10 LOAD=2`` makes ten clones, with two processes beside that keep processors busy. A clone whose
 tests fail is kept, with the output of `make test` beside it; the others are removed. Exit status 1 if any failed.

@@ -1,4 +1,4 @@
-"""Each requirement of the catalogue has the statements of the specification that it stands on, where it says so."""
+"""Each requirement of the catalogue names the statements of the specification from which it is derived."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_the_versions_are_those_of_the_catalogue():
     assert newest_statements().version == revisions()[0].version
 
 
-def test_the_generated_file_belongs_to_the_anchors():
+def test_the_generated_file_matches_the_anchors():
     anchors = read_anchors(ROOT / PATH)
     recorded = {
         name: {each.version: [f"{o.section.file}:{o.line} {o.fingerprint}" for o in places.origins[each.version]]
@@ -59,7 +59,7 @@ def test_the_generated_file_belongs_to_the_anchors():
 
 
 @pytest.mark.parametrize("name", requirements())
-def test_every_requirement_stands_on_something_in_each_of_its_versions(name):
+def test_every_requirement_has_an_origin_in_each_of_its_versions(name):
     entry, requirement = origins()[name], requirements()[name]
     holds = {version for version in SpecVersion if requirement.holds_in(version)}
     assert set(entry.origins) == holds, HINT
@@ -86,7 +86,7 @@ def test_the_section_and_the_steps_are_those_of_the_catalogue(name):
         assert {min(wanted, key=int), max(wanted, key=int)} <= found if "." not in requirement.step else found == wanted
 
 
-def test_what_is_derived_says_that_no_sentence_states_it():
+def test_derived_requirements_are_marked_as_not_stated():
     for name, requirement in requirements().items():
         if requirement.derived:
             assert origins()[name].why, name

@@ -37,7 +37,7 @@ def test_each_entry_is_well_formed(entry):
 
 
 @pytest.mark.parametrize("entry", ENTRIES, ids=IDS)
-def test_every_reading_matters_to_a_requirement(entry):
+def test_every_reading_affects_a_requirement(entry):
     assert depending_on(entry.id)
 
 

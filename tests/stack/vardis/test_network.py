@@ -256,7 +256,7 @@ class Network(RuleBasedStateMachine):
             self.round()
             if not (outdated := self.outdated()):
                 return
-        raise AssertionError(f"after {rounds} rounds: {behind}")
+        raise AssertionError(f"after {rounds} rounds: {outdated}")
 
     def outdated(self) -> list:
         """Each node without the producer's value, with the variable."""
