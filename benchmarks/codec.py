@@ -41,7 +41,7 @@ import scapy_only  # noqa: E402
 PROFILES = ("cpp-2.0", "cpp-1.3")
 CAPTURES = Path(__file__).resolve().parent.parent / "captures"
 SUFFIXES = (".mcap", ".pcap", ".pcapng")
-#: How often a quick contender goes over all beacons while a slow one does once.
+#: Maximum number of passes of a fast contender over all beacons during one pass of a slow one.
 MOST_TURNS = 25
 
 
@@ -129,7 +129,7 @@ def astuple(record: Any) -> Any:
 
 
 def tuples_of_construct(parsed: Any) -> tuple[Any, ...]:
-    """What construct parsed in the same form."""
+    """Convert the result of construct to the same form."""
     payloads = []
     for block in parsed.payloads:
         content = block.content

@@ -3,12 +3,12 @@
     python benchmarks/columns.py [RECORDING...] [--beacons N] [--rounds N] [--json FILE]
 
 Each RECORDING (those of ``captures/``, ``b_crud.mcap`` first) is repeated to at least N beacons in a temporary folder;
-the files are read once before anything is measured, so that they lie in the page cache. One round after the other, the
-contenders take turns, all on the same one core; with the first recording everybody, with the others the decoders and
-encoders. What counts is the time that each has the core for, in its best round. Slow contenders get the first part of a
-recording, stated as ``beacons``; what a program needs to start is not counted against it (tshark: the time for one
-frame is taken off). Ratios are those of beacons per second, to columnar decoding of the same recording. In the end two
-processes on two cores do what one does, and the tables of one recording are made with all cores, by the clock.
+the files are read once before anything is measured, so that they are in the page cache. In each round the contenders
+take turns, all on the same core; with the first recording all contenders, with the others the decoders and encoders.
+The result is the CPU time of each contender in its best round. Slow contenders get the first part of a recording,
+stated as ``beacons``; the start of a program is not counted (tshark: the time for one frame is subtracted). Ratios are
+those of beacons per second, to columnar decoding of the same recording. In the end two processes on two cores do the
+work of one, and the tables of one recording are made with all cores, in wall time.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ RECORDINGS = [CAPTURES / f"{name}.mcap" for name in ("b_crud", "a_bus3", "a_bus3
 SLOWEST = 4_000
 #: The layouts that the contenders written by hand know.
 BY_HAND = ("cpp-2.0", "cpp-1.3")
-#: What is measured by the clock as well, with all cores.
+#: Contenders measured in wall time as well, with all cores.
 WAITED_FOR = (COLUMNAR, "columnar, MCAP", "tables, Parquet")
 #: Fields that tshark writes: much of what the tables hold.
 _RECORD = "dcp.payloads.vardis.records"
@@ -166,7 +166,7 @@ def files(material: Material, formats: Formats, decoder: ColumnDecoder, folder: 
 
 
 def others(material: Material, folder: Path) -> list[Contender]:
-    """What others do with the same beacons: code written by hand, scapy, construct, tshark."""
+    """Other decoders of the same beacons: code written by hand, scapy, construct, tshark."""
     codec, octets, values = material.codec, material.octets, material.values
     few, many = octets[:SLOWEST], len(octets)
     found = []
@@ -206,7 +206,7 @@ def others(material: Material, folder: Path) -> list[Contender]:
 
 
 def contenders(materials: Sequence[Material], folder: Path) -> list[Contender]:
-    """Everybody who takes part: all with the first recording, our coders with the others."""
+    """All contenders with the first recording, our coders with the others."""
     found = []
     for material in materials:
         decoder = ColumnDecoder(material.codec, material.link)
@@ -248,9 +248,9 @@ class Worker:
 
 
 def over_cores(material: Material, rounds: int) -> dict[str, float]:
-    """How many times as fast two processes are as one, with two files: decoding, tables, and spinning beside them.
+    """Speed of two processes relative to one, with two files: decoding, tables, and a busy loop for comparison.
 
-    Of the best rounds. On a machine that has other things to do spinning gains little, and says so.
+    Of the best rounds. On a busy machine the busy loop gains little: then the other figures are too low as well.
     """
     jobs = [(str(material.pcap), material.codec.profile.name)] * 2
     works: dict[str, Callable[[str, str], int]] = {

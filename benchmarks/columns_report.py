@@ -46,7 +46,7 @@ class Contender:
 
 
 def cpu_seconds() -> float:
-    """What this process, and those that it started and that have ended, had of a core: others may be at work too."""
+    """CPU seconds of this process and of its children that have ended; independent of other processes."""
     children = resource.getrusage(resource.RUSAGE_CHILDREN)
     return time.process_time() + children.ru_utime + children.ru_stime
 

@@ -1,6 +1,6 @@
-"""Beacons of made-up networks, as long as a benchmark needs them: an honest one, and one under attack.
+"""Beacons of made-up networks, as long as a benchmark needs them: a normal one, and one under attack.
 
-The honest network is a bus without losses: every node hears every beacon at once, sends new values as often as the
+The normal network is a bus without losses: every node hears every beacon at once, sends new values as often as the
 variable's repCnt says, and summarises what it holds. That is what a recording of a real flight looks like to a reader,
 at the cost of encoding. The attacked one has a further station that forges creations, requests and summaries of all
 variables.
@@ -55,7 +55,7 @@ class Flight:
         for var_id in range(variables):
             spec = VarSpec(var_id, self.nodes[var_id % nodes], 2, b"v%d" % var_id, BEGIN + var_id, 0)
             self._variables[var_id] = _Variable(spec, VarUpdate(var_id, 0, bytes(8)))
-        #: What each node still has to send: kind and variable, and how often.
+        #: Records that each node still has to send: kind and variable, and how often.
         self._news: list[deque[tuple[int, int, int]]] = [deque() for _ in self.nodes]
         for news in self._news:
             news.extend((CREATES, var_id, 2) for var_id in self._variables)

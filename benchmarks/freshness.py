@@ -96,7 +96,7 @@ def real(jitter: float, summaries: int, compose: str, updates: int) -> float:
     )
     rng = random.Random(1)
     delays: list[float] = []
-    # Without jitter the phases of the nodes stay as they are at the start.
+    # Without jitter the phases of the nodes do not change after the start.
     for _ in range(1 if jitter else 10):
         with tempfile.TemporaryDirectory() as folder, Testbed(scenario, Path(folder), keep=False, record=False) as bed:
             bed.start()
@@ -137,7 +137,7 @@ def _await(node: Any, wanted: Any, seconds: float) -> Any:
 
 
 def report_age(loss: float, jitter: float, seconds: int) -> float:
-    """Mean age in ms at one node of the newest report of another that hands down just before each beacon."""
+    """Mean age in ms at one node of the newest report of another that submits it just before each beacon."""
     net = Network(
         2,
         CODEC,
@@ -192,7 +192,7 @@ def main() -> None:
         for compose, closed in (("before-the-beacon", 0.5), ("after-the-beacon", 1.5)):
             for jitter in (0.0, 0.1):
                 for summaries in (0, 20):
-                    # Idle nodes that compose after a beacon have nothing to compose: the look at the buffer decides.
+                    # Idle nodes that compose after a beacon have nothing to compose: the buffer check decides.
                     if compose == "after-the-beacon" and (not summaries or ground == "testbed"):
                         continue
                     updates = options.updates if ground == "simulate" else max(options.updates // 4, 1)

@@ -251,7 +251,7 @@ class Campaigns:
 
 
 def live_rate(profile: str, seconds: float) -> dict[str, Any]:
-    """What the fuzzer sends to our node as a process, with a look at it after each 2000 frames, beside its limit."""
+    """Rate of the fuzzer against our node as a process, with a health check after each 2000 frames, and the limit."""
     return {kind: live_rate_on(kind, profile, seconds) for kind in ("ethernet", "udp")}
 
 
@@ -294,14 +294,14 @@ def _flood(node: Any, octets: list[bytes], seconds: float, status: Any) -> dict[
             node.lower.send(each, b"\x02\xdc\x90\0\0\1")
         sent += len(octets)
     spent = time.monotonic() - begun
-    # What waits in its socket is still looked at.
+    # Frames in the socket of the node are still processed.
     time.sleep(1.0)
     found = _taken(before, status())
     return found | {"per_second": sent / spent, "taken_per_second": found["taken"] / spent}
 
 
 def _taken(before: dict[str, Any], after: dict[str, Any]) -> dict[str, Any]:
-    """What the node took, what its kernel dropped, and CPU time for each that it took."""
+    """Frames received by the node, frames dropped by its kernel, and CPU time per received frame."""
     taken = after["link"]["received"] - before["link"]["received"]
     dropped = after["link"]["kernel_drops"] - before["link"]["kernel_drops"]
     return {"taken": taken, "dropped": dropped, "node_us": 1e3 * (after["cpu_ms"] - before["cpu_ms"]) / max(1, taken)}

@@ -28,14 +28,14 @@ from dcp_codec.codec import Codec
 from dcp_codec.testing.mutation import Mutator, drawn_pool
 
 CHOSEN = (
-    # They die.
+    # Crashes.
     "M-BP-RX-15-dies", "M-BP-RX-16-dies-of-short", "M-BP-RX-16-dies-of-empty", "M-BP-RX-16-dies-of-nothing",
     "M-VD-ROB-01-dies-of-type", "M-VD-ROB-01-dies-of-zero", "M-VD-ROB-01-dies-of-end", "M-VD-ROB-01-dies-of-text",
-    # They hear nothing any more.
+    # Nodes that stop receiving.
     "M-BP-RX-16-mute", "M-VD-ROB-01-mute",
-    # They send what is none, or too long.
+    # Nodes that send malformed or too long beacons.
     "M-DATA-01-swapped-length", "M-BP-HDR-07-one", "M-BP-FMT-01-gap", "M-VD-TYP-05-member-order",
-    # They hold what they should not.
+    # Nodes that store wrong values.
     "M-VD-RX-09-first-record", "M-VD-RX-09-backwards", "M-VD-RX-09-signed-count", "M-VD-RX-08-updates-first",
     "M-VD-RX-08-deletes-first", "M-VD-PC-07-seqno-zero", "M-VD-PC-07-nul-value", "M-VD-PC-01-same",
     "M-VD-PC-01-earlier", "M-VD-PC-01-later-refused", "M-VD-PC-01-low-half", "M-VD-PC-02-not-revived",
@@ -43,9 +43,9 @@ CHOSEN = (
     "M-VD-PD-04-ignored", "M-VD-PU-02-revived", "M-VD-PU-03-own", "M-VD-PU-05-stored", "M-VD-PU-06-stored",
     "M-VD-PU-07-no-wrap", "M-VD-PU-07-number-kept", "M-VD-PU-07-newest-lost", "M-VD-PU-06-quarter",
     "M-VD-PS-04-number-taken", "M-VD-DB-02-forgets",
-    # They say what they should not.
+    # Nodes that send wrong records.
     "M-VD-CMP-06-one-more", "M-VD-PC-08-updateQ", "M-VD-PD-04-createQ", "M-VD-SCP-01-summary-copied",
-    # They keep silent where they have to speak.
+    # Nodes that do not send required records.
     "M-VD-PS-03-not-taught", "M-VD-PS-04-not-requested", "M-VD-RU-01-ignored", "M-VD-RU-04-consumer-silent",
     "M-VD-RC-03-consumer-silent", "M-VD-DEL-05-silent", "M-VD-CRE-12-only-summarised",
     # Their services do what they must not.

@@ -1,5 +1,5 @@
 # ruff: noqa: SIM109 - "in" would build a tuple on the hot path
-"""What a careful programmer writes by hand with ``struct`` for the two layouts that the C++ implementation sends.
+"""Codec written by hand with ``struct``, by a careful programmer, for the two layouts of the C++ implementation.
 
 Complete: all six containers, state reports with their opaque regions, payloads of unknown protocols, every length and
 count checked. Wrong octets are a ``ValueError``. There are two pairs of functions. ``decode_tuples`` and
@@ -9,8 +9,8 @@ count checked. Wrong octets are a ``ValueError``. There are two pairs of functio
 
 where content is a tuple (state report: x, y, z, node_id, t_stamp, seqno, and the four opaque regions), a list of
 (ic_type, [record tuples]), or octets. ``decode_values`` and ``encode_values`` do the same with the value classes of
-dcp_codec, which is what our codec is to be compared with. What neither has are field paths, offsets and requirement
-ids of errors, and other layouts.
+dcp_codec, for comparison with our codec. Both lack field paths, offsets and requirement ids of errors, and other
+layouts.
 """
 
 from __future__ import annotations
@@ -44,13 +44,13 @@ REPORT = Struct("<ddd8s6s2s8sqI4s")
 PAIR = Struct("BB")
 UPDATE = Struct("BBB")
 SPEC_13 = Struct("B6sBB")
-# The creation time is little-endian, the timeout behind it big-endian.
+# The creation time is little-endian, the timeout after it big-endian.
 SPEC_20_START = Struct("<B6sBq")
 SPEC_20_END = Struct(">HB")
 
 
 class Layout(NamedTuple):
-    """What differs between releases: since 2.0 a network identifier, and variables with creation time and timeout."""
+    """Differences between releases: since 2.0 a network identifier, and variables with creation time and timeout."""
 
     since_2_0: bool
     safety_data: type
@@ -60,7 +60,7 @@ class Layout(NamedTuple):
 
 
 def decode_tuples(octets, layout):
-    """Decode a beacon; octets behind it are padding."""
+    """Decode a beacon; octets after it are padding."""
     if layout.since_2_0:
         if len(octets) < 18:
             raise ValueError("header cut off")

@@ -1,11 +1,11 @@
-"""What a quiet node costs, beside programs that do nothing else than wake up, receive and send.
+"""Cost of a quiet node, compared with programs that only wake up, receive and send.
 
     python benchmarks/quiet.py [--seconds N] [--json FILE]
 
 Three nodes at 10 Hz on one Ethernet, each with state reports, and with two variables that are updated once a second.
-Two of them run with a part changed, so that one run under one load says what the part is worth:
+Two of them run with a part changed, so that one run under one load shows the effect of the part:
 
-``node``         as it is
+``node``         unchanged
 ``no hold``      each frame and each position wakes the node by itself
 ``early``        VarDis composes each payload right after the beacon before it (X54 ``after-the-beacon``)
 
@@ -110,7 +110,7 @@ def measure(seconds: float) -> dict[str, dict[str, float]]:
     ):
         for node, part in zip(bed.nodes, PARTS, strict=True):
             start(node, part, Path(folder))
-        # They are started already; this waits for their answers.
+        # The nodes are started already; this waits for their answers.
         bed.start()
         empty = {
             name: subprocess.Popen(

@@ -14,7 +14,7 @@ from dcp_codec.table.job import resolve
 
 #: Beacons that contenders get which need microseconds, and tens of microseconds, for each.
 QUICK, SLOW = 200_000, 100_000
-#: Where a magic number stands in front of what is repeated.
+#: Offset of the repeated part in a file with a magic number.
 PCAP_HEADER = 24
 
 

@@ -6,7 +6,7 @@ The implementation is `dcp-node run` with beacons every 100 ms, which `dcp-confo
 one: over a virtual Ethernet in a namespace, with ``--start`` and with ``--ut`` on the node's control socket. The table
 has the time of each run and its verdicts; after it come the cases whose verdicts differ between the runs.
 
-``--succession`` runs the cases one after the other, too, with ``--side-by-side 1``. ``--slow`` puts an adapter between
+``--succession`` also runs the cases in succession, with ``--side-by-side 1``. ``--slow`` puts an adapter between
 tester and node that delays each answer. ``--load`` keeps processors busy beside. Needs root, or user namespaces.
 Exit status 1 if a verdict differs.
 """
@@ -34,7 +34,8 @@ while os.getppid() == parent:
     sum(range(100_000))
 """
 #: An adapter between standard input and output and the control socket of the node: one JSON-RPC message a line. Answers
-#: are delayed, one after the other; notifications are not. It waits for a node that is not there yet, and ends with it.
+#: are delayed, each after the one before; notifications are not. It waits for a node that has not started yet, and ends
+#: with it.
 ADAPTER = """
 import json, os, queue, socket, sys, threading, time
 path, delay = sys.argv[1], float(sys.argv[2]) / 1000

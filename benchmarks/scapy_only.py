@@ -45,7 +45,7 @@ class _LEDouble(IEEEDoubleField):
 
 
 class _Part(Packet):
-    """What follows a part belongs to the list around it."""
+    """Leave the octets after a part to the list around it."""
 
     def extract_padding(self, s):
         return b"", s

@@ -3,8 +3,8 @@
     python benchmarks/stack.py [--flood] [--quiet-node] [--seconds N] [--json FILE]
 
 Without options: 100 nodes on a grid for 60 virtual seconds, twice (the digests have to be equal), and the CPU time of a
-node core for each received beacon: of neighbours that go on, and of known beacons again and again, which is most of
-what the air says; beside that the time that it takes to decode the same beacons and nothing else.
+node core for each received beacon: of neighbours with continuous updates, and of repeated beacons, which are most of
+the traffic; beside that the time for only decoding the same beacons.
 
 --flood and --quiet-node start nodes in network namespaces (root, or user namespaces): 10,000 frames a second for 30 s
 at one of two neighbours, and three nodes at 10 Hz for 60 s.
@@ -71,7 +71,7 @@ def simulation() -> dict[str, Any]:
 
 
 def heard_by_one(neighbours: int, variables: int, seconds: float) -> tuple[list[tuple[int, bytes]], NodeConfig]:
-    """What node 0 hears of its neighbours, who have as many variables and update them all each second."""
+    """Beacons that node 0 receives from its neighbours, each of which updates all its variables every second."""
     events: list[Create | Update] = []
     for number in range(variables):
         node = 1 + number % neighbours
@@ -154,7 +154,7 @@ def process_again(heard: list[tuple[int, bytes]], config: NodeConfig) -> float:
 
 
 def process_all(heard: list[tuple[int, bytes]], config: NodeConfig) -> float:
-    """The CPU seconds that a fresh node takes for it."""
+    """CPU seconds of a fresh node for processing these beacons."""
     node = Node(config, rng=random.Random(1), now=0, wall=SECOND)
     node.start(0, SECOND)
     begin = time.process_time()

@@ -1,9 +1,9 @@
-"""How long commands take to say something: processor time and the best wall time of each, beside bare Python.
+"""Time until the first output of commands: CPU time and the best wall time of each, beside bare Python.
 
-``python benchmarks/startup.py [--rounds N] [PATTERN ...]``: patterns are globs of commands as they are typed.
+``python benchmarks/startup.py [--rounds N] [PATTERN ...]``: patterns are globs of typed commands.
 
-Processor time hardly depends on what else the machine does, wall time does: compare ratios within one run. Modules are
-compiled once, as by an installation, whatever the environment says of bytecode.
+CPU time hardly depends on what else the machine does, wall time does: compare ratios within one run. Modules are
+compiled once, as by an installation, whatever the environment sets for bytecode.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from dcp_stack.cli import main as node
 
 RECORDING = Path(__file__).resolve().parents[1] / "captures" / "b_crud.mcap"
 COMMANDS: tuple[CommandLine, ...] = (codec, node, conformance)
-#: What is more than help, and still should be there at once.
+#: Commands that do some work, but should start as fast as help.
 WORK = ("dcp-conformance list", f"dcp-codec decode {RECORDING} | head -1", "dcp-node run --link udp --print-config")
 
 
@@ -42,7 +42,7 @@ class Cost(NamedTuple):
 
 
 def typed() -> list[str]:
-    """The commands, as they are typed."""
+    """The commands as a user types them."""
     found = []
     for command in COMMANDS:
         found.append(f"{command.name} --help")

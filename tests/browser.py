@@ -30,7 +30,7 @@ class Browser:
         self._last, self._buffer = 0, b""
         low_in, self._write = os.pipe()
         self._read, low_out = os.pipe()
-        # They become 3 and 4, which they must not be yet.
+        # These must not be 3 and 4 yet, which they become in the child.
         theirs_in, theirs_out = (fcntl.fcntl(each, fcntl.F_DUPFD_CLOEXEC, 20) for each in (low_in, low_out))
         os.close(low_in)
         os.close(low_out)

@@ -1,4 +1,4 @@
-"""How many examples Hypothesis draws: some and the same in `make test`, more and new ones in `make test-fresh`."""
+"""Number of examples that Hypothesis draws: few and fixed in `make test`, more and new ones in `make test-fresh`."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import os
 
 #: Whether this run draws new examples.
 FRESH = os.environ.get("HYPOTHESIS_PROFILE") == "fresh"
-#: How many times as many examples as tests name are drawn then.
+#: Factor for the number of examples that tests name, with the profile "fresh".
 FACTOR = int(os.environ.get("DCP_EXAMPLES", "5"))
 
 

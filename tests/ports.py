@@ -17,7 +17,7 @@ def own_port() -> int:
     It is below those that the system chooses itself, for sockets of whoever runs here.
     """
     lowest = int(Path("/proc/sys/net/ipv4/ip_local_port_range").read_text().split()[0])
-    # Others that look at the same time begin elsewhere.
+    # Processes that search at the same time begin elsewhere.
     candidates = list(range(10_000, lowest))
     random.Random(os.getpid()).shuffle(candidates)
     for port in candidates:

@@ -62,12 +62,12 @@ def shortfalls(
         if isinstance(place, OtherTraffic):
             continue
         found.frames += 1
-        _look_at(codec, frame, frame.data[place.start : place.end], found)
+        _examine(codec, frame, frame.data[place.start : place.end], found)
     listed = [_shortfall(codec.profile, found, key, count) for key, count in found.bad.most_common(_LISTED)]
     return sorted(listed, key=lambda each: -each.count)
 
 
-def _look_at(codec: Codec, frame: Frame, octets: bytes, found: _Found) -> None:
+def _examine(codec: Codec, frame: Frame, octets: bytes, found: _Found) -> None:
     try:
         envelope, _ = codec.decode_envelope(octets)
     except DecodeError as error:

@@ -172,10 +172,10 @@ def _reader(source: ByteSource, link_types: frozenset[int]) -> CaptureReader:
         from .mcap.reader import McapReader
 
         return McapReader(source, link_types)
-    raise CaptureError(f"{source.name}: {_what_else(start)}")
+    raise CaptureError(f"{source.name}: {_describe_other_file(start)}")
 
 
-def _what_else(start: bytes) -> str:
+def _describe_other_file(start: bytes) -> str:
     """Describe a file that is not a capture, by its first octets."""
     if start[:4] in MODIFIED_MAGICS:
         return "is a pcap file of the modified (Kuznetzov) kind: convert it first (editcap -F pcap)"

@@ -118,7 +118,7 @@ class RotatingRecorder:
                 self._tried_at = now
             elif now - self._tried_at >= RETRY_INTERVAL:
                 self._tried_at = now
-                self._go_on()
+                self._resume()
         elif self._is_complete(now):
             self._recorder.close()
             self._next(now)
@@ -143,7 +143,7 @@ class RotatingRecorder:
             # The file was removed: frames written to it from now on would be lost.
             return True
 
-    def _go_on(self) -> None:
+    def _resume(self) -> None:
         """Resume after an interruption if there is room for a new file."""
         try:
             if shutil.disk_usage(self._recorder.path.parent).free < LEAST_FREE:

@@ -32,7 +32,7 @@ from dcp_stack.sim.virtual.player import Simulation
 SCENARIO = Path(__file__).with_name("scenario.toml")
 DRONE, BASE = 0, 4
 BATTERY, NEIGHBOURS = 1, 2
-#: VARDISPAR_MAX_VALUE_LENGTH is 32 octets unless somebody sets it.
+#: VARDISPAR_MAX_VALUE_LENGTH is 32 octets by default.
 MOST_NEIGHBOURS = 10
 NS = 1_000_000_000
 
@@ -58,7 +58,7 @@ class Drone:
             bytes.fromhex(each["nodeId"].replace(":", ""))[-2:] + bytes([min(round(each["age"] / 10), 255)])
             for each in freshest
         )
-        # A value may not be empty, and nobody is news, too.
+        # A value must not be empty, and the absence of neighbours has to be published, too.
         self._publish(NEIGHBOURS, "neighbours: id, age", heard or b"\0")
 
     def _publish(self, variable: int, descr: str, value: bytes) -> None:
@@ -76,7 +76,7 @@ class Monitor:
         self._seen: dict[int, Any] = {}
 
     def step(self) -> Iterator[str]:
-        """What is new."""
+        """Yield a line for each change."""
         for variable, show in ((BATTERY, self._battery), (NEIGHBOURS, self._neighbours)):
             found = self._call("RTDB-Read", varId=variable)
             # The time stamp is the local time of the last update.

@@ -120,7 +120,7 @@ def test_there_is_a_message_for_everything(recording):
     assert records == expected["records"]
 
 
-def test_messages_stand_beside_their_frame_at_its_time(recording):
+def test_messages_follow_their_frame_with_its_time(recording):
     _, messages, _, _ = read(CAPTURES / recording["file"])
     frame = None
     for _, channel, message in messages:
@@ -133,7 +133,7 @@ def test_messages_stand_beside_their_frame_at_its_time(recording):
             assert body["timestamp"] == frame["timestamp"]
 
 
-def test_poses_are_what_foxglove_calls_so(recording):
+def test_poses_have_the_schema_of_foxglove(recording):
     _, messages, _, _ = read(CAPTURES / recording["file"])
     for schema, channel, message in messages:
         if channel.topic.startswith("/dcp/pose/"):
@@ -157,7 +157,7 @@ def test_the_recording_itself_is_attached(recording):
     assert hashlib.sha256(attachment.data).hexdigest() == recording["original_sha256"]
 
 
-def test_a_file_explains_itself(recording):
+def test_a_file_contains_schemas_and_profile(recording):
     summary, _, metadata, _ = read(CAPTURES / recording["file"])
     assert summary.statistics.metadata_count == len(metadata) == 4
     assert metadata["dcp.tool"]["name"] == "dcp-codec"
@@ -206,7 +206,7 @@ def test_every_profile_has_channels(name, tmp_path):
     assert sum("/pose/" in topic for topic in topics) == bool(positions)
 
 
-def test_what_a_beacon_message_says():
+def test_contents_of_a_beacon_message():
     codec = get_codec("cpp-2.0")
     found = decoded(codec, codec.encode(example_beacon(codec)) + bytes(5))
     (beacon,) = found["/dcp/bp"]
@@ -281,7 +281,7 @@ def test_errors_and_warnings_have_messages():
     assert "/dcp/pose/02-00-00-00-00-09" in found
 
 
-def test_of_a_malformed_frame_there_is_what_could_be_read():
+def test_readable_parts_of_a_malformed_frame_have_messages():
     codec = get_codec("cpp-2.0")
     octets = codec.encode(example_beacon(codec))
     found = decoded(codec, octets[:-1])
@@ -297,7 +297,7 @@ def test_of_a_malformed_frame_there_is_what_could_be_read():
     assert decoded(codec, b"")["/dcp/bp"][0]["payloads"] == []
 
 
-def test_a_bad_state_report_is_no_message_and_hides_nothing():
+def test_a_bad_state_report_has_no_message_and_hides_nothing():
     codec = get_codec("dcp-1.2")
     vardis = codec.encode_containers((Container(1, (VarSumm(7, 3),)),))
     blocks = (Payload(1, bytes(range(0x20, 0x48))), Payload(2, vardis))
@@ -320,7 +320,7 @@ def test_a_bad_container_leaves_the_state_report_and_its_position():
 
 
 @pytest.mark.parametrize("name", ["cpp-2.0", "cpp-1.3", "dcp-1.0", "sim-1.0", "student-2024"])
-def test_nothing_in_a_frame_makes_it_raise(name):
+def test_no_frame_raises(name):
     codec = get_codec(name)
     link = Link(transport="ethernet", ether_type=0x4953)
     whole, rnd = codec.encode(example_beacon(codec)), random.Random(4)
@@ -370,7 +370,7 @@ def test_positions_are_in_metres(tmp_path, unit, position):
     assert (poses[0]["pose"]["position"] if poses else None) == (position and pytest.approx(position))
 
 
-def test_topics_of_nodes_have_only_plain_characters_and_are_not_without_end():
+def test_topics_of_nodes_have_plain_characters_and_bounded_length():
     assert pose_topic("02:00:00:00:00:01") == "/dcp/pose/02-00-00-00-00-01"
     assert pose_topic("a/b {c}") == "/dcp/pose/a-b-c-"
     assert pose_topic("") == "/dcp/pose/-"

@@ -13,7 +13,7 @@ from dcp_codec.capture.checksum import crc32, fastest
 
 
 @given(st.binary(max_size=300), st.binary(max_size=300))
-def test_as_zlib_has_it(first, second):
+def test_checksums_equal_those_of_zlib(first, second):
     assert crc32(first) == zlib.crc32(first)
     assert crc32(second, crc32(first)) == zlib.crc32(first + second)
 

@@ -29,7 +29,7 @@ def read(path: Path) -> tuple[list[tuple[int, bytes]], list[str]]:
 
 @pytest.mark.parametrize("compression", ["gz", "zst"])
 @pytest.mark.parametrize("kind", ["pcap", "pcapng", "mcap"])
-def test_what_is_written_compressed_is_read_back(kind: str, compression: str, tmp_path: Path) -> None:
+def test_compressed_files_are_read_back(kind: str, compression: str, tmp_path: Path) -> None:
     plain, packed = written(tmp_path / f"a.{kind}"), written(tmp_path / f"b.{kind}.{compression}")
     assert packed.read_bytes()[:2] in (b"\x1f\x8b", b"\x28\xb5")
     # The chunks of an MCAP are compressed already.
@@ -38,7 +38,7 @@ def test_what_is_written_compressed_is_read_back(kind: str, compression: str, tm
 
 
 @pytest.mark.parametrize("compression", ["gz", "zst"])
-def test_parts_that_were_put_together_are_one_file(compression: str, tmp_path: Path) -> None:
+def test_concatenated_compressed_parts_are_one_file(compression: str, tmp_path: Path) -> None:
     octets = written(tmp_path / "a.pcap").read_bytes()
     pack = gzip.compress if compression == "gz" else zstandard.ZstdCompressor().compress
     path = tmp_path / "any name"
@@ -47,7 +47,7 @@ def test_parts_that_were_put_together_are_one_file(compression: str, tmp_path: P
 
 
 @pytest.mark.parametrize("compression", ["gz", "zst"])
-def test_a_cut_off_file_gives_what_is_there_and_says_so(compression: str, tmp_path: Path) -> None:
+def test_frames_of_a_cut_off_file_are_read_with_a_problem(compression: str, tmp_path: Path) -> None:
     path = written(tmp_path / f"a.pcap.{compression}")
     path.write_bytes(path.read_bytes()[:-200])
     frames, problems = read(path)
@@ -57,16 +57,16 @@ def test_a_cut_off_file_gives_what_is_there_and_says_so(compression: str, tmp_pa
 
 
 @pytest.mark.parametrize("compression", ["gz", "zst"])
-def test_damage_is_told(compression: str, tmp_path: Path) -> None:
+def test_damage_is_reported(compression: str, tmp_path: Path) -> None:
     path = written(tmp_path / f"a.pcap.{compression}")
     octets = bytearray(path.read_bytes())
     octets[20:40] = bytes(20)
     path.write_bytes(octets)
-    with pytest.raises(CaptureError, match="damaged") if compression == "zst" else _told(path):
+    with pytest.raises(CaptureError, match="damaged") if compression == "zst" else _reported(path):
         read(path)
 
 
-class _told:  # noqa: N801 - stands in for pytest.raises
+class _reported:  # noqa: N801 - replaces pytest.raises
     """Damage in the middle of gzip data shows after some octets: as an error or as a problem."""
 
     def __init__(self, path: Path) -> None:
@@ -99,7 +99,7 @@ def test_memory_does_not_grow_with_what_is_decompressed(compression: str, tmp_pa
     assert isinstance(problems, list)
 
 
-def test_a_conversion_that_fails_leaves_the_target_as_it_was(tmp_path: Path) -> None:
+def test_a_failed_conversion_leaves_the_target_unchanged(tmp_path: Path) -> None:
     source = tmp_path / "a.pcapng"
     with create_capture(source) as file:
         file.write(FRAMES[0])

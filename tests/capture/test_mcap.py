@@ -98,7 +98,7 @@ def test_the_library_reads_what_we_write(compression):
     assert ours.position == ours.size
 
 
-def test_messages_are_what_their_schema_says():
+def test_messages_are_valid_by_their_schema():
     _, found = by_topic(written(FRAMES[:5]))
     for frame, (schema, channel, message) in zip(FRAMES, found["/dcp/frames"], strict=False):
         assert (schema.name, schema.encoding, channel.message_encoding) == ("dcp.RawFrame", "protobuf", "protobuf")
@@ -109,7 +109,7 @@ def test_messages_are_what_their_schema_says():
         assert not found.HasField("timestamp")
         assert (found.number, found.interface, found.link_type) == (frame.number, frame.interface, 1)
         assert (found.orig_len, found.data) == (frame.orig_len, frame.data)
-        # Nothing is packed twice: the octets of the frame stand in the message as they are.
+        # Nothing is packed twice: the message contains the octets of the frame unchanged.
         assert message.data.endswith(frame.data)
         assert len(message.data) - len(frame.data) < 40
         assert (message.log_time, message.publish_time, message.sequence) == (
@@ -127,7 +127,7 @@ def test_frame_numbers_are_kept():
     assert [message.sequence for _, _, message in found["/dcp/frames"]] == [5, 10, 5]
 
 
-def test_metadata_that_comes_up_while_writing_is_written_at_the_end():
+def test_metadata_added_while_writing_is_written_at_the_end():
     about = {"first": {"a": "1"}, "changing": {"b": "1"}}
     stream = io.BytesIO()
     with create_capture(stream, format="mcap", metadata=about) as writer:
@@ -203,7 +203,7 @@ def test_summary_offsets_point_at_their_groups(tmp_path):
     assert struct.unpack_from("<Q", footer)[0] == offsets[0][1]
 
 
-def test_the_source_of_a_conversion_can_be_had_back(tmp_path):
+def test_the_source_of_a_conversion_can_be_restored(tmp_path):
     source, target, again = tmp_path / "a.pcapng", tmp_path / "b.mcap", tmp_path / "again.pcapng"
     with create_capture(source) as writer:
         for frame in FRAMES:
@@ -251,7 +251,7 @@ def test_attachments_that_are_cut_off_are_not_listed(tmp_path, cut):
 
 
 @pytest.mark.parametrize("place", [25, 37, 65])
-def test_attachments_that_contradict_themselves_are_not_listed(tmp_path, place):
+def test_inconsistent_attachments_are_not_listed(tmp_path, place):
     original, path = tmp_path / "original", tmp_path / "a.mcap"
     original.write_bytes(bytes(100))
     octets = bytearray(written(FRAMES[:3], attachment=original))
@@ -262,7 +262,7 @@ def test_attachments_that_contradict_themselves_are_not_listed(tmp_path, place):
     assert attachments(path) == []
 
 
-def test_attachments_of_what_has_none(tmp_path):
+def test_attachments_of_a_file_without_any(tmp_path):
     path = tmp_path / "a"
     path.write_bytes(b"no MCAP")
     with pytest.raises(CaptureError, match="is not an MCAP file"):
@@ -360,7 +360,7 @@ def test_raw_frames_by_others_in_protobuf():
     ],
     ids=["empty", "no data", "JSON", "cut off", "negative seconds", "negative nanoseconds", "number"],
 )
-def test_messages_in_protobuf_that_are_no_frames_are_counted(bad):
+def test_protobuf_messages_that_are_not_frames_are_counted(bad):
     frames, reader = read(foreign([IN_PROTOBUF, bad, bad, IN_PROTOBUF], encoding="protobuf"))
     assert len(frames) == 2
     (problem,) = reader.problems
@@ -408,7 +408,7 @@ def test_a_file_without_anything_is_refused():
         b'{"data": "\xff"}',
     ],
 )
-def test_messages_that_are_no_frames_are_counted(bad):
+def test_messages_that_are_not_frames_are_counted(bad):
     frames, reader = read(foreign([MESSAGE, bad, bad, MESSAGE]))
     assert len(frames) == 2
     (problem,) = reader.problems
@@ -422,7 +422,7 @@ def test_frames_of_other_link_types_are_counted():
     assert [problem.reason for problem in reader.problems] == ["wrong-link-type"]
 
 
-def test_times_beyond_what_a_frame_can_have():
+def test_times_outside_the_range_of_a_frame():
     frames, reader = read(foreign([b'{"data": "YWJj", "timestamp": {"sec": 99999999999, "nsec": 0}}']))
     assert frames[0].time_ns == 2**63 - 1
     assert [problem.reason for problem in reader.problems] == ["time-out-of-range"]
@@ -446,7 +446,7 @@ def test_an_unfinished_file_is_read_to_its_last_chunk():
 
 # Packed octets come in blocks, so of a short chunk there is only something left near its end.
 @pytest.mark.parametrize(("compression", "cut"), [("zstd", 3), ("lz4", 20), ("none", 20), ("none", 50_000)])
-def test_a_chunk_that_is_cut_off_gives_what_it_still_has(compression, cut):
+def test_complete_frames_of_a_truncated_chunk_are_read(compression, cut):
     octets = written(compression=compression)
     _, offset, content = [each for each in records(octets) if each[0] == 0x06][2]
     whole = len(read(octets[:offset])[0])
@@ -460,7 +460,7 @@ def test_a_chunk_that_is_cut_off_gives_what_it_still_has(compression, cut):
     assert f"{len(frames) - whole} of them from that chunk" in problem.message
 
 
-def test_a_chunk_that_does_not_match_its_checksum_costs_itself_alone():
+def test_only_a_chunk_with_a_wrong_checksum_is_skipped():
     octets = bytearray(written(compression="none"))
     chunks = [each for each in records(bytes(octets)) if each[0] == 0x06]
     _, offset, content = chunks[0]
@@ -475,7 +475,7 @@ def test_a_chunk_that_does_not_match_its_checksum_costs_itself_alone():
     assert "1 chunk passed over" in problem.message
 
 
-def test_a_chunk_of_unknown_compression_is_passed_over():
+def test_a_chunk_of_unknown_compression_is_skipped():
     octets = written()
     frames, reader = read(octets.replace(b"\x04\0\0\0zstd", b"\x04\0\0\0rar!", 1))
     assert 0 < len(frames) < len(FRAMES)
@@ -484,7 +484,7 @@ def test_a_chunk_of_unknown_compression_is_passed_over():
     assert "'rar!', which is not known" in problem.message
 
 
-def test_a_chunk_that_can_not_be_unpacked_is_passed_over():
+def test_a_chunk_that_cannot_be_decompressed_is_skipped():
     octets = bytearray(written())
     _, offset, _ = next(each for each in records(bytes(octets)) if each[0] == 0x06)
     octets[offset + 60 : offset + 80] = bytes(20)
@@ -509,7 +509,7 @@ def unfinished(extra: bytes) -> bytes:
     return octets[:end] + extra
 
 
-def test_a_small_chunk_can_not_fill_the_memory():
+def test_a_small_chunk_cannot_fill_the_memory():
     import zstandard
 
     bomb = zstandard.compress(bytes(1 << 30))

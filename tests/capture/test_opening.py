@@ -1,4 +1,4 @@
-"""What is not a capture is refused with a message that helps, and nothing else comes out of it."""
+"""Files that are not captures are refused with a helpful message, and yield no frames."""
 
 import io
 import os
@@ -29,7 +29,7 @@ RECORD = struct.pack("<IIII", 1, 2, 3, 60) + b"abc"
         (b"\x00\x01", r"starts with 00 01 \('\.\.'\)"),
     ],
 )
-def test_what_it_is_instead(tmp_path, contents, message):
+def test_the_error_names_the_actual_kind_of_file(tmp_path, contents, message):
     path = tmp_path / "some.pcap"
     path.write_bytes(contents)
     with pytest.raises(CaptureError, match=message) as caught:
@@ -115,12 +115,12 @@ def test_errors_while_reading_are_problems(cut, error):
     assert "ended" in problem.message or "Input/output error" in problem.message
 
 
-def test_errors_before_there_is_anything():
+def test_errors_before_the_first_octet():
     with pytest.raises(CaptureError, match="Input/output error"):
         open_capture(Failing(b"", OSError(5, "Input/output error")))
 
 
-def test_a_stream_that_never_has_anything():
+def test_an_empty_stream():
     class Silent(io.RawIOBase):
         def read(self, size: int = -1) -> None:
             return None
@@ -129,7 +129,7 @@ def test_a_stream_that_never_has_anything():
         open_capture(Silent())
 
 
-def test_a_loop_can_be_left_and_taken_up_again():
+def test_a_loop_can_be_left_and_resumed():
     with open_capture(io.BytesIO(PCAP + RECORD * 5)) as reader:
         for frame in reader:
             if frame.number == 2:
@@ -138,7 +138,7 @@ def test_a_loop_can_be_left_and_taken_up_again():
     assert list(reader) == []
 
 
-def test_closing_ends_it_and_may_be_repeated():
+def test_closing_ends_reading_and_may_be_repeated():
     reader = open_capture(io.BytesIO(PCAP + RECORD * 5))
     next(reader)
     reader.close()
@@ -147,7 +147,7 @@ def test_closing_ends_it_and_may_be_repeated():
     assert reader.problems == []
 
 
-def test_nobody_pays_for_the_mcap_library_before_the_first_mcap_file():
+def test_the_mcap_library_is_imported_for_mcap_files_only():
     code = (
         "import sys, dcp_codec.capture;"
         "print(sorted({'mcap', 'zstandard', 'lz4', 'scapy', 'socket', 'asyncio'} & set(sys.modules)))"

@@ -46,12 +46,12 @@ def test_the_last_second_of_the_format():
     assert frames[0].time_ns == (2**32 - 1) * 10**9 + 999_999_999
 
 
-def test_captured_more_than_there_was_is_tolerated():
+def test_a_captured_length_above_the_original_length_is_tolerated():
     frames, reader = read(header() + record(b"abcd", length=2))
     assert (frames[0].data, frames[0].orig_len, reader.problems) == (b"abcd", 4, [])
 
 
-def test_checksum_bits_are_no_part_of_the_link_type():
+def test_checksum_bits_are_not_part_of_the_link_type():
     # Flag "length of the checksum is there", two units of 16 bits.
     _, reader = read(header(link=1 | 0x2400_0000) + record(b"a"))
     assert reader.metadata == {"pcap": {"fcsLength": "4"}}
@@ -82,7 +82,7 @@ def test_other_link_types_are_refused_by_name_with_advice(link, name, advice):
         read(header(link=link))
 
 
-def test_other_link_types_can_be_asked_for():
+def test_other_link_types_can_be_requested():
     with open_capture(io.BytesIO(header(link=113) + record(b"a")), link_types=frozenset({1, 113})) as reader:
         assert len(list(reader)) == 1
 
@@ -134,7 +134,7 @@ def test_absurd_lengths_end_the_reading(snap, captured, bad):
     assert [problem.reason for problem in reader.problems] == (["bad-record-length"] if bad else [])
 
 
-def test_a_zeroed_end_is_not_taken_for_frames():
+def test_zeros_at_the_end_are_not_frames():
     frames, reader = read(header() + record(b"good") + bytes(4096))
     assert len(frames) == 1
     (problem,) = reader.problems

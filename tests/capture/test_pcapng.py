@@ -88,7 +88,7 @@ def test_clocks_are_converted_exactly(order, code, unit, resolution, stamp):
     assert reasons(reader) == expected + (["time-out-of-range"] if exact > MAX_TIME_NS else [])
 
 
-def test_rounding_is_said_once():
+def test_rounding_is_reported_once():
     octets = section() + interface(option(9, b"\x0c"))
     _, reader = read(octets + packet(b"a", 1000) + packet(b"b", 1001) * 3)
     (problem,) = reader.problems
@@ -173,7 +173,7 @@ def test_drop_counters(order):
     assert reader.problems == []
 
 
-def test_drop_counters_that_count_for_nothing():
+def test_drop_counters_that_are_ignored():
     other = block(5, struct.pack("<III", 0, 0, 0) + option(5, struct.pack("<Q", 1)))
     unknown = block(5, struct.pack("<III", 9, 0, 0))
     short = block(5, struct.pack("<III", 1, 0, 0) + option(5, b"1234"))
@@ -189,7 +189,7 @@ def test_simple_packets_of_another_link_type_and_of_no_interface():
     assert reasons(reader) == ["unknown-interface", "wrong-link-type"]
 
 
-def test_more_interfaces_than_anybody_has():
+def test_too_many_interfaces():
     frames, reader = read(section() + interface() * 65_537 + packet(b"a"))
     assert frames == []
     assert reasons(reader) == ["bad-record"]
@@ -197,12 +197,12 @@ def test_more_interfaces_than_anybody_has():
 
 
 @pytest.mark.parametrize("kind", [4, 7, 8, 9, 10, 0x0BAD, 0x40000BAD])
-def test_known_blocks_of_no_interest_are_passed_over(kind):
+def test_known_irrelevant_blocks_are_skipped(kind):
     frames, reader = read(section() + interface() + block(kind, bytes(3000)) + packet(b"a"))
     assert (len(frames), reader.problems) == (1, [])
 
 
-def test_unknown_blocks_are_passed_over_and_counted():
+def test_unknown_blocks_are_skipped_and_counted():
     strange = block(0x1234, b"whatever")
     frames, reader = read(section() + strange + interface() + strange + packet(b"a") + strange)
     assert len(frames) == 1
@@ -211,20 +211,20 @@ def test_unknown_blocks_are_passed_over_and_counted():
     assert problem.message.startswith("3 blocks of the unknown type 0x00001234")
 
 
-def test_a_block_of_no_interest_larger_than_memory_is_meant_to_be():
+def test_an_irrelevant_block_larger_than_the_buffer():
     huge = block(0x0BAD, bytes(40 * 1024 * 1024))
     frames, reader = read(section() + interface() + huge + packet(b"a"))
     assert (len(frames), reader.problems) == (1, [])
 
 
-def test_comments_on_frames_are_passed_over():
+def test_comments_on_frames_are_skipped():
     commented = packet(b"abc", 1, options=option(1, b"hello") + option(0, b""))
     frames, reader = read(section() + interface() + commented)
     assert (frames[0].data, reader.problems) == (b"abc", [])
 
 
 @pytest.mark.parametrize("damage", [struct.pack("<HH", 1, 500), struct.pack("<HH", 1, 5) + bytes(4)])
-def test_damaged_options_of_a_frame_do_not_cost_the_frame(damage):
+def test_a_frame_with_damaged_options_is_read(damage):
     frames, reader = read(section() + interface() + packet(b"abc", 1, options=damage) * 2 + packet(b"d"))
     assert len(frames) == 3
     assert reasons(reader) == ["bad-option"]
@@ -234,7 +234,7 @@ def test_damaged_options_of_a_frame_do_not_cost_the_frame(damage):
 @pytest.mark.parametrize(
     "options", [option(9, b""), option(9, b"\x06\x06"), option(14, b"1234"), struct.pack("<HH", 2, 9999)]
 )
-def test_damaged_options_of_an_interface_leave_it_as_it_was(options):
+def test_damaged_options_of_an_interface_are_ignored(options):
     frames, reader = read(section() + interface(options) + packet(b"a", 1))
     assert frames[0].time_ns == 1000
     assert reasons(reader) == ["bad-option"]
@@ -268,13 +268,13 @@ def test_a_section_without_interfaces_is_an_empty_capture():
     assert read(section())[0] == []
 
 
-def test_frames_of_an_interface_that_nobody_described():
+def test_frames_of_an_undescribed_interface():
     frames, reader = read(section() + interface() + packet(b"a", which=7) + packet(b"b"))
     assert [frame.number for frame in frames] == [2]
     assert reasons(reader) == ["unknown-interface"]
 
 
-def test_a_frame_that_is_longer_than_its_block_costs_itself_alone():
+def test_only_a_frame_longer_than_its_block_is_skipped():
     bad = block(6, struct.pack("<IIIII", 0, 0, 0, 100, 100) + bytes(40))
     simple = block(3, struct.pack("<I", 100) + bytes(40))
     frames, reader = read(section() + interface() + bad + simple + packet(b"a"))

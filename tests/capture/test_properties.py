@@ -1,4 +1,4 @@
-"""What holds for all frames, all places to cut a file off, and all octets there are."""
+"""Properties for all frames, all places to cut a file off, and all octets."""
 
 import io
 import itertools
@@ -12,7 +12,7 @@ from dcp_codec.capture import FORMATS, MAX_TIME_NS, CaptureError, Frame, Reason,
 
 from ..chance import examples
 
-#: What each format can hold, beyond the octets.
+#: Limits of each format, beyond the octets.
 LAST_TIME = {"pcap": 2**32 * 10**9 - 1, "pcapng": MAX_TIME_NS, "mcap": MAX_TIME_NS}
 INTERFACES = {"pcap": 0, "pcapng": 20, "mcap": 2**32 - 1}
 
@@ -59,7 +59,7 @@ def read(octets):
 @pytest.mark.parametrize("format", FORMATS)
 @MANY
 @given(st.data())
-def test_what_is_written_is_what_is_read(format, data):
+def test_frames_survive_a_round_trip(format, data):
     frames = data.draw(frames_for([format]))
     octets = written(frames, format)
     found, reader = read(octets)
@@ -85,7 +85,7 @@ def test_conversion_loses_nothing(first, second, data):
 @pytest.mark.parametrize("format", ["pcap", "pcapng"])
 @MANY
 @given(st.data())
-def test_microseconds_are_exact_when_there_is_nothing_finer(format, data):
+def test_microseconds_are_exact_without_finer_times(format, data):
     frames = [
         Frame(each.number, each.time_ns // 1000 * 1000, each.data, each.orig_len, each.interface)
         for each in data.draw(frames_for([format]))
@@ -132,7 +132,7 @@ def test_cut_off_anywhere_gives_the_frames_before_and_a_problem(format, compress
 
 
 def survives(octets: bytes) -> None:
-    """Whatever the octets are, reading ends, raises nothing but `CaptureError`, and gives sound frames."""
+    """Check that reading arbitrary octets ends, raises only `CaptureError`, and yields sound frames."""
     try:
         reader = open_capture(io.BytesIO(octets))
     except CaptureError:
@@ -160,7 +160,7 @@ ALL["mcap-lz4"] = written(SOME[:3], "mcap", compression="lz4")
 
 @pytest.mark.part("suite")
 @pytest.mark.parametrize("name", list(ALL))
-def test_any_octet_may_be_any_other(name):
+def test_reading_survives_any_changed_octet(name):
     octets = bytearray(ALL[name])
     # Each place, with values that lengths and flags care about.
     for place, value in itertools.product(range(len(octets)), (0x00, 0x0A, 0x7F, 0x80, 0xFF)):
@@ -172,7 +172,7 @@ def test_any_octet_may_be_any_other(name):
 @pytest.mark.parametrize("name", list(ALL))
 @settings(max_examples=examples(300))
 @given(st.data())
-def test_any_part_may_be_anything(name, data):
+def test_reading_survives_any_replaced_part(name, data):
     octets = ALL[name]
     start = data.draw(st.integers(0, len(octets)))
     stop = data.draw(st.integers(start, len(octets)))
@@ -191,5 +191,5 @@ MAGICS = [
 
 @settings(max_examples=examples(500))
 @given(st.sampled_from(MAGICS), st.binary(max_size=400))
-def test_anything_may_follow_a_magic(magic, rest):
+def test_reading_survives_anything_after_a_magic(magic, rest):
     survives(magic + rest)

@@ -52,11 +52,11 @@ def test_without_limits_there_is_one_file(tmp_path: Path) -> None:
     with RingWriter(tmp_path / "day.pcap") as ring:
         for frame in frames(30):
             ring.write(frame)
-        # Whoever looks, or a crash, finds all but the last second.
+        # Another process, also after a crash, finds everything except the last second.
         assert len(times(tmp_path / "day.pcap")) >= 20
     assert [path.name for path in tmp_path.iterdir()] == ["day.pcap"]
 
 
-def test_a_folder_that_is_not_there(tmp_path: Path) -> None:
+def test_a_missing_folder(tmp_path: Path) -> None:
     with pytest.raises(CaptureError, match="there is no folder"):
         RingWriter(tmp_path / "nowhere" / "day.pcap")

@@ -88,7 +88,7 @@ def expected(source: Path) -> tuple[list[tuple[Any, ...]], list[tuple[Any, ...]]
 
 
 @pytest.mark.parametrize("read", [by_rosbags, by_mcap])
-def test_what_others_read_is_what_the_recording_says(bag, read):
+def test_other_readers_get_the_contents_of_the_recording(bag, read):
     source, target, report = bag
     messages = read(target)
     poses, variables = expected(source)
@@ -170,7 +170,7 @@ def test_sound_payloads_of_damaged_beacons_count():
     with open_capture(CAPTURES / "a_bus3.mcap") as reader:
         frames = list(reader)
     whole, sound = content_of("cpp-2.0", frames)
-    # Cut within the last payload: what stands before it is there all the same.
+    # Cut within the last payload: the contents before it are still there.
     cut = [Frame(f.number, f.time_ns, f.data[:-1], len(f.data) - 1) for f in frames]
     damaged, found = content_of("cpp-2.0", cut)
     assert whole.damaged == 0
@@ -188,11 +188,11 @@ def test_a_silence_gives_one_table():
     _, messages = content_of("cpp-2.0", frames)
     tables = [each for each in messages if each.topic == "/dcp/neighbours"]
     assert [each.time_ns - START for each in tables] == [100 * SECOND, 101 * SECOND, 101 * SECOND + 1]
-    # At the end of the silence nobody has been heard for long.
+    # At the end of the silence no beacon has been received for long.
     assert [len(each.fields["neighbours"]) for each in tables] == [0, 1, 1]
 
 
-def test_times_that_ros_cannot_say_are_refused(tmp_path):
+def test_times_outside_the_range_of_ros_are_refused(tmp_path):
     codec = get_codec("cpp-2.0")
     source, target = tmp_path / "late.pcapng", tmp_path / "bag.mcap"
     target.write_bytes(b"precious")
@@ -261,7 +261,7 @@ def test_a_layout_names_what_is_in_the_file(tmp_path, ros2):
     scene = layout["configById"]["3D!positions"]
     assert set(scene["topics"]) == poses
     assert len(poses) == 3
-    # The camera sees them all: it looks at the middle of the three, 1000 m apart from each other.
+    # The camera sees them all: it points to the middle of the three, 1000 m apart from each other.
     assert all(1000 < each < 4000 for each in scene["cameraState"]["targetOffset"])
     assert 2000 < scene["cameraState"]["distance"] < 10_000
     for name, panel in layout["configById"].items():
@@ -289,7 +289,7 @@ def test_the_command_for_layouts(tmp_path, capsys, monkeypatch):
 def test_files_without_a_layout(tmp_path, what, capsys):
     path = tmp_path / f"{what}.mcap"
     if what == "text":
-        path.write_text("hello, this is no MCAP file, and it is long enough to look for the end of one in it")
+        path.write_text("hello, this is not an MCAP file, and it is long enough to look for the end of one in it")
     elif what in ("raw", "cut"):
         convert(CAPTURES / "b_crud.mcap", path)
         if what == "cut":

@@ -60,7 +60,7 @@ def plain(frames) -> list[tuple]:
 @pytest.mark.tool("tshark")
 @pytest.mark.parametrize("format", ["pcap", "pcapng"])
 @pytest.mark.parametrize("resolution", ["ns", "us"])
-def test_tshark_sees_what_we_wrote(tmp_path, format, resolution):
+def test_tshark_reads_our_files(tmp_path, format, resolution):
     path = write(tmp_path / f"a.{format}", resolution=resolution, lossy=True)
     expected = seen(FRAMES, interfaces=format == "pcapng")
     if resolution == "us":
@@ -85,7 +85,7 @@ def test_tshark_sees_the_names_of_interfaces(tmp_path):
         ("pcapng", {}, "pcapng", "nanoseconds"),
     ],
 )
-def test_capinfos_recognises_what_we_wrote(tmp_path, format, options, kind, precision):
+def test_capinfos_recognises_our_files(tmp_path, format, options, kind, precision):
     path = write(tmp_path / f"a.{format}", lossy=True, **options)
     name, what, link_type, count = run("capinfos", "-T", "-B", "-r", "-t", "-E", "-c", path).strip().split("\t")
     assert (name, link_type, count) == (str(path), "ether", str(len(FRAMES)))
@@ -97,7 +97,7 @@ def test_capinfos_recognises_what_we_wrote(tmp_path, format, options, kind, prec
 @pytest.mark.tool("tshark")
 @pytest.mark.parametrize("kind", ["pcap", "nsecpcap", "pcapng"])
 @pytest.mark.parametrize("format", ["pcap", "pcapng"])
-def test_what_editcap_writes_is_read(tmp_path, kind, format):
+def test_files_of_editcap_are_read(tmp_path, kind, format):
     source = write(tmp_path / f"a.{format}", lossy=True)
     made = tmp_path / f"made.{kind}"
     run("editcap", "-F", kind, source, made)
@@ -110,7 +110,7 @@ def test_what_editcap_writes_is_read(tmp_path, kind, format):
 
 
 @pytest.mark.tool("editcap")
-def test_frames_that_editcap_cut_short(tmp_path):
+def test_frames_truncated_by_editcap(tmp_path):
     made = tmp_path / "made.pcap"
     run("editcap", "-s", "20", write(tmp_path / "a.pcapng"), made)
     with open_capture(made) as reader:
@@ -118,7 +118,7 @@ def test_frames_that_editcap_cut_short(tmp_path):
 
 
 @pytest.mark.tool("editcap")
-def test_what_editcap_calls_modified_is_named(tmp_path):
+def test_modified_pcap_of_editcap_is_named(tmp_path):
     made = tmp_path / "made.pcap"
     run("editcap", "-F", "modpcap", write(tmp_path / "a.pcapng"), made)
     with pytest.raises(CaptureError, match="Kuznetzov"):
@@ -127,7 +127,7 @@ def test_what_editcap_calls_modified_is_named(tmp_path):
 
 @pytest.mark.tool("editcap")
 @pytest.mark.parametrize("kind", ["snoop", "nettl", "k12text"])
-def test_what_else_editcap_writes_is_refused(tmp_path, kind):
+def test_other_formats_of_editcap_are_refused(tmp_path, kind):
     made = tmp_path / "made.pcap"
     run("editcap", "-F", kind, write(tmp_path / "a.pcap", lossy=True), made)
     with pytest.raises(CaptureError, match=r"made\.pcap: is "):
@@ -136,7 +136,7 @@ def test_what_else_editcap_writes_is_refused(tmp_path, kind):
 
 @pytest.mark.tool("mergecap")
 @pytest.mark.tool("tshark")
-def test_what_mergecap_writes_is_read(tmp_path):
+def test_files_of_mergecap_are_read(tmp_path):
     first = write(tmp_path / "a.pcap", FRAMES[::2], lossy=True)
     second = write(tmp_path / "b.pcapng", FRAMES[1::2])
     made = tmp_path / "made.pcapng"
@@ -148,7 +148,7 @@ def test_what_mergecap_writes_is_read(tmp_path):
     assert seen(frames) == tshark(made)
 
 
-def test_what_scapy_writes_is_read_and_the_other_way_round(tmp_path):
+def test_files_are_exchanged_with_scapy(tmp_path):
     utils = pytest.importorskip("scapy.utils")
     made, ours = tmp_path / "made.pcap", tmp_path / "ours.pcap"
     with utils.RawPcapWriter(str(made), linktype=1, nano=True, endianness=">") as writer:

@@ -1,4 +1,4 @@
-"""What the writers promise: nothing lost, nothing half, nothing of anybody else's touched."""
+"""Guarantees of the writers: no frame is lost, no file is half written, and no other file is changed."""
 
 import io
 import os
@@ -72,7 +72,7 @@ def test_the_same_frames_give_the_same_octets(format):
 
 
 @pytest.mark.parametrize("format", FORMATS)
-def test_an_empty_capture_is_a_capture(tmp_path, format):
+def test_an_empty_capture_is_valid(tmp_path, format):
     path = tmp_path / f"a.{format}"
     create_capture(path).close()
     frames, reader = read(path)
@@ -119,7 +119,7 @@ def test_close_may_be_repeated_and_ends_writing(format):
         (Frame(7, 0, b"a", 1, interface=2**32), "interface"),
     ],
 )
-def test_what_does_not_fit_is_refused_and_the_rest_goes_on(format, frame, message):
+def test_frames_that_do_not_fit_are_refused_and_writing_continues(format, frame, message):
     stream = io.BytesIO()
     with create_capture(stream, format=format) as writer:
         writer.write(FRAMES[0])
@@ -131,7 +131,7 @@ def test_what_does_not_fit_is_refused_and_the_rest_goes_on(format, frame, messag
     assert (frames, reader.problems) == (plain(FRAMES[:2]), [])
 
 
-def test_pcap_refuses_what_it_has_no_place_for():
+def test_pcap_refuses_values_that_it_cannot_express():
     writer = create_capture(io.BytesIO(), format="pcap")
     for frame, message in [
         (Frame(1, 2**32 * 10**9, b"a", 1), "2106"),
@@ -183,7 +183,7 @@ def test_the_interface_is_lost_in_pcap_when_allowed():
         ({"format": "mcap", "attachment": Path("/")}, "Is a directory"),
     ],
 )
-def test_what_can_not_be_done_leaves_an_existing_file_alone(tmp_path, options, message):
+def test_a_refused_conversion_leaves_an_existing_file_unchanged(tmp_path, options, message):
     path = tmp_path / "a.pcap"
     path.write_bytes(b"precious")
     with pytest.raises(CaptureError, match=message):
@@ -192,13 +192,13 @@ def test_what_can_not_be_done_leaves_an_existing_file_alone(tmp_path, options, m
 
 
 @pytest.mark.parametrize("options", [{"resolution": "ps"}, {"format": "mcap", "compression": "rar"}])
-def test_misuse_is_told_from_what_users_do(tmp_path, options):
+def test_misuse_is_distinguished_from_errors_of_users(tmp_path, options):
     with pytest.raises(ValueError, match=r"ps|rar"):
         create_capture(tmp_path / "a.pcap", **options)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_targets_that_can_not_be(tmp_path):
+def test_impossible_targets(tmp_path):
     for target, message in [
         (tmp_path / "a.txt", "suffix"),
         (tmp_path / "none" / "a.pcap", "there is no folder .*none"),
@@ -236,9 +236,9 @@ def test_the_source_is_never_the_target(tmp_path):
     assert path.read_bytes() == before
 
 
-def test_what_is_no_capture_does_not_cost_the_target(tmp_path):
+def test_an_invalid_source_leaves_the_target_unchanged(tmp_path):
     source, target = tmp_path / "a.pcap", tmp_path / "b.pcap"
-    source.write_bytes(b"this is no capture")
+    source.write_bytes(b"this is not a capture")
     target.write_bytes(b"precious")
     with pytest.raises(CaptureError, match="is not a pcap"):
         convert(source, target)
@@ -246,7 +246,7 @@ def test_what_is_no_capture_does_not_cost_the_target(tmp_path):
 
 
 @pytest.mark.parametrize("format", FORMATS)
-def test_conversion_keeps_what_the_source_says_of_itself(tmp_path, format):
+def test_conversion_keeps_metadata_of_the_source(tmp_path, format):
     source, target = tmp_path / "a.pcapng", tmp_path / f"b.{format}"
     about = {"interface.0": {"name": "veth0"}, "interface.1": {"name": "veth1", "description": "the other"}}
     with create_capture(source, metadata=about) as writer:
@@ -264,7 +264,7 @@ def test_conversion_keeps_what_the_source_says_of_itself(tmp_path, format):
         assert reader.metadata["x"] == {"y": "z"}
 
 
-def test_conversion_of_what_is_cut_off_reports_it(tmp_path):
+def test_conversion_of_a_truncated_file_reports_it(tmp_path):
     source, target = tmp_path / "a.pcap", tmp_path / "b.mcap"
     with create_capture(source) as writer:
         for frame in FRAMES:
@@ -295,7 +295,7 @@ class Full(io.RawIOBase):
 
 @pytest.mark.parametrize("format", FORMATS)
 @pytest.mark.parametrize("room", [0, 10, 200, 70_000, 300_000])
-def test_a_full_disk_is_said_once(format, room):
+def test_a_full_disk_is_reported_once(format, room):
     def record() -> None:
         with create_capture(Full(room), format=format) as writer:
             for _ in range(1000):
@@ -316,7 +316,7 @@ def test_the_first_error_is_the_one_that_is_raised():
     assert caught.value.__notes__ == ["<stream>: cannot be written: No space left on device"]
 
 
-def test_a_closed_pipe_is_said():
+def test_a_closed_pipe_is_reported():
     receiving, sending = os.pipe()
     os.close(receiving)
     with os.fdopen(sending, "wb", buffering=0) as pipe:
@@ -340,7 +340,7 @@ sys.stdin.read()
 
 
 @pytest.mark.parametrize("format", FORMATS)
-def test_a_killed_recorder_leaves_what_it_flushed(tmp_path, format):
+def test_flushed_frames_of_a_killed_recorder_can_be_read(tmp_path, format):
     path = tmp_path / f"a.{format}"
     with subprocess.Popen(
         [sys.executable, "-c", RECORDER, str(path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE

@@ -39,12 +39,12 @@ def checks(manifest):
     return {finding.check for finding in verify(manifest)}
 
 
-def test_the_recordings_are_as_the_manifest_says():
+def test_the_recordings_match_the_manifest():
     assert verify(MANIFEST) == []
     assert {golden.file for golden in GOLDENS} == {path.name for path in CAPTURES.glob("*.mcap")}
 
 
-def test_every_recording_says_where_it_is_from():
+def test_every_recording_states_its_origin():
     for golden in GOLDENS:
         assert golden.what
         assert golden.origin

@@ -38,7 +38,7 @@ ENDS = {
     "expected": lambda: stop(ExpectedError("put the fuse in")),
     "expected-5": lambda: stop(ExpectedError("put the fuse in", 5)),
     "failure": lambda: stop(Further("no tester")),
-    "fault": lambda: stop(KeyError("nobody expected this")),
+    "fault": lambda: stop(KeyError("an unexpected fault")),
     "absent": lambda: __import__("no_such_package.part"),
     "interrupted": lambda: stop(KeyboardInterrupt()),
     "usage": lambda: stop(click.UsageError("not so")),
@@ -97,11 +97,11 @@ def trial(tmp_path: Path) -> Ends:
         ("system", 2, "trial: /nowhere/at/all: No such file or directory\n"),
     ],
 )
-def test_a_subcommand_decides_how_the_command_ends(trial: Ends, way: str, status: int, message: str):
+def test_a_subcommand_determines_the_exit_status(trial: Ends, way: str, status: int, message: str):
     done = trial("end-it", way)
     assert done.returncode == status
     assert done.stderr == message
-    # What could not be read is as good a place to stop as any other: what was said before is still said.
+    # Unreadable input ends the command; its output until then is complete.
     assert done.stdout == "said\n"
 
 
@@ -113,11 +113,11 @@ def test_wrong_usage(trial: Ends):
     assert trial("end").returncode == 2
 
 
-def test_a_fault_of_the_command_has_its_own_status_and_is_told_in_full(trial: Ends):
+def test_an_internal_error_has_its_own_status_and_a_traceback(trial: Ends):
     done = trial("end-it", "fault")
     assert done.returncode == 7
     assert "Traceback" in done.stderr
-    assert "nobody expected this" in done.stderr
+    assert "an unexpected fault" in done.stderr
 
 
 def test_help_imports_no_subcommand(trial: Ends):
@@ -129,16 +129,16 @@ def test_help_imports_no_subcommand(trial: Ends):
 
 
 @pytest.mark.parametrize(("lines", "status"), [(10, 3), (100_000, 0)])
-def test_a_reader_that_has_seen_enough_is_no_failure(trial: Ends, lines: int, status: int):
+def test_a_closed_pipe_is_not_a_failure(trial: Ends, lines: int, status: int):
     reading, writing = os.pipe()
     os.close(reading)
     done = trial("end-it", "three", "--lines", str(lines), stdout=writing)
     os.close(writing)
-    # What is left in the buffer at the end does not hide what the subcommand found.
+    # Remaining output in the buffer at the end does not change the exit status of the subcommand.
     assert (done.returncode, done.stderr) == (status, "")
 
 
-def test_a_reader_that_has_seen_enough_of_a_table_is_no_failure(trial: Ends):
+def test_a_closed_pipe_during_a_table_is_not_a_failure(trial: Ends):
     reading, writing = os.pipe()
     os.close(reading)
     done = trial("end-it", "table", stdout=writing)
@@ -147,7 +147,7 @@ def test_a_reader_that_has_seen_enough_of_a_table_is_no_failure(trial: Ends):
 
 
 @pytest.mark.parametrize("way", ["characters", "table"])
-def test_what_the_terminal_cannot_show_is_shown_by_its_number(trial: Ends, way: str):
+def test_characters_that_the_terminal_cannot_show_are_escaped(trial: Ends, way: str):
     done = trial("end-it", way, PYTHONIOENCODING="ascii")
     assert (done.returncode, done.stderr) == (0, "")
     assert "\\xb1 " in done.stdout
@@ -162,7 +162,7 @@ def test_a_standard_stream_may_be_closed(trial: Ends, closed: str):
 
 @pytest.mark.parametrize("lines", [10, 100_000])
 @pytest.mark.parametrize("way", ["nothing", "expected-5"])
-def test_a_full_disk_is_told_in_one_line(trial: Ends, way: str, lines: int):
+def test_a_full_disk_is_reported_in_one_line(trial: Ends, way: str, lines: int):
     with Path("/dev/full").open("w") as full:
         done = trial("end-it", way, "--lines", str(lines), stdout=full.fileno())
     assert done.returncode == 2

@@ -66,7 +66,7 @@ def test_stats_count_loss_restart_and_duplicates(run, tmp_path, codec):
     assert (one["first_seqno"], one["last_seqno"]) == (10, 1)
 
 
-def test_stats_wrap_of_the_sequence_number_is_no_loss(run, tmp_path, codec):
+def test_stats_wrap_of_the_sequence_number_is_not_a_loss(run, tmp_path, codec):
     frames = [ETHERNET + codec.encode(beacon(seqno)) for seqno in (0xFFFFFFFE, 0xFFFFFFFF, 0, 1)]
     result = run("stats", "-f", "json", "-p", "cpp-2.0", write(tmp_path / "a.pcap", *frames))
     one = json.loads(result.out)["senders"]["02:00:00:00:00:01"]
@@ -86,7 +86,7 @@ def on_a_terminal(columns: int, *arguments: str) -> str:
 
 
 @pytest.mark.parametrize("columns", [40, 80, 200])
-def test_stats_leave_out_nothing_of_a_sender_on_any_terminal(tmp_path, good, columns):
+def test_stats_show_complete_senders_on_any_terminal(tmp_path, good, columns):
     shown = on_a_terminal(columns, "stats", "-p", "cpp-2.0", str(write(tmp_path / "a.pcap", *good)))
     row = next(line for line in shown.splitlines() if line.startswith("02:00:00:00:00:01"))
     assert row.split()[1:4] == ["3", "0", "2"]
@@ -101,7 +101,7 @@ def test_stats_text_names_senders_containers_and_malformed_frames(run, tmp_path,
     assert "frame 6: bp.seqno at octet 28: truncated" in result.out
 
 
-def test_stats_say_how_many_malformed_frames_they_leave_out(run, tmp_path, good):
+def test_stats_state_the_number_of_hidden_malformed_frames(run, tmp_path, good):
     shown = run("stats", "-p", "cpp-2.0", write(tmp_path / "a.pcap", *good, *[good[0][:30]] * 12)).out
     assert shown.count(": truncated") == 10
     assert "... and 2 more, see dcp-codec decode --errors-only" in shown
@@ -151,7 +151,7 @@ def test_a_file_that_cannot_be_read_does_not_hide_the_next(run, tmp_path, captur
 
 
 @pytest.mark.parametrize("command", ["stats", "decode"])
-def test_where_nothing_decodes_another_profile_is_suggested(run, tmp_path, capture, good, command):
+def test_another_profile_is_suggested_if_nothing_decodes(run, tmp_path, capture, good, command):
     told = "5 of 5 DCP frames are malformed; another --profile? dcp-codec guess "
     assert told in run(command, "-p", "dcp-1.0", capture).err
     some = run(command, "-p", "cpp-2.0", write(tmp_path / "b.pcap", *good, good[0][:30])).err
@@ -174,7 +174,7 @@ SAME = {"dcp-1.2": {"dcp-1.2", "dcp-1.3", "cpp-1.2", "cpp-1.3"}}
 
 
 @pytest.mark.parametrize("name", VECTORS)
-def test_guess_tells_the_test_vectors_apart(run, tmp_path, name):
+def test_guess_distinguishes_the_test_vectors(run, tmp_path, name):
     octets = b"\xff" * 12 + bytes.fromhex("4953" + VECTORS[name])
     result = run("guess", "-f", "json", write(tmp_path / "a.pcap", octets))
     data = json.loads(result.out)
@@ -192,7 +192,7 @@ def test_guess_is_certain_of_recordings(run, path):
     assert second["score"] < 0.5
 
 
-def test_guess_without_frames_says_so(run, tmp_path):
+def test_guess_without_frames_is_reported(run, tmp_path):
     result = run("guess", write(tmp_path / "a.pcap"))
     assert result.status == 0
     assert "no frames to decide by" in result.out
@@ -202,7 +202,7 @@ OTHER = bytes.fromhex("ffffffffffff0200000000aa0800") + bytes(46)
 
 
 @pytest.mark.parametrize("command", ["stats", "guess", "decode"])
-def test_the_profile_is_found_behind_much_other_traffic(run, tmp_path, command):
+def test_the_profile_is_found_after_much_other_traffic(run, tmp_path, command):
     beacons = [ETHERNET + bytes.fromhex(VECTORS["dcp-2.0"])] * 3
     result = run(command, write(tmp_path / "a.pcap", *[OTHER] * 500, *beacons))
     told = result.out + result.err
@@ -211,7 +211,7 @@ def test_the_profile_is_found_behind_much_other_traffic(run, tmp_path, command):
     assert result.status == 0
 
 
-def test_an_ether_type_that_is_told_is_looked_for_behind_other_traffic(run, tmp_path):
+def test_a_given_ether_type_is_found_after_other_traffic(run, tmp_path):
     bare = bytes.fromhex("ffffffffffff0200000000aa9999") + bytes.fromhex(VECTORS["dcp-2.0"])
     path = write(tmp_path / "a.pcap", *[OTHER] * 500, bare)
     assert "profile dcp-2.0 (" in run("stats", "--ether-type", "0x9999", path).err
@@ -223,7 +223,7 @@ def test_several_versions_in_one_recording_are_named(run, tmp_path):
     assert "3 of 5 sampled frames decode; 2 others decode as dcp-1.1: decode each version with --profile" in result.err
 
 
-def test_damage_is_no_other_version(run, tmp_path, good):
+def test_damage_is_not_reported_as_another_version(run, tmp_path, good):
     damaged = good[1][:36] + b"\x09" + good[1][37:]
     result = run("stats", write(tmp_path / "a.pcap", *good, damaged))
     assert "5 of 6 sampled frames decode)" in result.err
@@ -297,7 +297,7 @@ def test_encode_takes_one_object_a_list_or_lines(run, tmp_path, capture):
         (lambda row: row.update(dst="x"), "dst: 'x' is not a MAC address"),
     ],
 )
-def test_encode_names_the_member_at_fault_and_goes_on(run, tmp_path, capture, change, message):
+def test_encode_names_the_wrong_member_and_continues(run, tmp_path, capture, change, message):
     lines = run("decode", "-p", "cpp-2.0", "-f", "jsonl", "-c", "2", capture).out.splitlines()
     row = json.loads(lines[0])
     change(row)
@@ -310,7 +310,7 @@ def test_encode_names_the_member_at_fault_and_goes_on(run, tmp_path, capture, ch
 
 
 @pytest.mark.parametrize("text", ["", "{", "nonsense", "[" * 100_000, '{"a": 1}\n{'])
-def test_encode_of_no_json(run, tmp_path, text):
+def test_encode_of_invalid_json(run, tmp_path, text):
     (tmp_path / "a.json").write_text(text)
     result = run("encode", "-p", "cpp-2.0", tmp_path / "a.json")
     assert result.status in (1, 2)
@@ -399,7 +399,7 @@ def _link_type(tmp_path: Path, number: int) -> Path:
 
 @pytest.mark.parametrize("command", ["decode", "stats", "guess"])
 def test_unreadable_input(run, tmp_path, command):
-    (tmp_path / "text").write_text("this is no recording at all\n")
+    (tmp_path / "text").write_text("this is not a recording at all\n")
     (tmp_path / "empty").write_bytes(b"")
     for path, message in (
         (tmp_path / "missing.pcap", "missing.pcap"),
@@ -421,7 +421,7 @@ def test_input_without_permission(run, capture):
 
 
 @pytest.mark.parametrize("suffix", ["pcap", "pcapng", "mcap"])
-def test_truncated_recordings_are_read_as_far_as_they_go(run, tmp_path, good, suffix):
+def test_truncated_recordings_are_read_to_their_end(run, tmp_path, good, suffix):
     whole = write(tmp_path / f"a.{suffix}", *good * 400)
     cut = tmp_path / f"cut.{suffix}"
     data = whole.read_bytes()

@@ -141,7 +141,7 @@ def test_count_is_for_all_files_together(run, tmp_path, good):
     assert [json.loads(line)["frame"] for line in result.out.splitlines()] == [1, 2, 1]
 
 
-def test_hex_tells_a_frame_from_a_bare_beacon(run, good):
+def test_hex_distinguishes_a_frame_from_a_bare_beacon(run, good):
     framed = run("decode", "--hex", good[0].hex(), "-f", "jsonl")
     bare = run("decode", "--hex", good[0][14:].hex(":"), "-f", "jsonl")
     assert "whole Ethernet frame" in framed.err
@@ -153,7 +153,7 @@ def test_hex_tells_a_frame_from_a_bare_beacon(run, good):
 
 
 @pytest.mark.parametrize("text", ["", "xyz", "0x"])
-def test_hex_that_is_none(run, text):
+def test_invalid_hex(run, text):
     result = run("decode", "--hex", text)
     assert result.status == 2
     assert "--hex" in result.err
@@ -165,7 +165,7 @@ def test_hex_of_another_ether_type(run, good):
     assert "EtherType 0x0800 at octet 12" in result.err
 
 
-def test_a_container_that_does_not_exist_is_no_filter(run, tmp_path, good):
+def test_an_unknown_container_is_refused_as_filter(run, tmp_path, good):
     result = run("decode", "--container", "UPDATE", write(tmp_path / "a.pcap", *good))
     assert result.status == 2
     assert "'UPDATE' is not one of SUMMARIES, UPDATES, REQUEST-VARUPDATES" in " ".join(result.err.split())
@@ -243,7 +243,7 @@ def test_octets_at_fault_are_marked_in_the_dump(run, codec):
     assert lines[row + 1].index("^^") == lines[row].index("4d")
 
 
-def test_only_other_traffic_is_said(run, tmp_path):
+def test_a_recording_without_beacons_is_reported(run, tmp_path):
     capture = write(tmp_path / "ip.pcap", b"\xff" * 12 + b"\x08\0" + b"\x45" * 40, b"\0" * 9)
     result = run("decode", capture, "-p", "cpp-2.0")
     assert result.status == 0
@@ -291,7 +291,7 @@ def test_wrong_usage_is_explained(run, tmp_path, monkeypatch, good, args, messag
     assert result.out == ""
 
 
-def test_piping_into_head_is_no_failure(tmp_path, good):
+def test_piping_into_head_is_not_a_failure(tmp_path, good):
     capture = write(tmp_path / "long.pcap", *good * 2000)
     command = f"{sys.executable} -c 'from dcp_codec.cli import main; main()' decode -p cpp-2.0 {capture} | head -1"
     done = subprocess.run(["bash", "-o", "pipefail", "-c", command], capture_output=True, text=True, check=False)

@@ -30,7 +30,7 @@ def test_profiles_new_writes_a_checked_draft(run, tmp_path):
     assert run("profiles", "cpp-2.0", "--from", recording).status == 2
 
 
-def test_a_weak_guess_is_told_by_every_command(run, tmp_path):
+def test_a_weak_guess_is_reported_by_every_command(run, tmp_path):
     recording = tmp_path / "flight.pcap"
     with create_capture(recording) as file:
         for frame in pattern_recording([52] * 20):

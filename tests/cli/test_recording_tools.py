@@ -135,7 +135,7 @@ def dangerous(tmp_path) -> Path:
     return path
 
 
-def test_csv_cells_from_the_air_are_no_formulas(run, dangerous, tmp_path):
+def test_csv_cells_from_beacons_are_not_formulas(run, dangerous, tmp_path):
     rows = list(csv.DictReader(io.StringIO(run("decode", dangerous, "-p", "dcp-2.0", "--format", "csv").out)))
     assert [row["descr"] for row in rows if row["descr"]] == ["'" + FORMULA.decode()]
     assert run("table", dangerous, "-p", "dcp-2.0", "--out", tmp_path / "c.csv", "--tables", "creates").status == 0
@@ -149,11 +149,11 @@ def test_formulas_get_an_apostrophe(text):
 
 
 @pytest.mark.parametrize("value", [-5, -1.5, None, "", "pos", "a=b", "-Infinity"])
-def test_other_cells_stay_as_they_are(value):
+def test_other_cells_are_unchanged(value):
     assert safe_cell(value) == value
 
 
-def test_duckdb_is_asked_for_before_anything_is_done(run, tmp_path, monkeypatch):
+def test_a_missing_duckdb_is_reported_first(run, tmp_path, monkeypatch):
     import importlib.util
 
     real = importlib.util.find_spec
@@ -166,7 +166,7 @@ def test_duckdb_is_asked_for_before_anything_is_done(run, tmp_path, monkeypatch)
 
 
 @pytest.mark.tool("tshark")
-def test_several_dissectors_are_installed_and_each_beacon_finds_its_own(run, tmp_path, monkeypatch):
+def test_each_beacon_is_dissected_by_the_dissector_of_its_profile(run, tmp_path, monkeypatch):
     monkeypatch.setenv("HOME", str(tmp_path))
     monkeypatch.delenv("WIRESHARK_CONFIG_DIR", raising=False)
     monkeypatch.delenv("XDG_CONFIG_HOME", raising=False)
@@ -188,7 +188,7 @@ def test_several_dissectors_are_installed_and_each_beacon_finds_its_own(run, tmp
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_an_interrupted_conversion_leaves_what_was_there(number, tmp_path):
+def test_an_interrupted_conversion_leaves_the_old_file(number, tmp_path):
     fifo, target = tmp_path / "in", tmp_path / "out.pcap"
     os.mkfifo(fifo)
     target.write_bytes(b"precious")

@@ -102,7 +102,7 @@ def plain(value: Any) -> Any:
 
 
 def from_construct(view: View, node: Node, parsed: Any, siblings: Any = None) -> Any:
-    """What construct parsed, as the values of the codec."""
+    """Convert the result of construct to values of the codec."""
     types = view.codec.types
     match node:
         case Group() | Exact():
@@ -163,7 +163,7 @@ def decoded(view: View, octets: bytes) -> tuple[Any, int] | Problem:
 
 
 def parsed(view: View, octets: bytes) -> Any:
-    """What construct makes of ``octets``, as a value of the codec; None if it refuses them."""
+    """Parse ``octets`` with construct and return a value of the codec; None if construct refuses them."""
     try:
         return from_construct(view, view.plan, view.schema.parse(octets))
     except cs.ConstructError:
@@ -291,7 +291,7 @@ def test_every_record_that_breaks_a_rule_is_doubtful(codec: Codec) -> None:
     check()
 
 
-def test_fields_lie_where_they_say(view: View) -> None:
+def test_fields_have_the_offsets_that_they_state(view: View) -> None:
     """The parts of a dissection are octets of the message, in order, without holes in records."""
 
     @settings(max_examples=examples(15))
@@ -313,7 +313,7 @@ def test_fields_lie_where_they_say(view: View) -> None:
     check()
 
 
-def test_nothing_given_for_extra_is_zeros(codec: Codec) -> None:
+def test_extra_octets_default_to_zeros(codec: Codec) -> None:
     @settings(max_examples=examples(15))
     @given(strategies.beacons(codec))
     def check(beacon: Any) -> None:

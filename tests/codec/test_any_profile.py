@@ -1,4 +1,4 @@
-"""Whatever a profile may say, its codec works: profiles themselves are drawn, and every view of them has to agree."""
+"""The codec works for any profile: profiles themselves are drawn, and every view of them has to agree."""
 
 from __future__ import annotations
 

@@ -83,7 +83,7 @@ def test_every_field_with_its_place() -> None:
     ]
 
 
-def test_what_a_field_knows() -> None:
+def test_attributes_of_a_field() -> None:
     found = of(BEACON)
     record = "payloads[0].vardis[0].records[0]"
     assert field(found, f"{record}.spec.creationTime").value == 0x17979CFE3D85CD15
@@ -123,11 +123,11 @@ def test_octets_may_be_any_buffer() -> None:
     assert of(memoryview(BEACON)).problems == []  # type: ignore[arg-type]
 
 
-# -- going on behind what is wrong ----------------------------------------------------------------------------------
+# -- continuing after an error --------------------------------------------------------------------------------------
 
 
 @pytest.mark.req("BP-RX-01", "BP-RX-02")
-def test_behind_wrong_constants() -> None:
+def test_dissection_continues_after_wrong_constants() -> None:
     found = of(b"\2\0\0" + BEACON[3:])
     assert reasons(found) == [("bad-version", "bp.version"), ("bad-magic", "bp.magicNo")]
     assert field(found, "bp.seqno").value == 41
@@ -142,7 +142,7 @@ def test_a_length_beyond_the_frame() -> None:
     assert field(found, "payloads[1].data").raw == b"\xca\xfe\xba"
 
 
-def test_behind_a_wrong_payload() -> None:
+def test_dissection_continues_after_a_wrong_payload() -> None:
     """A payload of known length is stepped over, so that the next one is seen."""
     octets = BEACON.replace(bytes.fromhex("0102 0703"), bytes.fromhex("0902 0703"))
     found = of(octets)
@@ -152,7 +152,7 @@ def test_behind_a_wrong_payload() -> None:
     assert field(found, "payloads[0].vardis[0].records[0].upd.value").value == b"ABCD"
 
 
-def test_behind_a_payload_that_is_cut_off() -> None:
+def test_dissection_continues_after_a_truncated_payload() -> None:
     octets = bytearray(BEACON)
     octets[54] = 9  # records announced, two there
     found = of(bytes(octets))
@@ -162,7 +162,7 @@ def test_behind_a_payload_that_is_cut_off() -> None:
     assert field(found, "payloads[1].data").value == bytes.fromhex("cafebabe")
 
 
-def test_a_field_cut_off_shows_what_there_is() -> None:
+def test_a_truncated_field_shows_its_octets() -> None:
     found = of(BEACON[:16])
     seqno = field(found, "bp.seqno")
     assert (seqno.raw, seqno.value) == (b"\0\0", None)
@@ -235,21 +235,21 @@ def test_an_area_that_is_too_small_ends_the_walk() -> None:
     found = of(octets, "student-2024")
     assert reasons(found)[0] == ("area-overrun", "payloads[0].length")
     assert field(found, "payloads[0].data").length == 1001
-    # What lies behind is not known to be padding, but it is shown.
+    # Octets after the end are not known to be padding, but they are shown.
     assert (found.end, found.padding) == (len(octets), b"")
     area = field(found, "payloads[0].area")
     assert (area.offset, area.length, area.value) == (12 + 1001, len(octets) - 1013, None)
     assert field(found, "payloads[0]").length == len(octets)
 
 
-def test_nothing_at_all() -> None:
+def test_an_empty_frame() -> None:
     found = of(b"")
     assert found.errors == [Problem("truncated", "bp.version", 0, 1, 0, "BP-HDR-01")]
     assert found.root.length == 0
 
 
 @pytest.mark.req("BP-FMT-03")
-def test_a_beacon_without_header_has_a_block_all_the_same() -> None:
+def test_a_beacon_without_header_has_a_block() -> None:
     empty = of(b"", "student-2024")
     assert empty.problems == [Problem("truncated", "payloads[0].protocolId", 0, 1, 0, "BP-HDR-11")]
     assert (empty.end, empty.root.length) == (0, 0)

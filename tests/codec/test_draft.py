@@ -1,4 +1,4 @@
-"""What a profile does not explain of a recording, and drafts of profiles that do."""
+"""Contents of a recording that a profile does not explain, and drafts of profiles that explain them."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def recording(sizes: list[int], *, containers: bytes = b"") -> list[Frame]:
     return frames
 
 
-def test_a_report_of_another_size_comes_with_the_lines_that_describe_it() -> None:
+def test_a_report_of_another_size_is_shown_with_profile_lines_for_it() -> None:
     (found,) = shortfalls(CODEC, recording([52] * 10))
     assert found.text == "SRP is 52 octets in 10 of 10 payloads; the profile has 64"
     assert (found.count, found.of, found.frame) == (10, 10, 1)
@@ -79,7 +79,7 @@ def test_a_draft_decodes_what_it_was_made_from(sizes: list[int], tmp_path: Path)
     assert "30 of 30 sampled frames decode with it, 0 with" in draft.text
 
 
-def test_a_draft_says_what_it_cannot_explain() -> None:
+def test_a_draft_lists_unexplained_contents() -> None:
     draft = draft_profile("mine", recording([52] * 4, containers=bytes([9, 1, 5, 6])), 'a "b"\n.pcap')
     assert draft.decoded == 0
     assert "# Not explained yet: VarDis has container types that the profile does not know" in draft.text
@@ -87,12 +87,12 @@ def test_a_draft_says_what_it_cannot_explain() -> None:
     assert 'made from a "b"?.pcap' in draft.text
 
 
-def test_what_is_no_beacon_gives_no_draft() -> None:
+def test_frames_that_are_not_beacons_give_no_draft() -> None:
     with pytest.raises(ValueError, match="no frame looks like a beacon"):
         draft_profile("mine", [Frame(1, 0, bytes(60), 60)], "x")
 
 
-def test_weak_guesses_say_so() -> None:
+def test_weak_guesses_are_marked() -> None:
     found = guess(recording([52] * 10))
     assert found.weak
     assert found.warning is not None

@@ -39,5 +39,5 @@ def test_envelopes_octet_by_octet():
     assert Envelope(Link()).frame(b"", MAC)[12:] == b"\x88\xb5"
 
 
-def test_a_longer_datagram_than_there_can_be_is_recorded():
+def test_a_datagram_above_the_maximum_length_is_recorded():
     assert len(Envelope(LINKS[1]).frame(bytes(65_600), MAC)) == 14 + 28 + 65_600

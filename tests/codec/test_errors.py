@@ -154,12 +154,12 @@ CASES = {
         beacon_20("00010041" + 65 * "00"),
         Problem("wrong-length", "payloads[0].srp", 22, 64, 65, "SRP-RX-01"),
     ),
-    "octets behind a list": Case(
+    "octets after a list": Case(
         "student-2024",
         student("03 01 0000000000000000 05 03000000 0703 ff"),
         Problem("leftover", "payloads[0].vardis[0].records", 29, 0, 1, "VD-RX-07"),
     ),
-    "octets behind a state report": Case(
+    "octets after a state report": Case(
         "student-2024",
         student(19 * "00" + "00000000" + 12 * "00" + "ff", protocol=1),
         Problem("leftover", "payloads[0].srp", 47, 0, 1, "BP-RX-09"),
@@ -227,7 +227,7 @@ def test_every_reason_has_a_case() -> None:
     assert {case.problem.reason for case in CASES.values()} == set(REASONS)
 
 
-def test_errors_are_told_in_words() -> None:
+def test_errors_have_messages() -> None:
     with pytest.raises(DecodeError) as caught:
         get_codec("dcp-2.0").decode(beacon_20(_SUMMARY, length=9))
     text = str(caught.value)
@@ -306,7 +306,7 @@ def test_warning(name: str) -> None:
     assert found.errors == []
     assert found.warnings == [problem]
     assert problem.requirement in requirements()
-    # What breaks such a rule is still a message: receivers see it and decide.
+    # A message that violates such a rule can be decoded: receivers see it and decide.
     codec = get_codec("dcp-2.0")
     assert codec.encode(codec.decode(octets)) == octets
 
@@ -321,7 +321,7 @@ def test_nothing_to_warn_about() -> None:
     assert get_codec("dcp-2.0").dissect(beacon_20(*blocks)).problems == []
 
 
-def test_warnings_come_in_wire_order_behind_errors() -> None:
+def test_warnings_come_in_wire_order_after_errors() -> None:
     octets = beacon_20("00020005 0201 070300", "77770000", _SUMMARY, count=2)
     found = get_codec("dcp-2.0").dissect(octets)
     assert [problem.reason for problem in found.problems] == ["count-mismatch", "empty-value", "empty-payload"]
@@ -341,17 +341,17 @@ def partial_of(profile: str, octets: bytes) -> Any:
 
 
 @pytest.mark.req("BP-RX-09", "BP-RX-08")
-def test_blocks_before_an_overrun_stay() -> None:
+def test_blocks_before_an_overrun_are_kept() -> None:
     octets = beacon_20(_SUMMARY, "77770002 cafe", "00020009 0101 0703")
     assert partial_of("dcp-2.0", octets) == Beacon(HEADER, (SUMMARY, Payload(0x7777, b"\xca\xfe")))
 
 
 @pytest.mark.req("BP-RX-12")
-def test_all_blocks_stay_when_only_their_number_is_wrong() -> None:
+def test_all_blocks_are_kept_if_only_their_number_is_wrong() -> None:
     assert partial_of("dcp-2.0", beacon_20(_SUMMARY, _SUMMARY, count=3)) == Beacon(HEADER, (SUMMARY, SUMMARY))
 
 
-def test_blocks_before_a_wrong_payload_stay() -> None:
+def test_blocks_before_a_wrong_payload_are_kept() -> None:
     assert partial_of("dcp-2.0", beacon_20(_SUMMARY, "00020004 0101 0703 0901".replace("0004", "0006"))) == Beacon(
         HEADER, (SUMMARY,)
     )
@@ -359,29 +359,29 @@ def test_blocks_before_a_wrong_payload_stay() -> None:
 
 
 @pytest.mark.parametrize("profile", ["dcp-1.1", "sim-2.0"])
-def test_blocks_stay_without_a_stated_length(profile: str) -> None:
+def test_blocks_are_kept_without_a_stated_length(profile: str) -> None:
     header = "01497e0200000000bb0200000029" if profile == "dcp-1.1" else "01497e0200000000bb111100120200000029"
     octets = bytes.fromhex(f"{header} {_SUMMARY} 00020009 0101")
     header_value = BPHeader(SENDER, 41, None if profile == "dcp-1.1" else 0x1111)
     assert partial_of(profile, octets) == Beacon(header_value, (SUMMARY,))
 
 
-def test_nothing_stays_of_a_wrong_header() -> None:
+def test_nothing_is_kept_of_a_wrong_header() -> None:
     assert partial_of("dcp-2.0", beacon_20(_SUMMARY, length=0)) is None
     assert partial_of("dcp-2.0", beacon_20(_SUMMARY)[:17]) is None
     assert partial_of("dcp-2.0", beacon_20(_SUMMARY, length=100)) is None
 
 
-def test_no_block_stays_of_a_wrong_first_one() -> None:
+def test_no_block_is_kept_if_the_first_one_is_wrong() -> None:
     assert partial_of("dcp-2.0", beacon_20("00020009 0101 0703")) == Beacon(HEADER, ())
 
 
-def test_blocks_of_an_envelope_stay() -> None:
+def test_blocks_of_an_envelope_are_kept() -> None:
     octets = beacon_20(_SUMMARY, "00020009 0101 0703")
     with pytest.raises(DecodeError) as caught:
         get_codec("dcp-2.0").decode_envelope(octets)
     assert caught.value.partial == Beacon(HEADER, (Payload(2, bytes.fromhex("01010703")),))
-    # What BP hands to VarDis is not its business.
+    # BP does not read the payload for VarDis.
     octets = beacon_20("00020004 0901 0703", "00010000")
     assert get_codec("dcp-2.0").decode_envelope(octets)[0].payloads == (
         Payload(2, bytes.fromhex("09010703")),
@@ -400,7 +400,7 @@ def test_blocks_of_an_envelope_stay() -> None:
         ("0201 0703 09 41", "truncated", "[2].records[0].value.data", 14),
     ],
 )
-def test_containers_before_a_fault_stay(behind: str, reason: str, path: str, offset: int) -> None:
+def test_containers_before_a_fault_are_kept(behind: str, reason: str, path: str, offset: int) -> None:
     with pytest.raises(DecodeError) as caught:
         get_codec("dcp-2.0").decode_containers(bytes.fromhex("0102 0703 0900 0601 07" + behind))
     assert caught.value.partial == (Container(1, (VarSumm(7, 3), VarSumm(9, 0))), Container(6, (VarDelete(7),)))
@@ -408,7 +408,7 @@ def test_containers_before_a_fault_stay(behind: str, reason: str, path: str, off
     assert (problem.reason, problem.path, problem.offset) == (reason, path, offset)
 
 
-def test_what_follows_a_report_of_no_fixed_size() -> None:
+def test_octets_after_a_report_of_variable_size() -> None:
     codec = get_codec("student-2024")
     report = bytes(19) + bytes(4) + bytes(12)
     with pytest.raises(DecodeError) as caught:
@@ -421,7 +421,7 @@ def test_what_follows_a_report_of_no_fixed_size() -> None:
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_offsets_count_from_the_first_octet_handed_over(name: str) -> None:
+def test_offsets_count_from_the_first_octet_of_the_argument(name: str) -> None:
     profile, octets, problem = CASES[name]
     codec = get_codec(profile)
     framed = b"\xee" * 14 + octets
@@ -523,7 +523,7 @@ def test_the_largest_that_fit() -> None:
     assert codec.decode(codec.encode(records)) == records
 
 
-def test_strings_that_end_with_nul_hold_none() -> None:
+def test_strings_that_end_with_nul_must_not_contain_nul() -> None:
     for profile, room in (("dcp-1.0", None), ("sim-1.0", 254)):
         codec = get_codec(profile)
         spec = VarSpec(7, PRODUCER, 2, b"a\0b")
@@ -562,7 +562,7 @@ def test_only_octets_are_octets(profile: str, buffer: Any) -> None:
 
 
 @pytest.mark.req("BP-FMT-03")
-def test_a_beacon_without_a_block_is_none() -> None:
+def test_a_beacon_without_a_block_is_refused() -> None:
     codec = get_codec("student-2024")
     with pytest.raises(DecodeError) as caught:
         codec.decode(b"")
@@ -575,7 +575,7 @@ def test_a_beacon_without_a_block_is_none() -> None:
         codec.schema.beacon.build({"payloads": []})
 
 
-def test_encoding_leaves_the_value_as_it_is() -> None:
+def test_encoding_does_not_change_the_value() -> None:
     descr = bytearray(b"pos")
     spec = VarSpec(7, PRODUCER, 2, descr)  # type: ignore[arg-type]
     octets = get_codec("dcp-1.0").encode_containers((Container(5, (VarCreate(spec, VarUpdate(7, 3, b"A")),)),))
@@ -628,7 +628,7 @@ def test_lists_may_be_lists_but_nothing_else() -> None:
         (lambda b: _with_spec(b, timeout=0), "payloads[0].vardis[0].records[0].spec.timeout"),
     ],
 )
-def test_what_a_layout_cannot_carry_is_refused(change, path):
+def test_values_that_a_layout_cannot_express_are_refused(change, path):
     """Specification 1.3 has no network identifier, creation time or timeout: encoding must not drop them silently."""
     codec = get_codec("dcp-1.3")
     node = bytes(6)
@@ -650,7 +650,7 @@ def _with_spec(beacon, **changes):
 @pytest.mark.parametrize(
     ("payload", "indices", "records"),
     [
-        # Two VarSumms, then a VarUpdate whose value is cut off behind a complete one.
+        # Two VarSumms, then a VarUpdate whose value is cut off after a complete one.
         ("010207010802 0202 07030141 080402", (1, 1), 1),
         ("0202 07030141 07", (0, 1), 1),
         ("0201 0703", (0, 0), 0),
@@ -658,9 +658,7 @@ def _with_spec(beacon, **changes):
         ("01", (0,), None),
     ],
 )
-def test_an_error_says_in_which_container_and_record_it_lies(
-    payload: str, indices: tuple[int, ...], records: int | None
-) -> None:
+def test_an_error_names_its_container_and_record(payload: str, indices: tuple[int, ...], records: int | None) -> None:
     codec, octets = get_codec("dcp-2.0"), bytes.fromhex(payload)
     with pytest.raises(DecodeError) as caught:
         codec.decode_containers(octets)

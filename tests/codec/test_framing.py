@@ -53,7 +53,7 @@ def test_ethernet() -> None:
     assert locate(ethernet(b"beacon"), ETHERNET) == Framing(14, 20, DST, SRC, 0x4953)
 
 
-def test_nothing_behind_the_header() -> None:
+def test_a_frame_with_a_header_only() -> None:
     assert locate(ethernet(b""), ETHERNET) == Framing(14, 14, DST, SRC, 0x4953)
 
 
@@ -124,7 +124,7 @@ def test_fragments_are_other_traffic(fragment: int) -> None:
     assert locate(ipv4(udp(b"beacon"), fragment=fragment), UDP) == OtherTraffic("udp-port", 0x0800)
 
 
-def test_do_not_fragment_is_no_fragment() -> None:
+def test_do_not_fragment_is_not_a_fragment() -> None:
     assert payload_of(ipv4(udp(b"beacon"), fragment=0x4000), UDP) == b"beacon"
 
 
@@ -139,7 +139,7 @@ def test_other_protocols() -> None:
     assert locate(ethernet(udp(b"beacon"), 0x0806), UDP) == OtherTraffic("udp-port", 0x0806)
 
 
-def test_padding_behind_a_datagram_is_left_out() -> None:
+def test_padding_after_a_datagram_is_left_out() -> None:
     assert payload_of(ipv4(udp(b"beacon") + b"padding"), UDP) == b"beacon"
 
 
@@ -162,7 +162,7 @@ def test_cut_off_anywhere(frame: bytes) -> None:
 
 
 @pytest.mark.parametrize("words", range(5))
-def test_an_ip_header_of_fewer_than_20_octets_is_none(words: int) -> None:
+def test_an_ip_header_of_fewer_than_20_octets_is_invalid(words: int) -> None:
     octets = bytearray(40)
     octets[0], octets[9] = 0x40 | words, 17
     octets[4 * words + 2 : 4 * words + 4] = (5950).to_bytes(2, "big")
@@ -259,7 +259,7 @@ def test_offsets_count_from_the_start_of_the_frame() -> None:
     assert found.dissection.root.offset == 18
 
 
-def test_padding_of_a_datagram_is_no_part_of_it() -> None:
+def test_padding_is_not_part_of_a_datagram() -> None:
     block = bytes.fromhex("09 64726f6e6531 00 00000000") + bytes(1000)
     found = dissected(ipv4(udp(block) + b"behind"), "student-2024")
     assert found.dissection.errors == []
@@ -270,7 +270,7 @@ def test_padding_of_a_datagram_is_no_part_of_it() -> None:
     assert found.sender == "02:00:00:00:00:01"
 
 
-def test_other_traffic_is_not_taken_apart() -> None:
+def test_other_traffic_is_not_dissected() -> None:
     dissector = FrameDissector(get_codec("dcp-2.0"))
     assert dissector.dissect(frame_of(ethernet(BEACON, 0x0806))) == OtherTraffic("ether-type", 0x0806)
     assert dissector.dissect(frame_of(b"short")) == OtherTraffic("short-frame")
@@ -287,7 +287,7 @@ def test_bare_octets() -> None:
 
 
 @pytest.mark.parametrize("size", range(10))
-def test_no_sender_in_a_header_cut_off(size: int) -> None:
+def test_a_truncated_header_has_no_sender(size: int) -> None:
     found = dissected(ethernet(BEACON[:size]))
     assert found.sender == ("02:00:00:00:00:bb" if size >= 9 else None)
     assert found.as_json()["errors"] != []

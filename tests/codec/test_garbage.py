@@ -32,7 +32,7 @@ def test_an_error_restores_the_thresholds():
 
 
 @pytest.mark.parametrize("own", [0, 1_000_000])
-def test_fewer_or_no_collections_are_left_alone(own):
+def test_fewer_or_disabled_collections_are_not_changed(own):
     gc.set_threshold(own, 10, 10)
     with few_collections():
         assert gc.get_threshold()[0] == own

@@ -56,7 +56,7 @@ VECTORS = {
 
 
 def beacon_of(profile: str) -> Beacon:
-    """What the vector of a profile means."""
+    """The values in the vector of a profile."""
     since_2_0 = profile.endswith("2.0")
     return Beacon(
         bp=BPHeader(sender_id=SENDER, seqno=41, network_id=0x1111 if since_2_0 else None),
@@ -158,7 +158,7 @@ def test_octets_to_json(profile: str) -> None:
     found = codec.dissect(bytes.fromhex(VECTORS[profile]))
     assert beacon_json(codec, found.root) == json_of(profile)
     assert value_json(codec, beacon_of(profile)) == json_of(profile)
-    # Members stand in the order of the wire.
+    # Members have the order of the wire.
     assert list(beacon_json(codec, found.root)["bp"]) == list(codec.profile.bp.header)
 
 
@@ -166,7 +166,7 @@ def test_octets_to_json(profile: str) -> None:
 def test_json_to_octets(profile: str) -> None:
     codec = get_codec(profile)
     assert beacon_from_json(codec, json_of(profile)) == beacon_of(profile)
-    # What can be derived need not be said, and is not looked at.
+    # Derived members can be left out, and are ignored.
     bare = json_of(profile)
     for name in ("version", "magicNo", "length", "numPayloads"):
         bare["bp"].pop(name, None)
@@ -176,7 +176,7 @@ def test_json_to_octets(profile: str) -> None:
     assert codec.encode(beacon_from_json(codec, bare)).hex() == VECTORS[profile].replace(" ", "")
 
 
-def test_every_vector_is_of_a_layout_of_its_own() -> None:
+def test_every_vector_has_a_different_layout() -> None:
     """The vectors of the reference are six; profiles that share one have the same layout of beacons."""
     assert len({vector.replace(" ", "") for vector in VECTORS.values()}) == 6
 

@@ -48,7 +48,7 @@ def created(number: int, time: int = 5, node: bytes = ONE) -> VarCreate:
         (VarReqCreate(7), UNKNOWN),
     ],
 )
-def test_every_record_tells_of_its_senders_database(record, number):
+def test_every_record_shows_a_part_of_its_senders_database(record, number):
     holdings = Holdings()
     (change,) = holdings.feed(1, 10, ONE, saying(record))
     assert (change.node, change.var_id, change.before) == (ONE, 7, None)
@@ -57,7 +57,7 @@ def test_every_record_tells_of_its_senders_database(record, number):
     assert holdings.held(TWO, 7) is None
 
 
-def test_what_is_said_again_changes_nothing():
+def test_repeated_records_change_nothing():
     holdings = Holdings()
     holdings.feed(1, 10, ONE, saying(created(0)))
     assert holdings.feed(2, 20, ONE, saying(VarSumm(7, 0), VarUpdate(7, 0, b"v"))) == []
@@ -85,7 +85,7 @@ def test_memory_is_bounded():
     assert len(holdings.feed(2, 20, ONE, saying(VarSumm(1, 1)))) == 1
 
 
-def test_a_history_can_be_asked_for_any_moment():
+def test_a_history_can_be_queried_for_any_moment():
     history = History("mac")
     history.feed(1, 1_000_000_000, ONE, saying(created(0)))
     history.feed(2, 2_000_000_000, TWO, saying(VarSumm(7, 0)))
@@ -112,7 +112,7 @@ def test_a_long_history_becomes_coarser_and_ends_the_same():
     assert dict_of(coarse, end) == dict_of(exact, end)
 
 
-def test_a_recording_ends_with_what_its_last_summaries_say():
+def test_a_recording_ends_with_the_state_of_its_last_summaries():
     codec, history = get_codec("cpp-2.0"), History("mac")
     last: dict[tuple[str, int], int] = {}
     with open_capture(CAPTURES / "b_crud.mcap") as reader:

@@ -1,4 +1,4 @@
-"""Messages as JSON and back: nothing is lost, and what is wrong with a JSON object is said by its path."""
+"""Messages as JSON and back: nothing is lost, and errors in a JSON object are reported with their path."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ PRODUCER = bytes.fromhex("020000000001")
 
 
 def through_text(data: Any) -> Any:
-    """What a strict JSON reader makes of what we write."""
+    """Parse our output with a strict JSON reader."""
     return json.loads(json.dumps(data, allow_nan=False))
 
 
@@ -68,7 +68,7 @@ def test_round_trip(codec: Codec) -> None:
     check()
 
 
-def test_what_is_damaged_is_still_json(codec: Codec) -> None:
+def test_damaged_messages_are_valid_json(codec: Codec) -> None:
     @settings(max_examples=examples(30))
     @given(
         st.one_of(
@@ -89,7 +89,7 @@ def test_what_is_damaged_is_still_json(codec: Codec) -> None:
 
 
 def test_arbitrary_json(codec: Codec) -> None:
-    """Whatever is in a JSON document, it is a beacon or an EncodeError."""
+    """Any JSON document is a beacon or causes an EncodeError."""
     member = (
         "bp payloads senderId seqno networkId protocolId vardis srp data icType records varId value descr descrHex spec"
     )
@@ -120,7 +120,7 @@ def test_arbitrary_json(codec: Codec) -> None:
 
 @settings(max_examples=examples(60))
 @given(data=st.data())
-def test_one_thing_replaced(data: st.DataObject) -> None:
+def test_one_replaced_member(data: st.DataObject) -> None:
     """A good object with one member replaced or removed is encoded, or refused by a path near that member."""
     codec = get_codec(data.draw(st.sampled_from(["cpp-2.0", "dcp-1.0", "student-2024"])))
     document = value_json(codec, data.draw(strategies.beacons(codec)))
@@ -269,7 +269,7 @@ def test_extra_fields_are_all_given_or_none() -> None:
     assert value_json(codec, beacon) == document()
 
 
-def test_what_fits_no_field_is_found_by_the_encoder() -> None:
+def test_values_that_fit_no_field_are_found_by_the_encoder() -> None:
     codec = get_codec("cpp-2.0")
     for steps, value, path in (
         (("bp", "seqno"), 1 << 32, "bp.seqno"),
@@ -315,7 +315,7 @@ def test_description_that_is_utf8(descr: bytes, text: str) -> None:
 
 
 @pytest.mark.parametrize(("x", "text"), [(math.nan, "NaN"), (math.inf, "Infinity"), (-math.inf, "-Infinity")])
-def test_floats_that_json_has_no_number_for(x: float, text: str) -> None:
+def test_floats_that_json_cannot_express(x: float, text: str) -> None:
     codec = get_codec("dcp-2.0")
     report = ExtendedSafetyData(codec.safety_data_type(x, -0.0, 1e300), SENDER, 5, 6)
     beacon = Beacon(BPHeader(SENDER, 41, 0x1111), (Payload(1, report),))

@@ -1,4 +1,4 @@
-"""What can be read of damaged beacons: what strict decoding reads if nothing is wrong, else all that is sound.
+"""Readable parts of damaged beacons: the result of strict decoding if there is no error, else all sound parts.
 
 Every property runs over every built-in profile and the odd ones of tests/odd_profiles.py.
 """
@@ -40,11 +40,11 @@ def contents(codec: Codec, octets: bytes) -> list[Field]:
 
 @EXAMPLES
 @given(data=st.data())
-def test_sound_beacons_are_what_strict_decoding_says(codec: Codec, data: st.DataObject) -> None:
+def test_sound_beacons_equal_strict_decoding(codec: Codec, data: st.DataObject) -> None:
     octets = codec.encode(data.draw(strategies.beacons(codec)))
     beacon, end = codec.decode_from(octets)
     assert repr(codec.salvage(octets)) == repr(Salvaged(beacon, end=end))
-    # The other path comes to the same, though it is not taken for them.
+    # The other path gives the same result, though it is not used for sound beacons.
     assert repr(codec._salvager.salvage(octets)) == repr(Salvaged(beacon, end=end))
 
 
@@ -137,7 +137,7 @@ def beacon(*payloads: Payload, padding: int = 0) -> bytes:
 _HEADER = CODEC.decode(bytes.fromhex("01497e0200000000bb1111000601000000290009000278 79".replace(" ", ""))).bp
 
 
-def test_an_unreadable_report_hides_nothing_behind_it() -> None:
+def test_blocks_after_an_unreadable_report_are_read() -> None:
     found = CODEC.salvage(beacon(*BLOCKS))
     assert found.beacon is not None
     assert found.beacon.bp == _HEADER
@@ -162,7 +162,7 @@ def test_an_unreadable_report_hides_nothing_behind_it() -> None:
     ],
 )
 @pytest.mark.parametrize("blocks", [BLOCKS[1:], BLOCKS[1:] * 2])
-def test_a_header_that_lies_about_one_thing(
+def test_a_header_with_one_wrong_field(
     field: str, change: object, reading: str, padding: int, blocks: tuple[Payload, ...]
 ) -> None:
     assert callable(change)

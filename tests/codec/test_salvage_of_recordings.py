@@ -15,7 +15,7 @@ SENDER = bytes.fromhex("020000000001")
 PATTERN = bytes(range(0x20, 0x20 + 40))
 #: A profile with the layout of that release but for the state report, of which it expects 42 octets.
 CODEC = get_codec("dcp-1.2")
-#: Without the profile that knows the pattern: implementations that nobody has described send others.
+#: Without the profile that knows the pattern: unknown implementations send other patterns.
 OTHERS = [name for name in profile_names() if name != "cpp-1.2"]
 
 
@@ -65,7 +65,7 @@ def test_a_recorded_beacon_of_the_release() -> None:
     assert (problem.reason, problem.needed, problem.available) == ("wrong-length", 42, 40)
 
 
-def test_profiles_with_the_layout_of_the_other_blocks_are_tied() -> None:
+def test_profiles_with_the_same_layout_of_other_blocks_are_tied() -> None:
     found = guess(recording(), profiles=OTHERS)
     names = {found.best.profile.name, *(each.profile.name for each in found.tied)}
     assert names == {"dcp-1.2", "dcp-1.3", "cpp-1.3"}
@@ -77,7 +77,7 @@ def test_profiles_with_the_layout_of_the_other_blocks_are_tied() -> None:
     assert not found.certain
 
 
-def test_what_decodes_beats_what_decodes_in_part() -> None:
+def test_a_full_decoding_beats_a_partial_one() -> None:
     scores = [guess(recording(reports=reports), profiles=OTHERS).best.score for reports in (0, 1, 3)]
     assert scores[0] == 1.0
     assert scores == sorted(scores, reverse=True)

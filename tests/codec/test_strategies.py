@@ -37,7 +37,7 @@ RECORDS = {
     "DELETE-VARIABLES": VarDelete,
 }
 
-# Always the same search, so that what is found once is found again.
+# Always the same search, so that a finding is reproducible.
 _SEARCH = settings(max_examples=3000, derandomize=True, database=None, phases=[Phase.generate])
 
 
@@ -74,7 +74,7 @@ def test_payloads(codec: Codec) -> None:
     check()
 
 
-def test_names_that_are_none() -> None:
+def test_unknown_names() -> None:
     with pytest.raises(KeyError):
         strategies.records(get_codec("dcp-2.0"), "SUMMARY")
     with pytest.raises(ValueError, match=r"sim-1\.0 cannot encode state reports"):
@@ -92,7 +92,7 @@ def test_names_that_are_none() -> None:
         lambda beacon: beacon.bp.seqno == 2**32 - 1 and beacon.bp.network_id == 0,
     ],
 )
-def test_what_beacons_reach(wanted: Callable[[Beacon], bool]) -> None:
+def test_variety_of_beacons(wanted: Callable[[Beacon], bool]) -> None:
     assert reaches(strategies.beacons(get_codec("dcp-2.0")), wanted)
 
 
@@ -112,7 +112,7 @@ def _records(containers: tuple[Container, ...], cls: type) -> list[Any]:
         lambda found: {container.ic_type for container in found} >= {1, 2, 5},
     ],
 )
-def test_what_containers_reach(wanted: Callable[[tuple[Container, ...]], bool]) -> None:
+def test_variety_of_containers(wanted: Callable[[tuple[Container, ...]], bool]) -> None:
     assert reaches(strategies.containers(get_codec("dcp-2.0")), wanted)
 
 
@@ -127,7 +127,7 @@ def test_what_containers_reach(wanted: Callable[[tuple[Container, ...]], bool]) 
         lambda report: report.node_id == bytes(6),
     ],
 )
-def test_what_reports_reach(wanted: Callable[[ExtendedSafetyData], bool]) -> None:
+def test_variety_of_reports(wanted: Callable[[ExtendedSafetyData], bool]) -> None:
     assert reaches(strategies.reports(get_codec("cpp-2.0")), wanted)
 
 
@@ -157,7 +157,7 @@ def reason(octets: bytes) -> str:
         "",
     ],
 )
-def test_what_mutations_reach(wanted: str) -> None:
+def test_variety_of_mutations(wanted: str) -> None:
     mutated = strategies.mutations(st.just(VALID), get_codec("dcp-2.0").dissect)
     assert reaches(mutated, lambda octets: octets != VALID and reason(octets) == wanted)
 
@@ -172,7 +172,7 @@ def test_what_mutations_reach(wanted: str) -> None:
         lambda octets: len(octets) < len(VALID) and octets[:1] + octets[-4:] == VALID[:1] + VALID[-4:],
     ],
 )
-def test_what_mutations_without_a_dissector_reach(wanted: Callable[[bytes], bool]) -> None:
+def test_variety_of_mutations_without_a_dissector(wanted: Callable[[bytes], bool]) -> None:
     assert reaches(strategies.mutations(st.just(VALID)), wanted)
 
 

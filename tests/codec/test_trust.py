@@ -1,4 +1,4 @@
-"""Who can change what a process executes."""
+"""Users who can change the code that a process executes."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def test_own_files_are_trusted(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("which", ["file", "folder", "above"])
-def test_what_everybody_can_change_is_not(tmp_path: Path, which: str) -> None:
+def test_files_writable_by_all_users_are_not_trusted(tmp_path: Path, which: str) -> None:
     folder = tmp_path / "above" / "folder"
     folder.mkdir(parents=True)
     file = folder / "file"
@@ -34,7 +34,7 @@ def test_what_everybody_can_change_is_not(tmp_path: Path, which: str) -> None:
     assert str(untrusted_writer(file)).startswith(f"{changed} can be changed by every user")
 
 
-def test_a_link_is_followed_to_where_it_leads(tmp_path: Path) -> None:
+def test_a_link_is_followed_to_its_target(tmp_path: Path) -> None:
     open_folder = tmp_path / "open"
     open_folder.mkdir()
     (open_folder / "file").write_text("")
@@ -59,7 +59,7 @@ def test_owners_and_groups(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     file = tmp_path / "file"
     file.write_text("")
     os.chown(file, 65534, 65534)
-    assert "belongs to user nobody" in str(untrusted_writer(file))
+    assert "belongs to user nobody" in str(untrusted_writer(file))  # prose: data
     assert untrusted_writer(file, owners=(65534,)) is None
     monkeypatch.setenv("SUDO_UID", "65534")
     assert invoking_user() == (65534,)
@@ -96,7 +96,9 @@ def test_a_file_is_on_the_disk_before_it_has_its_name(tmp_path: Path, monkeypatc
     assert [each.name for each in tmp_path.iterdir()] == ["whole"]
 
 
-def test_only_an_interpreter_of_its_own_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_advice_names_only_an_interpreter_of_a_virtual_environment(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     own = tmp_path / "venv" / "bin" / "python3"
     own.parent.mkdir(parents=True)
     own.write_text("")

@@ -84,7 +84,7 @@ def test_conditions_select(text: str, wanted, frames: list[DissectedFrame]) -> N
         ("bp.seqno is 5", "compare with =="),
     ],
 )
-def test_what_is_no_condition_is_refused(text: str, message: str) -> None:
+def test_invalid_conditions_are_refused(text: str, message: str) -> None:
     with pytest.raises(WhereError) as caught:
         where(text)
     assert message in str(caught.value)

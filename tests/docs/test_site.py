@@ -64,7 +64,7 @@ def test_nothing_is_loaded_from_elsewhere(site):
         "<style>@font-face { src: url(https://fonts.example/a.woff2) }</style>",
     ],
 )
-def test_what_would_be_loaded_from_elsewhere_is_found(text, tmp_path):
+def test_references_to_external_resources_are_found(text, tmp_path):
     (tmp_path / "index.html").write_text(text + '<a href="https://example.org/">a link to click</a>')
     assert len(docs.loaded_from_elsewhere(tmp_path)) == 1
 
@@ -127,7 +127,7 @@ def test_figures_show_every_octet_of_fixed_records(name):
         assert all(f"<title>{box.name}: " in drawn for box in fields)
 
 
-def test_links_lead_to_pages_and_files_that_are_none_are_named():
+def test_links_lead_to_pages_and_other_files_are_shown_as_text():
     places = {"docs/ci.md": "ci.md", "README.md": "index.md"}
     assert with_links("[jobs](docs/ci.md#jobs)", "README.md", "index.md", places) == "[jobs](ci.md#jobs)"
     nested = with_links("[![x](docs/a.png)](docs/ci.md)", "README.md", "index.md", places | {"docs/a.png": "a.png"})

@@ -129,7 +129,7 @@ def _filled_beacon(codec: Codec) -> Beacon:
 
 
 def malformed(codec: Codec, octets: bytes) -> Iterator[bytes]:
-    """What is not a beacon in every way that can be made from one on purpose."""
+    """Invalid beacons: every deliberate change of a valid one."""
     found = codec.dissect(octets)
     # Of long areas and payloads, not every octet is a place of its own.
     starts = {field.offset + part for field in found.root.walk() for part in (0, 1)}
@@ -146,7 +146,7 @@ def malformed(codec: Codec, octets: bytes) -> Iterator[bytes]:
 
 
 def drawn(strategy: Any, count: int) -> list[bytes]:
-    """What a hypothesis strategy generates, the same in every run."""
+    """Examples of a hypothesis strategy, the same in every run."""
     found: list[bytes] = []
 
     @settings(

@@ -1,4 +1,4 @@
-"""The codec of every profile, one after the other, for tests that compile something for each."""
+"""The codec of every profile, in succession, for tests that compile something for each."""
 
 from __future__ import annotations
 

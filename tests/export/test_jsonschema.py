@@ -45,7 +45,7 @@ def validator(schema):
 
 
 def assert_valid(check, instance):
-    """``instance`` as it is printed and read again fits."""
+    """Check ``instance`` after printing and reading it again."""
     found = next(check.iter_errors(json.loads(json.dumps(instance, allow_nan=False))), None)
     assert found is None, f"{found.json_path}: {found.message}"
 
@@ -149,7 +149,7 @@ def test_malformed_frames_fit_too(profile):
     assert malformed > 20
 
 
-def test_noise_fits():
+def test_random_octets_fit():
     rnd = random.Random(2)
     for profile in ("cpp-2.0", "student-2024", "dcp-1.0"):
         check, dissector = validator(frame_schema(get_codec(profile))), FrameDissector(get_codec(profile))
@@ -262,7 +262,7 @@ def test_numbers_outside_their_field_are_refused():
         assert not check.is_valid(changed(beacon, path, bad)), path
 
 
-def test_a_content_must_be_the_one_of_its_type():
+def test_the_content_must_match_its_type():
     codec = get_codec("cpp-2.0")
     check = validator(beacon_schema(codec))
     beacon = value_json(codec, example_beacon(codec))
@@ -281,7 +281,7 @@ def test_a_content_must_be_the_one_of_its_type():
     assert_valid(check, {**beacon, "payloads": [{"protocolId": 99, "length": 1, "data": "00"}]})
 
 
-def test_a_description_is_there_once():
+def test_a_description_occurs_once():
     codec = get_codec("dcp-2.0")
     check = validator(container_schema(codec))
     container = value_json(codec, example_beacon(codec))["payloads"][1]["vardis"][0]
@@ -299,7 +299,7 @@ def test_a_description_is_there_once():
 
 
 @pytest.mark.parametrize("profile", profile_names())
-def test_schemas_stand_alone_and_explain_themselves(profile):
+def test_schemas_are_self_contained_and_documented(profile):
     codec = get_codec(profile)
     for schema in (frame_schema(codec), beacon_schema(codec), container_schema(codec), report_schema(codec)):
         if schema is None:
@@ -326,7 +326,7 @@ def test_descriptions_have_units_and_requirements():
     assert definitions["SafetyData"]["properties"]["x"]["description"] == "position x, in m [SRP-TYP-02]"
 
 
-def test_a_profile_of_ones_own(tmp_path):
+def test_a_custom_profile(tmp_path):
     path = tmp_path / "own.toml"
     path.write_text(
         'extends = "dcp-2.0"\nname = "own"\ntitle = "Own"\n'

@@ -19,7 +19,7 @@ needs_tshark = pytest.mark.tool("tshark")
 
 
 def show(codec: Codec, payload: bytes, tmp_path: Path, *arguments: str, link: Link | None = None) -> str:
-    """What tshark prints about one beacon."""
+    """Return the output of tshark for one beacon."""
     capture = write(tmp_path / "c.pcap", link or codec.profile.link, [payload])
     return tshark(wireshark_dissector(codec), capture, *arguments)
 
@@ -45,7 +45,7 @@ def beacon(codec: Codec) -> bytes:
         ('node.order == "little" and tree.add_le or tree.add', "tree.add"),
     ],
 )
-def test_the_comparison_notices_what_is_wrong_by_one(
+def test_the_comparison_notices_errors_by_one(
     codec: Codec, beacon: bytes, tmp_path: Path, line: str, wrong: str
 ) -> None:
     script = wireshark_dissector(codec)
@@ -57,7 +57,7 @@ def test_the_comparison_notices_what_is_wrong_by_one(
 
 
 @needs_tshark
-def test_the_info_column_says_what_is_in_the_beacon(codec: Codec, beacon: bytes, tmp_path: Path) -> None:
+def test_the_info_column_summarises_the_beacon(codec: Codec, beacon: bytes, tmp_path: Path) -> None:
     columns = ["-T", "fields", "-e", "_ws.col.Protocol", "-e", "_ws.col.Info"]
     said = "BP seqno 41 from 02:00:00:00:00:bb: SRP, VarDis [CREATE-VARIABLES 2, SUMMARIES 2, UPDATES 1, "
     said += "REQUEST-VARUPDATES 1, REQUEST-VARCREATES 3, DELETE-VARIABLES 1], protocol 99"
@@ -83,13 +83,13 @@ def test_the_info_column_says_what_is_in_the_beacon(codec: Codec, beacon: bytes,
         "!dcp.errors",
     ],
 )
-def test_fields_can_be_asked_for(codec: Codec, beacon: bytes, tmp_path: Path, display_filter: str) -> None:
+def test_fields_can_be_filtered(codec: Codec, beacon: bytes, tmp_path: Path, display_filter: str) -> None:
     assert show(codec, beacon + bytes(5), tmp_path, "-Y", display_filter) != ""
     assert show(codec, beacon + bytes(5), tmp_path, "-Y", f"!({display_filter})") == ""
 
 
 @needs_tshark
-def test_errors_can_be_asked_for(codec: Codec, beacon: bytes, tmp_path: Path) -> None:
+def test_errors_can_be_filtered(codec: Codec, beacon: bytes, tmp_path: Path) -> None:
     wrong = b"\x02" + beacon[1:]
     for condition in ('dcp.errors.reason == "bad-version"', "dcp.errors.offset == 14", "dcp.expert.bad-version"):
         assert show(codec, wrong, tmp_path, "-Y", condition) != ""
@@ -138,7 +138,7 @@ def test_the_destination_port_makes_a_datagram_a_beacon(tmp_path: Path) -> None:
 
 
 @needs_tshark
-def test_names_and_titles_of_a_profile_are_no_lua(tmp_path: Path) -> None:
+def test_names_and_titles_of_a_profile_are_not_executed_as_lua(tmp_path: Path) -> None:
     members = '{ name = "end", type = "i8", unit = "\\u00b5m" }, { name = "local", type = "u8" }'
     path = tmp_path / "own.toml"
     path.write_text(
@@ -150,7 +150,7 @@ def test_names_and_titles_of_a_profile_are_no_lua(tmp_path: Path) -> None:
     assert "end: 0 µm" in tree
 
 
-def test_two_fields_of_one_name_are_refused(codec: Codec) -> None:
+def test_two_fields_with_one_name_are_refused(codec: Codec) -> None:
     # No profile file gets so far, but a profile made by a program can.
     header = ("protocolId", OwnField(name="srp", opaque=2), "length")
     profile = codec.profile

@@ -89,10 +89,10 @@ def test_bit_offsets_are_those_of_a_dissected_beacon(profile):
             if name not in parts:
                 continue
             part = parts[name]
-            place = re.fullmatch(r"(?:after (?P<behind>[^ ]+)(?: \+ )?)?(?P<bits>[0-9]*)", row["Bit offset"])
+            place = re.fullmatch(r"(?:after (?P<previous>[^ ]+)(?: \+ )?)?(?P<bits>[0-9]*)", row["Bit offset"])
             start = record.offset
-            if place["behind"]:
-                before = next(parts[each] for each in place["behind"].split("/") if each in parts)
+            if place["previous"]:
+                before = next(parts[each] for each in place["previous"].split("/") if each in parts)
                 start = before.offset + before.length
             assert part.offset == start + int(place["bits"] or 0) / 8, (record.path, name)
             if row["Bits"].isdigit():
@@ -106,7 +106,7 @@ def offsets(table):
     return [(name, row["Bit offset"], row["Bits"]) for name, row in table.items()]
 
 
-def test_what_the_cpp_implementation_sends():
+def test_layout_of_the_cpp_implementation():
     tables = record_tables(format_tables(get_codec("cpp-2.0")))
     assert offsets(tables["BPHeader"]) == [
         ("version", "0", "8"),
@@ -134,7 +134,7 @@ def test_what_the_cpp_implementation_sends():
     assert tables["VarUpdate"]["value.data"]["Bits"] == "8 × value.length"
 
 
-def test_offsets_behind_varying_fields():
+def test_offsets_after_variable_fields():
     tables = record_tables(format_tables(get_codec("student-2024")))
     assert offsets(tables["VarSpec"]) == [
         ("varId", "0", "8"),
@@ -189,7 +189,7 @@ def test_the_example_shows_every_octet_once(profile):
     assert "\n".join(lines) in text
 
 
-def test_cut_octets_are_annotated_as_far_as_they_go():
+def test_truncated_octets_are_annotated_to_their_end():
     codec = get_codec("cpp-2.0")
     octets = codec.encode(example_beacon(codec))
     for length in range(len(octets)):

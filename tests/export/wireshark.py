@@ -1,4 +1,4 @@
-"""What the real tshark shows of beacons with our dissector, held beside what our own dissector shows."""
+"""Dissection of beacons by the real tshark with our dissector script, compared with our own dissector."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Shown(NamedTuple):
 
 
 class Packet(NamedTuple):
-    """What tshark made of one frame: fields in the order of the tree, what it adds to them, and problems."""
+    """A frame dissected by tshark: fields in the order of the tree, additions of tshark, and problems."""
 
     fields: list[Shown]
     dates: list[Shown]
@@ -41,7 +41,7 @@ class Packet(NamedTuple):
 
 
 def tshark(script: str, capture: Path, *arguments: str) -> str:
-    """Run tshark with a dissector and without anybody's settings; it must have nothing to complain about."""
+    """Run tshark with a dissector and without user settings; it must not print errors."""
     home = capture.parent / "home"
     home.mkdir(exist_ok=True)
     lua = capture.parent / "dcp.lua"
@@ -59,7 +59,7 @@ def tshark(script: str, capture: Path, *arguments: str) -> str:
 
 
 def packets(script: str, capture: Path) -> Iterator[Packet | None]:
-    """What tshark makes of every frame of a capture; None for what it does not take for DCP."""
+    """Yield tshark's dissection of every frame of a capture; None if it is not recognised as DCP."""
     tree = ET.fromstring(tshark(script, capture, "-T", "pdml", "-J", "dcp"))
     for packet in tree.iter("packet"):
         root = packet.find("proto[@name='dcp']")
@@ -77,7 +77,7 @@ def _packet(root: ET.Element) -> Packet:
         nonlocal padding
         for child in element:
             name = child.get("name", "")
-            # An item that is only text has nothing but its label.
+            # An item without a value has a label only.
             show = child.get("showname" if name == "_ws.lua.text" else "show", "")
             shown = Shown(name, int(child.get("pos", -1)), int(child.get("size", -1)), show, child.get("value", ""))
             if name in ("dcp.errors", "dcp.warnings"):
@@ -118,7 +118,7 @@ def _expected(root: Field) -> Iterator[tuple[str, int, int, Any]]:
         elif isinstance(layout, Group | Exact):
             yield name, field.offset, field.length, ...
         elif isinstance(layout, Text) and field.name != "data" and layout.prefixes:
-            # Wireshark shows the octets and the lengths in front of them, our parts of the field.
+            # Wireshark shows the octets and the lengths before them, our parts of the field.
             continue
         elif isinstance(layout, Text) and value is not None:
             if layout.prefixes:
@@ -187,7 +187,7 @@ def differences(frame: DissectedFrame, packet: Packet) -> Iterator[str]:
 
 
 def compare(codec: Codec, script: str, capture: Path) -> tuple[int, list[str]]:
-    """How many fields of a capture were compared, and all differences."""
+    """Number of compared fields of a capture, and all differences."""
     dissector, compared, found = FrameDissector(codec), 0, []
     with open_capture(capture) as frames:
         for frame, packet in zip(frames, packets(script, capture), strict=True):
@@ -205,7 +205,7 @@ def compare(codec: Codec, script: str, capture: Path) -> tuple[int, list[str]]:
 
 
 def framed(link: Link, payload: bytes) -> bytes:
-    """A frame on the link of a profile; checksums are left out, nothing here looks at them."""
+    """A frame on the link of a profile; checksums are left out, which are not checked here."""
     addresses = bytes.fromhex("ffffffffffff0200000000bb")
     if link.transport == "ethernet":
         return addresses + struct.pack(">H", link.ether_type) + payload
@@ -215,7 +215,7 @@ def framed(link: Link, payload: bytes) -> bytes:
 
 def write(path: Path, link: Link, payloads: Iterable[bytes]) -> Path:
     """A pcap file of these bearer payloads."""
-    # Wireshark shows nobody a datagram without octets.
+    # Wireshark does not show a datagram without octets.
     some = (payload for payload in payloads if payload or link.transport == "ethernet")
     with create_capture(path) as capture:
         for number, payload in enumerate(some, start=1):

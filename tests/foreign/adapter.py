@@ -27,7 +27,7 @@ def run(switches: Switches) -> None:
 
 
 class Adapter:
-    """What the clients of one adapter share."""
+    """State shared by the clients of one adapter."""
 
     def __init__(self, switches: Switches) -> None:
         self.switches = switches
@@ -125,7 +125,7 @@ class Connection:
             self._give_up()
 
     def _pass_back(self, daemon: socket.socket) -> None:
-        """What the daemon says, to the client."""
+        """Forward messages of the daemon to the client."""
         try:
             for line in daemon.makefile("rb"):
                 message = json.loads(line)

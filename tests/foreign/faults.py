@@ -25,7 +25,7 @@ GARBAGE = bytes.fromhex("deadbeef") * 10
 
 
 class Victim(Protocol):
-    """What can be made to die."""
+    """A process that a fault can end."""
 
     def die(self, words: str, after: float = 0.0) -> None:
         """Die for this reason, ``after`` so many s and what the switches add to it."""
@@ -39,7 +39,7 @@ def with_faults(names: Iterable[str], victim: Victim, *, poll_ms: float | None =
     """The class of a node with these faults. Raises ``KeyError`` for a name that there is not."""
     made: NodeClass = Node
     for name in sorted(names, key=lambda name: not name.startswith("M-")):
-        # Mutants are subclasses of the node as it is: they come first.
+        # Mutants are subclasses of the unchanged node: they come first.
         made = mutant(name) if name.startswith("M-") else FAULTS[name](made, victim)
     return made if poll_ms is None else polling(made, round(poll_ms * 1e6))
 
@@ -60,8 +60,8 @@ def mutant(name: str) -> NodeClass:
 # -- what comes --------------------------------------------------------------------------------------------------------
 
 
-def dies_of(words: str, lethal: Callable[[Reception, bytes, int], bool]) -> Fault:
-    """Dies of a frame. ``lethal`` gets what BP makes of it, its octets and the size of a BP header."""
+def crashes_on(words: str, lethal: Callable[[Reception, bytes, int], bool]) -> Fault:
+    """Crash on a frame. ``lethal`` gets the decoded frame, its octets and the size of a BP header."""
 
     def apply(base: NodeClass, victim: Victim) -> NodeClass:
         class Dying(base):  # type: ignore[valid-type, misc]
@@ -148,7 +148,7 @@ def polling(base: NodeClass, period: int) -> NodeClass:
 
         def handle_timeout(self, now: int, wall: int) -> None:
             if now >= self._next_poll:
-                # The polls go on in the same rhythm, whether there is something or not.
+                # The polls continue in the same rhythm, whether there is something or not.
                 self._next_poll += ((now - self._next_poll) // period + 1) * period
                 if self._waiting and self.vardis is not None:
                     self.vardis.handle_payload(self._waiting.popleft(), now=now, wall=wall)
@@ -166,7 +166,7 @@ def polling(base: NodeClass, period: int) -> NodeClass:
 # -- services ----------------------------------------------------------------------------------------------------------
 
 
-def dies_of_clear_buffer(base: NodeClass, victim: Victim) -> NodeClass:
+def crashes_on_clear_buffer(base: NodeClass, victim: Victim) -> NodeClass:
     """Confirms that the buffer of a client with mode REPEAT is cleared; dies when it looks into it for a beacon."""
 
     class Dying(base):  # type: ignore[valid-type, misc]
@@ -209,7 +209,7 @@ def sends(change: Callable[[bytes, BPWire], bytes]) -> Fault:
 
 
 def header_number(field: str, change: Callable[[int, BPWire], int], width: int) -> Callable[[bytes, BPWire], bytes]:
-    """Another number in a field of the header, most significant octet first."""
+    """Another number in a field of the header, big-endian."""
 
     def changed(octets: bytes, wire: BPWire) -> bytes:
         start = wire.offset(field)
@@ -222,7 +222,7 @@ def header_number(field: str, change: Callable[[int, BPWire], int], width: int) 
 
 
 def swapped_magic(octets: bytes, wire: BPWire) -> bytes:
-    """The magic number least significant octet first."""
+    """The magic number in little-endian order."""
     start = wire.offset("magicNo")
     return octets[:start] + octets[start : start + 2][::-1] + octets[start + 2 :]
 
@@ -247,10 +247,10 @@ def garbage_report(octets: bytes, wire: BPWire) -> bytes:
 
 
 FAULTS: dict[str, Fault] = {
-    "dies-of-empty-vardis": dies_of("PDU not found", has_empty_vardis),
-    "dies-of-overrun": dies_of("AreaException not enough space", is_overrun),
-    "dies-of-short-frame": dies_of("PDU shorter than a header", is_short),
-    "dies-of-clear-buffer": dies_of_clear_buffer,
+    "crashes-on-empty-vardis": crashes_on("PDU not found", has_empty_vardis),
+    "crashes-on-overrun": crashes_on("AreaException not enough space", is_overrun),
+    "crashes-on-short-frame": crashes_on("PDU shorter than a header", is_short),
+    "crashes-on-clear-buffer": crashes_on_clear_buffer,
     "never-answers": never_answers,
     "no-requests-for-summaries": deaf_to(ICType.SUMMARIES),
     "no-creates": deaf_to(ICType.CREATE_VARIABLES),

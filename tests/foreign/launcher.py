@@ -38,7 +38,7 @@ def main(path: str) -> None:
         try:
             pid, status = os.wait()
         except ChildProcessError:
-            # Nobody is left; a supervisor that stays waits for orders.
+            # No child is left; a supervisor that stays waits for signals.
             signal.pause()
         if pid == daemon and switches.launcher == "ends":
             print(f"[start script] the daemon ended with status {status}", file=sys.stderr, flush=True)

@@ -1,14 +1,14 @@
 """A foreign-like implementation for tests, and the real ``dcp-conformance run`` against it.
 
-    with foreign(faults=["dies-of-short-frame"], adapter_after=0.5, call_delay=0.05) as target:
+    with foreign(faults=["crashes-on-short-frame"], adapter_after=0.5, call_delay=0.05) as target:
         run = target.run("TC_BP_RX_BI_24", "TC_BP_FMT_BV_02")
         assert run.status == 1
         assert run.verdict("TC_BP_RX_BI_24") == "fail"
 
 What can be chosen is in :class:`~.switches.Switches`, with its defaults:
 
-* faults: ``faults`` (names in ``faults.FAULTS``: dies-of-empty-vardis, dies-of-overrun, dies-of-short-frame,
-  dies-of-clear-buffer, never-answers, no-requests-for-summaries, no-creates, magic-swapped, length-with-header,
+* faults: ``faults`` (names in ``faults.FAULTS``: crashes-on-empty-vardis, crashes-on-overrun, crashes-on-short-frame,
+  crashes-on-clear-buffer, never-answers, no-requests-for-summaries, no-creates, magic-swapped, length-with-header,
   one-payload-more, block-length-with-header, garbage-srp; or any mutant of the self-test, as M-BP-HDR-02-swapped),
   ``death`` (aborts, exits, hangs), ``death_delay``;
 * node: ``profile``, ``node_id``, ``beacon_period_ms`` (20), ``buffer_check_period_ms``, ``poll_ms`` (one payload per
@@ -18,12 +18,8 @@ What can be chosen is in :class:`~.switches.Switches`, with its defaults:
 * adapter: ``call_delay``, ``reset``, ``hides``, ``tells``, ``without_daemon`` (error, silence, status),
   ``while_inactive`` and ``transmit_while_inactive`` (conforming, status, error).
 
-Cases that bring the deaths about: TC_BP_RX_BV_04-vardis (dies-of-empty-vardis), TC_BP_RX_BI_13-* (dies-of-overrun),
-TC_BP_RX_BI_24 and TC_BP_RX_BI_26-* (dies-of-short-frame), TC_BP_QM_BV_11 (dies-of-clear-buffer, the case passes).
-
-``foreign(link="ethernet")`` runs in a network namespace of its own (root only, else the test is skipped); the default,
-``udp``, on the loopback interface. Everything that was started is ended by the context; ``target.alive("daemon")``
-says whether a process of the implementation still runs.
+Cases that cause the crashes: TC_BP_RX_BV_04-vardis (crashes-on-empty-vardis), TC_BP_RX_BI_13-* (crashes-on-overrun),
+TC_BP_RX_BI_24 and TC_BP_RX_BI_26-* (crashes-on-short-frame), TC_BP_QM_BV_11 (crashes-on-clear-buffer, the case passes).
 """
 
 from __future__ import annotations
@@ -53,12 +49,12 @@ HERE = Path(__file__).parent
 PATIENCE = 120.0
 #: The interfaces of the tester and of the implementation.
 INTERFACES = ("near", "far")
-#: The command as it is installed, with the Python of the test.
+#: The installed command, with the Python of the test.
 _COMMAND = "from dcp_conformance.cli import main; main()"
 
 
 class Run:
-    """What one ``dcp-conformance run`` came to."""
+    """Output and results of one ``dcp-conformance run``."""
 
     def __init__(self, done: subprocess.CompletedProcess[str], folder: Path, seconds: float) -> None:
         self.status = done.returncode
@@ -69,7 +65,7 @@ class Run:
         """The report."""
         path = folder / "results.json"
         self.results: dict[str, Any] = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
-        """What results.json holds; empty if there is none."""
+        """Contents of results.json; empty if it is missing."""
 
     @property
     def text(self) -> str:
@@ -126,7 +122,7 @@ class Foreign:
 
     @property
     def ut(self) -> str:
-        """What ``--ut`` takes."""
+        """The argument for ``--ut``."""
         return f"unix:{self.switches.adapter_socket}"
 
     def change(self, **changes: Any) -> None:
@@ -193,7 +189,7 @@ class Foreign:
         return [(line.split()[0], int(line.split()[1])) for line in lines]
 
     def starts(self) -> int:
-        """How many times the implementation was started."""
+        """Number of starts of the implementation."""
         return sum(name == "launcher" for name, _ in self.processes())
 
     def alive(self, name: str) -> bool:

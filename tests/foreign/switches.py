@@ -23,7 +23,7 @@ class Switches:
     faults: tuple[str, ...] = ()
     """Names in ``faults.py``, or identifiers of mutants of the self-test (``M-BP-HDR-02-swapped``)."""
     death: Literal["aborts", "exits", "hangs"] = "aborts"
-    """What a fault ``dies-of-...`` does to the daemon: SIGABRT, exit with status 0, or live on without doing
+    """What a fault ``crashes-on-...`` does to the daemon: SIGABRT, exit with status 0, or live on without doing
     anything."""
     death_delay: float = 0.0
     """Time between the cause and the death; the daemon works until then."""
@@ -49,8 +49,8 @@ class Switches:
     """A second daemon: one that reports safety data (``process``), or one that only runs (``child``)."""
     adapter: bool = True
     adapter_after: float | None = 0.0
-    """When the adapter ends, counted from the death of the daemon. Negative: so long before it (the daemon goes on
-    working until then). None: never, the adapter outlives the daemon."""
+    """When the adapter ends, in seconds after the crash of the daemon. Negative: before it (the daemon continues to
+        work until its crash). None: never, the adapter outlives the daemon."""
     adapter_delay: float = 0.0
     """Time between the start of the daemon and that of the adapter."""
 

@@ -7,7 +7,7 @@ import pytest
 from .rig import foreign
 
 SANITY = "TC_DCP_SANITY_BV_01"
-#: It dies of this case, and the next one has nothing to do with it.
+#: It crashes in the first case, which is unrelated to the second.
 LETHAL, NEXT = "TC_BP_RX_BI_24", "TC_BP_FMT_BV_02"
 
 
@@ -15,8 +15,10 @@ LETHAL, NEXT = "TC_BP_RX_BI_24", "TC_BP_FMT_BV_02"
     ("launcher", "adapter_after"),
     [("ends", -0.5), ("ends", 0.0), ("stays", 0.5), ("stays", None), ("detaches", -0.5), ("detaches", 1.0)],
 )
-def test_the_case_that_kills_is_blamed_and_no_other(launcher: str, adapter_after: float | None):
-    with foreign(faults=["dies-of-short-frame"], launcher=launcher, adapter_after=adapter_after, reset=False) as target:
+def test_only_the_deadly_case_is_blamed(launcher: str, adapter_after: float | None):
+    with foreign(
+        faults=["crashes-on-short-frame"], launcher=launcher, adapter_after=adapter_after, reset=False
+    ) as target:
         run = target.run(LETHAL, NEXT)
         assert run.status == 1, run.text
         assert {each["id"] for each in run.cases} == {SANITY, LETHAL, NEXT}
@@ -26,8 +28,8 @@ def test_the_case_that_kills_is_blamed_and_no_other(launcher: str, adapter_after
 
 
 @pytest.mark.parametrize("delay", [0.3, 1.0])
-def test_a_slow_death_is_not_charged_to_the_next_case(delay: float):
-    with foreign(faults=["dies-of-empty-vardis"], death_delay=delay, adapter_after=0.5) as target:
+def test_a_delayed_crash_is_not_attributed_to_the_next_case(delay: float):
+    with foreign(faults=["crashes-on-empty-vardis"], death_delay=delay, adapter_after=0.5) as target:
         run = target.run("TC_BP_RX_BV_04-vardis", "TC_BP_RX_BI_12-1", "TC_VD_UPD_BV_01")
         assert run.failed_requirements() <= {"BP-RX-16", "VD-ROB-01"}, run.text
         assert run.verdict("TC_BP_RX_BV_04-vardis") == "fail", run.text
@@ -35,10 +37,10 @@ def test_a_slow_death_is_not_charged_to_the_next_case(delay: float):
         assert run.verdict("TC_VD_UPD_BV_01") == "pass", run.text
 
 
-def test_a_case_that_expects_silence_and_kills():
-    with foreign(faults=["dies-of-clear-buffer"], adapter_after=0.0) as target:
+def test_a_deadly_case_that_expects_silence():
+    with foreign(faults=["crashes-on-clear-buffer"], adapter_after=0.0) as target:
         run = target.run("TC_BP_QM_BV_11", "TC_BP_RX_BI_01-00")
         assert run.verdict("TC_BP_QM_BV_11") == "fail", run.text
         assert run.verdict("TC_BP_RX_BI_01-00") == "pass", run.text
-        # It died of the service, not of what else the case is about.
+        # The crash was caused by the service, not by other stimuli of the case.
         assert run.failed_requirements() == {"BP-CLR-03"}

@@ -8,7 +8,7 @@ from .rig import foreign
 
 SANITY = "TC_DCP_SANITY_BV_01"
 ONE = "TC_VD_UPD_BV_01"
-#: What it looks at is the answer of a service, which needs no beacon.
+#: It checks the answer of a service, which needs no beacon.
 SERVICE = "TC_VD_REA_BI_01"
 
 
@@ -36,14 +36,14 @@ def test_another_network_identifier_is_named(own_variable: int | None):
     [("magic-swapped", "BP-HDR-02"), ("length-with-header", "BP-HDR-06"), ("one-payload-more", "BP-HDR-07"),
      ("block-length-with-header", "BP-FMT-01")],
 )  # fmt: skip
-def test_the_first_faults_of_an_implementer_are_named(fault: str, requirement: str):
+def test_typical_first_mistakes_are_named(fault: str, requirement: str):
     with foreign(faults=[fault]) as target:
         run = target.run(SANITY)
         assert run.status == 1
         assert run.failed_requirements() == {requirement}, run.text
 
 
-def test_with_a_broken_header_the_run_goes_on():
+def test_the_run_continues_with_a_wrong_header():
     with foreign(faults=["magic-swapped"]) as target:
         run = target.run(SERVICE)
         assert run.failed_requirements(SANITY) == {"BP-HDR-02"}, run.text
@@ -51,20 +51,20 @@ def test_with_a_broken_header_the_run_goes_on():
         assert target.starts() == 1
 
 
-def test_one_kind_of_stimulus_that_is_not_answered():
+def test_one_kind_of_stimulus_without_answer():
     with foreign(faults=["no-requests-for-summaries"]) as target:
         run = target.run("TC_BP_RX_BI_01-00", ONE)
         assert run.failed_requirements() == {"VD-PS-01"}, run.text
         assert run.verdict(ONE) == "pass"
 
 
-def test_an_srp_block_of_garbage_is_no_reason_to_stop():
+def test_the_run_continues_with_a_garbage_srp_block():
     with foreign(faults=["garbage-srp"]) as target:
         run = target.run(SANITY, ONE)
         assert not run.failed_requirements(SANITY), run.text
 
 
-def test_an_implementation_that_is_there_and_never_answers_is_not_waited_for_long():
+def test_an_implementation_that_opened_the_link_and_never_answers_is_not_waited_for_long():
     """It has opened the link: what has not come some seconds later will not come."""
     with foreign(faults=["never-answers"], adapter=False) as target:
         run = target.run(ONE)

@@ -68,7 +68,7 @@ def kill(client: Client) -> None:
 
 
 @pytest.mark.parametrize("link", ["udp", "ethernet"])
-def test_it_takes_part(link):
+def test_the_foreign_node_joins_the_network(link):
     with foreign(link=link, srp="process", poll_ms=5) as target:
         run = target.run(SANITY)
         assert run.status == 0, run.text
@@ -77,8 +77,8 @@ def test_it_takes_part(link):
 
 
 @pytest.mark.parametrize("after", [0.0, 0.3])
-def test_the_adapter_dies_with_the_daemon(after):
-    with foreign(faults=["dies-of-clear-buffer"], adapter_after=after, launcher="stays") as target, target.started():
+def test_the_adapter_ends_with_the_daemon(after):
+    with foreign(faults=["crashes-on-clear-buffer"], adapter_after=after, launcher="stays") as target, target.started():
         with Client(target) as client:
             kill(client)
             until(lambda: not target.alive("daemon"), "the daemon dies")
@@ -88,8 +88,8 @@ def test_the_adapter_dies_with_the_daemon(after):
         assert target.alive("launcher")
 
 
-def test_the_adapter_dies_first():
-    with foreign(faults=["dies-of-clear-buffer"], adapter_after=-0.5) as target, target.started():
+def test_the_adapter_ends_first():
+    with foreign(faults=["crashes-on-clear-buffer"], adapter_after=-0.5) as target, target.started():
         with Client(target) as client:
             kill(client)
         until(lambda: not target.alive("adapter"), "the adapter dies")
@@ -100,7 +100,7 @@ def test_the_adapter_dies_first():
 @pytest.mark.parametrize("without", ["error", "status"])
 def test_the_adapter_outlives_the_daemon(without):
     switches = {"adapter_after": None, "without_daemon": without}
-    with foreign(faults=["dies-of-clear-buffer"], **switches) as target, target.started():
+    with foreign(faults=["crashes-on-clear-buffer"], **switches) as target, target.started():
         with Client(target) as client:
             kill(client)
             until(lambda: not target.alive("daemon"), "the daemon dies")
@@ -113,7 +113,7 @@ def test_the_adapter_outlives_the_daemon(without):
 
 
 def test_a_daemon_that_exits_later():
-    with foreign(faults=["dies-of-clear-buffer"], death="exits", death_delay=0.3) as target, target.started():
+    with foreign(faults=["crashes-on-clear-buffer"], death="exits", death_delay=0.3) as target, target.started():
         with Client(target) as client:
             kill(client)
             assert client.call("RTDB-DescribeDatabase")["result"]["status"] == "VARDIS-STATUS-OK"
@@ -121,7 +121,7 @@ def test_a_daemon_that_exits_later():
 
 
 def test_a_daemon_that_hangs():
-    with foreign(faults=["dies-of-clear-buffer"], death="hangs") as target, target.started():
+    with foreign(faults=["crashes-on-clear-buffer"], death="hangs") as target, target.started():
         with Client(target) as client:
             kill(client)
         stat = Path(f"/proc/{target.switches.pid_of('daemon')}/stat")
@@ -130,7 +130,7 @@ def test_a_daemon_that_hangs():
         assert target.alive("adapter")
 
 
-def test_what_the_adapter_says():
+def test_answers_of_the_adapter():
     switches = {"while_inactive": "status", "transmit_while_inactive": "error", "hides": ["BP-SetParameter"]}
     with foreign(call_delay=0.1, tells=[], **switches) as target, target.started(), Client(target) as client:
         begun = time.monotonic()
@@ -148,14 +148,14 @@ def test_what_the_adapter_says():
         assert client.call("BP-TransmitPayload", protId=9, payload="00")["error"]["code"] == -32603
 
 
-class Nobody:
+class NoVictim:
     def die(self, words: str, after: float = 0.0) -> None:
         raise AssertionError(words)
 
 
 def test_faults_have_names():
     for name in FAULTS:
-        assert with_faults([name], Nobody())
-    assert with_faults(["M-VD-PS-01-ignored", "magic-swapped"], Nobody(), poll_ms=5)
+        assert with_faults([name], NoVictim())
+    assert with_faults(["M-VD-PS-01-ignored", "magic-swapped"], NoVictim(), poll_ms=5)
     with pytest.raises(KeyError):
-        with_faults(["M-NO-SUCH"], Nobody())
+        with_faults(["M-NO-SUCH"], NoVictim())

@@ -49,7 +49,7 @@ def test_another_seed_and_another_direction_make_other_decisions() -> None:
 
 
 @given(impairments())
-def test_counters_tell_what_became_of_every_frame(impairment: Impairment) -> None:
+def test_counters_account_for_every_frame(impairment: Impairment) -> None:
     channel = Channel(impairment, 3)
     fates = played(channel)
     counters = channel.counters
@@ -63,7 +63,7 @@ def test_counters_tell_what_became_of_every_frame(impairment: Impairment) -> Non
 
 
 @given(impairments())
-def test_what_is_not_corrupted_arrives_as_it_was_sent(impairment: Impairment) -> None:
+def test_uncorrupted_frames_arrive_unchanged(impairment: Impairment) -> None:
     for number, fate in enumerate(played(Channel(impairment, 3))):
         sent = bytes([number % 256]) * 20
         for copy in fate.copies:
@@ -183,7 +183,7 @@ def test_corruption_inverts_one_bit_in_a_share_of_octets() -> None:
     assert flipped / 300_000 == pytest.approx(0.01, abs=0.001)
 
 
-def test_corrupted_frames_have_so_many_inverted_bits() -> None:
+def test_corrupted_frames_have_the_configured_number_of_inverted_bits() -> None:
     channel = Channel(Impairment(corrupt_frames=0.25, flips=3), 7)
     found = [sum(each.bit_count() for each in channel.offer(bytes(40), n).copies[0].octets) for n in range(8000)]
     assert set(found) == {0, 3}

@@ -1,4 +1,4 @@
-"""A lower tester behind a bad link, in virtual time: when frames leave and arrive, and what the tester knows."""
+"""A lower tester on a bad link, in virtual time: when frames leave and arrive, and what the tester knows."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def test_frames_take_their_time_in_both_directions() -> None:
     assert air.sent == [(5, b"one"), (8, b"two")]
 
 
-def test_what_arrives_at_the_end_of_a_wait_belongs_to_the_next_one() -> None:
+def test_a_frame_at_the_end_of_a_wait_belongs_to_the_next_wait() -> None:
     air = Air()
     lower = link(air, "", "delay=7ms")
     air.plan(3, b"x")
@@ -126,7 +126,7 @@ def test_the_link_only_delays_while_no_case_is_executed() -> None:
     assert "to the implementation 1 of 1 frames lost; from it 1 of 1 frames lost." in lower.summary()
 
 
-def test_what_the_link_adds_or_changes_is_not_taken_for_the_implementation() -> None:
+def test_frames_changed_by_the_link_are_not_attributed_to_the_implementation() -> None:
     air = Air()
     lower = link(air, back="duplicate=1")
     with lower.engaged():
@@ -144,7 +144,7 @@ def test_stimuli_are_corrupted_and_repeated_and_the_tester_knows() -> None:
     air = Air()
     lower = link(air, "corrupt_frames=1,duplicate=1")
     with lower.engaged():
-        assert lower.send(b"abc", b"a") == b"frame of aabc", "the frame as it was sent"
+        assert lower.send(b"abc", b"a") == b"frame of aabc", "the frame before impairment"
         lower.send_frame(b"\xff" * 14 + b"abc")
     (_, first), (_, again), (_, frame), _ = air.sent
     assert first == again != b"abc"
@@ -167,7 +167,7 @@ def test_a_beacon_that_is_held_back_is_marked_when_it_arrives() -> None:
 
 
 @pytest.mark.parametrize(("tolerance", "late"), [(0, True), (10 * MS, False)])
-def test_jitter_within_the_tolerance_is_no_incident(tolerance: int, late: bool) -> None:
+def test_jitter_within_the_tolerance_is_not_an_incident(tolerance: int, late: bool) -> None:
     air = Air()
     lower = link(air, "delay=5ms,jitter=9ms", "delay=5ms,jitter=9ms", tolerance)
     assert lower.changes_intervals
@@ -186,10 +186,10 @@ def test_a_call_can_wait_until_nothing_is_under_way() -> None:
     lower.send(b"x", b"a")
     lower.settle()
     assert air.sent == [(5, b"x")]
-    assert lower.receive(lower.now() + MS) is not None, "what arrived meanwhile is kept"
+    assert lower.receive(lower.now() + MS) is not None, "frames that arrive during sending are kept"
 
 
-def test_a_frame_of_an_earlier_case_is_told_in_the_case_that_it_meets() -> None:
+def test_a_late_frame_of_an_earlier_case_is_reported_in_the_current_case() -> None:
     air = Air()
     lower = link(air, "reorder=1,reorder_delay=20ms")
     with lower.engaged():
@@ -201,7 +201,7 @@ def test_a_frame_of_an_earlier_case_is_told_in_the_case_that_it_meets() -> None:
     assert air.sent == [(20, b"x")]
 
 
-def test_a_perfect_link_is_none() -> None:
+def test_a_perfect_link_changes_nothing() -> None:
     air = Air()
     assert impaired(air, parse_directions(["loss=0"]), seed=1, tolerance=0) is air
     assert isinstance(impaired(air, parse_directions(["loss=0.1"]), seed=1, tolerance=0), ImpairedLowerTester)
@@ -229,7 +229,7 @@ def test_directions_are_given_together_or_one_by_one() -> None:
         (["there:loss=1"], "--impair there:loss=1: there:loss: unknown key"),
     ],
 )
-def test_what_makes_no_sense_is_refused(texts: list[str], said: str) -> None:
+def test_invalid_options_are_refused(texts: list[str], said: str) -> None:
     with pytest.raises(UsageError) as caught:
         parse_directions(texts)
     assert str(caught.value).startswith(said)

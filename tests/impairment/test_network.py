@@ -17,7 +17,7 @@ def heard(network: Network, sender: int, now: int = 0) -> list[int]:
     return [transit.receiver for transit in network.due(now + 1000 * MS)]
 
 
-def test_everybody_hears_everybody_unless_told_otherwise() -> None:
+def test_all_stations_hear_each_other_by_default() -> None:
     assert heard(Network(4), 1) == [0, 2, 3]
     assert [heard(Network(3, hears=LINE), sender) for sender in range(3)] == [[1], [0, 2], [1]]
     assert heard(Network(2, hears=[(0, 1)]), 1) == [], "one way"
@@ -75,7 +75,7 @@ def test_arrivals_come_in_the_order_of_time_then_of_sending() -> None:
     assert network.poll_timeout() is None
 
 
-def test_the_traffic_of_one_station_does_not_change_what_becomes_of_anothers_frames() -> None:
+def test_traffic_of_one_station_does_not_affect_frames_of_another() -> None:
     def received(*, others: bool) -> list[bytes]:
         network = Network(3, default=Impairment(loss=0.4), seed=11)
         for number in range(100):

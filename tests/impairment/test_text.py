@@ -35,7 +35,7 @@ def test_every_key_is_read() -> None:
 
 
 @pytest.mark.parametrize("text", ["", EVERYTHING, "loss=0.3", "p=0.1,r=0.5,bad=0.9", "delay=300us,jitter=17ns"])
-def test_the_text_form_is_given_back(text: str) -> None:
+def test_the_text_form_survives_a_round_trip(text: str) -> None:
     assert parse_impairment(text_of(parse_impairment(text))) == parse_impairment(text)
 
 
@@ -73,7 +73,7 @@ def test_a_table_has_the_same_keys() -> None:
         ("down=1s+0s", "down: an outage starts at 0 s or later, and lasts longer than 0 s"),
     ],
 )
-def test_what_makes_no_sense_is_refused_with_key_and_reason(text: str, said: str) -> None:
+def test_invalid_values_are_refused_with_key_and_reason(text: str, said: str) -> None:
     with pytest.raises(ImpairmentError) as caught:
         parse_impairment(text)
     assert str(caught.value).startswith(said)

@@ -162,7 +162,7 @@ def texts(source: str) -> Iterator[Text]:
     """Yield docstrings, other strings with a space, comments, and names of functions and classes.
 
     Adjacent comment lines are one text, as are adjacent strings. Names are split into words, without ``test``. Each
-    expression of an f-string becomes ``...``; the strings inside it are further texts.
+    expression of an f-string becomes ``...``; the strings inside it are further texts. ``bytes`` are data.
     """
     ends = [found.end() for found in re.finditer("\n", source)]
     marked = {bisect_right(ends, found.start()) for found in re.finditer(re.escape(MARKER), source)}
@@ -178,6 +178,8 @@ def _joined(source: str) -> Iterator[tuple[str, int, int, str]]:
     for found in TOKEN.finditer(source):
         if found["name"]:
             yield "name", *found.span(), _words(found["name"])
+            continue
+        if "b" in (found["prefix"] or "").lower():
             continue
         this = "comment" if found["comment"] else "string"
         if this != kind or not BETWEEN.fullmatch(source, end, found.start()):

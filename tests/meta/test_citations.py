@@ -33,10 +33,10 @@ def test_the_schema_cites_requirements():
         ("# BP-RX-15 in a comment, X34 and 'VD-IC-03'", set()),
     ],
 )
-def test_what_counts_as_a_citation(text, found):
+def test_forms_of_citations(text, found):
     assert cited(text) == found
 
 
-def test_what_counts_as_a_mark():
+def test_forms_of_markers():
     text = '@pytest.mark.req("BP-RX-01", "VD-IC-03")\nparam(1, marks=pytest.mark.req("DATA-02"))\n'
     assert marked(text) == {"BP-RX-01", "VD-IC-03", "DATA-02"}

@@ -1,4 +1,4 @@
-"""What the documents name is there: files and headings that they link to, commands and options, cases and mutants."""
+"""References in documents exist: files and headings that they link to, commands and options, cases and mutants."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ DOCUMENTS = sorted(
     if path.name not in ("traceability.md", "selftest.md")
 )
 GROUPS = {each.name: each.group() for each in (codec, node, conformance)}
-#: A command as it is typed, up to the end of the line, a comment or the next command.
+#: A typed command, up to the end of the line, a comment or the next command.
 _COMMAND = re.compile(r"(?:^|[ `(])((?:dcp-codec|dcp-node|dcp-conformance) [^#|`\n]*)", re.MULTILINE)
 _LINK = re.compile(r"\]\(([^)\s]+)\)")
 _CASE = re.compile(r"\bTC_[A-Z][\w.*-]*")
@@ -82,11 +82,11 @@ def test_options_of_commands_exist(path: Path):
 
 
 @each_document
-def test_lines_that_can_be_typed_name_a_subcommand(path: Path):
+def test_commands_in_documents_name_a_subcommand(path: Path):
     for line in path.read_text(encoding="utf-8").splitlines():
         if match := re.match(r"(?:\$ )?((?:dcp-codec|dcp-node|dcp-conformance) [a-z].*)", line):
             command, _ = resolved(match[1].split())
-            # What goes on after such a word in a sentence is no command.
+            # The words after the name of a group are prose, not a command.
             assert not isinstance(command, click.Group), line
 
 

@@ -18,7 +18,7 @@ from ..chance import FRESH
 from ..conftest import STRAY
 
 ROOT = Path(__file__).resolve().parents[2]
-#: A number that nobody draws by chance.
+#: A number that is not drawn by chance.
 ODD = 982_451_653_718_281_828
 IGNORED = (signal.SIGINT, signal.SIGHUP, signal.SIGTERM)
 
@@ -30,7 +30,7 @@ def test_variables_and_signals() -> None:
     assert not signal.pthread_sigmask(signal.SIG_BLOCK, ())
 
 
-@pytest.mark.skipif(FRESH, reason="examples are drawn anew")
+@pytest.mark.skipif(FRESH, reason="new examples are drawn")
 def test_examples_do_not_depend_on_the_run() -> None:
     assert settings().derandomize
     assert settings().database is None

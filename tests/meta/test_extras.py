@@ -1,4 +1,4 @@
-"""What an installation without extras does, and what it says about those that are missing.
+"""Installations without extras: which commands work, and messages about missing extras.
 
 The processes below import the standard library, this project and the distributions of the chosen extras; everything
 else fails to import as if it were not installed.
@@ -149,7 +149,7 @@ def test_simulation_and_pcap_need_no_extra(tmp_path):
         ("dcp-conformance run --in-process TC_BP_TX_TI_04", "greenlet", "conformance"),
     ],
 )
-def test_what_is_missing_is_named_with_its_extra(line, package, extra, tmp_path):
+def test_a_missing_package_is_named_with_its_extra(line, package, extra, tmp_path):
     done = run(line.format(tmp=tmp_path))
     assert done.status == 2
     assert missing(package, extra) in done.err
@@ -165,7 +165,7 @@ def test_a_run_in_process_needs_no_scapy(tmp_path):
     assert (tmp_path / "report" / "report.html").is_file()
 
 
-def test_a_run_over_ethernet_says_that_scapy_is_missing(tmp_path):
+def test_a_run_over_ethernet_reports_missing_scapy(tmp_path):
     done = run(f"dcp-conformance run --interface lo {CASES} --report-dir {tmp_path}/report", "conformance")
     assert missing("scapy", "scapy") in done.err
     assert done.status == 4

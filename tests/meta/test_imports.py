@@ -60,6 +60,6 @@ def test_the_figure_of_layers_is_up_to_date():
 
 
 @pytest.mark.parametrize("package", layers.PACKAGES)
-def test_each_part_says_what_it_is(package: str):
+def test_each_part_has_a_docstring(package: str):
     parts = [name for layer in layers.layers_of(package) for name in layer]
     assert [name for name in parts if not layers.first_line(package, name)] == []

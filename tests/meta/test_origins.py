@@ -1,4 +1,4 @@
-"""Each requirement of the catalogue has the statements of the specification that it stands on, where it says so."""
+"""Each requirement of the catalogue names the statements of the specification from which it is derived."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_the_versions_are_those_of_the_catalogue():
     assert newest_statements().version == revisions()[0].version
 
 
-def test_the_generated_file_belongs_to_the_anchors():
+def test_the_generated_file_matches_the_anchors():
     anchors = read_anchors(ROOT / PATH)
     recorded = {
         name: {each.version: [f"{o.section.file}:{o.line} {o.fingerprint}" for o in places.origins[each.version]]
@@ -57,7 +57,7 @@ def test_the_generated_file_belongs_to_the_anchors():
     assert {name: entry.why for name, entry in origins().items() if entry.why} == anchors.why
 
 
-def test_every_requirement_has_a_statement_or_a_reason_in_each_of_its_versions():
+def test_every_requirement_has_an_origin_in_each_of_its_versions():
     for name, requirement in requirements().items():
         entry = origins()[name]
         holds = {version for version in SpecVersion if requirement.holds_in(version)}
@@ -88,7 +88,7 @@ def test_the_section_and_the_steps_are_those_of_the_catalogue():
             assert ends <= found, name
 
 
-def test_what_is_derived_says_that_no_sentence_states_it():
+def test_derived_requirements_are_marked_as_not_stated():
     for name, requirement in requirements().items():
         if requirement.derived:
             assert origins()[name].why, name

@@ -1,4 +1,4 @@
-"""What an installed kit consists of."""
+"""Contents of an installed kit."""
 
 from __future__ import annotations
 

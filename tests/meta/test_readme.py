@@ -1,4 +1,4 @@
-"""What the README shows is what the commands print."""
+"""The output shown in the README is that of the commands."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def programs() -> list[str]:
 
 
 @pytest.mark.parametrize("program", programs(), ids=lambda text: text.splitlines()[0])
-def test_programs_run_as_they_are(program, capsys):
+def test_programs_run_unchanged(program, capsys):
     exec(compile(program, "README.md", "exec"), {"__name__": "__main__"})
     assert capsys.readouterr().out
 

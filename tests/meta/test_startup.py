@@ -1,6 +1,6 @@
-"""What commands import before they say anything: nothing that they do not use, by name and not by time.
+"""Imports of commands before their first output: only modules that they use, checked by name and not by time.
 
-benchmarks/startup.py measures what it comes to.
+benchmarks/startup.py measures the time.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ HEAVY = frozenset(
         *("hypothesis", "pytest", "jinja2", "prometheus_client", "pymavlink", "yaml", "asyncio", "http.server"),
     )
 )
-#: What only those need that show tables and bars, or recordings.
+#: Modules for commands that show tables and bars, or recordings.
 SHOWING = frozenset(("rich", "mcap"))
 #: Schemas, and all that is made of them.
 SCHEMAS = frozenset(("construct", "dcp_spec.profile.loading", "dcp_codec.codec"))
@@ -39,12 +39,12 @@ MACHINES = frozenset(
         "dcp_conformance.execution.runner",
     )
 )
-#: Subcommands whose help still has modules of theirs behind it, where the time is spent on the work.
+#: Subcommands whose help still imports modules of their work; these commands spend their time on the work.
 _WITH_SCHEMAS = frozenset(f"dcp-codec {name}" for name in codec.commands)
 
 
 def helps() -> Iterator[tuple[str, frozenset[str]]]:
-    """Each command as it is typed for its help, and what it must not import."""
+    """Yield each command for its help, and the modules that it must not import."""
     for command in COMMANDS:
         yield f"{command.name} --help", HEAVY | SHOWING | SCHEMAS | MACHINES | {"msgspec", "subprocess", "socket"}
         for subcommand in command.commands:
@@ -98,7 +98,7 @@ def test_work_imports_nothing_that_it_does_not_need(line: str):
     assert not imported(line) & WORK[line]
 
 
-def test_packages_export_what_they_say():
+def test_packages_export_all_listed_names():
     packages = ("dcp_spec", "dcp_codec", "dcp_codec.table", "dcp_stack", "dcp_stack.control", "dcp_conformance")
     program = (
         "import importlib, sys\n"

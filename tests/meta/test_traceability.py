@@ -1,4 +1,4 @@
-"""The traceability matrix is complete and up to date, and notices when it is not."""
+"""The traceability matrix is complete and up to date, and errors in it are noticed."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def test_the_identifier_of_a_rule_is_never_used_again(repository):
     assert any("CK_NEW is retired" in each for each in retired.problems())
 
 
-def test_unknown_ids_are_found_wherever_they_stand(repository):
+def test_unknown_ids_are_found_everywhere(repository):
     (repository / "dcp_codec" / "some.py").write_text("##= VD-XYZ-99\n")
     (repository / "tests" / "unit" / "test_some.py").write_text('@pytest.mark.req("BP-RX-77")\n')
     (repository / UNDECIDED).write_text('[[undecided]]\nid = "VD-NO-01"\nwhy = "none"\n')
@@ -132,7 +132,7 @@ def test_a_reason_beside_a_case_is_a_contradiction(repository):
 
 
 @pytest.mark.parametrize("ids", [("VD-IC-03", "VD-IC-01"), ("VD-IC-01", "VD-IC-01")])
-def test_reasons_are_sorted_and_there_once(repository, ids):
+def test_reasons_are_sorted_and_unique(repository, ids):
     cases = {"TC_VD_PAY_BV_01-a": case_of("TC_VD_PAY_BV_01-a", *(name for name in ALL if name not in ids))}
     text = "".join(f'[[undecided]]\nid = "{name}"\nwhy = "a reason"\n' for name in ids)
     (repository / UNDECIDED).write_text(text)
@@ -164,7 +164,7 @@ def test_the_ledger_only_grows(repository):
         (UNDECIDED, "[[undecided\n", UNDECIDED),
     ],
 )
-def test_files_that_make_no_sense_are_named(repository, file, text, message):
+def test_invalid_files_are_named(repository, file, text, message):
     (repository / file).write_text(text)
     with pytest.raises(UsageError) as error:
         matrix(repository, EVERYTHING)

@@ -97,7 +97,7 @@ def steady(node: int, seconds: float, skipped: Iterable[int] = ()) -> list[Sent]
 
 
 class Page(HTMLParser):
-    """What is in a page: elements with their attributes, and text outside of scripts and style sheets."""
+    """Contents of a page: elements with their attributes, and text outside of scripts and style sheets."""
 
     def __init__(self, text: str) -> None:
         super().__init__()

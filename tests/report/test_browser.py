@@ -17,7 +17,7 @@ from .flights import CAPTURES
 pytestmark = [pytest.mark.tool("chromium"), pytest.mark.part("tools")]
 SHOW_ALL = "document.querySelectorAll('[data-plot]').forEach((each) => each.scrollIntoView())"
 ALL_SHOWN = "document.querySelectorAll('[data-plot]').length === document.querySelectorAll('[data-shown]').length"
-#: What is in the page and in the shadow trees of Bokeh's elements.
+#: All texts of the page and of the shadow trees of Bokeh's elements.
 TOOLTIPS = (
     "(function texts(node) { return [...node.querySelectorAll('*')].map((each) => "
     "(each.matches('.bk-Tooltip') ? (each.shadowRoot ?? each).textContent : '') "
@@ -49,7 +49,7 @@ def show(browser: Browser, page: Path, *, width: int = 1280, dark: bool = False,
     browser.wait(ALL_SHOWN)
 
 
-def test_it_draws_everything_without_a_word_of_complaint_and_without_network(browser, page):
+def test_all_plots_are_drawn_without_errors_and_without_network(browser, page):
     show(browser, page)
     assert browser.complaints == []
     assert [each for each in browser.requests if not each.startswith(("data:", "blob:"))] == [page.resolve().as_uri()]

@@ -18,7 +18,7 @@ from dcp_codec.report.recorded import Recorded, gather
 from .flights import CAPTURES, Sent, ask, create, delete, gathered, name, record, report, summary, update
 
 
-def looked_at(path: Path, sent: list[Sent]) -> tuple[Recorded, Holding]:
+def holding_of(path: Path, sent: list[Sent]) -> tuple[Recorded, Holding]:
     recorded = gathered(record(path / "a.pcap", sent))
     return recorded, holding(recorded, analysis.time_of(recorded))
 
@@ -42,7 +42,7 @@ def recreated(tmp_path) -> tuple[Recorded, Holding]:
     sent: list[Sent] = [(0.0, 1, 0, (create(7, 1, b"a", at=1),))]
     sent += beats(1, 9, 0.5, 10) + beats(2, 9, 0.6, 10.2) + beats(3, 9, 0.6, 20)
     sent += [(10.0, 1, 500, (create(7, 1, b"a", at=2, seqno=5),)), *beats(1, 5, 10.1, 20), *beats(2, 5, 10.2, 20)]
-    return looked_at(tmp_path, sent)
+    return holding_of(tmp_path, sent)
 
 
 def test_a_stale_value_after_a_recreation(recreated):
@@ -60,7 +60,7 @@ def test_a_stale_value_after_a_recreation(recreated):
     assert beacons["time"][beacons["frame"] == only.frame] == recorded.tables["beacons"]["time"].min() + 10 * 10**9
 
 
-def test_the_page_says_so_first_of_all(recreated):
+def test_the_page_begins_with_the_difference(recreated):
     recorded, _ = recreated
     drawn = chapter(recorded)
     first = drawn.sections[0]
@@ -77,7 +77,7 @@ def test_the_page_says_so_first_of_all(recreated):
     assert f"decode --frames {recreated[1].divergences[0].frame} --variable 7 --profile dcp-2.0" in row[-1].text
 
 
-def test_what_the_pointer_shows_of_a_difference(recreated):
+def test_the_tooltip_of_a_difference(recreated):
     recorded, found = recreated
     stale = pair(recorded, found, 7, 3)
     assert stale.at(5.0) == (9, 9)
@@ -99,7 +99,7 @@ def test_a_value_that_arrives_late(tmp_path):
         (9.0, 2, 500, (update(7, 1, b"b"),)),
         *beats(2, 1, 9.1, 12),
     ]
-    _, found = looked_at(tmp_path, sent)
+    _, found = holding_of(tmp_path, sent)
     (late,) = found.divergences
     assert (late.held, late.produced, late.missed, late.to_the_end) == (0, 1, 0, False)
     assert late.end - late.start == pytest.approx(4.0)
@@ -108,15 +108,15 @@ def test_a_value_that_arrives_late(tmp_path):
 def test_values_that_were_replaced_before_they_could_be_sent(tmp_path):
     sent: list[Sent] = [(0.0, 1, 0, (create(7, 1, b"a"),)), (0.05, 2, 0, (summary(7, 0),))]
     sent += [(0.1 * n, 1, n, (update(7, n, b"b"),)) for n in range(1, 9)] + [(0.85, 2, 1, (summary(7, 8),))]
-    recorded, found = looked_at(tmp_path, sent)
+    recorded, found = holding_of(tmp_path, sent)
     one = pair(recorded, found, 7, 2)
     assert (one.values, one.sent, one.differs_at_end) == (8, 1, False)
     assert found.divergences == []
 
 
-def test_a_node_that_never_says_a_variable(tmp_path):
+def test_a_node_that_never_announces_a_variable(tmp_path):
     sent = [(0.0, 1, 0, (create(7, 1, b"a"),)), *beats(1, 0, 0.1, 6), *beats(2, 3, 0.1, 6, variable=8)]
-    recorded, found = looked_at(tmp_path, sent)
+    recorded, found = holding_of(tmp_path, sent)
     one = pair(recorded, found, 7, 2)
     assert (one.held, one.known, one.differs_at_end) == (None, [], True)
     assert found.without_producer == [8]
@@ -124,12 +124,12 @@ def test_a_node_that_never_says_a_variable(tmp_path):
     assert (only.held, only.produced, only.to_the_end) == (None, 0, True)
 
 
-def test_a_deletion_that_is_followed_ignored_and_only_fallen_silent_about(tmp_path):
+def test_a_deletion_that_is_followed_or_ignored_or_not_announced(tmp_path):
     sent: list[Sent] = [(0.0, 1, 0, (create(7, 1, b"a"),)), *beats(1, 0, 0.1, 5), (5.0, 1, 99, (delete(7),))]
     sent += [(5 + n / 10, 1, 100 + n, (summary(9, 0),)) for n in range(1, 100)]
     sent += [*beats(2, 0, 0.1, 5), (5.05, 2, 99, (delete(7),)), *beats(2, 0, 5.1, 12, variable=9)]
     sent += [*beats(3, 0, 0.1, 5), *beats(3, 0, 5, 12, variable=9), *beats(4, 0, 0.1, 12)]
-    recorded, found = looked_at(tmp_path, sent)
+    recorded, found = holding_of(tmp_path, sent)
     follows, silent, ignores = (pair(recorded, found, 7, node) for node in (2, 3, 4))
     assert follows.held == silent.held == DELETED
     assert not follows.differs_at_end
@@ -138,21 +138,21 @@ def test_a_deletion_that_is_followed_ignored_and_only_fallen_silent_about(tmp_pa
     assert (ignores.held, ignores.produced) == (0, DELETED)
 
 
-def test_a_node_that_asks_for_a_deleted_variable_holds_as_little_as_its_producer(tmp_path):
+def test_a_node_that_asks_for_a_deleted_variable_does_not_hold_it(tmp_path):
     sent: list[Sent] = [(0.0, 1, 0, (create(7, 1, b"a"),)), *beats(1, 0, 0.1, 3), *beats(2, 0, 0.1, 3.1)]
     sent += [(3.0, 1, 90, (delete(7),)), *beats(1, 0, 3.1, 9, variable=9)]
     sent += [(3.2 + n / 10, 2, 100 + n, (ask(7),)) for n in range(55)]
-    recorded, found = looked_at(tmp_path, sent)
+    recorded, found = holding_of(tmp_path, sent)
     one = pair(recorded, found, 7, 2)
     assert (one.held, one.produced, one.differs_at_end) == (UNKNOWN, DELETED, False)
     assert found.divergences == []
 
 
-def test_silence_is_not_taken_for_holding(tmp_path):
-    """After ten seconds without a word about the variable nothing is known."""
+def test_silence_does_not_count_as_holding(tmp_path):
+    """After ten seconds without a record of the variable its state is unknown."""
     sent: list[Sent] = [(0.0, 1, 0, (create(7, 1, b"a"),)), *beats(1, 0, 0.1, 40), *beats(2, 0, 0.1, 5)]
     sent += [(5 + n / 10, 2, 100 + n, (report(2, n),)) for n in range(350)]
-    recorded, found = looked_at(tmp_path, sent)
+    recorded, found = holding_of(tmp_path, sent)
     one = pair(recorded, found, 7, 2)
     assert one.known == [pytest.approx((0.102, 15.002), abs=0.2)]
     assert not one.differs_at_end
@@ -166,7 +166,7 @@ def test_a_node_that_asks_for_a_variable_does_not_hold_it():
 
 @pytest.mark.parametrize("path", ["b_crud.mcap", "c_latejoin.mcap", "a_bus3.mcap"])
 def test_the_same_as_the_holdings_of_the_codec(path):
-    """What is kept of columns, and what dcp_codec.analysis.holdings follows beacon by beacon, are the same changes."""
+    """Changes from columns equal those that dcp_codec.analysis.holdings follows beacon by beacon."""
     codec = get_codec("cpp-2.0")
     recorded = gather(str(CAPTURES / path), "cpp-2.0", None)
     followed, expected = Holdings(), []
@@ -199,10 +199,10 @@ def test_shares():
     assert shares([], analysis.np.linspace(0, 4, 5)).tolist() == [0.0] * 4
 
 
-def test_the_longest_comes_first_and_what_lasts_to_the_end(tmp_path):
+def test_unfinished_and_longest_differences_come_first(tmp_path):
     sent: list[Sent] = [(0.0, 1, 0, (create(7, 1, b"a"),)), (0.01, 1, 1, (create(8, 1, b"a"),))]
     sent += beats(1, 3, 1, 30) + [(n / 10, 1, 1000 + n, (summary(8, 3 if n < 100 else 4),)) for n in range(10, 300)]
     sent += beats(2, 2, 1, 20) + beats(2, 3, 20, 30) + [(n / 10, 2, 1000 + n, (summary(8, 3),)) for n in range(10, 300)]
-    _, found = looked_at(tmp_path, sent)
+    _, found = holding_of(tmp_path, sent)
     assert [(each.variable, each.to_the_end) for each in found.divergences] == [(8, True), (7, False)]
     assert isinstance(found.divergences[0], Divergence)

@@ -105,7 +105,7 @@ def test_dissemination(tmp_path):
     assert variables.numeric(values, 7)
 
 
-def test_numbers_that_wrap_go_on_and_start_again_with_a_creation(tmp_path):
+def test_wrapped_numbers_continue_and_restart_with_a_creation(tmp_path):
     """600 updates of an 8-bit number; then the variable is created again, which is not a jump of 168."""
     first = [(0.0, 1, 0, (create(7, 1, b"a", at=1),))]
     sent = first + [(n / 10, 1, n, (update(7, n % 256, b"a"),)) for n in range(1, 601)]
@@ -140,7 +140,7 @@ def test_small_things():
 
 
 class TestExtremes:
-    def test_few_are_whole(self):
+    def test_a_few_points_are_kept_unchanged(self):
         assert extremes(np.arange(40.0), np.arange(40.0), 10).tolist() == list(range(40))
 
     def test_one_late_value_among_a_million_is_kept(self):
@@ -181,7 +181,7 @@ class TestUnwrapped:
         numbers = np.arange(modulus - 3, modulus + 4) % modulus
         assert unwrapped(numbers, modulus).tolist() == list(range(modulus - 3, modulus + 4))
 
-    def test_back_is_back(self):
+    def test_a_step_back_is_kept(self):
         assert unwrapped(np.array([5, 4, 6]), 256).tolist() == [5, 4, 6]
 
     def test_no_numbers(self):
@@ -196,7 +196,7 @@ def test_a_node_that_was_away_for_long_has_lost_beacons(tmp_path):
 
 
 def test_senders_on_several_interfaces(tmp_path):
-    """The first beacon of a sender on each interface says nothing of a rate."""
+    """The first beacon of a sender on each interface does not give a rate."""
     recorded = gathered(record(tmp_path / "a.pcap", steady(1, 10)))
     table = recorded.tables["beacons"]
     time = analysis.time_of(recorded)

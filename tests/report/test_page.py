@@ -129,7 +129,7 @@ class TestAccess:
         assert contrast("#000000", "#ffffff") == pytest.approx(21)
         assert contrast("#777777", "#ffffff") == pytest.approx(4.48, abs=0.01)
 
-    def test_colours_can_be_exchanged_and_symbols_told_apart(self):
+    def test_colours_can_be_exchanged_and_symbols_distinguished(self):
         for scheme in zip(*SCHEMES.values(), strict=True):
             assert all(a != b for a, b in combinations(scheme, 2))
         assert len({marker for marker, _ in SYMBOLS}) == len({symbol for _, symbol in SYMBOLS}) == 10
@@ -182,7 +182,7 @@ def axis(plot: dict[str, Any], name: str) -> dict[str, Any]:
 
 
 class TestLongRecordings:
-    def test_numbers_rise_and_it_is_said_how_many_are_drawn(self, tmp_path):
+    def test_numbers_rise_and_the_number_of_drawn_points_is_stated(self, tmp_path):
         """The aliasing of a recording of hours, from a hundred thousand updates of an 8-bit number."""
         recorded = gathered(record(tmp_path / "a.pcap", [(0.0, 1, 0, (create(7, 1, b"a"),)), (1.0, 1, 1, OTHER)]))
         many = 100_000
@@ -264,7 +264,7 @@ def test_hostile_names_stay_text(tmp_path):
     text = render([chapter(recorded)])
     page = self_contained(text)
     assert "</script><script>1</script>" in page.text
-    # Nothing that Bokeh takes for TeX, which it would load from elsewhere.
+    # No text that Bokeh would process as TeX, with a library loaded from elsewhere.
     assert "$$" not in json.dumps(items(text))
 
 
@@ -290,7 +290,7 @@ def test_as_many_senders_as_beacons(tmp_path):
     assert "19,980 more sent 19,980 received beacons" in page.text
 
 
-def test_positions_that_are_none(tmp_path):
+def test_invalid_positions(tmp_path):
     odd = [(math.nan, 1.0, 1.0), (1e300, 1.0, 1.0), (1.0, math.inf, 1.0), (1.0, 1.0, 2.0), (2.0, 1.0, -math.inf)]
     sent = [(n / 10, 1, n, (report(1, n, *place),)) for n, place in enumerate(odd)]
     page = Page(render([chapter(gathered(record(tmp_path / "a.pcap", sent)))]))
@@ -315,7 +315,7 @@ def test_time_that_goes_backwards(tmp_path):
     assert self_contained(render([chapter(recorded)]))
 
 
-def test_a_clock_that_was_set_back_is_told(tmp_path):
+def test_a_clock_that_was_set_back_is_reported(tmp_path):
     path = tmp_path / "a.pcap"
     envelope = Envelope(CODEC.profile.link)
     with create_capture(path) as writer:
@@ -369,7 +369,7 @@ def test_damage_is_shown(run, tmp_path):
         ([(0.0, 1, 5, (report(9, 1),))], [], ("reception cannot be inferred",)),
         ([(0.0, 1, 5, (update(3, 1, b""),))], [], ("not heard", "there are no delays")),
     ],
-    ids=["malformed only", "other payloads", "one report", "about another", "empty value of nobody"],
+    ids=["malformed only", "other payloads", "one report", "about another", "empty value without producer"],
 )
 def test_little_to_draw(sent, damaged, words, tmp_path):
     page = self_contained(render([chapter(gathered(record(tmp_path / "a.pcap", sent, damaged)))]))
@@ -397,7 +397,7 @@ def test_nothing_to_draw(run, tmp_path):
 
 
 @pytest.mark.parametrize("profile", ["sim-1.0", "student-2024"])
-def test_profiles_without_this_and_that(profile, tmp_path):
+def test_profiles_without_optional_fields(profile, tmp_path):
     codec = get_codec(profile)
     recorded = gather(str(record(tmp_path / "a.pcap", [])), profile, None)
     assert recorded.outcome.profile == codec.profile.name
@@ -442,8 +442,8 @@ def test_refusals(run, tmp_path, monkeypatch):
     assert sorted(each.name for each in tmp_path.iterdir()) == ["a.html", "a.pcap", "pipe"]
 
 
-def test_memory_has_an_end(tmp_path):
-    """Beyond so many rows nothing is kept, and the page says so."""
+def test_memory_is_bounded(tmp_path):
+    """The number of stored rows is bounded, and the page reports the limit."""
     path = record(tmp_path / "a.pcap", steady(2, 20))
     whole = gather(str(path), "dcp-2.0", None)
     assert whole.outcome.problems == []
@@ -455,7 +455,7 @@ def test_memory_has_an_end(tmp_path):
     assert problem in Page(render([chapter(cut)])).text
 
 
-def test_a_page_has_an_end(run, tmp_path):
+def test_the_page_is_bounded(run, tmp_path):
     for number in range(21):
         (tmp_path / f"{number}.pcap").write_bytes(b"")
     done = run(tmp_path, "-o", tmp_path / "a.html")

@@ -15,7 +15,7 @@ from .flights import CAPTURES, OTHER, VARDIS, Container, Payload, Sent, create, 
 
 
 def flight(path: Path, hears: dict[int, set[int]], *, late: int = 0, loss: float = 0.0, many: int = 80) -> Recorded:
-    """Nodes that beacon ten times a second, each time in another order, and pass on what those that they hear say.
+    """Nodes that send beacons ten times a second, each time in another order, and forward records that they hear.
 
     Node 1 and the last one produce. ``late`` beacons are composed that long before they are sent.
     """
@@ -74,7 +74,7 @@ def test_a_line(tmp_path):
 
 
 def test_a_line_with_losses(tmp_path):
-    """What is missing to 1 is the loss between the two; the others still do not react."""
+    """The difference to 1 is the loss between the two nodes; the others still do not react."""
     found = shares(flight(tmp_path, LINE, loss=0.3, many=300), [*LINE])
     for (node, other), share in found.items():
         if other not in LINE[node]:
@@ -83,7 +83,7 @@ def test_a_line_with_losses(tmp_path):
 
 
 def test_nodes_that_compose_a_beacon_ahead(tmp_path):
-    """They react one beacon later, which is not taken for a reaction to whoever spoke last."""
+    """Nodes react one beacon later, which does not count as a reaction to the latest sender."""
     bus = {1: {2, 3}, 2: {1, 3}, 3: {1, 2}}
     found = shares(flight(tmp_path, bus, late=1), [1, 2, 3])
     assert found[2, 1] == found[3, 1] == pytest.approx(1, abs=0.05)
@@ -96,12 +96,12 @@ def test_the_recording_of_a_bus():
     assert found[1, 2] == found[2, 1] == 1
     assert found[3, 1] > 0.95
     assert found[3, 2] == 1
-    # Node 3 produces nothing: nobody could learn anything from it alone.
+    # Node 3 produces nothing, so no node could learn anything from it alone.
     assert found[1, 3] is None
     assert found[2, 3] is None
 
 
-def test_too_few_to_say(tmp_path):
+def test_too_few_beacons(tmp_path):
     sent = [(0.0, 1, 0, (create(7, 1, b"a"),)), (0.1, 2, 0, (create(7, 1, b"a"),)), (0.2, 2, 1, (create(7, 1, b"a"),))]
     assert set(shares(gathered(record(tmp_path / "a.pcap", sent)), [1, 2]).values()) == {None}
 

@@ -32,7 +32,7 @@ PER_PROFILE = settings(max_examples=examples(12), suppress_health_check=[HealthC
 
 
 def reach(beacon: Any, path: str) -> Any:
-    """What the layers hold at a path of the codec, such as ``payloads[0].vardis[1].records[2].value.length``."""
+    """Values of the layers at a path of the codec, such as ``payloads[0].vardis[1].records[2].value.length``."""
     found, previous = beacon, ""
     for name, index in re.findall(r"(\w+)(?:\[(\d+)\])?", path.removeprefix("bp.")):
         if isinstance(found, tuple):
@@ -124,7 +124,7 @@ def test_copies(codec: Codec, data: st.DataObject) -> None:
 
 @PER_PROFILE
 @given(data=st.data())
-def test_padding_is_no_part_of_the_beacon(codec: Codec, data: st.DataObject) -> None:
+def test_padding_is_not_part_of_the_beacon(codec: Codec, data: st.DataObject) -> None:
     if codec.profile.bp.header == ():
         pytest.skip("without a header nothing says where a beacon ends")
     octets = codec.encode(data.draw(strategies.beacons(codec)))

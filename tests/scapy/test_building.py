@@ -123,7 +123,7 @@ def test_stacking_fills_the_lists() -> None:
     assert (DCPPayload() / VardisContainer() / VarSumm()).vardis[0].records == [VarSumm()]
 
 
-def test_what_is_behind_a_beacon_stays_behind_it() -> None:
+def test_octets_after_a_beacon_stay_after_it() -> None:
     beacon = DCPBeacon() / VarSumm()
     assert bytes(beacon / b"rest") == bytes(beacon) + b"rest"
     assert bytes(beacon / Padding(b"pad")) == bytes(beacon) + b"pad"
@@ -148,7 +148,7 @@ def test_single_fields_can_be_edited() -> None:
     assert containers[0].records[0].spec.descr == b"way"
 
 
-def test_lengths_and_counts_are_worked_out_when_none() -> None:
+def test_lengths_and_counts_are_computed_if_none() -> None:
     beacon = DCPBeacon(bytes(vector("dcp-2.0")))
     beacon.payloads[0].vardis[1].records.append(VarSumm(varId=11, seqno=1))
     # As it says, the beacon still ends where it did before.
@@ -186,7 +186,7 @@ def test_lengths_and_counts_are_worked_out_when_none() -> None:
         (lambda: SRPReport(sData=SafetyData(x=RawVal(b"!"))), "21" + "00" * 34),
     ],
 )
-def test_lies_are_told_as_given(lie: Callable[[], Packet], octets: str) -> None:
+def test_wrong_values_are_built_unchanged(lie: Callable[[], Packet], octets: str) -> None:
     assert bytes(lie()) == bytes.fromhex(octets)
 
 
@@ -205,7 +205,7 @@ def test_lies_are_told_as_given(lie: Callable[[], Packet], octets: str) -> None:
         (lambda: DCPPayload(srp=SRPReport(), data=b"x"), "srp and data exclude each other"),
     ],
 )
-def test_what_does_not_fit_is_named(make: Callable[[], object], message: str) -> None:
+def test_values_that_do_not_fit_are_named(make: Callable[[], object], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         make()
 
@@ -282,14 +282,14 @@ def test_random_values_agree_with_their_lengths() -> None:
     assert bytes(beacon) != bytes(beacon)
 
 
-def test_the_codec_is_at_hand() -> None:
+def test_the_codec_is_accessible() -> None:
     beacon = vector("dcp-2.0")
     assert beacon.decode() == get_codec("dcp-2.0").decode(bytes(beacon))
     with pytest.raises(DecodeError):
         (beacon / VarSumm() / DCPPayload(length=99)).decode()
 
 
-def test_names_that_scapy_has_taken(tmp_path: Path) -> None:
+def test_names_reserved_by_scapy(tmp_path: Path) -> None:
     path = tmp_path / "taken.toml"
     fields = ", ".join(f'{{ name = "{name}", type = "u8" }}' for name in ("time", "payload", "shape", "x"))
     path.write_text(f'extends = "dcp-2.0"\nname = "taken"\n[srp]\nsafety_data = [{fields}]\n')
@@ -347,7 +347,7 @@ def test_a_profile_without_a_record_for_state_reports() -> None:
         DCPBeacon() / SRPReport()
 
 
-def test_profiles_that_are_none() -> None:
+def test_unknown_profiles() -> None:
     with pytest.raises(ProfileError, match=r"cpp-2\.0"):
         use_profile("cpp-2.1")
     assert DCPBeacon in Ether(bytes(Ether() / DCPBeacon()))

@@ -15,7 +15,7 @@ RECORDING = ROOT / "captures" / "b_crud.mcap"
 
 
 def run(code: str, cwd: Path) -> str:
-    """What a Python process prints for ``code``; fails the test when it does not end well."""
+    """Output of a Python process that runs ``code``; fails the test if its exit status is not 0."""
     done = subprocess.run([sys.executable, "-c", code], cwd=cwd, capture_output=True, text=True, timeout=600)
     assert done.returncode == 0, done.stderr
     return done.stdout
@@ -83,7 +83,7 @@ def test_the_start_up_script(name: str, tmp_path: Path) -> None:
     assert "VarDis [SUMMARIES 1]" in done.stdout
 
 
-def test_the_script_finds_a_profile_of_ones_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_script_finds_a_custom_profile(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "mine.toml").write_text('extends = "dcp-2.0"\nname = "mine"\n', encoding="utf-8")
     monkeypatch.chdir(tmp_path)
     script = export_script("mine.toml")
@@ -91,6 +91,6 @@ def test_the_script_finds_a_profile_of_ones_own(tmp_path: Path, monkeypatch: pyt
     assert "profile mine" in run(script, Path("/"))
 
 
-def test_the_codec_does_without_scapy(tmp_path: Path) -> None:
+def test_the_codec_does_not_need_scapy(tmp_path: Path) -> None:
     printed = run("import sys, dcp_codec.network.live, dcp_codec; print('scapy' in sys.modules)", tmp_path)
     assert printed == "False\n"

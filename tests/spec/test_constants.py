@@ -74,7 +74,7 @@ def test_a_version_without_a_last_one_is_followed_by_any():
     assert not SpecVersion.V1_0.is_within("1.1")
 
 
-def test_what_is_no_version_cannot_be_compared():
+def test_versions_cannot_be_compared_with_other_values():
     with pytest.raises(ValueError, match="'new' is not a version of the specification"):
         _ = SpecVersion.V2_0 < "new"
 

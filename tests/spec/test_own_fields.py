@@ -1,4 +1,4 @@
-"""Fields, records and containers of an implementation's own in a profile: what may be said, and what a node refuses."""
+"""Implementation-specific fields, records and containers in a profile: permitted ones, and those a node refuses."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_each_key_that_a_node_cannot_use_is_named(tmp_path: Path) -> None:
     assert "Use it with dcp-codec" in reason
 
 
-def test_octets_without_a_meaning_are_no_obstacle(tmp_path: Path) -> None:
+def test_a_node_can_use_octets_without_a_meaning(tmp_path: Path) -> None:
     path = written(tmp_path, '[bp]\npayload_header = ["protocolId", { name = "gap", opaque = 2 }, "length"]')
     assert refusal(load_profile(path)) is None
 
@@ -94,7 +94,7 @@ def test_a_pattern_in_place_of_reports_leaks_no_memory() -> None:
         ('[[vardis.own_containers]]\nname = "a b"\nnumber = 9\nrecord = ["varId"]', "this is not a plain name"),
     ],
 )
-def test_what_contradicts_itself_is_refused(text: str, message: str, tmp_path: Path) -> None:
+def test_contradictory_profiles_are_refused(text: str, message: str, tmp_path: Path) -> None:
     path = written(tmp_path, text)
     with pytest.raises(ProfileError) as caught:
         load_profile(path)

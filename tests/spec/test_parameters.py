@@ -200,7 +200,7 @@ def test_sizes_are_not_negative():
 )
 @pytest.mark.req("VD-PAR-03")
 def test_valid_parameters_leave_room_for_the_largest_create(max_packet, payload, value, description):
-    """Whatever passes all bounds lets the longest description and value travel in one beacon (X23)."""
+    """Parameters within all bounds let the longest description and value travel in one beacon (X23)."""
     sizes = Sizes(
         uwb_max_packet_size=1492,
         max_packet_size=max_packet,

@@ -51,7 +51,7 @@ def test_builtin(name: str) -> None:
     assert build_schema(profile).profile is profile
 
 
-def test_names_are_all_there_are() -> None:
+def test_names_lists_all_profiles() -> None:
     assert profile_names() == (
         *("dcp-1.0", "dcp-1.1", "dcp-1.2", "dcp-1.3", "dcp-2.0"),
         *("cpp-1.2", "cpp-1.3", "cpp-2.0", "sim-1.0", "sim-2.0", "student-2024"),
@@ -97,7 +97,7 @@ def test_header_fields() -> None:
 # -- files of one's own -------------------------------------------------------------------------------------------
 
 
-def test_extending_takes_over_what_is_not_said(write: WriteProfile) -> None:
+def test_extending_inherits_missing_keys(write: WriteProfile) -> None:
     path = write('extends = "cpp-2.0"\nname = "mine"\n[types]\nvar_id = { width = 2 }\n[bp]\nnetwork_id = 7\n')
     mine, base = load_profile(path), load_profile("cpp-2.0")
     assert mine.name == "mine"
@@ -131,7 +131,7 @@ def test_extending_does_not_change_the_base(write: WriteProfile) -> None:
 
 
 def test_a_profile_is_what_its_file_says(write: WriteProfile) -> None:
-    """A profile written out in full is read back as it is."""
+    """A profile written out in full is read back unchanged."""
     for name in profile_names():
         profile = load_profile(name)
         data = msgspec.to_builtins(profile)
@@ -244,7 +244,7 @@ def test_extends_of_a_wrong_type(write: WriteProfile, value: str) -> None:
     assert refusal(path).startswith(f"{path}: extends must be the name of a profile or the path of a file, not ")
 
 
-def test_extends_what_is_not_there(write: WriteProfile, tmp_path: Path) -> None:
+def test_extends_a_missing_profile(write: WriteProfile, tmp_path: Path) -> None:
     path = write('extends = "dcp-9.9"')
     assert refusal(path).startswith(
         f"{path}: extends = 'dcp-9.9' is neither a built-in profile nor a .toml file; expected one of dcp-1.0, "
@@ -302,7 +302,7 @@ def test_keys_and_types(write: WriteProfile, text: str, message: str) -> None:
 
 
 @pytest.mark.parametrize("key", ["name", "title", "spec_version", "bp", "vardis"])
-def test_what_must_be_said(write: WriteProfile, key: str) -> None:
+def test_required_keys(write: WriteProfile, key: str) -> None:
     data = tomllib.loads(_FULL)
     del data[key]
     with pytest.raises(ProfileError, match=f"missing required field `{key}`"):
@@ -515,7 +515,7 @@ def test_contradictions(write: WriteProfile, base: str, text: str, message: str)
     assert message in found
 
 
-def test_all_contradictions_are_told_at_once(write: WriteProfile) -> None:
+def test_all_contradictions_are_reported_at_once(write: WriteProfile) -> None:
     found = refusal(
         write('extends = "dcp-2.0"\n[types]\nnetwork_id = { width = 1 }\n[bp]\npayload_header = ["length"]\n')
     )
@@ -525,7 +525,7 @@ def test_all_contradictions_are_told_at_once(write: WriteProfile) -> None:
     assert "bp.payload_header needs protocolId and length" in found
 
 
-# -- nothing but ProfileError -----------------------------------------------------------------------------------------
+# -- no other exception than ProfileError -----------------------------------------------------------------------------
 
 
 def toml(data: dict[str, Any]) -> str:
@@ -658,7 +658,7 @@ def without_none(data: Any) -> Any:
     return [without_none(value) for value in data] if isinstance(data, list | tuple) else data
 
 
-def test_one_thing_changed(tmp_path: Path) -> None:
+def test_one_changed_value(tmp_path: Path) -> None:
     """A good profile with one value replaced is a profile with a schema, or a ProfileError."""
 
     @settings(max_examples=examples(300))
@@ -674,7 +674,7 @@ def test_one_thing_changed(tmp_path: Path) -> None:
 
 
 def test_the_writer_of_these_tests(tmp_path: Path) -> None:
-    """What the properties above write is read back as it was meant."""
+    """Profiles written by these tests are read back unchanged."""
     for name in profile_names():
         text = toml(without_none(msgspec.to_builtins(load_profile(name))))
         assert load(tmp_path, text.encode()) == load_profile(name)

@@ -35,7 +35,7 @@ def test_each_entry_is_well_formed():
             assert text.count("(") == text.count(")"), entry.id
 
 
-def test_every_reading_matters_to_a_requirement():
+def test_every_reading_affects_a_requirement():
     for entry in ENTRIES:
         assert depending_on(entry.id), entry.id
 

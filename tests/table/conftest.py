@@ -1,4 +1,4 @@
-"""What the tables of frames have to be, by way of the dissector's JSON: the reference for everything of this folder."""
+"""Expected tables of frames, computed from the dissector's JSON: the reference for all tests of this folder."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ RECORD_TABLES = {
 }
 #: Containers of the profiles in tests that have some of their own.
 OWN_TABLES = {"GEO-FENCE": "geo_fence", "Ping": "ping", "x1": "x1"}
-#: What a node identifier or an opaque region may be beyond what fits a register.
+#: Node identifiers and opaque regions that do not fit a register.
 _LONG = """
     extends = "dcp-2.0"
     name = "odd-octets"
@@ -99,7 +99,7 @@ def expected_tables(codec: Codec, frames: Iterable[Frame], link: Link | None = N
 
 
 def sound_part(codec: Codec, said: dict[str, Any], payload: Payload, damaged: bool) -> dict[str, Any]:
-    """What a payload block says as JSON, without what is wrong."""
+    """JSON of the sound parts of a payload block."""
     if not damaged:
         return said
     header = {name: value for name, value in said.items() if name not in ("srp", "vardis", "data")}
@@ -110,7 +110,7 @@ def sound_part(codec: Codec, said: dict[str, Any], payload: Payload, damaged: bo
 
 
 def constant(codec: Codec) -> set[str]:
-    """Fields of the header that are not columns: those with one value, and the sender, who is a key."""
+    """Fields of the header that are not columns: those with one value, and the sender, which is a key."""
     names = {"version", "magicNo", "senderId"}
     return names | {"length"} if codec.profile.bp.length_means == "header-size" else names
 

@@ -41,7 +41,7 @@ C_LATEJOIN = Path(__file__).resolve().parents[2] / "captures" / "c_latejoin.mcap
 
 @pytest.mark.parametrize(("room", "frames"), [(1, 7), (80, 7), (200, 100_000), (5000, 1), (5000, 7), (5000, 100_000)])
 def test_small_rooms(room, frames, frames_of, reference, rows, differ):
-    """All batches are looked at when the last one was made: none may lie in memory that was used again."""
+    """All batches are compared after the last one was made: none may use memory that was used again."""
     path, codec = C_LATEJOIN, get_codec("cpp-2.0")
     decoder = ColumnDecoder(codec, room=room, space=room)
     with Recording(path, frames=frames, walk=True) as source:
@@ -51,7 +51,7 @@ def test_small_rooms(room, frames, frames_of, reference, rows, differ):
 
 
 def test_memory_is_used_again():
-    """Whoever looks at one batch after the other sees the same few pieces of memory."""
+    """Memory of earlier batches is reused if the caller does not keep them."""
     path, decoder = C_LATEJOIN, ColumnDecoder(get_codec("cpp-2.0"))
     addresses = set()
     with Recording(path, frames=10, walk=True) as source:
@@ -122,7 +122,7 @@ def test_frames_with_more_rows_than_the_stage_has(reference, rows, differ):
 
 
 def test_malformed_frames_are_judged_by_the_strict_decoder():
-    """A decoder that rejects a frame that the strict one accepts would be a fault of ours, and is told as one."""
+    """A decoder that rejects a frame that the strict one accepts would be a fault of ours, and is reported as such."""
     codec = get_codec("cpp-2.0")
     decoder = ColumnDecoder(codec)
     with pytest.raises(AssertionError, match="rejects a frame that the strict one accepts"):
@@ -160,7 +160,7 @@ def test_memory_does_not_grow_with_the_file(tmp_path):
     assert used[6_000] < used[1_000] + 60
 
 
-def test_little_is_kept_of_many_batches(tmp_path):
+def test_waiting_rows_do_not_keep_whole_batches(tmp_path):
     """Rows that wait to be written do not hold on to the memory of whole batches."""
 
     def megabytes() -> int:
@@ -204,7 +204,7 @@ def program(recording: Any, cache: str, text: str = _PROGRAM) -> subprocess.Comp
     )
 
 
-def test_what_was_compiled_is_kept(tmp_path):
+def test_compiled_code_is_cached(tmp_path):
     path = C_LATEJOIN
     assert program(path, str(tmp_path)).stdout == "445\n"
     folder = tmp_path / "dcp-codec"
@@ -215,7 +215,7 @@ def test_what_was_compiled_is_kept(tmp_path):
     assert {entry: entry.stat().st_mtime_ns for entry in folder.rglob("*") if entry.suffix == ".nbc"} == {
         entry: time for entry, time in kept.items() if entry.suffix == ".nbc"
     }
-    # Somebody else's writing is not executed.
+    # A file written by another user is not executed.
     (source,) = folder.glob("columns_*.py")
     source.write_text("raise SystemExit('executed')")
     assert program(path, str(tmp_path)).stdout == "445\n"
@@ -233,7 +233,7 @@ for function in (messages.walk_messages, walkers.walk_pcap, walkers.walk_pcapng)
 """
 
 
-def test_what_is_kept_is_kept_for_arguments_of_one_kind(tmp_path):
+def test_compiled_code_is_cached_for_one_argument_type(tmp_path):
     """Two processes that keep the same function for different arguments at once would mix them up in Numba's files.
 
     Which arguments there are shows where the decoder is compiled, not where it was kept.
@@ -245,17 +245,17 @@ def test_what_is_kept_is_kept_for_arguments_of_one_kind(tmp_path):
     assert program(C_LATEJOIN, str(tmp_path), "import sys\n" + "\n".join([*several, _SEVERAL])).stdout == 3 * "445\n"
 
 
-def test_without_a_place_to_keep_it():
+def test_without_a_cache_folder():
     assert program(C_LATEJOIN, "/dev/null").stdout == "445\n"
 
 
-def test_functions_that_cannot_be_kept_are_compiled_all_the_same():
+def test_functions_that_cannot_be_cached_are_compiled():
     namespace: dict[str, Any] = {}
     exec("def twice(x): return 2 * x", namespace)
     assert machine(namespace["twice"])(21) == 42
 
 
-def test_an_option_that_is_not_there_is_left_out(monkeypatch):
+def test_an_unknown_option_of_numba_is_left_out(monkeypatch):
     """Numba refuses what it does not know, and one of the options is its own affair."""
     assert options_of("numba.core.registry") == {"nogil": True, "_nrt": False}
     assert options_of("numba.core.no_such_module") == {"nogil": True}
@@ -266,7 +266,7 @@ def test_an_option_that_is_not_there_is_left_out(monkeypatch):
     assert twice(21) == 42
 
 
-def test_a_folder_that_others_may_write_is_no_cache(tmp_path, monkeypatch):
+def test_a_folder_writable_by_other_users_is_not_used_as_cache(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     assert cache_folder() == tmp_path / "dcp-codec"
     (tmp_path / "dcp-codec").chmod(0o777)
@@ -275,6 +275,6 @@ def test_a_folder_that_others_may_write_is_no_cache(tmp_path, monkeypatch):
     assert cache_folder() is None
 
 
-def test_blocks_are_no_larger_than_asked_for():
+def test_blocks_are_at_most_as_large_as_requested():
     with Recording(C_LATEJOIN, frames=100, walk=True) as source:
         assert [block.frames for block in source.blocks()] == [100, 100, 70]

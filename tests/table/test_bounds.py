@@ -1,6 +1,6 @@
-"""Machine code looks at no bounds: the same source, run as plain Python, never leaves the memory that a column has.
+"""Machine code checks no bounds: the same source, run as plain Python, never leaves the memory of a column.
 
-The frames are the worst there are: as many rows of a table as octets allow, of all sizes at which the stage is just
+The frames are the worst possible: as many rows of a table as octets allow, of all sizes at which the stage is just
 large enough or just too small.
 """
 
@@ -31,7 +31,7 @@ PROFILES = ("cpp-2.0", "dcp-1.0", "sim-2.0", "odd-texts")
 
 
 class Watch:
-    """What of the memory was used."""
+    """Records which parts of the memory were used."""
 
     def __init__(self, decoder: ColumnDecoder) -> None:
         self._decoder = decoder
@@ -55,14 +55,14 @@ class Watch:
         self.moved = max(self.moved, done + rows)
         starts = [*(start for _, start, _ in moves[begin:end].tolist()), target.size]
         for (at, to, size), following in zip(moves[begin:end].tolist(), starts[1:], strict=True):
-            # The end of octets of varying number stands one row behind.
+            # The end offsets of variable-length octets have one row more.
             assert to + (done + rows) * size <= following
             assert at + rows * size <= stage.size
             target[to + done * size : to + (done + rows) * size] = stage[at : at + rows * size]
 
 
-def beacon_of_requests(codec: Codec, octets: int, behind: bytes = b"") -> bytes:
-    """A beacon of at most so many octets, with as many VarReqCreates as there is room for; ``behind`` follows them."""
+def beacon_of_requests(codec: Codec, octets: int, after: bytes = b"") -> bytes:
+    """A beacon of at most ``octets`` octets, with as many VarReqCreates as fit; ``after`` follows them."""
     builder = FrameBuilder(codec)
     record = VarReqCreate(1)
     sender = b"\2" * (codec.profile.types.node_id.width or 1)
@@ -72,7 +72,7 @@ def beacon_of_requests(codec: Codec, octets: int, behind: bytes = b"") -> bytes:
         containers = [builder.container(*[record] * 255)] * full + (
             [builder.container(*[record] * rest)] if rest else []
         )
-        return builder.beacon(sender, 1, [builder.vardis(*containers, behind)])
+        return builder.beacon(sender, 1, [builder.vardis(*containers, after)])
 
     # Lists of 255 have a header of at least two octets.
     fewest, most = 1, octets * 255 // 257
@@ -105,7 +105,7 @@ def least(group: Group) -> int:
     return sum(sizes[type(member)](member) for member in group.members if type(member) in sizes)
 
 
-def test_no_record_of_a_list_is_without_octets(any_profile, odd_codec):
+def test_every_record_of_a_list_has_octets(any_profile, odd_codec):
     """Or a frame could have any number of rows, and no stage were large enough."""
     lists = [node for node in walk(odd_codec(any_profile).beacon_plan) if isinstance(node, Many)]
     assert len(lists) >= 8

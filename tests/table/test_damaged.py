@@ -92,7 +92,7 @@ def test_each_bad_payload_is_one_row_of_errors(tables):
     ]
 
 
-def test_a_header_that_counts_wrong(tables):
+def test_a_header_with_wrong_counts(tables):
     found, batch = tables(frame_of(1, summaries(1), summaries(2), counted=3))
     assert batch.malformed == 1
     (beacon,) = found["beacons"]
@@ -102,7 +102,7 @@ def test_a_header_that_counts_wrong(tables):
     assert (error["payload"], error["reason"]) == (None, "count-mismatch")
 
 
-def test_what_is_no_beacon_at_all_is_a_row_of_errors_alone(tables):
+def test_a_frame_that_is_not_a_beacon_is_one_row_of_errors(tables):
     data = Envelope(CODEC.profile.link).frame(b"nonsense" * 8, SENDER)
     found, batch = tables(Frame(1, 0, data, len(data)), frame_of(2, summaries(1)))
     assert batch.malformed == 1

@@ -1,4 +1,4 @@
-"""docs/tables.md: the tables are those it lists, and its queries give what a look at the frames gives."""
+"""docs/tables.md: the tables are those it lists, and its queries give the same results as counting frames."""
 
 from __future__ import annotations
 
@@ -124,7 +124,7 @@ def test_delay(recording, frames, tmp_path, monkeypatch):
 def test_overhead(recording, frames, tmp_path, monkeypatch):
     tables_of(recording[0], tmp_path)
     rows = ask(OVERHEAD, tmp_path, monkeypatch)
-    # Every octet on the air is in one part.
+    # Every octet of the frames is in one part.
     assert sum(row["octets"] for row in rows) == sum(row["frameLength"] for row in frames["beacons"])
     assert sum(row["share"] for row in rows) == pytest.approx(1)
     names = {row["part"]: row["octets"] for row in rows}

@@ -1,4 +1,4 @@
-"""Small recordings wait for no compiler; what is compiled is announced, and what is missing is told before."""
+"""Small recordings wait for no compiler; compiling is announced, and missing packages are reported before it."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def test_compiling_in_processes_is_announced_once(tmp_path, long_recording):
     assert (done.returncode, done.stderr.count(COMPILING)) == (0, 1), done.stderr
 
 
-def test_duckdb_is_asked_for_before_anything_is_decoded(tmp_path, long_recording):
+def test_a_missing_duckdb_is_reported_before_decoding(tmp_path, long_recording):
     done = without({"duckdb", "numba"}, tmp_path / "cache", "table", long_recording, "--out", tmp_path / "a.duckdb")
     assert done.returncode == 2
     assert "duckdb is not installed: pip install 'dcp-conformance-kit[duckdb]'" in done.stderr

@@ -22,7 +22,7 @@ _TYPES = [0x4953, 0x4952, 0x0800, 0x86DD, 0x8100, 0x88A8, 0x0806]
 
 
 def both(frame: bytes, link: Link) -> tuple[Any, Any]:
-    """What machine code says of a frame in the middle of a buffer, and what it has to say."""
+    """Result of machine code for a frame in the middle of a buffer, and the expected result."""
     octets = np.frombuffer(b"\xff" * 7 + frame + b"\x49\x53" * 40, np.uint8)
     kind = link.udp_port if link.transport == "udp" else link.ether_type
     start, stop, ether = machine(native.locate)(octets, 7, 7 + len(frame), link.transport == "udp", kind)
@@ -51,7 +51,7 @@ def frames(draw: st.DrawFn) -> bytes:
 @pytest.mark.parametrize("link", [ETHERNET, UDP], ids=["ethernet", "udp"])
 @settings(max_examples=examples(600))
 @given(frame=frames() | st.binary(max_size=80))
-def test_the_same_place(link, frame):
+def test_machine_code_finds_the_same_payload(link, frame):
     found, expected = both(frame, link)
     assert found == expected
 
@@ -66,7 +66,7 @@ def test_every_length_of_a_tagged_datagram():
     assert both(frame, UDP)[0] == (50, 58, 0x0800)
 
 
-def test_identifiers_get_numbers_in_the_order_they_come():
+def test_identifiers_are_numbered_in_order_of_appearance():
     octets = np.frombuffer(b"abcabdabc" + b"ab", np.uint8)
     slots, ends, arena = np.full(16, -1, np.int32), np.zeros(4, np.int64), np.empty(8, np.uint8)
     intern = machine(native.intern)
@@ -76,7 +76,7 @@ def test_identifiers_get_numbers_in_the_order_they_come():
     assert arena.tobytes() == b"abcabdab"
 
 
-def test_a_pool_without_space_says_so():
+def test_a_full_pool_is_reported():
     octets = np.frombuffer(b"abcdefgh", np.uint8)
     slots, ends, arena = np.full(16, -1, np.int32), np.zeros(4, np.int64), np.empty(4, np.uint8)
     intern = machine(native.intern)

@@ -87,7 +87,7 @@ def test_parquet(run, tmp_path, expected, rows, differ):
     nothing_else(tmp_path / "tables", *(f"{name}.parquet" for name in TABLES))
 
 
-def test_parquet_says_where_nothing_is_missing(run, tmp_path):
+def test_parquet_marks_required_columns(run, tmp_path):
     """Columns that cannot have nulls are required, others are not; and identifiers have no statistics to prove it."""
     assert run(C_LATEJOIN, "--out", tmp_path / "tables").status == 0
     beacons = parquet.ParquetFile(tmp_path / "tables" / "beacons.parquet")
@@ -147,7 +147,7 @@ def test_one_table_in_one_file(run, tmp_path, suffix, expected):
         assert len(out.read_text().splitlines()) == len(expected["updates"]) + 1
 
 
-def test_octets_as_text_where_there_are_none():
+def test_octets_as_text_without_octets():
     from dcp_codec.table.writing import hexadecimal
 
     values = [b"\x00\xff", None, b"", b"abc", None]
@@ -195,7 +195,7 @@ def test_a_folder(run, archive, tmp_path, reference, frames_of, rows, differ):
         assert differ(found, reference(get_codec(profile), frames_of(path))) == []
 
 
-def test_processes_are_started_for_much_only(archive, tmp_path):
+def test_processes_are_started_for_much_data_only(archive, tmp_path):
     from dcp_codec.cli.table import workers
 
     cores = len(os.sched_getaffinity(0))
@@ -205,7 +205,7 @@ def test_processes_are_started_for_much_only(archive, tmp_path):
     assert workers(small, "local") == 1
     assert workers(small, "dask") == cores
     assert workers([*small, str(tmp_path / "large.pcap")], "local") == cores
-    # Of what is not a file nobody knows how much it is.
+    # The size of a missing file is unknown.
     assert workers([*small, str(tmp_path / "absent")], "local") == cores
 
 
@@ -255,7 +255,7 @@ def test_several_profiles_in_one_database(run, archive, tmp_path):
 # -- what is wrong ------------------------------------------------------------------------------------------------
 
 
-def test_damage_is_told_and_the_rest_is_written(run, tmp_path, reference, frames_of, rows, differ):
+def test_damage_is_reported_and_the_rest_is_written(run, tmp_path, reference, frames_of, rows, differ):
     path = damaged(tmp_path)
     result = run(path, "-o", tmp_path / "tables", "-p", "cpp-2.0")
     assert result.status == 2
@@ -344,14 +344,14 @@ def test_no_beacons(run, tmp_path):
     assert parquet.read_table(tmp_path / "tables" / "beacons.parquet").num_rows == 0
 
 
-def test_a_full_disk_is_told(run, tmp_path):
+def test_a_full_disk_is_reported(run, tmp_path):
     result = run(C_LATEJOIN, "-o", "/proc/nowhere/tables")
     assert result.status == 2
     assert "/proc/nowhere/tables" in result.err
 
 
 @pytest.mark.parametrize("package", ["numba", "pyarrow", "duckdb", "distributed"])
-def test_what_is_not_installed_is_named(run, tmp_path, monkeypatch, package):
+def test_a_missing_package_is_named(run, tmp_path, monkeypatch, package):
     for name in [name for name in sys.modules if name.startswith("dcp_codec.table.") or name == "dcp_codec.cli.table"]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, package, None)
@@ -400,7 +400,7 @@ def test_one_bar_on_a_terminal(tmp_path):
 
 @pytest.fixture
 def waiting(tmp_path):
-    """The command with two workers that wait for pipes to which nobody writes, in a session of its own."""
+    """The command with two workers that wait for pipes without a writer, in a separate session."""
     names = ("1.pcap", "2.pcap")
     for name in names:
         os.mkfifo(tmp_path / name)
@@ -415,7 +415,7 @@ def waiting(tmp_path):
 
 
 def told(process: subprocess.Popen[bytes]) -> str:
-    """What the command says until it ends."""
+    """Read the output of the command until it ends."""
     assert process.stderr is not None
     shown = process.stderr.read().decode()
     assert "Traceback" not in shown
@@ -423,7 +423,7 @@ def told(process: subprocess.Popen[bytes]) -> str:
 
 
 def test_interrupted(waiting, tmp_path):
-    """Ctrl-C ends the command and its workers, and leaves nothing behind."""
+    """Ctrl-C ends the command and its workers, and no files remain."""
     os.killpg(waiting.pid, signal.SIGINT)
     told(waiting)
     assert waiting.wait() == 130
@@ -475,7 +475,7 @@ def test_open_table_of_several_profiles(archive):
     assert found.schema.equals(table.schema)
     assert set(found.column("file").unique().to_pylist()) == set(table.profiles)
     assert found.column("timeout").null_count == 6
-    # What one profile has not is missing there; what all have is nowhere.
+    # A column that one profile lacks is nullable; a column of all profiles is not.
     assert found.schema.field("timeout").nullable
     assert not found.schema.field("varId").nullable
     assert not found.schema.field("file").nullable

@@ -35,7 +35,7 @@ def small_groups(monkeypatch):
 
 @pytest.fixture(params=[0, 2], ids=["no threads", "two threads"])
 def threads(request, monkeypatch) -> int:
-    """How many threads write the tables of a recording."""
+    """Number of threads that write the tables of a recording."""
     monkeypatch.setattr(archive, "_threads", lambda _: request.param)
     number: int = request.param
     return number
@@ -58,7 +58,7 @@ def cells(table: pa.Table) -> list[tuple[Any, ...]]:
 
 
 @pytest.mark.parametrize("recording", [A_BUS, B_CRUD], ids=["a_bus3", "b_crud"])
-def test_others_read_every_cell(tmp_path, recording):
+def test_other_libraries_read_every_cell(tmp_path, recording):
     """DuckDB, Polars and pandas read what was decoded, whatever the encoding of a column is."""
     make(Order((str(recording),), tmp_path / "tables", "parquet"))
     for name in TABLES:
@@ -110,8 +110,8 @@ def test_threads_share_the_cores_with_other_workers(monkeypatch):
     assert [archive._threads(workers) for workers in (1, 2, 3, 4, 5, 8, 9)] == [8, 4, 2, 2, 0, 0, 0]
 
 
-def test_a_full_disk_is_told_whoever_writes(tmp_path, monkeypatch, small_groups, threads):
-    """What writing raises in a thread is told as it is without threads, and nothing stays at the target."""
+def test_a_full_disk_is_reported_with_and_without_threads(tmp_path, monkeypatch, small_groups, threads):
+    """An error while writing in a thread is the same as without threads, and no file remains at the target."""
     written = []
 
     def full(self: Any, table: pa.Table, row_group_size: int) -> None:

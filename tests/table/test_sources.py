@@ -75,7 +75,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize("form", FORMATS)
-def test_what_is_written(form, folder):
+def test_our_own_files(form, folder):
     @settings(max_examples=examples(40))
     @given(properties.frames_for([form]), st.integers(1, 5), st.sampled_from([1, 200, 1 << 20]))
     def body(frames: list[Frame], most: int, span: int) -> None:
@@ -145,7 +145,7 @@ def test_pcapng_of_many_kinds(folder):
         check(octets[:size], folder)
 
 
-def test_pcapng_where_nothing_is_plain(folder):
+def test_pcapng_with_unusual_blocks_only(folder):
     """Every other block is one that the walk stops at; so many of them end it."""
     start = pcapng.section() + pcapng.interface()
     odd = pcapng.block(3, struct.pack("<I", 4) + b"odd!")
@@ -170,7 +170,7 @@ def mcap_message(**fields: Any) -> bytes:
 
 
 def varint(value: int, least: int = 1) -> bytes:
-    """A number as protobuf has it, in at least so many octets."""
+    """Encode a number as in protobuf, in at least ``least`` octets."""
     value &= 2**64 - 1
     octets = []
     while value or len(octets) < least:
@@ -302,14 +302,14 @@ def test_mcap_files_with_frames_in_json(folder):
     check(stream.getvalue(), folder, frames=100)
 
 
-def test_a_pipe_is_read_too(recording):
+def test_a_pipe_is_read(recording):
     path, _ = recording
     with Recording(io.BytesIO(path.read_bytes())) as source:
         assert sum(block.frames for block in source.blocks()) == len(expected(path)[0])
         assert source.problems == []
 
 
-def test_what_is_no_recording(tmp_path):
+def test_files_that_are_not_recordings(tmp_path):
     for name, octets in (("empty", b""), ("text", b"hello, this is text")):
         (tmp_path / name).write_bytes(octets)
         with pytest.raises(CaptureError, match=name):

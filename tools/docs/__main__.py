@@ -27,7 +27,7 @@ from .structs import pics_page
 ROOT = Path(__file__).resolve().parents[2]
 CONFIG = Path(__file__).with_name("zensical.toml")
 _SHIM = "https://unpkg.com/iframe-worker/shim"
-#: What a browser loads by itself: sources, style sheets, icons and fonts; not links to click.
+#: References that a browser loads by itself: sources, style sheets, icons and fonts; not links to click.
 _LOADS = re.compile(
     r"""\bsrc(?:set)?=["']?(?:https?:)?//[^"'\s>]+|<link\b(?![^>]*rel=["']?(?:canonical|next|prev|alternate))[^>]*href=["']?"""
     r"""(?:https?:)?//[^"'\s>]+|url\(["']?(?:https?:)?//[^)]+|@import\s+["'](?:https?:)?//[^"']+"""

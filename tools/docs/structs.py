@@ -39,8 +39,8 @@ def pics_page() -> str:
         "## `[sut]`: which implementation this is",
         struct_table(Target),
         "## `[pics]`: what it claims",
-        "A capability that is left out is neither claimed nor denied: a case that needs it is not applicable, and the "
-        "report says so.",
+        "A capability that is left out is neither claimed nor denied: a case that needs it is reported as not "
+        "applicable.",
         struct_table(Capabilities),
         "## `[pixit]`: what the tester must know",
         "A key that is left out has the value of the profile, or the tester asks the implementation.",

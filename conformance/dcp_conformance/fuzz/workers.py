@@ -38,7 +38,7 @@ from dcp_conformance.errors import WorkerError
 from dcp_conformance.execution.signals import Stop
 
 from .campaign import Campaign, Limits, Progress, State
-from .reduce.reduction import Finding, as_it_was
+from .reduce.reduction import Finding, not_minimised
 from .steps import Effect, Step
 from .worker import SLOT_SIZE, Failure, FirstEffect, Make, Order, Report, Settings, Slot, Totals, work
 
@@ -187,7 +187,7 @@ class _Workers:
         steps = member.slot.steps()
         effect = Effect("dead", f"its process was ended by {by}", max(0, len(steps) - 1), by)
         if steps and effect.signature not in self._campaign.state.findings:
-            self._campaign.keep(self._as_it_was(steps, effect))
+            self._campaign.keep(self._not_minimised(steps, effect))
 
     def _gather(self) -> None:
         """Terminate all workers and receive their last reports."""
@@ -286,9 +286,9 @@ class _Workers:
         self._kept.add(signature)
         self._campaign.keep(finding)
 
-    def _as_it_was(self, steps: list[Step], effect: Effect) -> Finding:
+    def _not_minimised(self, steps: list[Step], effect: Effect) -> Finding:
         campaign = self._campaign
-        return as_it_was(steps, effect, None if campaign.saved_target.mode == "codec" else campaign.codec)
+        return not_minimised(steps, effect, None if campaign.saved_target.mode == "codec" else campaign.codec)
 
     def _progress(self) -> None:
         now = time.monotonic()
@@ -304,7 +304,7 @@ class _Workers:
         left = [(number, report) for number, member in enumerate(self._members) for report in member.reports]
         self._keep_findings(left)
         for _, shown in [*enumerate(self._pending.values()), *self._new(left)]:
-            self._keep(self._as_it_was(shown.steps, shown.effect))
+            self._keep(self._not_minimised(shown.steps, shown.effect))
         campaign, state = self._campaign, self._campaign.state
         kinds, effects, lines = Counter(state.kinds), Counter[str](), set[tuple[str, int]]()
         for totals in (member.totals for member in self._members):

@@ -129,7 +129,7 @@ def draft(
     arrivals = _listen(lower, codec_candidates if asking is None else asking, seconds, ask, found)
     codec = _profile(found, upper, codec_candidates, arrivals, asked_for)
     if codec is not None and arrivals:
-        _look_at(found, codec, arrivals, node_id)
+        _derive_settings(found, codec, arrivals, node_id)
         if ask:
             _how_fast(found, codec, lower, upper)
     if not arrivals:
@@ -289,7 +289,7 @@ def _unexplained(
     return None
 
 
-def _look_at(found: Draft, codec: Codec, arrivals: Sequence[Arrival], node_id: bytes | None) -> None:
+def _derive_settings(found: Draft, codec: Codec, arrivals: Sequence[Arrival], node_id: bytes | None) -> None:
     """Derive settings from the beacons of the implementation."""
     senders: dict[bytes, list[tuple[Arrival, Beacon]]] = {}
     broken: list[Arrival] = []
@@ -329,8 +329,8 @@ def _look_at(found: Draft, codec: Codec, arrivals: Sequence[Arrival], node_id: b
     if node_id not in senders:
         found.remarks.append(f"no beacon of {node_id.hex(':')}, which is what it says to be, was heard")
         return
-    _what_is_seen(found, [beacon for _, beacon in senders[node_id]])
-    _how_often(found, senders[node_id])
+    _derive_from_contents(found, [beacon for _, beacon in senders[node_id]])
+    _derive_period(found, senders[node_id])
 
 
 def _how_fast(found: Draft, codec: Codec, lower: LowerTester, upper: UpperTester | None) -> None:
@@ -348,7 +348,7 @@ def _how_fast(found: Draft, codec: Codec, lower: LowerTester, upper: UpperTester
         found.remarks.append("it answers no question in beacons, from which its reaction time would be measured")
 
 
-def _what_is_seen(found: Draft, beacons: Sequence[Beacon]) -> None:
+def _derive_from_contents(found: Draft, beacons: Sequence[Beacon]) -> None:
     total, seen = len(beacons), Counter[str]()
     networks: Counter[int] = Counter()
     for beacon in beacons:
@@ -374,7 +374,7 @@ def _what_is_seen(found: Draft, beacons: Sequence[Beacon]) -> None:
         found.remarks.append(f"its beacons have several network identifiers: {', '.join(map(str, networks))}")
 
 
-def _how_often(found: Draft, beacons: Sequence[tuple[Arrival, Beacon]]) -> None:
+def _derive_period(found: Draft, beacons: Sequence[tuple[Arrival, Beacon]]) -> None:
     period = measured_period(beacons)
     if period is None or period.mean < _LEAST_PERIOD:
         found.remarks.append(f"{len(beacons)} beacons are too few to measure the beacon period")

@@ -309,7 +309,7 @@ def any_identifier(bench: Bench, made: Callable[[bytes], bytes]) -> None:
 # -- octets and text ---------------------------------------------------------------------------------------------------
 
 
-def check_passed_on(bench: Bench, value: bytes, descr: bytes, *requirements: str) -> None:
+def check_forwarded(bench: Bench, value: bytes, descr: bytes, *requirements: str) -> None:
     """Check that a variable with this value and description is accepted and forwarded unchanged."""
     peer, var_id = bench.peer(), bench.var_id()
     peer.send(peer.create(var_id, value=value, descr=descr, exact=True))
@@ -342,7 +342,7 @@ def memory_blocks(bench: Bench, length: int | None) -> None:
     if length != 1:
         length = max(1, min(bench.sut.bound("VARDISPAR_MAX_VALUE_LENGTH"), length or 255))
     octets = bytes([0, 0xFF, 0x0A, 0x05, 0x49, 0x7E, 0x0D]) * 40
-    check_passed_on(bench, octets[:length], bench.records.descr(b"octets"))
+    check_forwarded(bench, octets[:length], bench.records.descr(b"octets"))
 
 
 @case(
@@ -370,7 +370,7 @@ def descriptions(bench: Bench, descr: bytes) -> None:
         bench.verdicts.not_applicable(
             f"descriptions have at most {bench.sut.longest_description} octets, and this one has {len(descr)}"
         )
-    check_passed_on(bench, bench.records.value(b"value"), descr)
+    check_forwarded(bench, bench.records.value(b"value"), descr)
 
 
 @case(

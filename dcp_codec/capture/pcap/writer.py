@@ -36,13 +36,13 @@ class PcapWriter(CaptureWriter):
         if seconds > _MAX_SECONDS:
             raise self._refuse(frame, "its time is after 2106, where pcap ends; pcapng and MCAP have no such end")
         if not self._lossy and (lost or frame.interface):
-            raise self._refuse(frame, _what_is_lost(frame, lost))
+            raise self._refuse(frame, _describe_loss(frame, lost))
         if not (seconds or fraction or frame.orig_len):
             raise self._refuse(frame, "a frame without length at time 0 cannot be told from a file's zeroed end")
         self._append(_RECORD.pack(seconds, fraction, len(frame.data), frame.orig_len) + frame.data)
 
 
-def _what_is_lost(frame: Frame, nanoseconds: int) -> str:
+def _describe_loss(frame: Frame, nanoseconds: int) -> str:
     if nanoseconds:
         return (
             f"its last {nanoseconds} ns would be lost in microseconds; use nanoseconds (--resolution ns), or permit "

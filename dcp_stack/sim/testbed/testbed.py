@@ -170,7 +170,7 @@ class Testbed:
         for node in self.nodes:
             if node.answers:
                 # Update the traffic counters up to the end.
-                self._look_at(node)
+                self._query(node)
         self.clock.look(self.now, self.agreement)
         self.close()
         return self._report(time.perf_counter() - started)
@@ -205,11 +205,11 @@ class Testbed:
                 self._absent(node.index)
                 pending = True
             elif self.clock.pending:
-                self._look_at(node)
+                self._query(node)
         if not pending:
             self.clock.look(self.now, self.agreement)
 
-    def _look_at(self, node: NodeProcess) -> None:
+    def _query(self, node: NodeProcess) -> None:
         """Query one node for its variables; note a failure if it does not answer."""
         try:
             seen = node.look()

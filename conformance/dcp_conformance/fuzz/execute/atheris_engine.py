@@ -20,7 +20,7 @@ import msgspec
 from dcp_codec.common.extras import advice
 from dcp_conformance.errors import UsageError
 from dcp_conformance.fuzz.campaign import Campaign, Limits
-from dcp_conformance.fuzz.reduce.reduction import as_it_was
+from dcp_conformance.fuzz.reduce.reduction import not_minimised
 from dcp_conformance.fuzz.steps import Effect, Frame, Step
 
 from .atheris_child import ChildSettings
@@ -75,7 +75,7 @@ def run_engine(campaign: Campaign, part: str, profile: str, seeds: Sequence[byte
     campaign.state.seconds += time.monotonic() - begun
     for octets in hangs:
         # A hang cannot be repeated in this process.
-        campaign.keep(as_it_was([Frame(octets, b"", part)], Effect("hang", f"{part}: it ended atheris", 0, part)))
+        campaign.keep(not_minimised([Frame(octets, b"", part)], Effect("hang", f"{part}: it ended atheris", 0, part)))
     campaign.generator = _Gathered(part, inputs)
     campaign.run(Limits(cases=len(inputs)))
     if interrupted is not None:

@@ -27,7 +27,7 @@ class Finding(NamedTuple):
     """The probable cause; None for inputs of functions."""
 
 
-def as_it_was(steps: list[Step], effect: Effect, codec: Codec | None = None) -> Finding:
+def not_minimised(steps: list[Step], effect: Effect, codec: Codec | None = None) -> Finding:
     """Return a finding that was not minimised. With a codec, its cause is determined from the steps alone."""
     # Steps after the effect cannot have caused it.
     shown = steps[: effect.step + 1]
@@ -81,7 +81,7 @@ class Reduction:
         """Return the finding with the best result so far; with the original ``steps`` if there is none."""
         found = self.found
         if found is None:
-            return as_it_was(steps, effect, self._codec)
+            return not_minimised(steps, effect, self._codec)
         cause = None
         if self._codec is not None:
             judge = self._judge or self._minimiser
@@ -152,4 +152,4 @@ class Reduction:
             return ""
 
 
-__all__ = ["Finding", "Reduction", "as_it_was"]
+__all__ = ["Finding", "Reduction", "not_minimised"]

@@ -205,7 +205,7 @@ def producer_gone(scene: Scene) -> None:
     variants={"10": 10, "100": 100},
     services=UPDATING,
 )
-def far_behind(scene: Scene, missed: int) -> None:
+def many_missed_updates(scene: Scene, missed: int) -> None:
     scene.require_summaries()
     scene.start()
     scene.create(0, 205, b"0")

@@ -27,7 +27,7 @@ class Thousand(NeighbourTable):
 
 
 @mutant("dies-of-1001", "SRP-RX-03 BP-RX-16", "crashes on the 1001st neighbour")
-class DiesOfMany(NeighbourTable):
+class CrashesOnMany(NeighbourTable):
     def record(
         self, report: ExtendedSafetyData, sender_id: bytes, *, now: int, wall: int
     ) -> Literal["new", "replaced", "full"]:
@@ -38,7 +38,7 @@ class DiesOfMany(NeighbourTable):
 
 
 @mutant("dies-of-large", "VD-ROB-01", "crashes on a payload larger than its own maximum")
-class DiesOfLarge(Extractor):
+class CrashesOnLarge(Extractor):
     def extract(self, payload: bytes) -> Extracted:
         if len(payload) > self._largest:
             raise BufferError("the buffer is too small")

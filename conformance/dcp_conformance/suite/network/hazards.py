@@ -312,7 +312,7 @@ def earlier_update(bench: Bench) -> None:
     expect="both count as older: the stored value is sent in response",
     window=24,
 )
-def far_behind(bench: Bench) -> None:
+def many_missed_updates(bench: Bench) -> None:
     source, name, count = bench.peer(), bench.var_id(), bench.sut.rep_cnt(2)
     far = seqno_modulus(bench.profile.types.var_seqno.width) // 2 + 1
     bench.learn(source, source.create(name, value=b"stale", rep_cnt=count))

@@ -21,7 +21,7 @@ OK = StatusConfirm(BPStatus.OK)
 
 
 @mutant("ignored", "BP-MGT-02 BP-TX-07", "continues to send beacons after it was deactivated")
-class GoesOn(BeaconingProtocol):
+class ContinuesWhileInactive(BeaconingProtocol):
     def deactivate(self) -> StatusConfirm:
         super().deactivate()
         self._active = True

@@ -95,7 +95,7 @@ class AnyNetwork(Receiver):
 
 
 @mutant("zero", "BP-RX-05", "treats network 0 as any network")
-class ZeroIsEverybody(Receiver):
+class ZeroIsAnyNetwork(Receiver):
     def _for_this_node(self, header: BPHeader) -> bool:
         network = header.network_id or self._parameters.network_id
         return super()._for_this_node(BPHeader(header.sender_id, header.seqno, network))
@@ -256,7 +256,7 @@ class PaddingRefused(Lenient):
 
 
 @mutant("dies", "BP-RX-15", "crashes on a length past the end of the frame")
-class DiesOfLength(Lenient):
+class CrashesOnLength(Lenient):
     def repaired(self, octets: bytearray) -> bytearray:
         if self.number(octets, "length") > len(octets) - self.header_size:
             raise IndexError("a read past the end of the frame")
@@ -264,7 +264,7 @@ class DiesOfLength(Lenient):
 
 
 @mutant("dies-of-short", "BP-RX-16", "crashes on a frame shorter than the header")
-class DiesOfShort(BPWire):
+class CrashesOnShort(BPWire):
     def parse(self, octets: bytes) -> Reception:
         if len(octets) < self.header_size:
             raise IndexError("a read past the end of the frame")
@@ -272,13 +272,13 @@ class DiesOfShort(BPWire):
 
 
 @mutant("dies-of-empty", "BP-RX-16", "crashes on a block without a payload")
-class DiesOfEmpty(Blocks):
+class CrashesOnEmpty(Blocks):
     def chosen(self, blocks: tuple[Block, ...]) -> tuple[Block, ...]:
         return tuple(block for block in blocks if block.payload[0] >= 0)
 
 
 @mutant("dies-of-nothing", "BP-RX-16", "crashes on an empty frame")
-class DiesOfNothing(BPWire):
+class CrashesOnNothing(BPWire):
     def parse(self, octets: bytes) -> Reception:
         if not octets:
             raise IndexError("a read of an empty frame")
@@ -329,7 +329,7 @@ class FilledUp(Deliveries):
 
 
 @mutant("everybody", "BP-RXP-03", "delivers payloads to all clients")
-class Everybody(Receiver):
+class DeliversToAllClients(Receiver):
     def _deliver(self, block: Block, sender: bytes) -> None:
         super()._deliver(block, sender)
         if block.protocol_id > 2 and block.protocol_id in self._clients:

@@ -175,7 +175,7 @@ class QueueFirst(Registrations):
 
 
 @mutant("ok", "BP-DRG-01", "confirms the deregistration of an unknown client with OK")
-class DeregistersAnybody(BeaconingProtocol):
+class DeregistersUnknownClients(BeaconingProtocol):
     def deregister(self, prot_id: int) -> StatusConfirm:
         super().deregister(prot_id)
         return OK
@@ -369,7 +369,7 @@ class EmptyFirst(Transmissions):
 
 
 @mutant("ok", "BP-CLR-01", "confirms clearing the buffer of an unknown client with OK")
-class ClearsAnybody(BeaconingProtocol):
+class ClearsUnknownClients(BeaconingProtocol):
     def clear_buffer(self, prot_id: int) -> StatusConfirm:
         super().clear_buffer(prot_id)
         return OK
@@ -402,7 +402,7 @@ class BuffersStay(BeaconingProtocol):
 
 
 @mutant("ok", "BP-QRY-01", "returns 0 payloads for an unknown client")
-class NobodyHasNone(BeaconingProtocol):
+class UnknownClientHasNone(BeaconingProtocol):
     def query_number_buffered(self, prot_id: int) -> NumberConfirm:
         confirm = super().query_number_buffered(prot_id)
         return confirm if confirm.status.is_ok else NumberConfirm(BPStatus.OK, 0)

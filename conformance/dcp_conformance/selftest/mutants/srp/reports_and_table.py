@@ -337,7 +337,7 @@ class OneNeighbour(NeighbourTable):
 
 
 @mutant("anybody", "SRP-NT-01", "answers a query for an unknown neighbour with another neighbour")
-class Anybody(NeighbourTable):
+class AnswersWithAnotherNeighbour(NeighbourTable):
     def lookup(self, node_id: bytes) -> NeighbourTableEntry | None:
         return super().lookup(node_id) or next(iter(self), None)
 

@@ -72,12 +72,12 @@ class CreateStatus(Cells):
 
 
 @mutant("deleted-refused", "VD-CRE-03", "does not create its own deleted variable again", since=V2)
-class DeletedNotAnew(Cells):
+class DeletedNotCreatedAgain(Cells):
     cells: ClassVar = _refused(Event.APP_CREATE, EXISTS, DELETED_OWN)
 
 
 @mutant("accepted", "VD-CRE-16 VD-CRE-02", "creates an existing variable again, as in 2.0")
-class CreatesAnew(Cells):
+class CreatesAgain(Cells):
     cells: ClassVar = {(Event.APP_CREATE, PRODUCED): Cell(Action.CREATE)}
 
 
@@ -225,7 +225,7 @@ class FromOne(Creates):
     "continues the sequence numbers of a variable that is created again",
     unseen=NOT_ANEW,
 )
-class GoesOn(Creates):
+class ContinuesNumbers(Creates):
     def create(self, *args: Any, **times: Any) -> Confirm:
         var_id: int = args[0]
         before = self._database.lookup(var_id)

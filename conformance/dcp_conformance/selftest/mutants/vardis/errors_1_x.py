@@ -29,5 +29,5 @@ class DropsAll(OtherPolicy):
 
 
 @mutant("goes-on", "VD-RX-11", "continues with the container after an invalid one, as in 1.0")
-class GoesOn(OtherPolicy):
+class ContinuesAfterError(OtherPolicy):
     policy = "skip-container"

@@ -131,17 +131,17 @@ class Fragile(Extractor):
 
 
 @mutant("dies-of-type", "VD-ROB-01 VD-RX-05", "crashes on an unknown container type")
-class DiesOfType(Fragile):
+class CrashesOnType(Fragile):
     reasons = ("unknown-type",)
 
 
 @mutant("dies-of-zero", "VD-ROB-01 VD-RX-06", "crashes on a container without records")
-class DiesOfZero(Fragile):
+class CrashesOnZero(Fragile):
     reasons = ("zero-count",)
 
 
 @mutant("dies-of-end", "VD-ROB-01 VD-RX-07", "crashes on a truncated record")
-class DiesOfEnd(Extractor):
+class CrashesOnEnd(Extractor):
     def extract(self, payload: bytes) -> Extracted:
         found = super().extract(payload)
         if any(problem.reason not in ("unknown-type", "zero-count") for problem in found.problems):
@@ -150,7 +150,7 @@ class DiesOfEnd(Extractor):
 
 
 @mutant("dies-of-text", "VD-ROB-01", "crashes on a description that is not UTF-8")
-class DiesOfText(Receiver):
+class CrashesOnText(Receiver):
     def _create(self, record: VarCreate, offset: int, now: int, wall: int) -> None:
         record.spec.descr.decode()
         super()._create(record, offset, now, wall)

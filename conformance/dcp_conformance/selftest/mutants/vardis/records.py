@@ -131,7 +131,7 @@ class Records(Composer):
 
 
 @mutant("summary-behind", "VD-CMP-04", "summarises the sequence number before the current one")
-class SummaryBehind(Records):
+class SummaryOfPreviousNumber(Records):
     def record(self, record: Any, entry: DBEntry | None) -> Any:  # noqa: ARG002 - as above
         return VarSumm(record.var_id, max(record.seqno - 1, 0)) if isinstance(record, VarSumm) else record
 

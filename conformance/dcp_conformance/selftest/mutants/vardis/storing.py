@@ -178,7 +178,7 @@ class RequestKept(Receiver):
 
 
 @mutant("own-only", "VD-PC-09 VD-SCP-02", "does not forward variables of other nodes")
-class NotSentOn(Receiver):
+class NotForwarded(Receiver):
     def _create(self, record: VarCreate, offset: int, now: int, wall: int) -> None:
         before = self._database.lookup(record.spec.var_id)
         super()._create(record, offset, now, wall)
@@ -189,7 +189,7 @@ class NotSentOn(Receiver):
 
 
 @mutant("once", "VD-PC-09 VD-SCP-02", "forwards variables of other nodes once, whatever the repCnt")
-class SentOnOnce(Receiver):
+class ForwardedOnce(Receiver):
     def _create(self, record: VarCreate, offset: int, now: int, wall: int) -> None:
         before = self._database.lookup(record.spec.var_id)
         super()._create(record, offset, now, wall)
@@ -208,7 +208,7 @@ class NotSummarised(Receiver):
 
 
 @mutant("not-sent-on", "VD-PU-07 VD-SCP-02", "stores updates of other nodes without forwarding them")
-class UpdateNotSentOn(Receiver):
+class UpdateNotForwarded(Receiver):
     def _update(self, record: VarUpdate, offset: int, now: int, wall: int) -> None:
         entry = self._database.lookup(record.var_id)
         before = None if entry is None else entry.seqno
@@ -249,7 +249,7 @@ class StampKept(Receiver):
 
 
 @mutant("not-sent-on", "VD-PD-04 VD-SCP-02", "deletes variables of other nodes without forwarding the VarDelete")
-class DeleteNotSentOn(Receiver):
+class DeleteNotForwarded(Receiver):
     def _delete(self, record: VarDelete, offset: int) -> None:
         entry = self._database.lookup(record.var_id)
         known = entry is not None and not entry.is_deleted

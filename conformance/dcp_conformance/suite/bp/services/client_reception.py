@@ -340,7 +340,7 @@ def deaf_for_clients(bench: Bench) -> None:
     expect="an indication of the last block; whether the empty block is indicated is a reading (X46)",
     needs=_RECEPTION,
 )
-def behind_others(bench: Bench) -> None:
+def after_other_blocks(bench: Bench) -> None:
     with BPClient(bench, ONCE) as client:
         peer, octets, nobody = bench.peer(), b"behind", unused_protocol_id(bench)
         peer.send(

@@ -58,7 +58,7 @@ def several_that_do_not_fit(bench: Bench) -> None:
     needs=Needs(since=V1_2, entities=(), ut=(*CLIENT, ACTIVATE, DEACTIVATE), header=("seqno",)),
     window=10,
 )
-def numbers_go_on(bench: Bench) -> None:
+def numbers_continue(bench: Bench) -> None:
     with BPClient(bench, REPEAT) as client:
         client.transmit(client.payload())
         needed(bench, len(bench.beacons(3)) == 3, "beacons before the deactivation")

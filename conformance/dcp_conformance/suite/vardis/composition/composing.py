@@ -346,7 +346,7 @@ def update_waits(bench: Bench) -> None:
     window=24,
     variants={"create": _CREATE, "update": _UPDATE},
 )
-def deletion_takes_back(bench: Bench, kind: ICType) -> None:
+def deletion_cancels(bench: Bench, kind: ICType) -> None:
     peer, var_id, repetitions = bench.peer(), bench.var_id(), bench.sut.rep_cnt(6)
     create = peer.create(var_id, rep_cnt=repetitions)
     if kind is _CREATE:

@@ -256,7 +256,7 @@ _EVENTS: dict[str, tuple[_Event, str]] = {
         },
     },
 )
-def deletion_goes_on(bench: Bench, variant: tuple[_Event, bool]) -> None:
+def deletion_continues(bench: Bench, variant: tuple[_Event, bool]) -> None:
     event, own = variant
     peer, count = bench.peer(), min(5, max_repetitions(bench))
     var_id = produced(bench, rep_cnt=count) if own else teach_variable(bench, peer, rep_cnt=count, seqno=5)

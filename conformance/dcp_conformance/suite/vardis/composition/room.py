@@ -231,7 +231,7 @@ def summaries_stay_queued(bench: Bench) -> None:
     window=60,
     needs=Needs(since=SpecVersion.V2_0, when=_fillable),
 )
-def request_taken_back(bench: Bench) -> None:
+def request_cancelled(bench: Bench) -> None:
     shorten_scrubbing(bench)
     peer = bench.peer()
     fillers = _fillers(bench, peer, 0)

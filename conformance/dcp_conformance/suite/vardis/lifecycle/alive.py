@@ -100,7 +100,7 @@ def _by_application(bench: Bench, _peer: Peer, name: int, timeout_ms: int) -> Ch
         "own": Variant(_by_application, requirements="VD-SCR-03 VD-SCR-01 VD-CRE-10", needs=_OWN),
     },
 )
-def begun_anew(bench: Bench, create: Callable[[Bench, Peer, int, int], Change]) -> None:
+def restarted_timeout(bench: Bench, create: Callable[[Bench, Peer, int, int], Change]) -> None:
     shorten_scrubbing(bench)
     own = create is _by_application
     peer, name = bench.peer(), bench.identifiers.own_var_id() if own else bench.var_id()
@@ -134,7 +134,7 @@ def begun_anew(bench: Bench, create: Callable[[Bench, Peer, int, int], Change]) 
     window=60,
     needs=Needs(since=SpecVersion.V2_0, when=several_repetitions),
 )
-def update_taken_back(bench: Bench) -> None:
+def update_cancelled(bench: Bench) -> None:
     shorten_scrubbing(bench)
     peer, name, count, timeout_ms = bench.peer(), bench.var_id(), bench.sut.rep_cnt(15), lasting(bench, 300)
     peer.send(peer.create(name, timeout=timeout_ms, rep_cnt=count))

@@ -67,7 +67,7 @@ def summaries_in_every_beacon(bench: Bench) -> None:
     expect="a request for each of the variables within the implementation's reaction time",
     window=40,
 )
-def one_after_the_other(bench: Bench) -> None:
+def in_succession(bench: Bench) -> None:
     peer = bench.peer()
     for number in range(8):
         unknown = bench.unknown_id()
@@ -264,7 +264,7 @@ def composed_when_sent(bench: Bench) -> None:
     window=40,
     needs=Needs(ut=("UT-Reset", "VD-SetParameter")),
 )
-def looked_at_often(bench: Bench) -> None:
+def checked_often(bench: Bench) -> None:
     _own_period(bench, 0.1)
     peer, name, count, mark = bench.peer(), bench.var_id(), bench.sut.rep_cnt(4), bench.mark()
     peer.send(peer.create(name, rep_cnt=count))

@@ -153,7 +153,7 @@ def deleted_skipped(bench: Bench) -> None:
     window=40,
     needs=_WIRE,
 )
-def takes_back(bench: Bench) -> None:
+def cancels(bench: Bench) -> None:
     peer, name, count = bench.peer(), bench.var_id(), bench.sut.rep_cnt(15)
     since = sent(bench, peer, peer.create(name, timeout=1, rep_cnt=count))
     found = deleted(bench, name, since, 1)

@@ -189,7 +189,7 @@ def not_kept(bench: Bench, act: Callable[[Peer, int], None]) -> None:
     window=60,
     needs=_WIRE,
 )
-def created_anew(bench: Bench) -> None:
+def created_again(bench: Bench) -> None:
     shorten_scrubbing(bench)
     peer, name = bench.peer(), bench.var_id()
     short = lasting(bench, 300, 2)

@@ -89,7 +89,7 @@ def own_exists(bench: Bench) -> None:
     window=14,
     needs=Needs(since=SpecVersion.V2_0, ut=("RTDB-Create", "RTDB-Update")),
 )
-def own_anew(bench: Bench) -> None:
+def own_created_again(bench: Bench) -> None:
     var_id = produced(bench, value=b"first")
     first = bench.until_instruction(_CREATE, var_id)
     if first is None:
@@ -107,12 +107,12 @@ def own_anew(bench: Bench) -> None:
     if not answer.ok:
         return
     bench.excuses.relies_on("creationTime")
-    _check_anew(bench, var_id, mark, first.spec.creation_time, bench.records.value(b"second"))
+    _check_recreated(bench, var_id, mark, first.spec.creation_time, bench.records.value(b"second"))
 
 
-def _check_anew(bench: Bench, var_id: int, mark: int, before: int, value: bytes) -> None:
+def _check_recreated(bench: Bench, var_id: int, mark: int, before: int, value: bytes) -> None:
     """Check the VarCreate of the second creation; one of the first creation may have been prepared before."""
-    record = bench.until(lambda heard: _anew(heard.about(_CREATE, var_id), before))
+    record = bench.until(lambda heard: _recreated(heard.about(_CREATE, var_id), before))
     frames = bench.instructions(_CREATE, var_id, mark)
     if record is None:
         observed = "none" if not frames else f"creationTime {frames[-1].record.spec.creation_time}"
@@ -130,7 +130,7 @@ def _check_anew(bench: Bench, var_id: int, mark: int, before: int, value: bytes)
     )
 
 
-def _anew(record: Any | None, before: int) -> Any | None:
+def _recreated(record: Any | None, before: int) -> Any | None:
     spec = getattr(record, "spec", None)
     return record if spec is not None and spec.creation_time > before else None
 
@@ -162,7 +162,7 @@ def ends_deletion(bench: Bench) -> None:
         bench.inconclusive("remaining repetitions of the VarDelete", "none left when the variable was created again")
     bench.excuses.relies_on("creationTime")
     before = first.spec.creation_time
-    made = bench.until_quiet(lambda heard: _anew(heard.about(_CREATE, var_id), before), since=mark)
+    made = bench.until_quiet(lambda heard: _recreated(heard.about(_CREATE, var_id), before), since=mark)
     deletions = bench.receiver.frames_with(_DELETE, var_id, done)
     late = [heard for heard in deletions if not made or heard.time >= made[0].time]
     bench.check(
@@ -202,7 +202,7 @@ def ends_repetitions(bench: Bench) -> None:
     bench.services.check_status(answer, (OK,), "RTDB-Create")
     bench.excuses.relies_on("creationTime")
     before = first.spec.creation_time
-    made = bench.until_quiet(lambda heard: _anew(heard.about(_CREATE, var_id), before), since=mark)
+    made = bench.until_quiet(lambda heard: _recreated(heard.about(_CREATE, var_id), before), since=mark)
     check_beacons(bench, made, count, "new VarCreate")
     check_one_in_each(bench, made, _CREATE, var_id)
     late = [heard for heard in bench.receiver.frames_with(_UPDATE, var_id, mark) if made and heard.time >= made[0].time]
