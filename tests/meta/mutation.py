@@ -57,7 +57,7 @@ class Change:
 
 @dataclass
 class Reached:
-    """What each test executes."""
+    """The functions that each test executes."""
 
     costs: dict[str, float] = field(default_factory=dict)
     tests: dict[str, set[str]] = field(default_factory=dict)
@@ -153,7 +153,7 @@ class Clone:
         return failed[0][:150] if failed else f"status {status}: {output.strip()[-150:]}"
 
     def judge(self, change: Change, reached: Reached) -> tuple[str, str]:
-        """What notices the change: ``core``, ``other`` or ``-``, and the test."""
+        """Return the part that notices the change (``core``, ``other`` or ``-``) and the test."""
         path = self.folder / change.path
         source = path.read_bytes()
         path.write_bytes(source[: change.start] + change.after.encode() + source[change.end :])
@@ -188,7 +188,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--reached", type=Path, action="append", required=True, help="what reached.py has recorded")
+    parser.add_argument("--reached", type=Path, action="append", required=True, help="folder with the files of reached.py")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("-n", type=int, default=150, help="number of changes (default 150)")
     parser.add_argument("--jobs", type=int, default=2, help="changes that are tried at the same time (default 2)")
