@@ -272,6 +272,7 @@ class TestWhatIsRun:
         assert documents >= {"dcp-bp.md", "dcp-srp.md", "dcp-vardis.md", "Networks"}
         assert not any(case.destructive for case in smoke)
 
+    @pytest.mark.part("suite")
     def test_the_smoke_plan_passes_for_every_version(self, dcp_conformance: Command):
         for profile in ("dcp-1.0", "dcp-1.3", "dcp-2.0", "cpp-2.0"):
             done = dcp_conformance("run", "--in-process", "--plan", "smoke", "--profile", profile)

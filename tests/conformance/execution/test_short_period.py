@@ -109,6 +109,7 @@ def test_cases_that_do_not_pass_at_the_short_period_are_repeated_at_the_configur
     assert passed == [(wrong.id, 0)]
 
 
+@pytest.mark.part("suite")
 def test_a_whole_run_is_short_and_gives_the_verdicts_of_our_node() -> None:
     suite = Suite("dcp-2.0")
     session = suite._runner.session

@@ -183,6 +183,7 @@ def test_mutants_are_chosen_by_name_requirement_or_glob():
         chosen(["M-nothing"])
 
 
+@pytest.mark.part("suite")
 def test_a_mutant_is_tried_where_it_is_a_fault():
     old = MUTANTS["M-VD-RU-05-requested"]
     assert old.profile == "dcp-1.0"

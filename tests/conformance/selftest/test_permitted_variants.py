@@ -115,6 +115,7 @@ def test_an_empty_payload_is_judged_without_a_confirm_too():
     assert not judged("V-UT-unconfirmed", "dcp-2.0", "bp.services.services", "bp.queues.queueing")
 
 
+@pytest.mark.part("suite")
 @pytest.mark.parametrize("profile", ["dcp-2.0", "cpp-2.0"])
 @pytest.mark.parametrize(
     "variant",
@@ -184,6 +185,7 @@ _STAMPS = [
 ]
 
 
+@pytest.mark.part("suite")
 @pytest.mark.parametrize("offset_ms", range(0, 2000, 250))
 def test_a_clock_that_is_set_between_two_time_stamps_is_not_a_fault(offset_ms: int):
     def steps(now: int) -> int:

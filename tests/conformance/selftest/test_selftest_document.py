@@ -64,6 +64,7 @@ def test_a_document_that_is_missing_is_made(tmp_path: Path):
     assert section_of(path.read_text(encoding="utf-8"), "generated") == "## Generated"
 
 
+@pytest.mark.part("suite")
 def test_both_commands_write_into_one_document(tmp_path: Path):
     path = tmp_path / "selftest.md"
     for arguments in (["M-BP-HDR-01-two"], ["--variants", "V-X27-*"], ["M-BP-HDR-02-swapped"]):
@@ -76,6 +77,7 @@ def test_both_commands_write_into_one_document(tmp_path: Path):
     assert "`V-X27-" in section_of(text, "variants")
 
 
+@pytest.mark.part("suite")
 def test_a_broken_document_is_wrong_usage(tmp_path: Path):
     path = tmp_path / "selftest.md"
     path.write_text("<!-- section: variants -->\n", encoding="utf-8")

@@ -44,6 +44,7 @@ def some_cases(*ids: str):
     return ordered({SANITY: known[SANITY], **{each.id: each for each in picked}}.values())
 
 
+@pytest.mark.part("suite")
 @pytest.mark.parametrize("name", SAMPLE)
 def test_the_suite_is_fair_to_a_variant_of_each_module(name: str):
     found = judge(all_variants()[name], PROFILE, some_cases())

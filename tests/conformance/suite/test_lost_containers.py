@@ -45,6 +45,7 @@ class FirstOnly(LosesContainers):
         return start == 0
 
 
+@pytest.mark.part("suite")
 @pytest.mark.parametrize("profile", ["dcp-2.0", "dcp-1.0"])
 @pytest.mark.parametrize("extractor", [UntilTheMiddle, FirstOnly])
 def test_only_the_requirements_of_extraction_fail(extractor: type[Extractor], profile: str) -> None:

@@ -48,6 +48,7 @@ def outcome_of(spoken: Profile, *, cases: tuple[str, ...] = ("",)) -> tuple[Runn
     return runner, failed, reasons
 
 
+@pytest.mark.part("suite")
 def test_swapped_times_and_reports_in_memory_layout_are_reported_once() -> None:
     runner, failed, reasons = outcome_of(codec_of("cpp-2.0").profile)
     assert failed.keys() == {"DATA-01", "DATA-05", "SRP-FMT-01", "SRP-TYP-02"}

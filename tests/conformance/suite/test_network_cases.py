@@ -87,6 +87,7 @@ class Slow(Around):
         return min([*own, *([] if inner is None else [inner])], default=None)
 
 
+@pytest.mark.part("suite")
 @pytest.mark.parametrize("profile", ["dcp-1.1", "dcp-2.0"])
 @pytest.mark.parametrize("case_id", [each for each in CASES if not each.startswith("TC_VD_RUN_TI")])
 def test_slow_nodes_pass_too(case_id, profile):

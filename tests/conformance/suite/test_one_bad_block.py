@@ -29,6 +29,7 @@ def failed(outcome: Trial) -> set[str]:
     return {requirement for each in findings for requirement in each.requirements}
 
 
+@pytest.mark.part("suite")
 @pytest.mark.parametrize("identifier", REPORTS)
 @pytest.mark.parametrize("profile", ["dcp-2.0", "dcp-1.2"])
 def test_an_unreadable_state_report_fails_srp_only(identifier: str, profile: str) -> None:

@@ -82,6 +82,7 @@ def case_over(upper: type[VirtualUpperTester], case_id: str, profile: str) -> Ca
     return runner.run(known_cases()[case_id])
 
 
+@pytest.mark.part("suite")
 @pytest.mark.parametrize("profile", ["dcp-1.1", "dcp-1.3", "dcp-2.0"])
 @pytest.mark.parametrize("case_id", CASES)
 def test_slow_services_pass_too(case_id, profile):

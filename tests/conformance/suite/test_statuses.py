@@ -119,6 +119,7 @@ _ANY_REFUSAL = frozenset(
 )
 
 
+@pytest.mark.part("suite")
 @pytest.mark.parametrize(
     "case_id", [each.id for each in known_cases().values() if each.needs.ut and each.base not in _ANY_REFUSAL]
 )
