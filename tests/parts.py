@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 import pytest
@@ -16,3 +17,8 @@ def also(part: str, *values: Any) -> list[Any]:
     return [
         pytest.param(*(each if isinstance(each, tuple) else (each,)), marks=pytest.mark.part(part)) for each in values
     ]
+
+
+def every(step: int, values: Iterable[Any], part: str = "suite") -> list[Any]:
+    """``values``, of which each ``step``-th belongs to the part of the test, and the others to ``part``."""
+    return [each if number % step == 0 else also(part, each)[0] for number, each in enumerate(values)]

@@ -188,9 +188,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument(
-        "--reached", type=Path, action="append", required=True, help="folder with the files of reached.py"
-    )
+    parser.add_argument("--reached", type=Path, action="append", required=True, help="output of reached.py")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("-n", type=int, default=150, help="number of changes (default 150)")
     parser.add_argument("--jobs", type=int, default=2, help="changes that are tried at the same time (default 2)")

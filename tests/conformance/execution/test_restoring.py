@@ -17,7 +17,7 @@ from dcp_conformance.test_system.bench import Bench, Session
 from dcp_conformance.test_system.services.changes import Changes
 from dcp_conformance.upper_tester import Answer
 
-from ...parts import also
+from ...parts import every
 from ..rig import codec_of, known_cases
 
 LASTING = ("MGMT-Deactivate", "SetParameter", "BP-RegisterProtocol", "UT-Subscribe")
@@ -63,9 +63,7 @@ def left_by(case: Case, lost: int) -> tuple[dict[str, Any], dict[str, Any], int]
     return before, state(sut), upper.calls
 
 
-@pytest.mark.parametrize(
-    "case_id", [*CASES[::10], *also("suite", *(each for each in CASES if each not in CASES[::10]))]
-)
+@pytest.mark.parametrize("case_id", every(10, CASES))
 def test_the_state_is_restored_after_a_lost_answer(case_id: str):
     case = known_cases()[case_id]
     lost, calls = 1, 1
