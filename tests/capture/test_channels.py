@@ -238,7 +238,7 @@ def test_contents_of_a_beacon_message():
     assert found["/dcp/pose/02-00-00-00-00-01"][0]["pose"]["position"] == {"x": 1.5, "y": 3.0, "z": 4.5}
 
 
-def test_a_message_without_its_columns_is_refused_where_there_are_no_errors():
+def test_a_message_without_columns_is_refused_unless_malformed():
     codec = get_codec("cpp-2.0")
     frame = ETHERNET + codec.encode(example_beacon(codec))
     for message in DecodedChannels(codec).messages(Frame(1, TIME_NS, frame, len(frame))):

@@ -369,7 +369,7 @@ def test_protobuf_messages_that_are_not_frames_are_counted(bad):
 
 
 @pytest.mark.parametrize("options", [{"use_chunking": False}, {"compression": CompressionType.NONE}])
-def test_offsets_of_frames_are_there_unless_compressed(options):
+def test_uncompressed_frames_have_offsets(options):
     octets = foreign([MESSAGE, MESSAGE], **options)
     frames, _ = read(octets)
     for frame in frames:

@@ -100,7 +100,7 @@ SOME = [Frame(n, 10**18 + n, bytes([n]) * (n * 7 % 50), 50 + n, 0) for n in rang
     ("format", "compression"),
     [("pcap", "none"), ("pcapng", "none"), *(("mcap", each) for each in ("zstd", "lz4", "none"))],
 )
-def test_cut_off_anywhere_gives_the_frames_before_and_a_problem(format, compression):
+def test_frames_before_any_truncation_are_read_with_a_problem(format, compression):
     octets = written(SOME, format, metadata={"section": {"os": "x"}}, compression=compression)
     counts = []
     # Where a record ends, pcap and pcapng files may just as well have been finished.

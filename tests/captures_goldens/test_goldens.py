@@ -238,7 +238,7 @@ def test_building_from_a_folder_takes_the_counts_beside_the_recording(copy, tmp_
     assert main(["make", str(copy), "--originals", str(folder)]) == 2
 
 
-def test_building_from_nothing_leaves_the_files_alone(copy, tmp_path, capsys):
+def test_building_from_an_empty_folder_changes_no_files(copy, tmp_path, capsys):
     path = copy.parent / "c_latejoin.mcap"
     before = path.read_bytes(), copy.read_text()
     assert main(["make", str(copy), "--originals", str(tmp_path / "none")]) == 2

@@ -66,7 +66,7 @@ def test_a_profile_that_explains_everything_has_no_shortfall() -> None:
 
 
 @pytest.mark.parametrize("sizes", [[52] * 30, [20, 21, 22] * 10])
-def test_a_draft_decodes_what_it_was_made_from(sizes: list[int], tmp_path: Path) -> None:
+def test_a_draft_decodes_its_recording(sizes: list[int], tmp_path: Path) -> None:
     frames = recording(sizes)
     draft = draft_profile("mine", frames, "flight.pcap")
     assert (draft.decoded, draft.before, draft.frames) == (30, 0, 30)

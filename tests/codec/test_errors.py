@@ -606,7 +606,7 @@ def test_extra_of_a_wrong_form(extra: Any) -> None:
     assert caught.value.path == "payloads[0].extra"
 
 
-def test_lists_may_be_lists_but_nothing_else() -> None:
+def test_sequences_must_be_tuples_or_lists() -> None:
     codec = get_codec("dcp-2.0")
     as_list: Any = [Container(1, [VarSumm(7, 3)])]  # type: ignore[arg-type]
     assert codec.encode_containers(as_list) == bytes.fromhex("01010703")

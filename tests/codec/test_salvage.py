@@ -70,7 +70,7 @@ def test_octets_never_raise(codec: Codec, data: st.DataObject) -> None:
 
 @EXAMPLES
 @given(data=st.data())
-def test_damage_to_one_payload_changes_nothing_that_is_read_of_the_others(codec: Codec, data: st.DataObject) -> None:
+def test_damage_to_one_payload_does_not_affect_the_others(codec: Codec, data: st.DataObject) -> None:
     octets = codec.encode(data.draw(strategies.beacons(codec)))
     places = contents(codec, octets)
     index = data.draw(st.integers(0, len(places) - 1))
@@ -205,7 +205,7 @@ def test_a_block_that_is_cut_off_is_the_last_that_is_read() -> None:
 
 
 @pytest.mark.parametrize("size", range(18))
-def test_nothing_is_read_of_a_header_that_is_cut_off(size: int) -> None:
+def test_a_truncated_header_gives_no_values(size: int) -> None:
     assert CODEC.salvage(beacon(*BLOCKS)[:size]).beacon is None
 
 

@@ -176,7 +176,7 @@ def test_variety_of_mutations_without_a_dissector(wanted: Callable[[bytes], bool
     assert reaches(strategies.mutations(st.just(VALID)), wanted)
 
 
-def test_mutations_of_octets_that_lie_somewhere_else() -> None:
+def test_mutations_of_octets_at_another_offset() -> None:
     """Fields are found by their place in the octets, whatever their offsets are called."""
     codec = get_codec("dcp-2.0")
 

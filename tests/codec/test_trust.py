@@ -72,7 +72,7 @@ def test_owners_and_groups(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     assert untrusted_writer(file) is None
 
 
-def test_a_file_is_on_the_disk_before_it_has_its_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_is_synchronised_before_it_is_renamed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     order: list[str] = []
     fsync, replace = os.fsync, Path.replace
 

@@ -110,5 +110,5 @@ def test_havoc_changes_octets_and_inserts_dictionary_words():
         Havoc(random.Random(1), [])
 
 
-def test_frames_without_a_part_are_beacons(target):
+def test_frames_that_name_no_part_are_beacons(target):
     assert target.run([Frame(b""), Frame(drawn_pool(CODEC, random.Random(1), 8)[-1])]) is None

@@ -144,7 +144,7 @@ SERVICES = [
         ("M-VD-DEL-05-silent", "DELETE-VARIABLES did not come"),
     ],
 )
-def test_a_service_that_succeeds_when_it_must_not_is_found(mutant, says):
+def test_a_service_that_wrongly_succeeds_is_found(mutant, says):
     make = all_mutants()[mutant].make if mutant else plain_node
     effect = LiveTarget(opened(make), differential=True).run(SERVICES)
     assert (effect is None) == (says is None)

@@ -87,7 +87,7 @@ def test_an_effect_that_is_not_reproduced_is_not_minimised():
     assert Minimiser(lambda steps: None, effect(0)).minimise([Frame(b"x")]) is None
 
 
-def test_the_budget_ends_it():
+def test_the_budget_ends_minimising():
     tries = 0
 
     def run(steps):

@@ -44,7 +44,7 @@ def test_the_same_seed_makes_the_same_octets(codec):
     assert octets != [third.mutate().octets for _ in range(200)]
 
 
-def test_every_mutation_says_what_it_did_and_starts_at_a_valid_message(codec):
+def test_every_mutation_describes_itself_and_starts_with_a_valid_message(codec):
     mutator = mutator_of(codec)
     for _ in range(500):
         made = mutator.mutate()

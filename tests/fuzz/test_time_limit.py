@@ -50,7 +50,7 @@ def test_no_exception_is_raised_after_the_limited_block():
     assert spent == 3_000_000
 
 
-def test_in_another_thread_it_does_nothing():
+def test_a_time_limit_has_no_effect_in_another_thread():
     raised: list[BaseException] = []
 
     def work():

@@ -74,7 +74,7 @@ def heard(lower: ImpairedLowerTester, until_ms: int) -> list[tuple[int, bytes]]:
     return found
 
 
-def test_frames_take_their_time_in_both_directions() -> None:
+def test_frames_are_delayed_in_both_directions() -> None:
     air = Air()
     lower = link(air, "delay=5ms", "delay=7ms")
     for after in (1, 2, 30):
@@ -179,7 +179,7 @@ def test_jitter_within_the_tolerance_is_not_an_incident(tolerance: int, late: bo
     assert [(each.to, each.what) for each in lower.health().incidents] == [(True, "late"), (False, "late")] * late
 
 
-def test_a_call_can_wait_until_nothing_is_under_way() -> None:
+def test_a_call_can_wait_until_all_frames_have_arrived() -> None:
     air = Air()
     lower = link(air, "delay=5ms")
     air.plan(3, b"meanwhile")

@@ -164,7 +164,7 @@ def test_only_the_ether_type_passes(namespace: Any) -> None:
     assert listener.stop()["ended"] == len(wanted)
 
 
-def test_udp_links_take_all_of_ip(namespace: Any) -> None:
+def test_udp_links_receive_all_ip_traffic(namespace: Any) -> None:
     listener, far = listen(namespace, UDP), sender(namespace)
     wanted = [frame(0x0800, b"E" + bytes(60)), frame(0x86DD, b"`" + bytes(60)), frame(0x0800, bytes(60), (0x8100, 9))]
     for each in wanted:
@@ -232,7 +232,7 @@ def test_frames_that_are_not_read_in_time_are_counted(namespace: Any) -> None:
 # -- how it ends --------------------------------------------------------------------------------------------------
 
 
-def test_a_signal_handler_can_end_it(namespace: Any) -> None:
+def test_a_signal_handler_can_end_the_capture(namespace: Any) -> None:
     listener, far = listen(namespace), sender(namespace)
     far.send(frame(0x4953, bytes(60)))
     listener.frame()

@@ -285,7 +285,7 @@ class TestNodes:
         for each in report["traffic"]:
             assert each["beacons_per_s"] + each["left_out_per_s"] == pytest.approx(10, rel=tolerance)
 
-    def test_a_line_agrees_after_everything_that_can_happen_to_a_variable(self, runs):
+    def test_a_line_agrees_after_all_kinds_of_events(self, runs):
         report = runs.report("line")
         busy = too_busy(report)
         assert not [each for each in unmet(report) if timeless(each) or not busy], (busy, report)

@@ -129,7 +129,7 @@ def test_colours_follow_the_scheme_and_the_button(browser, page, dark):
     assert browser.run("getComputedStyle(document.body).color") == ["rgb(227, 230, 233)", "rgb(28, 31, 35)"][dark]
 
 
-def test_a_telephone(browser, page):
+def test_the_page_on_a_small_screen(browser, page):
     """Nothing is wider than the screen, labels stay 12 px, a finger scrolls the page, wide tables say that they do."""
     show(browser, page, width=390, touch=True)
     assert browser.run("document.documentElement.scrollWidth") == 390

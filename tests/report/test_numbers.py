@@ -164,7 +164,7 @@ class TestExtremes:
             assert np.nanmax(y[drawn]) == np.nanmax(y[own])
             assert {own[0], own[-1]} <= set(drawn.tolist())
 
-    def test_a_sawtooth_never_turns_round(self):
+    def test_a_thinned_sawtooth_keeps_its_direction(self):
         """The picture that thinning by every Nth point made of wrapping numbers: it fell."""
         count = np.arange(500_000)
         drawn = unwrapped(count % 256, 256)[extremes(count / 10, unwrapped(count % 256, 256), 500)]

@@ -168,7 +168,7 @@ class TestTwoFlights:
         assert axis(plots["01-age"], "x_range")["end"] > 19_900
         assert axis(plots["01-age"], "y_range") == axis(plots["02-age"], "y_range")
 
-    def test_one_of_them_is_empty(self, tmp_path):
+    def test_one_of_two_recordings_is_empty(self, tmp_path):
         one, two = record(tmp_path / "one.pcap", steady(1, 2)), record(tmp_path / "two.pcap", [])
         text = render([chapter(gathered(path), number) for number, path in enumerate((one, two), start=1)])
         assert "It has no frames at all." in self_contained(text).text

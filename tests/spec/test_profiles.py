@@ -130,7 +130,7 @@ def test_extending_does_not_change_the_base(write: WriteProfile) -> None:
     assert load_profile("dcp-2.0").types.var_id.width == 1
 
 
-def test_a_profile_is_what_its_file_says(write: WriteProfile) -> None:
+def test_a_full_profile_survives_a_round_trip(write: WriteProfile) -> None:
     """A profile written out in full is read back unchanged."""
     for name in profile_names():
         profile = load_profile(name)

@@ -87,7 +87,7 @@ def test_each_text_is_readable_without_the_table():
         assert len(entry.statement.split()) >= 5, entry.id
 
 
-def test_no_two_requirements_say_the_same():
+def test_requirements_are_distinct():
     repeated = Counter(entry.statement for entry in ENTRIES)
     assert [text for text, count in repeated.items() if count > 1] == []
 

@@ -179,7 +179,7 @@ def test_a_killed_writer_leaves_a_table_and_can_be_followed(path):
             assert reader.snapshot().profile == "cpp-2.0"
 
 
-def test_a_writer_that_dies_while_copying_harms_nothing(path):
+def test_a_writer_killed_while_copying_leaves_a_readable_file(path):
     codec = get_codec("dcp-2.0")
     with writer_for(path, codec, capacity=4) as writer, NeighbourFileReader(path) as reader:
         writer.publish(table_of(codec, [((1, 2, 3), 1)]), now=1, wall=1)

@@ -150,7 +150,7 @@ def test_nothing_moves_faster_than_its_speed(kind, speed, seconds):
     assert math.hypot(*velocity) <= limit
 
 
-def test_a_line_goes_north_and_comes_back():
+def test_a_line_track_goes_north_and_returns():
     line = Line((0, 0, 5), course=0, speed=2, length=10)
     assert line.at(1) == (pytest.approx((0, 2, 5)), pytest.approx((0, 2, 0)))
     assert line.at(6) == (pytest.approx((0, 8, 5)), pytest.approx((0, -2, 0)))
@@ -713,7 +713,7 @@ def test_a_profile_without_safety_data_has_no_sources(spec):
         opened(spec, "sim-1.0")
 
 
-def test_a_profile_without_a_place_has_no_tracks():
+def test_a_profile_without_a_position_has_no_tracks():
     codec = type(get_codec("dcp-2.0"))(profile_with("bare", ("battery", "u8", "", "")))
     for spec in ("track:line", "mavlink:udpin:127.0.0.1:14550"):
         with pytest.raises(SourceError, match="no fields for a position"):
@@ -721,7 +721,7 @@ def test_a_profile_without_a_place_has_no_tracks():
 
 
 @given(st.text(max_size=30), st.sampled_from(["", "track:", "track:line,", "track:waypoints,points=", "mavlink:"]))
-def test_no_text_raises_anything_else(text, start):
+def test_any_text_raises_at_most_a_source_error(text, start):
     if start == "mavlink:" and text.partition(":")[0] in ("udpin", "tcp", "serial"):
         return
     with contextlib.suppress(SourceError):

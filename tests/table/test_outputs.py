@@ -430,7 +430,7 @@ def test_interrupted(waiting, tmp_path):
     nothing_else(tmp_path, "1.pcap", "2.pcap")
 
 
-def test_a_worker_that_dies(waiting, tmp_path):
+def test_a_killed_worker(waiting, tmp_path):
     children = Path(f"/proc/{waiting.pid}/task/{waiting.pid}/children").read_text().split()
     workers = [pid for pid in children if b"spawn_main" in Path(f"/proc/{pid}/cmdline").read_bytes()]
     assert len(workers) == 2

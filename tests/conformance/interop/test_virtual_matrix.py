@@ -83,7 +83,7 @@ def test_incompatible_versions_share_a_bus_without_interaction() -> None:
     assert "in common" in missing.reason
 
 
-def test_lists_of_faults_and_variants_are_as_long_as_promised() -> None:
+def test_lists_of_faults_and_variants_have_the_documented_lengths() -> None:
     assert len(FAULTS) >= 25
     assert len(variants_to_try()) >= 50
 
@@ -136,7 +136,7 @@ def test_declarations_of_the_common_profile_fail_no_cell(test: str, tmp_path: Pa
         assert "little-endian: timestamp" in text
 
 
-def test_a_profile_that_keeps_to_the_specification_declares_nothing() -> None:
+def test_a_conforming_profile_declares_nothing() -> None:
     matrix = run_matrix(cells_of({NODE: built_in(NODE)}, [all_tests()["IT_VD_CREATE-pair"]]), jobs=1)
     assert matrix.implementations[0].declared == {}
 
@@ -259,7 +259,7 @@ def test_a_description_is_played(tmp_path: Path, dcp_conformance: Command) -> No
     ("words", "advice"),
     [(["--seeds", "3"], "add --virtual"), (["--virtual", "--test", "IT_NO"], "interop --list")],
 )
-def test_wrong_usage_says_what_to_do(words: list[str], advice: str, dcp_conformance: Command) -> None:
+def test_usage_errors_give_a_remedy(words: list[str], advice: str, dcp_conformance: Command) -> None:
     status, _, told = dcp_conformance("interop", *words)
     assert status == 2
     assert advice in told

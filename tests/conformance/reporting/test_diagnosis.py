@@ -104,7 +104,7 @@ def test_declared_deviations_need_no_fault() -> None:
     assert (named(found), found.failed, found.unexplained) == (["X"], 1, ())
 
 
-def test_the_summary_tells_what_was_observed_in_unexplained_cases() -> None:
+def test_the_summary_shows_observations_of_unexplained_cases() -> None:
     cases = tuple(results("ab", "c"))
     run = RunResult(cases=cases, diagnosis=explain(cases, Dictionary((fault("X", "a"),))))
     assert "Unexplained:\n\n* b: Purpose of b. Expected this; observed that.\n" in summary_markdown(run)

@@ -40,7 +40,7 @@ def run_with(**verdicts: Verdict) -> RunResult:
 RUN = run_with(VD_RU_03=Verdict.FAIL, BP_HDR_01=Verdict.PASS)
 
 
-def test_rows_are_in_the_order_of_the_catalogue_and_say_why() -> None:
+def test_rows_are_in_the_order_of_the_catalogue_with_reasons() -> None:
     first, second = rows(RUN)
     assert (first.requirement, first.verdict, first.why) == ("BP-HDR-01", "pass", "")
     assert (second.requirement, second.verdict, second.cases) == ("VD-RU-03", "fail", "TC_VD-RU-03")
@@ -56,14 +56,14 @@ def test_the_csv_has_no_formula() -> None:
 
 
 @pytest.mark.parametrize("make", [requirements_markdown, summary_markdown])
-def test_markdown_shows_text_of_others_as_text(make) -> None:
+def test_markdown_escapes_foreign_text(make) -> None:
     text = make(msgspec.structs.replace(RUN, sut=Sut(name="<b>[x](y)|", link="eth:uwb0")))
     assert "VD-RU-03" in text
     assert "<script>" not in text
     assert "<b>[" not in text
 
 
-def test_the_summary_begins_with_the_sentence_that_matters() -> None:
+def test_the_summary_begins_with_the_main_result() -> None:
     lines = summary_markdown(RUN).splitlines()
     assert lines[0] == "# drone: conformance to DCP 2.0"
     assert lines[2] == "1 requirement passes, 1 fails."
@@ -79,7 +79,7 @@ def test_the_summary_begins_with_the_sentence_that_matters() -> None:
         (msgspec.structs.replace(RUN, spec_version='"><script>'), 'DCP "><script>: 1 requirement fails'),
     ],
 )
-def test_the_badge_is_an_image_that_says_the_result(run: RunResult, text: str) -> None:
+def test_the_badge_is_an_image_with_the_result(run: RunResult, text: str) -> None:
     root = ElementTree.fromstring(badge(run))
     assert root.attrib["aria-label"] == text
     assert "".join(each.text or "" for each in root.iter("{http://www.w3.org/2000/svg}text")) == text.replace(

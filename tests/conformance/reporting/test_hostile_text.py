@@ -144,7 +144,7 @@ class TestTerminal:
             harmless(done.out)
             assert r"\x1b[31m" in harmless(done.err)
 
-    def test_pytest_shows_it_escaped(self):
+    def test_pytest_escapes_hostile_text(self):
         for case in evil_run().cases:
             harmless(str(CaseVerdictError(case, EVIL)))
 

@@ -48,7 +48,7 @@ def answered() -> RunResult:
     return run_of("M-VD-RU-03-equal-answered", "TC_VD_SEQ_BV_0", "TC_VD_STATE_BO_01-alive")
 
 
-def test_a_report_says_what_is_asked_what_happens_and_how_to_repeat_it(answered: RunResult, tmp_path: Path) -> None:
+def test_a_report_states_the_requirement_the_observation_and_the_command(answered: RunResult, tmp_path: Path) -> None:
     (page,) = write_issues(answered, tmp_path, CODEC)
     text = page.read_text()
     fault = answered.diagnosis.faults[0]
@@ -102,7 +102,7 @@ int main(void) {{
     assert lines == [f"{int(step.time * 1e6)} {step.octets.hex()}" for step in sent]
 
 
-def test_only_what_led_to_the_failure_is_sent(answered: RunResult) -> None:
+def test_the_program_sends_only_frames_before_the_failure(answered: RunResult) -> None:
     fault = answered.diagnosis.faults[0]
     case = next(each for each in answered.cases if each.id == fault.case)
     steps = stimulus(case, fault.check)

@@ -37,7 +37,7 @@ def test_the_most_important_sections_come_first() -> None:
     assert places == sorted(places)
 
 
-def test_the_table_of_contents_names_each_section_that_is_there_in_its_order() -> None:
+def test_the_table_of_contents_lists_the_present_sections_in_order() -> None:
     for run in (a_failed_run(), a_run_of(a_case(Verdict.PASS)), a_run_of()):
         page = render(run, None)
         [nav] = re.findall(r'<nav class="toc".*?</nav>', page)

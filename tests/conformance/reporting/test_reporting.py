@@ -396,7 +396,7 @@ class TestInABrowser:
         assert hidden == fitting
         assert 0 < len(hidden) < len(cards)
 
-    def test_hostile_text_runs_nothing(self, tmp_path: Path):
+    def test_hostile_text_is_not_executed(self, tmp_path: Path):
         run = a_run_of(a_case(Verdict.FAIL, text=EVIL), sut=Sut(name=EVIL))
         page = write_report(run, tmp_path / "report")
         dom = self.show(page, tmp_path, "--dump-dom").stdout
@@ -423,7 +423,7 @@ class TestRecordings:
                     assert not reader.problems
 
     @pytest.mark.tool("tshark")
-    def test_wireshark_reads_them(self, failed: RunResult, tmp_path: Path):
+    def test_wireshark_reads_the_recordings(self, failed: RunResult, tmp_path: Path):
         write_report(failed, tmp_path)
         run = load_results(tmp_path)
         case = next(case for case in run.cases if case.recording)

@@ -44,7 +44,7 @@ def _original(each: Site) -> ast.Module:
     return ast.parse(_source(each.module))
 
 
-def test_keys_tell_changes_apart():
+def test_keys_distinguish_changes():
     assert len({each.key for each in sites()}) == len(sites()) > 1000
 
 
@@ -175,7 +175,7 @@ def _in_new_processes(work, *calls):
         return [pool.submit(work, *arguments).result() for arguments in calls]
 
 
-def test_a_node_that_does_not_work_by_itself_ends_the_run(monkeypatch):
+def test_an_unchanged_node_that_fails_ends_the_run(monkeypatch):
     """Otherwise every change would count as killed, as it once did beside an unfinished edit."""
     monkeypatch.setattr(campaign, "ask", lambda *_: (msgspec.json.encode(Outcome("", "broken", "SyntaxError: x")), ""))
     with pytest.raises(ConformanceError, match="does not work without a change: SyntaxError: x"):

@@ -115,7 +115,7 @@ def test_identifiers_name_the_violated_requirement():
         assert made.until is None or made.since <= made.until, made.id
 
 
-def test_our_node_kills_nothing():
+def test_our_node_is_not_killed():
     for identifier in (EQUAL, "M-BP-HDR-06-with-header", "M-SRP-RX-06-forwarded"):
         known = MUTANTS[identifier]
         harmless = Mutant("M-none", known.requirement, known.also, "nothing", plain_node, known.since, known.until)
@@ -184,7 +184,7 @@ def test_mutants_are_chosen_by_name_requirement_or_glob():
 
 
 @pytest.mark.part("suite")
-def test_a_mutant_is_tried_where_it_is_a_fault():
+def test_a_mutant_is_tried_on_versions_where_it_is_a_fault():
     old = MUTANTS["M-VD-RU-05-requested"]
     assert old.profile == "dcp-1.0"
     result = selftest([old, MUTANTS[EQUAL]], profiles=["cpp-2.0"], jobs=1)

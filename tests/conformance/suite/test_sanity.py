@@ -140,7 +140,7 @@ def test_the_implementation_is_in_another_network(says_something: bool):
     assert result.reason.endswith("give [pixit] network_id = 3")
 
 
-def test_following_the_advice_makes_it_pass():
+def test_the_case_passes_with_the_advised_options():
     result, _ = sanity(node(network_id=3), pics=Pics(pixit=Testing(network_id=3)))
     assert result.verdict is Verdict.PASS
 

@@ -56,7 +56,7 @@ def test_limits_of_the_profile():
         (NETWORK, [0, 1, 0xFFFF], [-1, 0x10000, 1.0, "1", None, False]),
     ],
 )
-def test_valid_values_are_taken_and_invalid_ones_keep_the_old(name, valid, invalid):
+def test_valid_values_are_set_and_invalid_ones_are_refused(name, valid, invalid):
     rig = Rig()
     for value in valid:
         assert rig.bp.set_parameter(name, value) is None

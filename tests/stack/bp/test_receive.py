@@ -275,7 +275,7 @@ def test_a_length_beyond_the_frame_discards_the_beacon(version):
 @pytest.mark.req("BP-RX-14")
 @pytest.mark.req("BP-RX-15")
 @pytest.mark.parametrize("version", SINCE_1_2)
-def test_reading_x02_goes_by_the_size_of_the_frame(version):
+def test_reading_x02_uses_the_size_of_the_frame(version):
     rig = listening(version, readings={"X02": "frame-size"})
     good = rig.builder(A)
     assert rig.receive(rig.patch(good, "length", 0xFFFF)) == ([A], [])

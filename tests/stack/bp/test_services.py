@@ -149,7 +149,7 @@ def test_the_confirm_contains_the_own_identifier(version):
     assert rig.beacon().bp.sender_id == ME
 
 
-def test_the_confirm_of_1_0_does_not():
+def test_the_confirm_of_1_0_lacks_the_own_identifier():
     assert Rig("1.0").register().own_node_identifier is None
 
 
@@ -197,7 +197,7 @@ def test_modes_can_be_given_by_name():
 @pytest.mark.req("BP-CLR-04")
 @pytest.mark.parametrize("mode", ["BP_QMODE_FIFTH", 4, QUEUE])
 @pytest.mark.parametrize("version", SINCE_1_1)
-def test_reading_x06_registers_other_modes_and_tells_when_clearing(version, mode):
+def test_reading_x06_registers_other_modes_and_reports_an_error_when_clearing(version, mode):
     rig = Rig(version, readings={"X06": "refuse-at-clear"})
     assert rig.register(7, mode).status is OK
     assert rig.bp.list_registered().protocols[0].queue_mode == mode

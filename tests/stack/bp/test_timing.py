@@ -80,7 +80,7 @@ def test_beacons_are_spaced_however_late_the_caller_is():
 
 
 @pytest.mark.parametrize("sleep", [101 * MS, 150 * MS, 1000 * MS, 3600 * 1000 * MS, 10**9 * 1000 * MS])
-def test_missed_beacons_are_not_made_up_for(sleep):
+def test_missed_beacons_are_not_sent_later(sleep):
     rig = repeating()
     times(rig, 10)
     before = len(rig.sent())
@@ -116,7 +116,7 @@ def test_calling_early_does_no_harm():
     assert rig.sent() == []
 
 
-def test_the_schedule_runs_on_while_there_is_nothing_to_send():
+def test_the_schedule_continues_while_there_is_nothing_to_send():
     """A payload waits for the next slot: neighbours that answer the same beacon must not all send at once."""
     rig = Rig(jitter=0.0)
     start = rig.now

@@ -71,7 +71,7 @@ def test_the_recording_contains_its_profile_and_is_decoded(tmp_path, codec, beac
     assert counts["/dcp/frames"] == counts["/dcp/bp"] == len(beacons)
 
 
-def test_it_can_be_replayed(tmp_path, codec, beacons):
+def test_a_recording_can_be_replayed(tmp_path, codec, beacons):
     with_raw_frames_only = Recorder(tmp_path / "a.mcap", codec, decoded=False)
     for number, octets in enumerate(beacons):
         with_raw_frames_only.saw(octets, number, outgoing=False, source=MAC)

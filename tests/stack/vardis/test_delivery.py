@@ -52,7 +52,7 @@ def test_requests_of_several_neighbours_are_counted_separately() -> None:
     assert found(rig) == []
 
 
-def test_a_neighbour_has_asked_until_it_shows_what_it_asked_for() -> None:
+def test_a_request_is_pending_until_the_neighbour_shows_the_value() -> None:
     rig = Rig()
     rig.create()
     delivery = rig.vardis._core.delivery

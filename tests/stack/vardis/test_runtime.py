@@ -128,7 +128,7 @@ BEACON = 100 * MS
 
 
 @pytest.mark.req("VD-RUN-01")
-def test_a_payload_is_composed_with_what_arrives_before_its_beacon() -> None:
+def test_a_payload_includes_records_that_arrive_before_its_beacon() -> None:
     rig = Rig(buffer_check_period_ms=20)
     rig.bp.beacon = BEACON
     rig.create(rep_cnt=3)
@@ -263,7 +263,7 @@ def test_late_scrubbing_keeps_its_phase() -> None:
 
 @pytest.mark.req("VD-PAR-01")
 @pytest.mark.req("VD-PAR-05")
-def test_a_larger_payload_is_registered_when_nothing_is_lost_by_it() -> None:
+def test_a_larger_payload_is_registered_when_the_buffer_is_empty() -> None:
     rig = Rig(max_payload_size=100, max_description_length=8)
     for var_id in range(1, 6):
         rig.create(var_id, bytes(20), rep_cnt=2)

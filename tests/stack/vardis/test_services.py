@@ -84,7 +84,7 @@ def test_create_stores_everything() -> None:
 
 @pytest.mark.req("VD-CRE-08")
 @pytest.mark.parametrize("given", [None, ME, OTHER])
-def test_the_producer_is_this_node_whatever_is_given(given: bytes | None) -> None:
+def test_the_producer_is_always_this_node(given: bytes | None) -> None:
     rig = Rig()
     assert rig.create(prod_id=given) is S.OK
     assert rig.entry().spec.prod_id == ME
@@ -92,7 +92,7 @@ def test_the_producer_is_this_node_whatever_is_given(given: bytes | None) -> Non
 
 @pytest.mark.req("VD-CRE-08")
 @pytest.mark.parametrize("version", ["1.0", "1.1"])
-def test_the_producer_is_what_is_given_before_1_2(version: str) -> None:
+def test_before_1_2_the_producer_is_an_argument(version: str) -> None:
     rig = Rig(version)
     assert rig.create(7, prod_id=OTHER) is S.OK
     assert rig.create(8, prod_id=None) is S.OK
@@ -399,7 +399,7 @@ def test_deleting_removes_requests() -> None:
 
 @pytest.mark.req("VD-REA-04")
 @pytest.mark.req("VD-DB-03")
-def test_read_gives_the_value_and_when_it_came() -> None:
+def test_read_returns_the_value_and_its_time_of_arrival() -> None:
     rig = Rig()
     rig.receive(rig.vc())
     rig.now += 123
