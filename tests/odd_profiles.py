@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import pytest
 from dcp_spec.profile.loading import profile_names
 
 from dcp_codec import Codec, get_codec
+
+from .parts import also
 
 #: Profiles as a user might write them: what no implementation does, but what a profile can say.
 ODD_PROFILES: dict[str, str] = {
@@ -135,8 +136,9 @@ ODD_PROFILES: dict[str, str] = {
 NAMES = (*profile_names(), *ODD_PROFILES)
 #: The profiles among them that between them have every kind of field; the others are part of `make test-suite`.
 CORE = frozenset(("dcp-1.0", "dcp-2.0", "cpp-2.0", "student-2024", "odd-areas", "odd-own"))
-#: ``NAMES`` as parameters of a test or fixture.
-PARAMETERS = [each if each in CORE else pytest.param(each, marks=pytest.mark.part("suite")) for each in NAMES]
+#: ``NAMES`` as parameters of a test or fixture, and the built-in profiles among them.
+PARAMETERS = [each if each in CORE else also("suite", each)[0] for each in NAMES]
+BUILT_IN = PARAMETERS[: len(profile_names())]
 
 
 def write_profile(name: str, folder: Path) -> Path:

@@ -9,6 +9,8 @@ import pytest
 
 from dcp_codec.capture import CaptureError, Frame, create_capture, open_capture
 
+pytestmark = pytest.mark.part("tools")
+
 FRAMES = [
     Frame(
         n,

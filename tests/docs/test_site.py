@@ -25,6 +25,8 @@ from tools.docs.staging import with_links
 
 from ..browser import Browser
 
+pytestmark = pytest.mark.part("tools")
+
 ROOT = Path(__file__).resolve().parents[2]
 
 

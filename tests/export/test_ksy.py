@@ -28,6 +28,8 @@ from dcp_codec.testing import strategies
 from ..odd_profiles import NAMES, codec_of
 from .beacons import RECORDINGS, drawn, everything, malformed
 
+pytestmark = pytest.mark.part("tools")
+
 ROOT = Path(__file__).parent.parent.parent
 COMPILER = ROOT / "node_modules" / "kaitai-struct-compiler"
 

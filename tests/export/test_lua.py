@@ -14,7 +14,7 @@ from dcp_codec.testing import strategies
 from .beacons import RECORDINGS, drawn, everything, malformed
 from .wireshark import compare, write
 
-pytestmark = pytest.mark.tool("tshark")
+pytestmark = [pytest.mark.tool("tshark"), pytest.mark.part("tools")]
 
 
 @pytest.mark.parametrize("recording", RECORDINGS, ids=lambda path: path.stem)

@@ -15,6 +15,8 @@ from dcp_codec.export.lua_text import literal, quoted
 from .beacons import everything
 from .wireshark import compare, tshark, write
 
+pytestmark = pytest.mark.part("tools")
+
 needs_tshark = pytest.mark.tool("tshark")
 
 

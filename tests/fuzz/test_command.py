@@ -24,6 +24,7 @@ def test_frames_are_sent_only_on_the_named_interface(mode):
     assert "Traceback" not in done.stderr
 
 
+@pytest.mark.part("tools")
 @pytest.mark.parametrize(
     ("words", "says"),
     [

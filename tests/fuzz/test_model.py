@@ -30,6 +30,8 @@ from dcp_stack.vardis.database import Database, DBEntry
 from dcp_stack.vardis.receive import Receiver
 from dcp_stack.vardis.wire import Extracted
 
+from ..parts import also
+
 CODEC = Codec("dcp-2.0")
 FORGE = FrameBuilder(CODEC)
 PEER = b"\x02\xdc\x90\0\0\1"
@@ -155,19 +157,22 @@ def drawn_lives(codec: Codec, seed: int) -> Lifetimes:
     ("mutant", "signature"),
     [
         ("M-VD-PS-03-not-taught", "said: missing UPDATES VD-PS-03"),
-        ("M-VD-PS-04-not-requested", "said: missing REQUEST-VARUPDATES VD-PS-04"),
-        ("M-VD-RU-01-ignored", "said: missing REQUEST-VARCREATES VD-RU-01"),
-        ("M-VD-RU-04-consumer-silent", "said: missing UPDATES VD-RU-04"),
-        ("M-VD-RC-03-consumer-silent", "said: missing CREATE-VARIABLES VD-RC-03"),
+        *also(
+            "suite",
+            ("M-VD-PS-04-not-requested", "said: missing REQUEST-VARUPDATES VD-PS-04"),
+            ("M-VD-RU-01-ignored", "said: missing REQUEST-VARCREATES VD-RU-01"),
+            ("M-VD-RU-04-consumer-silent", "said: missing UPDATES VD-RU-04"),
+            ("M-VD-RC-03-consumer-silent", "said: missing CREATE-VARIABLES VD-RC-03"),
+            ("M-VD-CRE-02-foreign", "state: RTDB-Create succeeds"),
+            ("M-VD-UPD-02-creates", "state: RTDB-Update succeeds"),
+            ("M-VD-UPD-03-foreign", "state: RTDB-Update succeeds"),
+            ("M-VD-DEL-02-ok", "state: RTDB-Delete succeeds"),
+            ("M-VD-DEL-03-foreign", "state: RTDB-Delete succeeds"),
+            ("M-VD-REA-03-deleted", "state: RTDB-Read succeeds"),
+            ("M-VD-REA-04-first-value", "state: RTDB-Read"),
+        ),
         ("M-VD-DEL-05-silent", "said: missing DELETE-VARIABLES VD-DEL-05"),
         ("M-VD-CRE-12-only-summarised", "said: missing CREATE-VARIABLES VD-CRE-12"),
-        ("M-VD-CRE-02-foreign", "state: RTDB-Create succeeds"),
-        ("M-VD-UPD-02-creates", "state: RTDB-Update succeeds"),
-        ("M-VD-UPD-03-foreign", "state: RTDB-Update succeeds"),
-        ("M-VD-DEL-02-ok", "state: RTDB-Delete succeeds"),
-        ("M-VD-DEL-03-foreign", "state: RTDB-Delete succeeds"),
-        ("M-VD-REA-03-deleted", "state: RTDB-Read succeeds"),
-        ("M-VD-REA-04-first-value", "state: RTDB-Read"),
     ],
 )
 def test_wrong_silence_and_wrong_service_are_found(mutant: str, signature: str):
@@ -189,7 +194,7 @@ def test_own_numbers_are_counted_once_around(mutant: str):
     assert StackTarget(CODEC).run(steps) is None
 
 
-@pytest.mark.parametrize("profile", ["dcp-2.0", "dcp-1.3", "dcp-1.1", "dcp-1.0", "cpp-2.0"])
+@pytest.mark.parametrize("profile", ["dcp-2.0", *also("suite", "dcp-1.3", "dcp-1.1", "dcp-1.0", "cpp-2.0")])
 def test_the_unchanged_node_sends_all_required_records(profile: str):
     codec = Codec(profile)
     target, lives = StackTarget(codec), drawn_lives(codec, 3)

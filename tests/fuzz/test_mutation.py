@@ -5,14 +5,15 @@ from __future__ import annotations
 import random
 
 import pytest
-from dcp_spec.profile.loading import profile_names
 
 from dcp_codec import Codec, DecodeError
 from dcp_codec.testing.mutation import FIELD_CLASSES, STRUCTURE_CLASSES, Mutator, drawn_pool
 from dcp_codec.testing.mutation_values import ValidValues, valid_beacons
 
+from ..odd_profiles import BUILT_IN
 
-@pytest.fixture(params=profile_names())
+
+@pytest.fixture(params=BUILT_IN)
 def codec(request) -> Codec:
     return Codec(request.param)
 

@@ -17,6 +17,8 @@ from dcp_codec import Codec
 from dcp_codec.testing.mutation import Mutator, drawn_pool
 from dcp_stack.node import Node
 
+from ..parts import also
+
 
 def campaign_on(target: StackTarget, seed: int = 1) -> Campaign:
     codec, rng = target.codec, random.Random(seed)
@@ -26,7 +28,7 @@ def campaign_on(target: StackTarget, seed: int = 1) -> Campaign:
     return Campaign(codec, target, sequences, saved, seed, mutator=mutator, states=lambda: target.observer.reached)
 
 
-@pytest.mark.parametrize("profile", ["dcp-1.0", "dcp-1.3", "dcp-2.0", "cpp-2.0", "student-2024"])
+@pytest.mark.parametrize("profile", ["dcp-2.0", *also("suite", "dcp-1.0", "dcp-1.3", "cpp-2.0", "student-2024")])
 def test_a_short_campaign_finds_nothing_in_our_node(profile):
     campaign = campaign_on(StackTarget(Codec(profile)))
     state = campaign.run(Limits(cases=400))

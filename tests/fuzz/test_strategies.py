@@ -12,6 +12,8 @@ from dcp_codec import Codec
 from dcp_codec.testing import strategies
 from dcp_codec.values import Beacon, BPHeader, Container, Payload, VarDelete, VarSumm
 
+from ..parts import also
+
 CODEC = Codec("dcp-2.0")
 _SEARCH = settings(max_examples=3000, derandomize=True, database=None, phases=[Phase.generate])
 
@@ -24,7 +26,7 @@ VALID = beacon(Container(1, (VarSumm(1, 2), VarSumm(3, 4))), Container(6, (VarDe
 OTHER = beacon(Container(1, (VarSumm(8, 9),)))
 
 
-@pytest.mark.parametrize("base", [0, 14])
+@pytest.mark.parametrize("base", [14, *also("suite", 0)])
 @pytest.mark.parametrize(
     "wanted",
     [

@@ -29,6 +29,8 @@ from dcp_codec import Codec
 
 from ..waiting import PATIENCE
 
+pytestmark = pytest.mark.part("tools")
+
 #: Shows three different findings in a few hundred tests.
 SEVERAL = "M-VD-PC-01-earlier"
 #: Shows the same with every test.

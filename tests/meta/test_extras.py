@@ -24,6 +24,8 @@ from dcp_codec.common.extras import EXTRAS
 
 from ..ports import own_port
 
+pytestmark = pytest.mark.part("tools")
+
 ROOT = Path(__file__).resolve().parents[2]
 RECORDING = ROOT / "captures" / "b_crud.mcap"
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]

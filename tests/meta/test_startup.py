@@ -17,6 +17,8 @@ from dcp_codec.cli import main as codec
 from dcp_codec.common.commandline import CommandLine
 from dcp_stack.cli import main as node
 
+pytestmark = pytest.mark.part("tools")
+
 RECORDING = str(Path(__file__).resolve().parents[2] / "captures" / "b_crud.mcap")
 COMMANDS: tuple[CommandLine, ...] = (codec, node, conformance)
 #: Of extras, of the tests, or slow: for those who ask for what needs them.

@@ -10,6 +10,8 @@ import pytest
 
 from dcp_codec.scapy.layers import export_script
 
+pytestmark = pytest.mark.part("tools")
+
 ROOT = Path(__file__).parent.parent.parent
 RECORDING = ROOT / "captures" / "b_crud.mcap"
 
