@@ -26,8 +26,8 @@ ROOT = Path(__file__).resolve().parent.parent
 RUNTIME = tempfile.TemporaryDirectory(prefix="dcp-tests-")
 #: The parts of the tests, in the order of ``make test-all``. `make test` runs the first one: all tests without a mark.
 PARTS = ("core", "suite", "tools", "tables", "links")
-#: Folders whose tests belong to a part as a whole.
-PART_OF_FOLDER = {"link": "links", "foreign": "links", "table": "tables", "report": "tables"}
+#: Folders whose tests belong to a part as a whole: they start processes and wait in real time.
+PART_OF_FOLDER = {"link": "links", "foreign": "links"}
 #: Variables of the user's environment that change what commands print, import or find.
 STRAY = (
     *("PYTEST_ADDOPTS", "PYTEST_PLUGINS", "PYTEST_THEME", "PYTHONPATH", "PYTHONOPTIMIZE", "PYTHONWARNINGS"),
@@ -92,7 +92,7 @@ def part_of(item: pytest.Item) -> str:
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
-    """Skip folders without a test of the core, if only the core is selected: their imports take seconds."""
+    """Skip folders without a test of the core, if only the core is selected."""
     core = config.getoption("--part") == [PARTS[0]]
     return True if core and collection_path.is_dir() and collection_path.name in PART_OF_FOLDER else None
 

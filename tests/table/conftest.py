@@ -21,6 +21,7 @@ from dcp_codec.framing.locate import OtherTraffic, locate, mac
 from dcp_codec.jsonform import beacon_json
 
 from ..odd_profiles import NAMES, codec_of
+from ..parts import also
 
 ROOT = Path(__file__).resolve().parents[2]
 CAPTURES = {
@@ -236,4 +237,6 @@ def odd_codec(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Codec
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     if "any_profile" in metafunc.fixturenames:
-        metafunc.parametrize("any_profile", [*NAMES, "odd-octets"])
+        core = ("dcp-2.0", "odd-areas", "odd-own")
+        names = [*(each for each in NAMES if each not in core), "odd-octets"]
+        metafunc.parametrize("any_profile", [*core, *also("tables", *names)])

@@ -27,6 +27,8 @@ from dcp_codec.table.kernel.pools import Pool
 from dcp_codec.table.kernel.row_buffer import MOVED, OF_A_FRAME
 from dcp_codec.table.parquet_output import ParquetTable
 
+pytestmark = pytest.mark.part("tables")
+
 
 def tables(batches: Any) -> dict[str, pa.Table]:
     kept: dict[str, list[pa.RecordBatch]] = {}

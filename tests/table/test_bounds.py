@@ -26,6 +26,8 @@ from dcp_codec.values import VarReqCreate
 
 from .test_decoding import framed
 
+pytestmark = pytest.mark.part("tables")
+
 #: Profiles with records of one octet and payloads without an area of their own, which would leave less room for them.
 PROFILES = ("cpp-2.0", "dcp-1.0", "sim-2.0", "odd-texts")
 

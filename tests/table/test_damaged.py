@@ -11,6 +11,8 @@ from dcp_codec.framing.envelope import Envelope
 from dcp_codec.table.decoding import ColumnDecoder
 from dcp_codec.table.input.sources import packed
 
+pytestmark = pytest.mark.part("tables")
+
 SENDER = bytes.fromhex("020000000001")
 CODEC = get_codec("cpp-1.3")
 #: A container of two summaries, then one of a type that does not exist.

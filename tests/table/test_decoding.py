@@ -69,6 +69,7 @@ def decoder_of(odd_codec):
     return make
 
 
+@pytest.mark.part("tables")
 @pytest.mark.parametrize("suffix", [".mcap", ".pcap", ".pcapng"])
 def test_every_recording(recording, suffix, tmp_path, reference, rows, differ, frames_of):
     path, codec = recording
@@ -83,6 +84,7 @@ def test_every_recording(recording, suffix, tmp_path, reference, rows, differ, f
     assert differ(found, reference(codec, frames)) == []
 
 
+@pytest.mark.part("tables")
 @pytest.mark.parametrize("every", [2, 3, 7])
 def test_damaged_recordings(recording, every, reference, rows, differ, frames_of):
     """Every ``every``-th frame of each recording with an octet changed, cut off, or both."""

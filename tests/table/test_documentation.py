@@ -16,6 +16,8 @@ from dcp_codec.capture import create_capture
 from dcp_codec.cli import main
 from dcp_codec.table import ColumnDecoder
 
+pytestmark = pytest.mark.part("tables")
+
 ROOT = Path(__file__).resolve().parents[2]
 TEXT = (ROOT / "docs" / "tables.md").read_text(encoding="utf-8")
 #: The queries by their headings.

@@ -16,6 +16,8 @@ from dcp_codec.table.archive import Order, make
 from dcp_codec.table.decoding import LITTLE, worth_compiling
 from dcp_codec.table.kernel.jit import COMPILING
 
+pytestmark = pytest.mark.part("tables")
+
 CAPTURES = Path(__file__).resolve().parents[2] / "captures"
 A_BUS = CAPTURES / "a_bus3.mcap"
 

@@ -16,6 +16,8 @@ from dcp_codec.table.kernel.jit import machine
 
 from ..chance import examples
 
+pytestmark = pytest.mark.part("tables")
+
 ETHERNET = Link(transport="ethernet", ether_type=0x4953)
 UDP = Link(transport="udp", udp_port=5950)
 _TYPES = [0x4953, 0x4952, 0x0800, 0x86DD, 0x8100, 0x88A8, 0x0806]

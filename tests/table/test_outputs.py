@@ -26,6 +26,8 @@ from dcp_codec.table import TABLES
 from dcp_codec.table.archive import Order, make
 from dcp_codec.table.job import TableError
 
+pytestmark = pytest.mark.part("tables")
+
 ROOT = Path(__file__).resolve().parents[2]
 CAPTURES = ROOT / "captures"
 C_LATEJOIN = CAPTURES / "c_latejoin.mcap"

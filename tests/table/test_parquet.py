@@ -21,6 +21,8 @@ from dcp_codec.table.input import sources
 from dcp_codec.table.job import TableError
 from dcp_codec.table.parquet_output import ParquetTable
 
+pytestmark = pytest.mark.part("tables")
+
 CAPTURES = Path(__file__).resolve().parents[2] / "captures"
 A_BUS, B_CRUD = CAPTURES / "a_bus3.mcap", CAPTURES / "b_crud.mcap"
 

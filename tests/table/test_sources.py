@@ -22,6 +22,8 @@ from ..capture import test_pcapng as pcapng
 from ..capture import test_properties as properties
 from ..chance import examples
 
+pytestmark = pytest.mark.part("tables")
+
 
 def read(path: Path, **options: Any) -> tuple[Any, ...]:
     """Frames and problems of a file by blocks."""
