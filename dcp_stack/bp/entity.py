@@ -67,6 +67,7 @@ class BeaconingProtocol:
         ##= BP-INI-04
         self._config = config
         self._features = config.features
+        readings = config.selected_readings
         self._emit = emit
         self._wire = BPWire(config)
         self._parameters = BPParameters(config)
@@ -76,11 +77,11 @@ class BeaconingProtocol:
         ##= BP-INI-02
         ##= BP-HDR-12
         ##= BP-HDR-13
-        self._seqno = 1 if config.reading("X03") == "increment-then-write" else self._features.first_beacon_seqno
-        self._refuses_modes = config.reading("X06") == "refuse-at-registration"
-        self._counts_header = config.reading("X04") == "with-header"
-        self._tells_each_payload = config.reading("X44") == "per-payload"
-        self._fills_beacons = config.reading("X45") == "while-space-lasts"
+        self._seqno = 1 if readings.first_seqno == "increment-then-write" else self._features.first_beacon_seqno
+        self._refuses_modes = readings.unknown_queueing_mode == "refuse-at-registration"
+        self._counts_header = readings.packet_size == "with-header"
+        self._tells_each_payload = readings.transmitted_indication == "per-payload"
+        self._fills_beacons = readings.beacon_filling == "while-space-lasts"
         self._largest_protocol = (1 << (8 * config.profile.types.protocol_id.width)) - 1
         self._counters = Counters(*_COUNTED)
         self._losses = LossTable()
@@ -91,7 +92,7 @@ class BeaconingProtocol:
             node_id=config.node_id,
             counters=self._counters,
             losses=self._losses,
-            readings=config.reading,
+            readings=readings,
             emit=emit,
         )
         period, jitter = self._parameters.period, config.bp.jitter

@@ -120,7 +120,7 @@ def _initial(config: NodeConfig) -> Mapping[str, Any]:
 
 
 def _has_usable_minimum(config: NodeConfig) -> bool:
-    return config.reading("X05") == "usable-minimum" and config.features.version >= SpecVersion.V1_1
+    return config.selected_readings.smallest_packet == "usable-minimum" and config.features.version >= SpecVersion.V1_1
 
 
 def _unusable(name: str, value: object, sizes: Sizes, usable_minimum: bool) -> Violation | None:

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dcp_codec.values import BPHeader
 from dcp_stack.drops import DROPS
 from dcp_stack.effects import Dropped, Effect, PayloadReceived
+from dcp_stack.readings import Readings
 
 from .clients import ClientList
 from .parameters import BPParameters
@@ -26,10 +27,9 @@ class Receiver:
         node_id: bytes,
         counters: Counters,
         losses: LossTable,
-        readings: Callable[[str], str],
+        readings: Readings,
         emit: Callable[[Effect], None],
     ) -> None:
-        """``readings`` returns the selected alternative of an ambiguous text."""
         self._wire = wire
         self._clients = clients
         self._parameters = parameters
@@ -37,9 +37,9 @@ class Receiver:
         self._counters = counters
         self._losses = losses
         self._emit = emit
-        self._ignores_empty = readings("X46") == "ignore-empty"
-        self._discards_miscounted = readings("X48") == "discard-beacon" and wire.count_tells
-        self._discards_larger = readings("X49") == "discard-larger"
+        self._ignores_empty = readings.empty_block == "ignore-empty"
+        self._discards_miscounted = readings.miscounted_blocks == "discard-beacon" and wire.count_tells
+        self._discards_larger = readings.oversized_payload == "discard-larger"
 
     def receive(self, octets: bytes, now: int) -> None:
         """Deliver the blocks of a bearer payload to the clients that are registered for them. Never raises."""

@@ -74,7 +74,7 @@ class StateReporting:
         self._registered = False
         self._initialized = False
         self._seqno = 0
-        self._steady = config.reading("X50") == "steady-age"
+        self._steady = config.selected_readings.neighbour_age == "steady-age"
         self._own = OwnMotion(self._fields)
         self._traversed = now
         self._timeout_ms: float = 0
@@ -155,7 +155,7 @@ class StateReporting:
             # BP was restarted, or another client has deregistered SRP; BP does not indicate either.
             self._registered = False
         if not self._registered:
-            if not self._initialized and self._config.reading("X10") == "no-response":
+            if not self._initialized and self._config.selected_readings.uninitialized_srp == "no-response":
                 return None
             ##= SRP-SRV-01
             ##= SRP-INI-07

@@ -59,7 +59,7 @@ class Composer:
         self._several = (
             config.features.several_containers_per_type and config.profile.behaviour.containers_per_type == "several"
         )
-        self._purge = config.features.purge_when_composing or config.reading("X17") == "purge-first"
+        self._purge = config.features.purge_when_composing or core.readings.summary_purge == "purge-first"
 
     def compose(self, room: int) -> tuple[Container, ...]:
         """Return the containers of the next payload; an empty tuple if all queues are empty or no record fits.

@@ -54,11 +54,12 @@ class Vardis(VariableServices):
         self._extractor = Extractor(config, core.sizes)
         self._receiver = Receiver(core, instructions)
         self._has_scrubbing = core.features.creation_time
-        self._timed_out_at_timeout = config.reading("X27") == "at-least"
-        self._scrubbing_pauses = config.reading("X36") == "pauses-while-inactive"
-        self._pending_is_dropped = config.reading("X37") == "are-dropped"
-        self._registers_anew = config.reading("X41") == "register-anew"
-        self._composes_ahead = config.reading("X54") == "before-the-beacon"
+        readings = core.readings
+        self._timed_out_at_timeout = readings.exact_timeout == "at-least"
+        self._scrubbing_pauses = readings.inactive_scrubbing == "pauses-while-inactive"
+        self._pending_is_dropped = readings.pending_at_deactivation == "are-dropped"
+        self._registers_anew = readings.raised_payload_size == "register-anew"
+        self._composes_ahead = readings.composition_time == "before-the-beacon"
         self._lead = round(core.settings.compose_lead_ms * MS)
         self._indicated = False
         """Whether BP has sent a payload since its buffer was last checked."""

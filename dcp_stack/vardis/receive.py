@@ -37,7 +37,7 @@ class Receiver:
         self._check_empty_and_repcnt = core.features.receive_checks_empty_and_repcnt
         most = core.settings.max_creation_ahead_s
         self._most_ahead = None if most is None else round(most * 1e9)
-        self._drop_mismatch = core.config.reading("X14") == "drop-mismatch"
+        self._drop_mismatch = core.readings.mismatched_ids == "drop-mismatch"
 
     def process(self, extracted: Extracted, *, now: int, wall: int) -> None:
         """Emit ``Dropped`` for each problem, then process all records. Never raises."""

@@ -36,10 +36,10 @@ class VariableServices:
         self._bp = bp
         self.registered = False
         """Whether the last registration with BP succeeded. Another client of BP may have deregistered VarDis since."""
-        self._silent = core.config.reading("X30") == "no-response"
-        self._steady = core.config.reading("X38") == "steady-clock"
+        self._silent = core.readings.unregistered_vardis == "no-response"
+        self._steady = core.readings.vardis_clock == "steady-clock"
         """Whether ages and creation times are unaffected by steps of the system time."""
-        self._refuses_empty_description = core.config.reading("X21") == "refuse-locally"
+        self._refuses_empty_description = core.readings.empty_description == "refuse-locally"
 
     ##= VD-CRE-13
     ##= DATA-11

@@ -222,12 +222,13 @@ _TABLE: Final[Table] = {
 
 def table(config: NodeConfig) -> Table:
     """Return the table for the version of a node's profile and for its readings."""
+    readings = config.selected_readings
     found = dict(_TABLE)
     if not config.features.creation_time:
         # Without creation times two creations cannot be ordered: a stored variable stays unchanged.
         ##= VD-CRE-16
         found[Event.APP_CREATE] = (_CREATE, _EXISTS, _EXISTS, _EXISTS, _EXISTS)
-    elif config.reading("X20") == "by-description":
+    elif readings.repeated_create == "by-description":
         found[Event.APP_CREATE] = (_CREATE, _EXISTS, _EXISTS, _CREATE, _CREATE)
     if not config.features.rerequest_unknown:
         ##= VD-RU-05
@@ -238,6 +239,6 @@ def table(config: NodeConfig) -> Table:
             (Event.RX_REQUEST_CREATE, "create-request-unknown"),
         ):
             found[event] = (_ignore(reason), *found[event][1:])
-    if config.reading("X26") == "producer-only":
+    if readings.scrubbing == "producer-only":
         found[Event.TIMED_OUT] = (_NONE, _DELETE, _NONE, _NONE, _NONE)
     return found

@@ -33,7 +33,7 @@ class Extractor:
     def __init__(self, config: NodeConfig, sizes: RecordSizes) -> None:
         self._codec: Codec = config.codec
         self._sizes = sizes
-        self._policy = _receive_error_policy(config)
+        self._policy = config.selected_readings.receive_errors
         self._kinds: dict[int, ContainerType] = {number: kind for kind, number in config.container_numbers.items()}
         self._kinds |= {each.number: each.name for each in config.profile.vardis.own_containers}
 
@@ -108,11 +108,3 @@ class Extractor:
                 found.append((offset, record))
                 offset += sizes.record(record)
         return offset
-
-
-def _receive_error_policy(config: NodeConfig) -> str:
-    """Return reading X34 if it is configured, otherwise the behaviour that the profile states."""
-    if "X34" in config.readings:
-        return config.reading("X34")
-    policy = config.profile.behaviour.vardis_receive_error
-    return "skip-container" if policy == "skip-element" else policy
