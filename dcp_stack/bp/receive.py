@@ -60,8 +60,7 @@ class Receiver:
         if self._discards_miscounted and (not found.count_agrees or found.fault is not None):
             self.drop("other-count", self._wire.offset("numPayloads"))
             return
-        ##= BP-RX-10
-        ##= BP-RX-11
+        ##= BP-RX-10 BP-RX-11
         if found.header is not None:
             self._losses.record(sender, found.header.seqno, now)
         ##= BP-RX-07
@@ -83,9 +82,7 @@ class Receiver:
         return True
 
     def _deliver(self, block: Block, sender: bytes) -> None:
-        ##= BP-RX-08
-        ##= BP-RXP-03
-        ##= BP-LST-05
+        ##= BP-RX-08 BP-RXP-03 BP-LST-05
         client = self._clients.get(block.protocol_id)
         if client is None:
             self.drop("unregistered-protocol", block.offset)
@@ -97,8 +94,7 @@ class Receiver:
             self.drop("larger-than-registered", block.offset)
             return
         self._counters.count(f"payloads-received/{block.protocol_id}")
-        ##= BP-RXP-01
-        ##= BP-RXP-02
+        ##= BP-RXP-01 BP-RXP-02
         self._emit(PayloadReceived(block.protocol_id, block.payload, sender))
 
     def drop(self, reason: str, offset: int = -1) -> None:

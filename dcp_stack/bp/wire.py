@@ -90,9 +90,7 @@ class BPWire:
 
     def build(self, seqno: int, network_id: int | None, blocks: list[tuple[int, bytes]]) -> bytes:
         """Encode a bearer payload with these 1 to 255 blocks (protocol id, client payload)."""
-        ##= BP-HDR-03
-        ##= BP-HDR-04
-        ##= DATA-04
+        ##= BP-HDR-03 BP-HDR-04 DATA-04
         header = BPHeader(self._node_id, seqno, network_id) if self._places else None
         # The schema of the profile derives the other header fields from the blocks.
         payloads = tuple(starmap(Payload, blocks))

@@ -107,8 +107,7 @@ class Vardis(VariableServices):
             BP_PROTID_VARDIS,
             f"VarDis -- Variable Dissemination Protocol V{self._core.config.named_version}",
             size,
-            ##= VD-INI-07
-            ##= VD-INI-08
+            ##= VD-INI-07 VD-INI-08
             self._core.features.vardis_queueing_mode,
             self._core.settings.bp_queue_entries,
             False,
@@ -139,8 +138,7 @@ class Vardis(VariableServices):
 
         Returns INACTIVE if VarDis is not registered with BP.
         """
-        ##= VD-MGT-05
-        ##= VD-MGT-06
+        ##= VD-MGT-05 VD-MGT-06
         self._core.active = self.registered
         return Confirm(VardisStatus.OK if self.active else VardisStatus.INACTIVE)
 
@@ -177,8 +175,7 @@ class Vardis(VariableServices):
         if not self.active:
             self._core.emit(Dropped("vardis", "vardis-inactive", DROPS["vardis-inactive"][0]))
             return
-        ##= VD-ROB-01
-        ##= VD-RX-01
+        ##= VD-ROB-01 VD-RX-01
         self._receiver.process(self._extractor.extract(payload), now=now, wall=wall)
 
     def payload_transmitted(self, now: int, wall: int) -> None:
@@ -198,9 +195,7 @@ class Vardis(VariableServices):
             if now - self._last_scrub >= period:
                 self._last_scrub = now - (now - self._last_scrub) % period
                 self._scrub(now)
-        ##= VD-RUN-02
-        ##= VD-RUN-03
-        ##= VD-MGT-02
+        ##= VD-RUN-02 VD-RUN-03 VD-MGT-02
         if self.active and now >= self._next_look():
             period = self._parameters.buffer_check_period_ms * MS
             self._last_check = now - (now - self._last_check) % period
@@ -273,8 +268,7 @@ class Vardis(VariableServices):
             age = now - entry.refreshed if self._steady else self._wall - entry.t_stamp
             if age < timeout or (age == timeout and not self._timed_out_at_timeout):
                 continue
-            ##= VD-SCR-04
-            ##= VD-SCR-05
+            ##= VD-SCR-04 VD-SCR-05
             if self._core.cell(Event.TIMED_OUT, entry).action is Action.DELETE:
                 self._database.mark_deleted(entry)
                 self._core.changed("deleted", entry)

@@ -220,8 +220,7 @@ class Receiver:
             self._request(var_id, offset)
         elif entry is not None:
             if action is Action.TEACH:
-                ##= VD-PU-06
-                ##= VD-PS-03
+                ##= VD-PU-06 VD-PS-03
                 if var_id not in database.update_q:
                     database.arm_update(entry)
             elif action is Action.SEND_UPDATE:
@@ -247,10 +246,7 @@ class Receiver:
         if len(self._database) >= self._core.max_variables or len(queue) >= self._core.max_variables:
             self._dropped("database-full", offset, var_id)
             return
-        ##= VD-PU-01
-        ##= VD-PS-01
-        ##= VD-RU-01
-        ##= VD-RC-01
+        ##= VD-PU-01 VD-PS-01 VD-RU-01 VD-RC-01
         queue.append(var_id)
 
     def _drop(self, cell: Cell, offset: int, var_id: int) -> None:

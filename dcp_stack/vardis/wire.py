@@ -54,8 +54,7 @@ class Extractor:
         start = 0
         while True:
             problems.append(error.problem.moved(start))
-            ##= VD-RX-05
-            ##= VD-RX-07
+            ##= VD-RX-05 VD-RX-07
             if self._policy == "drop-payload":
                 break
             partial: tuple[Container, ...] = error.partial or ()
@@ -94,8 +93,7 @@ class Extractor:
         """
         sizes = self._sizes
         for container in containers:
-            ##= VD-RX-02
-            ##= VD-RX-03
+            ##= VD-RX-02 VD-RX-03
             kind = self._kinds[container.ic_type]
             offset += sizes.ic_header
             ##= VD-RX-09
