@@ -81,10 +81,12 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def part_of(item: pytest.Item) -> str:
-    """The part to which a test belongs: that of its mark, of its folder, or the core."""
+    """The part to which a test belongs: that of its mark or folder; `tools` if it drives a program; or the core."""
     mark = item.get_closest_marker("part")
     if mark is None:
-        return PART_OF_FOLDER.get(item.path.parent.name, PARTS[0])
+        return PART_OF_FOLDER.get(
+            item.path.parent.name, PARTS[0] if item.get_closest_marker("tool") is None else "tools"
+        )
     (part,) = mark.args
     if part not in PARTS:
         raise pytest.UsageError(f"{item.nodeid}: {part!r} is not one of the parts {', '.join(PARTS)}")
