@@ -187,6 +187,7 @@ def runs(pid: int, deadline: float) -> bool:
     return there
 
 
+@pytest.mark.part("links")
 def test_commands_that_hang_flood_or_die(tools, tmp_path):
     begun = time.monotonic()
     usual = tools.path.read_text()
