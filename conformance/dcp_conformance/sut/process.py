@@ -5,17 +5,16 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import os
-import re
-import secrets
 import signal
 import subprocess
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import IO
 
+from dcp_codec.common.processes import Held, Started
 from dcp_conformance.errors import ConformanceError, UsageError
 from dcp_conformance.upper_tester.channels import LastLines, end_group, ending, split
 
@@ -23,7 +22,6 @@ from dcp_conformance.upper_tester.channels import LastLines, end_group, ending, 
 PATIENCE = 30.0
 #: Seconds in which a start command may end by itself if it only launches something.
 SETTLE = 0.5
-_MARK = "DCP_CONFORMANCE_STARTED"
 #: Seconds that a process has to end after SIGTERM.
 END_PATIENCE = 3.0
 #: Octets of output that are kept on disk; then the file starts again.
@@ -44,8 +42,7 @@ class ProcessControl:
     * ``stop``: a command that stops it; without one the process of ``start`` and all that it has started get SIGTERM,
       and SIGKILL after 3 s.
     * ``restart``: a command that restarts it and ends; without one it is stopped and started.
-    * ``pid``, ``pidfile``: a process to watch. With its time of start, so that a reused number is not mistaken for it;
-      the file is read again after a restart.
+    * ``pid``, ``pidfile``: a process to watch; the file is read again after a restart.
 
     Commands are run without a shell unless they use one (pipes, variables, ``&&``). Nothing is started here before
     :meth:`start` is called.
@@ -84,15 +81,14 @@ class ProcessControl:
         self._process: subprocess.Popen[bytes] | None = None
         self._launched = False
         self._output: IO[bytes] | None = None
-        self._watched: tuple[int, int] | None = None
+        self._watched: Held | None = None
         self._why = ""
-        self._mark = secrets.token_hex(8)
-        """Marks the environment of all processes that the start command starts, also if they leave its session."""
+        self._started = Started()
         if pid is not None:
-            started = started_at(pid)
-            if started is None:
-                raise UsageError(f"--pid {pid}: there is no such process")
-            self._watched = (pid, started)
+            try:
+                self._watched = Held(pid)
+            except ProcessLookupError:
+                raise UsageError(f"--pid {pid}: there is no such process") from None
         elif self._pidfile is not None and self._start is None:
             self._watch_pidfile(0)
             if self._watched is None:
@@ -103,9 +99,8 @@ class ProcessControl:
     def alive(self) -> bool | None:
         """Whether the process runs; None if no process is known."""
         if self._watched is not None:
-            pid, started = self._watched
-            if started_at(pid) != started:
-                self._why = self._why or f"process {pid} is gone"
+            if self._watched.ended():
+                self._why = self._why or f"process {self._watched.pid} is gone"
                 return False
             return True
         if self._process is None or self._launched:
@@ -114,7 +109,7 @@ class ProcessControl:
         if status is None:
             self._trim()
             return True
-        if status == 0 and self._settle and not self._why and self._runs_on():
+        if status == 0 and self._settle and not self._why and self._started.running():
             # The launcher has ended only now, since the machine is busy; the implementation runs.
             self._launched = True
             return None
@@ -171,7 +166,7 @@ class ProcessControl:
                     stdout=appending,
                     stderr=subprocess.STDOUT,
                     start_new_session=True,
-                    env={**os.environ, _MARK: self._mark},
+                    env=self._started.environment(),
                     preexec_fn=ending_with_parent() if self._ends_with_tester else None,
                 )
         except OSError as error:
@@ -192,22 +187,15 @@ class ProcessControl:
         if self._stop is not None:
             self._run("--stop", self._stop)
         if self._process is not None:
+            if self._stop is None:
+                # Held before a signal ends them.
+                self._started.running()
             end_group(self._process, patience=END_PATIENCE)
             self._process = None
             if self._stop is None:
-                self._end_detached()
+                # Also those in other sessions: two nodes of one name spoil every verdict.
+                self._started.end(END_PATIENCE)
         self._watched = None
-
-    def _end_detached(self) -> None:
-        """End what the start command has started in other sessions: two nodes of one name spoil every verdict."""
-        for number in (signal.SIGTERM, signal.SIGKILL):
-            left = [int(process.name) for process in self._processes()]
-            for pid in left:
-                with contextlib.suppress(ProcessLookupError, PermissionError):
-                    os.kill(pid, number)
-            deadline = time.monotonic() + END_PATIENCE
-            while left and any(True for _ in self._processes()) and time.monotonic() < deadline:
-                time.sleep(0.02)
 
     def _run(self, name: str, words: list[str]) -> None:
         """Run a command to its end. Raises ``ConformanceError`` if it fails or hangs."""
@@ -240,11 +228,8 @@ class ProcessControl:
         deadline = time.monotonic() + patience
         while True:
             with contextlib.suppress(OSError, ValueError, IndexError):
-                pid = int(self._pidfile.read_text().split()[0])
-                started = started_at(pid)
-                if started is not None:
-                    self._watched = (pid, started)
-                    return
+                self._watched = Held(int(self._pidfile.read_text().split()[0]))
+                return
             if time.monotonic() >= deadline:
                 if patience:
                     raise ConformanceError(
@@ -255,20 +240,7 @@ class ProcessControl:
 
     def on_link(self) -> bool:
         """Whether a process of the implementation has a socket open for the link; False if that cannot be seen."""
-        return any(has_link_socket(process, self._udp_port) for process in self._processes())
-
-    def _runs_on(self) -> bool:
-        """Whether something that the start command has started runs."""
-        return any(True for _ in self._processes())
-
-    def _processes(self) -> Iterator[Path]:
-        """Folders in /proc of the processes that the start command has started, and of those that they have."""
-        wanted = os.fsencode(f"{_MARK}={self._mark}")
-        for path in Path("/proc").glob("[0-9]*/environ"):
-            # Gone, or of another user.
-            with contextlib.suppress(OSError):
-                if wanted in path.read_bytes().split(b"\0") and started_at(int(path.parent.name)) is not None:
-                    yield path.parent
+        return any(has_link_socket(each.pid, self._udp_port) for each in self._started.running())
 
     def _last_words(self) -> str:
         return "" if self._output is None else _end_of(self._output)
@@ -287,19 +259,10 @@ class ProcessControl:
                 self._output.truncate(0)
 
 
-def started_at(pid: int) -> int | None:
-    """When a process began, in ticks since the machine did; None if there is none, or only what is left of it."""
-    try:
-        stat = Path(f"/proc/{pid}/stat").read_text()
-    except (OSError, UnicodeDecodeError):
-        return None
-    # The name of the program, in parentheses, may hold anything.
-    fields = re.split(r"\s+", stat.rpartition(")")[2].strip())
-    return None if fields[0] in ("Z", "X") else int(fields[19])
-
-
-def has_link_socket(process: Path, udp_port: int | None) -> bool:
-    """Whether a process, a folder in /proc, has a packet socket open, or with ``udp_port`` a socket bound to it."""
+def has_link_socket(pid: int, udp_port: int | None) -> bool:
+    """Whether a process has a packet socket open, or with ``udp_port`` a socket bound to it."""
+    # Not by psutil, which knows no packet sockets, and UDP sockets of the own network namespace only.
+    process = Path("/proc", str(pid))
     owned: set[str] = set()
     try:
         for link in (process / "fd").iterdir():

@@ -5,8 +5,10 @@ from __future__ import annotations
 import itertools
 import os
 import re
+import select
 import shlex
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -14,10 +16,14 @@ from pathlib import Path
 
 import pytest
 from dcp_conformance.errors import ConformanceError, UsageError
-from dcp_conformance.sut.process import ProcessControl, started_at
+from dcp_conformance.sut import process as keeper
+from dcp_conformance.sut.process import ProcessControl
 from dcp_conformance.upper_tester.channels import split
 
-from ...waiting import PATIENCE, eventually
+from dcp_codec.common.processes import started_at
+
+from ..ports import own_port
+from ..waiting import PATIENCE, eventually
 
 
 def program(tmp_path: Path, code: str, name: str = "sut") -> str:
@@ -174,6 +180,69 @@ def test_what_a_launcher_has_detached_is_ended_with_it(tmp_path, control, stubbo
     assert started_at(second) is None
 
 
+#: Holds memory whose release takes the kernel some ms, and a UDP port that is free again when all of that is over.
+LARGE = """
+import socket
+memory = b"x" * 100_000_000
+held = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+held.bind(("127.0.0.1", int(sys.argv[1])))
+(here / "new").write_text(str(os.getpid()))
+(here / "new").rename(here / "pid")
+time.sleep(600)
+"""
+
+
+def port_is_free(port: int) -> bool:
+    """Whether a UDP port can be bound."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as trial:
+        try:
+            trial.bind(("127.0.0.1", port))
+        except OSError:
+            return False
+    return True
+
+
+@pytest.mark.parametrize("stubborn", [False, True])
+def test_nothing_of_a_large_detached_process_is_left_after_its_end(tmp_path, control, monkeypatch, stubborn):
+    """100 ends by SIGTERM, 100 by SIGKILL: the kernel removes the environment of a process before it closes sockets."""
+    monkeypatch.setattr(keeper, "END_PATIENCE", 0.1 if stubborn else PATIENCE)
+    ignore = "signal.signal(signal.SIGTERM, signal.SIG_IGN)\n" if stubborn else ""
+    port = own_port()
+    it = control(start=f"setsid {program(tmp_path, ignore + LARGE)} {port} & true", settle=PATIENCE)
+    left: list[str] = []
+    for turn in range(100):
+        it.start()
+        descriptor = os.pidfd_open(pid_in(tmp_path))
+        (tmp_path / "pid").unlink()
+        it._end()
+        free = port_is_free(port)
+        if not free or not select.select([descriptor], [], [], 0)[0]:
+            left.append(f"turn {turn}: {'it runs' if free else 'its port is in use'}")
+            select.select([descriptor], [], [], PATIENCE)
+        os.close(descriptor)
+    assert not left, f"{len(left)} of 100: {left[:5]}"
+
+
+def test_what_is_started_during_the_end_is_ended_too(tmp_path, control):
+    """Each service starts its successor in another session when it is told to end."""
+    service = (
+        "import subprocess\nnumber = int(sys.argv[1])\n"
+        "def succeed(*_):\n"
+        "    if number < 5: subprocess.Popen([sys.executable, __file__, str(number + 1)], start_new_session=True)\n"
+        "    os._exit(0)\n"
+        "signal.signal(signal.SIGTERM, succeed)\n"
+        "with (here / 'log').open('a') as log: print(os.getpid(), file=log)\n"
+        "(here / 'pid').write_text(str(os.getpid()))\ntime.sleep(600)"
+    )
+    it = control(start=f"setsid {program(tmp_path, service, 'service')} 1 & true", settle=PATIENCE)
+    it.start()
+    pid_in(tmp_path)
+    it.close()
+    started = [int(line) for line in (tmp_path / "log").read_text().split()]
+    assert not [pid for pid in started if started_at(pid) is not None]
+    assert not it._started.running()
+
+
 def test_a_launcher_on_a_busy_machine(tmp_path, control):
     """It ends with status 0 long after the settling time: what it has launched is not dead."""
     service = program(tmp_path, FOREVER, "service")
@@ -238,11 +307,20 @@ def test_watching_a_process(control):
 
 
 def test_a_number_that_is_used_again_is_another_process(control):
-    it = control(pid=os.getpid())
-    assert it.alive()
-    pid, started = it._watched
-    it._watched = (pid, started - 1)
-    assert it.alive() is False
+    last = Path("/proc/sys/kernel/ns_last_pid")
+    with subprocess.Popen(["sleep", "600"]) as first:
+        it = control(pid=first.pid)
+        first.kill()
+
+    def again() -> bool:
+        """Whether the number is that of another process; anything may start in between."""
+        last.write_text(str(first.pid - 1))
+        with subprocess.Popen(["true"]) as second:
+            return second.pid == first.pid and it.alive() is False and started_at(first.pid) is not None
+
+    if not os.access(last, os.W_OK):
+        pytest.skip("the next number of a process cannot be chosen here")
+    eventually(again, "the number is used again")
 
 
 def test_a_pidfile_that_names_nothing(tmp_path, control):
