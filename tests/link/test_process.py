@@ -106,30 +106,30 @@ def test_old_words_are_given_back_without_cutting_the_file(tmp_path, control):
     """Cutting it would lose what is said between looking and cutting."""
     it = control(start=program(tmp_path, "time.sleep(60)"), settle=0)
     it.start()
-    assert it._output is not None
+    assert it._process is not None
     said = b"x" * 101 + b"\n" + b"line\n" * 2_000_000 + b"the last line\n"
-    os.write(it._output.fileno(), said)
+    os.write(it._process._output.fileno(), said)
     assert it.alive() is True
-    status = os.fstat(it._output.fileno())
+    status = os.fstat(it._process._output.fileno())
     assert status.st_size == len(said)
     assert status.st_blocks * 512 < 1_000_000
-    assert "the last line" in it._last_words()
+    assert "the last line" in it._process.last_lines()
 
 
 def test_much_output_does_not_fill_the_disk(tmp_path, control):
     code = "block = 'y' * 65535 + chr(10)\nwhile True: print(block, flush=True); time.sleep(0.001)"
     it = control(start=program(tmp_path, code), settle=0)
     it.start()
-    assert it._output is not None
+    assert it._process is not None
     taken = []
 
     def given_back() -> bool:
         assert it.alive()
-        taken.append(os.fstat(it._output.fileno()).st_blocks * 512)
+        taken.append(os.fstat(it._process._output.fileno()).st_blocks * 512)
         return sum(later < earlier for earlier, later in itertools.pairwise(taken)) > 2
 
     eventually(given_back, "room is given back, again and again")
-    assert os.fstat(it._output.fileno()).st_size > 2_000_000
+    assert os.fstat(it._process._output.fileno()).st_size > 2_000_000
     assert min(taken[1:]) < 1_000_000
 
 
