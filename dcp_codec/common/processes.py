@@ -9,7 +9,7 @@ import select
 import signal
 import time
 import weakref
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -30,6 +30,7 @@ class Held:
     def __init__(self, pid: int) -> None:
         """Raises ``ProcessLookupError`` if there is no such process, or it has ended."""
         self.pid = pid
+        self.refused = False
         try:
             self._descriptor = os.pidfd_open(pid)
         except (OSError, OverflowError) as error:
@@ -45,15 +46,14 @@ class Held:
         waiting.register(self._descriptor, select.POLLIN)
         return bool(waiting.poll(patience * 1000))
 
-    def signal(self, number: signal.Signals) -> bool:
-        """Send a signal, if the process runs. Return whether this user may do that."""
+    def signal(self, number: signal.Signals) -> None:
+        """Send a signal, if the process runs; set ``refused`` if this user may not do that."""
         try:
             signal.pidfd_send_signal(self._descriptor, number)
         except PermissionError:
-            return False
+            self.refused = True
         except ProcessLookupError:
             pass
-        return True
 
 
 class Started:
@@ -86,20 +86,8 @@ class Started:
         return list(self._held.values())
 
     def end(self, patience: float) -> None:
-        """End them, and wait until they have ended: SIGTERM, and SIGKILL after ``patience`` s.
-
-        This includes those that are started in that time. Those of another user that this one may not end are left.
-        """
-        for number, seconds in ((signal.SIGTERM, patience), (signal.SIGKILL, _KILLED)):
-            told: dict[Held, bool] = {}
-            deadline = time.monotonic() + seconds
-            while time.monotonic() < deadline:
-                found = self.running()
-                told |= {each: each.signal(number) for each in found if each not in told}
-                left = [each for each in found if told[each]]
-                if not left:
-                    break
-                left[0].ended(_AGAIN)
+        """End them, see :func:`end_all`."""
+        end_all(self.running, patience)
 
     def _is_unclear(self, process: psutil.Process) -> bool:
         """Hold a process if it is one of them. Return whether that is unclear: it has no environment at this moment."""
@@ -123,6 +111,27 @@ class Started:
         if ours:
             self._held[process.pid] = held
         return not ours and not variables
+
+
+def end_all(search: Callable[[], Iterable[Held]], patience: float) -> None:
+    """End processes, and wait until they have ended: SIGTERM, and SIGKILL after ``patience`` s.
+
+    ``search`` is repeated until it finds no other ones, since processes may be started in that time. Those of another
+    user that this one may not end are left.
+    """
+    for number, seconds in ((signal.SIGTERM, patience), (signal.SIGKILL, _KILLED)):
+        told: dict[int, Held] = {}
+        deadline = time.monotonic() + seconds
+        while time.monotonic() < deadline:
+            new = [each for each in search() if each.pid not in told or told[each.pid].ended()]
+            for each in new:
+                each.signal(number)
+            told |= {each.pid: each for each in new}
+            left = [each for each in told.values() if not (each.refused or each.ended())]
+            if left:
+                left[0].ended(_AGAIN)
+            elif not new:
+                break
 
 
 def _all() -> Iterator[psutil.Process]:

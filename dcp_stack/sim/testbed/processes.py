@@ -10,13 +10,13 @@ from typing import Any, NamedTuple
 import msgspec
 
 from dcp_codec.common.child import Child
+from dcp_codec.network.namespaces import enter_command
 from dcp_stack.control.client import ControlClient, ControlError
 from dcp_stack.runtime.settings import Settings, SRPSettings, VardisSettings, settings_text
 from dcp_stack.sim.scenario.agreement import Known
 from dcp_stack.sim.scenario.definition import NS_PER_S, Scenario
 
 from .fabric import INTERFACE
-from .namespaces import enter_command
 
 #: Maximum time in s for the answer to a request, and for the end of a node after SIGTERM.
 ANSWER_PATIENCE = 10.0

@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Any, Final
 
 from dcp_codec.common.child import Child
+from dcp_codec.network.namespaces import enter_command
 from dcp_conformance.errors import ConformanceError, NoAnswerError, UpperTesterError, UsageError
 from dcp_conformance.upper_tester import Answer
 from dcp_conformance.upper_tester.base import Reconnecting
 from dcp_conformance.upper_tester.opening import open_upper
-from dcp_stack.sim.testbed.namespaces import enter_command
 
 #: Seconds that an answer may take, and an end.
 _ANSWER: Final = 30.0
