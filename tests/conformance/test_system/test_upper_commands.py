@@ -8,9 +8,10 @@ from pathlib import Path
 
 import pytest
 from dcp_conformance.errors import UpperTesterError, UsageError
-from dcp_conformance.sut.process import started_at
 from dcp_conformance.upper_tester import open_upper
 from dcp_conformance.upper_tester.commands_file import Method, Reading, converted, load_adapter, parameters_of_methods
+
+from dcp_codec.common.processes import started_at
 
 from ...waiting import PATIENCE
 
