@@ -1,4 +1,4 @@
-"""Ending processes that a search finds, without processes: who is told what, and when the search ends."""
+"""Ending processes that a search finds, tested without processes: the signals, and when the search ends."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def ended_from(*finds: list[Process], patience: float = 3600.0) -> int:
     return searches
 
 
-def test_each_process_is_told_once():
+def test_each_process_gets_one_signal():
     one, other = Process(1, SIGTERM), Process(2, SIGTERM)
     # The second search finds none; so does that before SIGKILL.
     assert ended_from([one, other]) == 3
@@ -53,7 +53,7 @@ def test_sigkill_for_those_that_ignore_sigterm():
     assert stubborn.got == [SIGTERM, SIGKILL]
 
 
-def test_what_is_started_during_the_end_is_found():
+def test_processes_started_during_the_end_are_found():
     """Each of them starts the next one before it ends."""
     family = [Process(pid, SIGTERM) for pid in range(1, 6)]
     ended_from(*([each] for each in family), [])

@@ -223,8 +223,8 @@ def test_nothing_of_a_large_detached_process_is_left_after_its_end(tmp_path, con
     assert not left, f"{len(left)} of 100: {left[:5]}"
 
 
-def test_what_is_started_during_the_end_is_ended_too(tmp_path, control):
-    """Each service starts its successor in another session when it is told to end."""
+def test_processes_started_during_the_end_are_ended(tmp_path, control):
+    """Each service starts its successor in another session on SIGTERM."""
     service = (
         "import subprocess\nnumber = int(sys.argv[1])\n"
         "def succeed(*_):\n"
