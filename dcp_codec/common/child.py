@@ -82,9 +82,9 @@ class Child:
             return self.popen.wait(patience)
         return None
 
-    def end(self, patience: float, *, ask_first: bool = True) -> None:
+    def end(self, patience: float) -> None:
         """End its process group, see :func:`end_group`, and close the files."""
-        end_group(self.popen, patience=patience, ask_first=ask_first)
+        end_group(self.popen, patience=patience)
         self.close()
 
     def kill(self, patience: float) -> bool:

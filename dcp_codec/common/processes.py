@@ -85,10 +85,6 @@ class Started:
             time.sleep(0.001)
         return list(self._held.values())
 
-    def end(self, patience: float) -> None:
-        """End them, see :func:`end_all`."""
-        end_all(self.running, patience)
-
     def _is_unclear(self, process: psutil.Process) -> bool:
         """Hold a process if it is one of them. Return whether that is unclear: it has no environment at this moment."""
         import psutil

@@ -9,6 +9,7 @@ import shutil
 import subprocess
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
+from typing import IO
 
 #: Maximum time in s for a command of the system.
 PATIENCE = 30.0
@@ -71,25 +72,21 @@ def returning() -> Iterator[None]:
         try:
             yield
         finally:
-            _enter(outside.fileno())
+            _enter(outside)
 
 
 @contextlib.contextmanager
-def entered(namespace: str | int) -> Iterator[None]:
+def entered(namespace: str) -> Iterator[None]:
     """Enter a network namespace: sockets and processes that are created within the block stay in it.
 
-    ``namespace``: its name, or a descriptor of it. Raises :class:`NamespaceError`, ``OSError`` if there is none with
-    this name.
+    ``namespace``: its name, or the path of a descriptor. Raises :class:`NamespaceError`, ``OSError`` if there is none.
     """
-    with contextlib.ExitStack() as stack:
-        if isinstance(namespace, str):
-            namespace = stack.enter_context(Path("/run/netns", namespace).open("rb")).fileno()
-        stack.enter_context(returning())
-        _enter(namespace)
+    with Path("/run/netns", namespace).open("rb") as inside, returning():
+        _enter(inside)
         yield
 
 
-def _enter(descriptor: int) -> None:
+def _enter(namespace: IO[bytes]) -> None:
     libc = ctypes.CDLL(None, use_errno=True)
-    if libc.setns(descriptor, CLONE_NEWNET):
+    if libc.setns(namespace.fileno(), CLONE_NEWNET):
         raise NamespaceError(f"a network namespace cannot be entered ({os.strerror(ctypes.get_errno())})")

@@ -73,7 +73,7 @@ class Namespace:
     @contextlib.contextmanager
     def entered(self) -> Iterator[None]:
         """Enter the namespace: sockets and processes that are made inside the block stay in it."""
-        with contextlib.nullcontext() if self._inside < 0 else entered(self._inside):
+        with contextlib.nullcontext() if self._inside < 0 else entered(f"/proc/self/fd/{self._inside}"):
             yield
 
     def close(self) -> None:

@@ -9,7 +9,7 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 
 from dcp_codec.common.child import Child, ending
-from dcp_codec.common.processes import Held, Started
+from dcp_codec.common.processes import Held, Started, end_all
 from dcp_conformance.errors import ConformanceError, UsageError
 from dcp_conformance.upper_tester.channels import split
 
@@ -164,7 +164,7 @@ class ProcessControl:
             self._process = None
             if self._stop is None:
                 # Also those in other sessions: two nodes of one name spoil every verdict.
-                self._started.end(END_PATIENCE)
+                end_all(self._started.running, END_PATIENCE)
         self._watched = None
 
     def _run(self, name: str, words: list[str]) -> None:
