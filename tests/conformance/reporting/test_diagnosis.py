@@ -245,7 +245,7 @@ def test_the_dictionary_has_all_mutants_and_known_cases_only() -> None:
 @pytest.mark.parametrize(
     "mutant",
     every(
-        4,
+        5,
         ["M-BP-HDR-03-reversed", "M-BP-TX-01-slow", "M-SRP-SEQ-01-eight-bits", "M-SRP-NT-03-own", "M-VD-RU-01-ignored"],
     ),
 )
