@@ -11,7 +11,8 @@ import random
 import shutil
 import signal
 import tempfile
-from collections.abc import Iterable
+import time
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import pytest
@@ -91,6 +92,19 @@ def part_of(item: pytest.Item) -> str:
     if part not in PARTS:
         raise pytest.UsageError(f"{item.nodeid}: {part!r} is not one of the parts {', '.join(PARTS)}")
     return part
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item: pytest.Item) -> Iterator[None]:
+    """Fail a test of the core that sleeps: its result would depend on real time."""
+
+    def refuse(seconds: float) -> None:
+        pytest.fail(f"time.sleep({seconds}): use virtual time, or mark the test as part of links", pytrace=True)
+
+    with pytest.MonkeyPatch.context() as patch:
+        if part_of(item) == PARTS[0]:
+            patch.setattr(time, "sleep", refuse)
+        return (yield)
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
