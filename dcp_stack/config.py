@@ -19,6 +19,7 @@ from dcp_codec.plan.tree import Scalar
 
 from .own_fields import OwnSpecFields
 from .positions.fields import SafetyFields
+from .readings import HalfRange, Readings, ReceiveErrors
 from .record_sizes import RecordSizes
 
 MS = 1_000_000
@@ -28,6 +29,17 @@ Found = TypeVar("Found")
 
 MAX_NEIGHBOURS = 4096
 MAX_VARIABLES = 65_536
+#: The alternatives of X28 and X34 for the behaviour that a profile states.
+_HALF_RANGE: Mapping[str, HalfRange] = {
+    "neither": "half-range-neither",
+    "newer": "half-range-answered",
+    "older": "half-range-older",
+}
+_RECEIVE_ERRORS: Mapping[str, ReceiveErrors] = {
+    "keep-prefix": "keep-prefix",
+    "drop-payload": "drop-payload",
+    "skip-element": "skip-container",
+}
 
 
 class BPConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -126,7 +138,18 @@ class NodeConfig(msgspec.Struct, frozen=True, kw_only=True, dict=True):
     def named_version(self) -> SpecVersion:
         """The version in the names under which SRP and VarDis register (X31)."""
         version = self.profile.spec_version
-        return min(version, SpecVersion.V1_3) if self.reading("X31") == "as-written" else version
+        return min(version, SpecVersion.V1_3) if self.selected_readings.registered_version == "as-written" else version
+
+    @functools.cached_property
+    def selected_readings(self) -> Readings:
+        """The alternatives in ``readings``; for others what the profile states (X28, X34), or the default."""
+        stated = self.profile.behaviour
+        alternatives = {
+            "X28": _HALF_RANGE[stated.seqno_half_range],
+            "X34": _RECEIVE_ERRORS[stated.vardis_receive_error],
+            **self.readings,
+        }
+        return msgspec.convert(alternatives, Readings)
 
     @functools.cached_property
     def sizes(self) -> Sizes:
@@ -164,11 +187,6 @@ class NodeConfig(msgspec.Struct, frozen=True, kw_only=True, dict=True):
     @functools.cached_property
     def _once(self) -> dict[Callable[[NodeConfig], Any], Any]:
         return {}
-
-    def reading(self, identifier: str) -> str:
-        """Return the alternative in ``readings`` for an ambiguous text, or the default of the reading."""
-        default = reading(identifier).default
-        return self.readings.get(identifier) or ("" if default is None else default.name)
 
 
 def _sizes(config: NodeConfig) -> Sizes:

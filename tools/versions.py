@@ -20,7 +20,8 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 VERSIONS = ("3.11", "3.12", "3.13", "3.14")
 #: Tests that need neither a network nor real time.
-TESTS = ("-q", "-p", "no:cacheprovider", "-m", "not real_time", "tests/codec", "tests/stack", "tests/spec")
+PARTS = ("--part=core", "--part=suite", "--part=tools", "--part=tables")
+TESTS = ("-q", "-p", "no:cacheprovider", *PARTS, "tests/codec", "tests/stack", "tests/spec")
 EXTRAS = ".[test]"
 
 

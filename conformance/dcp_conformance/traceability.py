@@ -35,7 +35,9 @@ UNDECIDED: Final = "conformance/dcp_conformance/data/undecided.toml"
 LEDGER: Final = "conformance/dcp_conformance/data/case-ids.txt"
 RETIRED: Final = "retired"
 
-_CITED = re.compile(r"##= *([A-Z]+-[A-Z]+-\d+|[A-Z]+-\d+)")
+_ID = r"(?:[A-Z]+-){1,2}\d+"
+CITATION: Final = re.compile(rf"##= *({_ID}(?: +{_ID})*)(?: *\| *(.*))?")
+"""A comment that cites requirements, ``##= ID ID``, or one with a remark, ``##= ID | exception: reason``."""
 _QUOTED = re.compile(r'"((?:DATA|UWB)-\d\d|(?:BP|SRP|VD)-[A-Z]+-\d\d)"')
 _MARKED = re.compile(r"mark\.req\(([^)]*)\)")
 _STRING = re.compile(r'"([^"]+)"')
@@ -46,9 +48,14 @@ _NOT_SCANNED = frozenset({"test_requirements.py", "test_citations.py", "test_tra
 # -- reading the repository --------------------------------------------------------------------------------------------
 
 
+def cited_in_comments(text: str) -> list[str]:
+    """Return the requirement ids that the comments of Python source cite."""
+    return [each for match in CITATION.finditer(text) for each in match[1].split()]
+
+
 def cited(text: str) -> set[str]:
     """Return the requirement ids that Python source cites or has in a string: those that it fulfils."""
-    return set(_CITED.findall(text)) | set(_QUOTED.findall(text))
+    return {*cited_in_comments(text), *_QUOTED.findall(text)}
 
 
 def marked(text: str) -> set[str]:

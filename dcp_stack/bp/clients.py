@@ -43,8 +43,7 @@ class ClientList:
 
     def remove(self, protocol_id: int) -> None:
         """Remove a client and its payloads."""
-        ##= DATA-13
-        ##= BP-DRG-04
+        ##= DATA-13 BP-DRG-04
         client = self._clients.pop(protocol_id)
         client.stands = False
         ##= BP-DRG-03
@@ -64,8 +63,7 @@ class ClientList:
                 payload = None if client.queue is None else client.queue.head()
                 if client.queue is None or payload is None:
                     continue
-                ##= BP-TX-04
-                ##= BP-FMT-02
+                ##= BP-TX-04 BP-FMT-02
                 taken = size(payload)
                 ##= BP-TX-06
                 if taken > room:

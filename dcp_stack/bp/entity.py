@@ -67,20 +67,19 @@ class BeaconingProtocol:
         ##= BP-INI-04
         self._config = config
         self._features = config.features
+        readings = config.selected_readings
         self._emit = emit
         self._wire = BPWire(config)
         self._parameters = BPParameters(config)
         self._clients = ClientList()
         ##= BP-INI-03
         self._active = True
-        ##= BP-INI-02
-        ##= BP-HDR-12
-        ##= BP-HDR-13
-        self._seqno = 1 if config.reading("X03") == "increment-then-write" else self._features.first_beacon_seqno
-        self._refuses_modes = config.reading("X06") == "refuse-at-registration"
-        self._counts_header = config.reading("X04") == "with-header"
-        self._tells_each_payload = config.reading("X44") == "per-payload"
-        self._fills_beacons = config.reading("X45") == "while-space-lasts"
+        ##= BP-INI-02 BP-HDR-12 BP-HDR-13
+        self._seqno = 1 if readings.first_seqno == "increment-then-write" else self._features.first_beacon_seqno
+        self._refuses_modes = readings.unknown_queueing_mode == "refuse-at-registration"
+        self._counts_header = readings.packet_size == "with-header"
+        self._tells_each_payload = readings.transmitted_indication == "per-payload"
+        self._fills_beacons = readings.beacon_filling == "while-space-lasts"
         self._largest_protocol = (1 << (8 * config.profile.types.protocol_id.width)) - 1
         self._counters = Counters(*_COUNTED)
         self._losses = LossTable()
@@ -91,7 +90,7 @@ class BeaconingProtocol:
             node_id=config.node_id,
             counters=self._counters,
             losses=self._losses,
-            readings=config.reading,
+            readings=readings,
             emit=emit,
         )
         period, jitter = self._parameters.period, config.bp.jitter
@@ -130,18 +129,14 @@ class BeaconingProtocol:
         registration = Registration(prot_id, name, max_payload_size, mode, wall, max_entries, allow_multiple_payloads)
         status = self._registrable(registration, known=rule is not None)
         if status is BPStatus.OK:
-            ##= BP-REG-06
-            ##= BP-DRG-05
+            ##= BP-REG-06 BP-DRG-05
             self._clients.insert(Client(registration, rule, several=several))
         ##= BP-REG-07
         own = self._config.node_id if self._features.own_id_in_register_confirm else None
-        ##= BP-REG-08
-        ##= BP-REG-13
-        ##= DATA-10
+        ##= BP-REG-08 BP-REG-13 DATA-10
         return RegisterConfirm(status, own)
 
-    ##= BP-REG-09
-    ##= DATA-11
+    ##= BP-REG-09 DATA-11
     def _registrable(self, registration: Registration, *, known: bool) -> BPStatus:
         """Check the parameters of the service in the order of its steps."""
         ##= BP-REG-02
@@ -152,9 +147,7 @@ class BeaconingProtocol:
         least = 1 if self._features.version >= SpecVersion.V1_1 else 0
         if registration.max_payload_size < least:
             return BPStatus.ILLEGAL_MAX_PAYLOAD_SIZE
-        ##= BP-REG-04
-        ##= BP-REG-11
-        ##= BP-PAR-11
+        ##= BP-REG-04 BP-REG-11 BP-PAR-11
         overhead = self._wire.header_size if self._features.registration_counts_bp_header else 4
         largest = self._parameters.max_packet_size - (self._wire.block_header_size + overhead)
         if registration.max_payload_size > min(largest, self._wire.max_payload):
@@ -185,11 +178,7 @@ class BeaconingProtocol:
 
     def list_registered(self) -> ListConfirm:
         """``BP-ListRegisteredProtocols.request``: the registrations, without the buffered payloads."""
-        ##= BP-LST-01
-        ##= BP-LST-02
-        ##= BP-LST-03
-        ##= BP-LST-04
-        ##= BP-GEN-01
+        ##= BP-LST-01 BP-LST-02 BP-LST-03 BP-LST-04 BP-GEN-01
         return ListConfirm(BPStatus.OK, tuple(client.registration for client in self._clients))
 
     def client(self, prot_id: int) -> Client | None:
@@ -206,25 +195,19 @@ class BeaconingProtocol:
         client = self._client(prot_id)
         if not isinstance(payload, bytes | bytearray | memoryview):
             raise TypeError(f"payload must be bytes, not {type(payload).__name__}")
-        ##= BP-TXP-08
-        ##= BP-TXP-11
-        ##= BP-TXP-14
-        ##= BP-GEN-02
+        ##= BP-TXP-08 BP-TXP-11 BP-TXP-14 BP-GEN-02
         return StatusConfirm(self._submit(client, bytes(payload), now))
 
     ##= BP-TXP-10
     def _submit(self, client: Client | None, payload: bytes, now: int) -> BPStatus:
-        ##= BP-TXP-01
-        ##= BP-REG-10
+        ##= BP-TXP-01 BP-REG-10
         if client is None:
             return BPStatus.UNKNOWN_PROTOCOL
         ##= BP-TXP-02
         if len(payload) > client.registration.max_payload_size:
             return BPStatus.PAYLOAD_TOO_LARGE
         queue = client.queue
-        ##= BP-TXP-03
-        ##= BP-TXP-12
-        ##= BP-TXP-13
+        ##= BP-TXP-03 BP-TXP-12 BP-TXP-13
         if not payload:
             if self._features.empty_payload_clears_buffer and queue is not None and queue.rule.on_empty == "clear":
                 queue.clear()
@@ -251,8 +234,7 @@ class BeaconingProtocol:
         ##= BP-CLR-04
         if client.queue is None:
             return StatusConfirm(BPStatus.UNKNOWN_QUEUEING_MODE)
-        ##= BP-CLR-02
-        ##= BP-CLR-03
+        ##= BP-CLR-02 BP-CLR-03
         client.queue.clear()
         ##= BP-CLR-05
         return StatusConfirm(BPStatus.OK)
@@ -263,9 +245,7 @@ class BeaconingProtocol:
         ##= BP-QRY-01
         if client is None:
             return NumberConfirm(BPStatus.UNKNOWN_PROTOCOL, None)
-        ##= BP-QRY-02
-        ##= BP-QRY-03
-        ##= BP-QRY-04
+        ##= BP-QRY-02 BP-QRY-03 BP-QRY-04
         return NumberConfirm(BPStatus.OK, 0 if client.queue is None else len(client.queue))
 
     # -- management -------------------------------------------------------------------------------------------
@@ -357,8 +337,7 @@ class BeaconingProtocol:
 
     def handle_timeout(self, now: int, wall: int) -> None:  # noqa: ARG002 - the same call for every core
         """Prepare a beacon if a slot is due and there are payloads: at most one, also if several slots are due."""
-        ##= BP-TX-07
-        ##= BP-MGT-02
+        ##= BP-TX-07 BP-MGT-02
         if not self._active or now < self._schedule.due:
             return
         # One is the fewest that an implementation can choose (X45).
@@ -384,8 +363,7 @@ class BeaconingProtocol:
             self._counters.count(f"payloads-sent/{protocol_id}")
             if protocol_id not in told or self._tells_each_payload:
                 told.add(protocol_id)
-                ##= BP-PTI-01
-                ##= BP-PTI-02
+                ##= BP-PTI-01 BP-PTI-02
                 self._emit(PayloadTransmitted(protocol_id, self._schedule.due))
 
     def _room(self) -> int:
@@ -404,8 +382,7 @@ class BeaconingProtocol:
         ##= UWB-06
         self._counters.count("frames-received")
         self._counters.count("octets-received", len(octets))
-        ##= BP-RX-13
-        ##= BP-MGT-03
+        ##= BP-RX-13 BP-MGT-03
         if not self._active:
             self._receiver.drop("inactive")
             return

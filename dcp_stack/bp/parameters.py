@@ -32,11 +32,9 @@ class BPParameters:
         self._usable_minimum = _has_usable_minimum(config)
         # Read-only after construction.
         self._fixed: dict[str, int | bytes] = {
-            ##= BP-PAR-08
-            ##= UWB-03
+            ##= BP-PAR-08 UWB-03
             UWB_MAX_PACKET: profile.limits.uwb_max_packet,
-            ##= BP-PAR-09
-            ##= DATA-14
+            ##= BP-PAR-09 DATA-14
             OWN_NODE: config.node_id,
         }
         ##= BP-PAR-10
@@ -45,8 +43,7 @@ class BPParameters:
             self._fixed[PROTOCOL_TYPE] = profile.link.ether_type
         self._values = dict(config.once(_initial))
 
-    ##= BP-PAR-01
-    ##= BP-PAR-12
+    ##= BP-PAR-01 BP-PAR-12
     def as_dict(self) -> dict[str, Any]:
         """Return all values by name, configurable ones first."""
         return {**self._values, **self._fixed}
@@ -63,8 +60,7 @@ class BPParameters:
             bound = "left alone: it is determined once, during initialization"
             return Violation(parameter=name, value=value, bound=bound, requirement=entry.requirement)
         violation = validate(name, value, self._sizes) or _unusable(name, value, self._sizes, self._usable_minimum)
-        ##= BP-PAR-06
-        ##= BP-PAR-13
+        ##= BP-PAR-06 BP-PAR-13
         if violation is None:
             self._values[name] = value
         ##= BP-PAR-07
@@ -120,7 +116,7 @@ def _initial(config: NodeConfig) -> Mapping[str, Any]:
 
 
 def _has_usable_minimum(config: NodeConfig) -> bool:
-    return config.reading("X05") == "usable-minimum" and config.features.version >= SpecVersion.V1_1
+    return config.selected_readings.smallest_packet == "usable-minimum" and config.features.version >= SpecVersion.V1_1
 
 
 def _unusable(name: str, value: object, sizes: Sizes, usable_minimum: bool) -> Violation | None:

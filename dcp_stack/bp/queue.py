@@ -48,8 +48,7 @@ QUEUEING: Final[Mapping[QueueingMode, ModeRule]] = MappingProxyType(
         QueueingMode.QUEUE_DROPTAIL: ModeRule(Places.MAX_ENTRIES, "discard-new", "remove", True, "refuse"),
         ##= BP-QM-02
         QueueingMode.QUEUE_DROPHEAD: ModeRule(Places.MAX_ENTRIES, "displace-oldest", "remove", True, "refuse"),
-        ##= BP-QM-03
-        ##= BP-QM-10
+        ##= BP-QM-03 BP-QM-10
         # The only queue mode of 1.0, of indefinite length.
         QueueingMode.QUEUE: ModeRule(Places.UNLIMITED, None, "remove", False, "refuse"),
         ##= BP-QM-04
@@ -84,8 +83,7 @@ class PayloadQueue:
             ##= BP-TXP-04
             if self.rule.when_full == "discard-new":
                 return "discarded"
-            ##= BP-TXP-05
-            ##= BP-TXP-06
+            ##= BP-TXP-05 BP-TXP-06
             self._payloads.popleft()
             outcome = "displaced"
         self._payloads.append(payload)

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dcp_codec.values import BPHeader
 from dcp_stack.drops import DROPS
 from dcp_stack.effects import Dropped, Effect, PayloadReceived
+from dcp_stack.readings import Readings
 
 from .clients import ClientList
 from .parameters import BPParameters
@@ -26,10 +27,9 @@ class Receiver:
         node_id: bytes,
         counters: Counters,
         losses: LossTable,
-        readings: Callable[[str], str],
+        readings: Readings,
         emit: Callable[[Effect], None],
     ) -> None:
-        """``readings`` returns the selected alternative of an ambiguous text."""
         self._wire = wire
         self._clients = clients
         self._parameters = parameters
@@ -37,9 +37,9 @@ class Receiver:
         self._counters = counters
         self._losses = losses
         self._emit = emit
-        self._ignores_empty = readings("X46") == "ignore-empty"
-        self._discards_miscounted = readings("X48") == "discard-beacon" and wire.count_tells
-        self._discards_larger = readings("X49") == "discard-larger"
+        self._ignores_empty = readings.empty_block == "ignore-empty"
+        self._discards_miscounted = readings.miscounted_blocks == "discard-beacon" and wire.count_tells
+        self._discards_larger = readings.oversized_payload == "discard-larger"
 
     def receive(self, octets: bytes, now: int) -> None:
         """Deliver the blocks of a bearer payload to the clients that are registered for them. Never raises."""
@@ -60,8 +60,7 @@ class Receiver:
         if self._discards_miscounted and (not found.count_agrees or found.fault is not None):
             self.drop("other-count", self._wire.offset("numPayloads"))
             return
-        ##= BP-RX-10
-        ##= BP-RX-11
+        ##= BP-RX-10 BP-RX-11
         if found.header is not None:
             self._losses.record(sender, found.header.seqno, now)
         ##= BP-RX-07
@@ -83,9 +82,7 @@ class Receiver:
         return True
 
     def _deliver(self, block: Block, sender: bytes) -> None:
-        ##= BP-RX-08
-        ##= BP-RXP-03
-        ##= BP-LST-05
+        ##= BP-RX-08 BP-RXP-03 BP-LST-05
         client = self._clients.get(block.protocol_id)
         if client is None:
             self.drop("unregistered-protocol", block.offset)
@@ -97,8 +94,7 @@ class Receiver:
             self.drop("larger-than-registered", block.offset)
             return
         self._counters.count(f"payloads-received/{block.protocol_id}")
-        ##= BP-RXP-01
-        ##= BP-RXP-02
+        ##= BP-RXP-01 BP-RXP-02
         self._emit(PayloadReceived(block.protocol_id, block.payload, sender))
 
     def drop(self, reason: str, offset: int = -1) -> None:

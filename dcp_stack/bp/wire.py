@@ -73,8 +73,9 @@ class BPWire:
         announced = self._header.get("length")
         if announced is not None and announced.derived is not None:
             self.max_blocks = largest(announced)
-        self._frame_is_end = self.max_blocks is not None and config.reading("X02") == "frame-size"
-        self._count_is_end = announced is not None or config.reading("X47") == "counted-blocks"
+        readings = config.selected_readings
+        self._frame_is_end = self.max_blocks is not None and readings.beacon_end == "frame-size"
+        self._count_is_end = announced is not None or readings.beacon_end_without_length == "counted-blocks"
         self.count_tells = not self._frame_is_end and self._count_is_end
         """Whether numPayloads is compared with the blocks: not if padding is parsed as blocks (X02, X47)."""
 
@@ -89,9 +90,7 @@ class BPWire:
 
     def build(self, seqno: int, network_id: int | None, blocks: list[tuple[int, bytes]]) -> bytes:
         """Encode a bearer payload with these 1 to 255 blocks (protocol id, client payload)."""
-        ##= BP-HDR-03
-        ##= BP-HDR-04
-        ##= DATA-04
+        ##= BP-HDR-03 BP-HDR-04 DATA-04
         header = BPHeader(self._node_id, seqno, network_id) if self._places else None
         # The schema of the profile derives the other header fields from the blocks.
         payloads = tuple(starmap(Payload, blocks))

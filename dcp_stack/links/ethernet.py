@@ -78,8 +78,7 @@ class EthernetLink(SocketLink):
         self.source = self._given_source or _usable(address) or self.source or _random_address()
         # The kernel reports frames to this address as frames to another station (PACKET_OTHERHOST).
         self._foreign = b"" if self.source == address else self.source
-        ##= UWB-01
-        ##= UWB-02
+        ##= UWB-01 UWB-02
         self._header = BROADCAST + self.source + struct.pack(">H", self._ether_type)
 
     def _release(self, old: socket.socket) -> None:

@@ -74,7 +74,7 @@ class StateReporting:
         self._registered = False
         self._initialized = False
         self._seqno = 0
-        self._steady = config.reading("X50") == "steady-age"
+        self._steady = config.selected_readings.neighbour_age == "steady-age"
         self._own = OwnMotion(self._fields)
         self._traversed = now
         self._timeout_ms: float = 0
@@ -98,9 +98,7 @@ class StateReporting:
             protocol_name(self._config.named_version),
             ##= SRP-INI-02
             max(self.record_size, profile.limits.max_srp_payload or 0),
-            ##= SRP-INI-03
-            ##= SRP-INI-08
-            ##= SRP-TYP-07
+            ##= SRP-INI-03 SRP-INI-08 SRP-TYP-07
             # ONCE and REPEAT both keep the newest record only.
             self._config.features.srp_queueing_mode,
             1,
@@ -155,10 +153,9 @@ class StateReporting:
             # BP was restarted, or another client has deregistered SRP; BP does not indicate either.
             self._registered = False
         if not self._registered:
-            if not self._initialized and self._config.reading("X10") == "no-response":
+            if not self._initialized and self._config.selected_readings.uninitialized_srp == "no-response":
                 return None
-            ##= SRP-SRV-01
-            ##= SRP-INI-07
+            ##= SRP-SRV-01 SRP-INI-07
             return UpdateSafetyDataConfirm(SRPStatus.INACTIVE)
         ##= SRP-TYP-03
         report = ExtendedSafetyData(
@@ -170,16 +167,12 @@ class StateReporting:
             ##= SRP-TYP-06
             self._seqno,
         )
-        ##= SRP-FMT-01
-        ##= SRP-TYP-02
+        ##= SRP-FMT-01 SRP-TYP-02
         payload = self._config.codec.encode_report(report)
-        ##= SRP-SEQ-01
-        ##= SRP-TYP-01
+        ##= SRP-SEQ-01 SRP-TYP-01
         self._seqno = (self._seqno + 1) % seqno_modulus(self._config.profile)
         self._own.note(report.s_data, now)
-        ##= SRP-SRV-03
-        ##= SRP-SRV-04
-        ##= SRP-RX-06
+        ##= SRP-SRV-03 SRP-SRV-04 SRP-RX-06
         # The only submission of payloads in SRP: received reports are never forwarded.
         # Its confirm, which need not exist, changes nothing (X11).
         ##= SRP-SRV-05
@@ -212,8 +205,7 @@ class StateReporting:
         """
         if name != TIMEOUT:
             raise UnknownParameterError(f"SRP has no parameter {name!r}; it has {TIMEOUT}")
-        ##= SRP-PAR-01
-        ##= SRP-PAR-03
+        ##= SRP-PAR-01 SRP-PAR-03
         violation = validate(name, value, self._sizes)
         if violation is None:
             assert isinstance(value, int | float)
@@ -242,8 +234,7 @@ class StateReporting:
         if not self._table or now < self._traversed + self._interval // 2:
             return
         self._traversed = now
-        ##= SRP-RUN-02
-        ##= SRP-PAR-02
+        ##= SRP-RUN-02 SRP-PAR-02
         # By the monotonic clock: a step of the system time is not the age of anything (X50).
         gone = self._table.expire(now, self._timeout) if self._steady else self._table.expire_at(wall, self._timeout)
         for node_id in gone:
@@ -263,8 +254,7 @@ class StateReporting:
             # A wrong length is the only possible fault of a report, also with text of variable length.
             self._drop("wrong-length", error.problem.offset)
             return
-        ##= SRP-RX-02
-        ##= SRP-NT-03
+        ##= SRP-RX-02 SRP-NT-03
         if report.node_id == self._node_id:
             self._drop("own-report", self._node_id_offset)
             return

@@ -141,8 +141,7 @@ class NeighbourTable(NeighbourQueries):
             self._once[node_id] = None
         else:
             self._once.pop(node_id, None)
-        ##= SRP-RX-03
-        ##= SRP-RX-04
+        ##= SRP-RX-03 SRP-RX-04
         # Also when its sequence number is lower: the node may have restarted.
         self._entries[node_id] = (
             NeighbourTableEntry(node_id, report, wall, now, sender_id, wall, now)

@@ -44,8 +44,7 @@ class Composer:
             ICType.UPDATES: database.update_q,
             ICType.REQUEST_VARUPDATES: database.req_upd_q,
         }
-        ##= VD-PAY-07
-        ##= VD-PAY-01
+        ##= VD-PAY-07 VD-PAY-01
         own = {name: each.queue for name, each in self._instructions.items()}
         self._order: tuple[tuple[ContainerType, IdQueue], ...] = (
             *((kind, self._queues[kind]) for kind in config.features.container_order),
@@ -59,7 +58,7 @@ class Composer:
         self._several = (
             config.features.several_containers_per_type and config.profile.behaviour.containers_per_type == "several"
         )
-        self._purge = config.features.purge_when_composing or config.reading("X17") == "purge-first"
+        self._purge = config.features.purge_when_composing or core.readings.summary_purge == "purge-first"
 
     def compose(self, room: int) -> tuple[Container, ...]:
         """Return the containers of the next payload; an empty tuple if all queues are empty or no record fits.
@@ -96,8 +95,7 @@ class Composer:
         """
         candidates: Iterable[int] = queue
         if kind is ICType.SUMMARIES:
-            ##= VD-CMP-01
-            ##= VD-CMP-02
+            ##= VD-CMP-01 VD-CMP-02
             candidates = islice(candidates, self._parameters.max_summaries)
         header = self._sizes.ic_header
         chosen: list[int] = []
@@ -112,13 +110,10 @@ class Composer:
                 if chosen and not self._several:
                     break
                 size += header
-            ##= VD-CMP-08
-            ##= VD-CMP-13
-            ##= VD-IC-05
+            ##= VD-CMP-08 VD-CMP-13 VD-IC-05
             if used + size > room:
                 break
-            ##= VD-PAY-02
-            ##= VD-PAY-03
+            ##= VD-PAY-02 VD-PAY-03
             chosen.append(var_id)
             used += size
         return chosen, used
@@ -154,10 +149,7 @@ class Composer:
             ##= VD-CMP-06
             entry.count_create -= 1
             _rotate_or_leave(database.create_q, var_id, entry.count_create)
-            ##= VD-CMP-07
-            ##= VD-TYP-06
-            ##= VD-PC-10
-            ##= VD-TYP-07
+            ##= VD-CMP-07 VD-TYP-06 VD-PC-10 VD-TYP-07
             return VarCreate(entry.spec, VarUpdate(var_id, entry.seqno, entry.value))
         if kind is ICType.UPDATES:
             ##= VD-CMP-09

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 from dcp_stack.config import MAX_VARIABLES, NodeConfig
 from dcp_stack.effects import Effect, VariableChanged
+from dcp_stack.readings import HalfRange
 from dcp_stack.timestamps import StampClock
 
 from .database import Database, DBEntry
@@ -17,11 +18,11 @@ from .state_table import Cell, Event, table
 class Sequence:
     """Circular comparison of sequence numbers (C.1, reading X28)."""
 
-    def __init__(self, modulus: int, policy: str) -> None:
+    def __init__(self, modulus: int, half_range: HalfRange) -> None:
         self._modulus = modulus
         self._half = modulus >> 1
-        self._half_is_older = policy == "half-range-older"
-        self._half_is_answered = policy != "half-range-neither"
+        self._half_is_older = half_range == "half-range-older"
+        self._half_is_answered = half_range != "half-range-neither"
 
     def received_is_older(self, received: int, own: int) -> bool:
         """Return whether a received number is strictly older than the stored one."""
@@ -47,11 +48,12 @@ class Core:
         Raises ValueError if the node has no VarDis, or if parameters in ``config.vardis`` are out of bounds.
         """
         self.config = config
+        self.readings = config.selected_readings
         self.features = config.features
         self.emit = emit
         self.parameters = VardisParameters(config)
         self.sizes = config.record_sizes
-        self.sequence = Sequence(self.sizes.seqno_modulus, _half_range(config))
+        self.sequence = Sequence(self.sizes.seqno_modulus, self.readings.half_range)
         self.delivery = Delivery(self.sequence)
         """Signs that neighbours do not accept the variables of this node."""
         self.database = Database(remove_deleted=self.features.removed_after_deletion)
@@ -85,11 +87,3 @@ class Core:
         if event == "deleted" or spec.prod_id != self.own_id:
             self.delivery.deleted(spec.var_id)
         self.emit(VariableChanged(event, spec.var_id, entry.seqno, entry.value, spec.prod_id))
-
-
-def _half_range(config: NodeConfig) -> str:
-    """Return reading X28 if it is configured, otherwise the behaviour that the profile states."""
-    if "X28" in config.readings:
-        return config.reading("X28")
-    names = {"neither": "half-range-neither", "newer": "half-range-answered", "older": "half-range-older"}
-    return names[config.profile.behaviour.seqno_half_range]

@@ -106,16 +106,14 @@ class Database:
         Its VarCreate is repeated and it is summarised. Records of an earlier creation leave all queues.
         """
         var_id = spec.var_id
-        ##= VD-CRE-10
-        ##= VD-PC-07
+        ##= VD-CRE-10 VD-PC-07
         entry = DBEntry(spec=spec, value=value, seqno=seqno, t_stamp=wall, refreshed=now)
         ##= VD-CRE-11
         ##= VD-CRE-11 | exception: also in 1.0, which lacks this step and would continue to request its own variable
         ##= VD-PC-08
         self._remove_from_queues(var_id)
         self.entries[var_id] = entry
-        ##= VD-CRE-12
-        ##= VD-PC-09
+        ##= VD-CRE-12 VD-PC-09
         self.arm_create(entry)
         ##= VD-TYP-08
         self.summary_q.append(var_id)
@@ -123,9 +121,7 @@ class Database:
 
     def store(self, entry: DBEntry, value: bytes, seqno: int, *, now: int, wall: int) -> None:
         """Store a newer value, and repeat its VarUpdate. The VarSpec, with the producer, is unchanged."""
-        ##= VD-TYP-09
-        ##= VD-UPD-08
-        ##= VD-PU-07
+        ##= VD-TYP-09 VD-UPD-08 VD-PU-07
         entry.value = value
         entry.seqno = seqno
         ##= VD-DB-03
@@ -137,10 +133,7 @@ class Database:
     def mark_deleted(self, entry: DBEntry) -> None:
         """Mark a variable as deleted, and repeat its VarDelete. All other records about it leave their queues."""
         var_id = entry.spec.var_id
-        ##= VD-DEL-05
-        ##= VD-PD-04
-        ##= VD-SCR-04
-        ##= VD-CMP-05
+        ##= VD-DEL-05 VD-PD-04 VD-SCR-04 VD-CMP-05
         self._remove_from_queues(var_id)
         ##= VD-DB-02
         entry.is_deleted = True
@@ -154,8 +147,7 @@ class Database:
 
     def after_last_delete(self, var_id: int) -> None:
         """Remove the entry after the last repetition of its VarDelete, if deleted variables are not kept."""
-        ##= VD-DEL-06
-        ##= VD-DEL-08
+        ##= VD-DEL-06 VD-DEL-08
         if self.remove_deleted:
             del self.entries[var_id]
 

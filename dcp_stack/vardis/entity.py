@@ -54,11 +54,12 @@ class Vardis(VariableServices):
         self._extractor = Extractor(config, core.sizes)
         self._receiver = Receiver(core, instructions)
         self._has_scrubbing = core.features.creation_time
-        self._timed_out_at_timeout = config.reading("X27") == "at-least"
-        self._scrubbing_pauses = config.reading("X36") == "pauses-while-inactive"
-        self._pending_is_dropped = config.reading("X37") == "are-dropped"
-        self._registers_anew = config.reading("X41") == "register-anew"
-        self._composes_ahead = config.reading("X54") == "before-the-beacon"
+        readings = core.readings
+        self._timed_out_at_timeout = readings.exact_timeout == "at-least"
+        self._scrubbing_pauses = readings.inactive_scrubbing == "pauses-while-inactive"
+        self._pending_is_dropped = readings.pending_at_deactivation == "are-dropped"
+        self._registers_anew = readings.raised_payload_size == "register-anew"
+        self._composes_ahead = readings.composition_time == "before-the-beacon"
         self._lead = round(core.settings.compose_lead_ms * MS)
         self._indicated = False
         """Whether BP has sent a payload since its buffer was last checked."""
@@ -106,8 +107,7 @@ class Vardis(VariableServices):
             BP_PROTID_VARDIS,
             f"VarDis -- Variable Dissemination Protocol V{self._core.config.named_version}",
             size,
-            ##= VD-INI-07
-            ##= VD-INI-08
+            ##= VD-INI-07 VD-INI-08
             self._core.features.vardis_queueing_mode,
             self._core.settings.bp_queue_entries,
             False,
@@ -138,8 +138,7 @@ class Vardis(VariableServices):
 
         Returns INACTIVE if VarDis is not registered with BP.
         """
-        ##= VD-MGT-05
-        ##= VD-MGT-06
+        ##= VD-MGT-05 VD-MGT-06
         self._core.active = self.registered
         return Confirm(VardisStatus.OK if self.active else VardisStatus.INACTIVE)
 
@@ -176,8 +175,7 @@ class Vardis(VariableServices):
         if not self.active:
             self._core.emit(Dropped("vardis", "vardis-inactive", DROPS["vardis-inactive"][0]))
             return
-        ##= VD-ROB-01
-        ##= VD-RX-01
+        ##= VD-ROB-01 VD-RX-01
         self._receiver.process(self._extractor.extract(payload), now=now, wall=wall)
 
     def payload_transmitted(self, now: int, wall: int) -> None:
@@ -197,9 +195,7 @@ class Vardis(VariableServices):
             if now - self._last_scrub >= period:
                 self._last_scrub = now - (now - self._last_scrub) % period
                 self._scrub(now)
-        ##= VD-RUN-02
-        ##= VD-RUN-03
-        ##= VD-MGT-02
+        ##= VD-RUN-02 VD-RUN-03 VD-MGT-02
         if self.active and now >= self._next_look():
             period = self._parameters.buffer_check_period_ms * MS
             self._last_check = now - (now - self._last_check) % period
@@ -272,8 +268,7 @@ class Vardis(VariableServices):
             age = now - entry.refreshed if self._steady else self._wall - entry.t_stamp
             if age < timeout or (age == timeout and not self._timed_out_at_timeout):
                 continue
-            ##= VD-SCR-04
-            ##= VD-SCR-05
+            ##= VD-SCR-04 VD-SCR-05
             if self._core.cell(Event.TIMED_OUT, entry).action is Action.DELETE:
                 self._database.mark_deleted(entry)
                 self._core.changed("deleted", entry)

@@ -43,8 +43,9 @@ class VardisParameters:
         """
         values, self._sizes = config.once(_initial)
         self._values = dict(values)
-        self._record_bound = config.reading("X23") == "record-bound"
-        self._takes_nearest = config.reading("X39") == "nearest-value"
+        readings = config.selected_readings
+        self._record_bound = readings.value_length_bound == "record-bound"
+        self._takes_nearest = readings.value_out_of_bounds == "nearest-value"
         ##= VD-CRE-04
         # The parameter of 1.0 includes the terminating NUL, the limit of a profile does not.
         self._terminator = _terminator(config)
@@ -131,7 +132,7 @@ def _initial(config: NodeConfig) -> tuple[Mapping[str, int], Sizes]:
     if settings is None:
         raise ValueError("the node is configured without VarDis")
     sizes = config.sizes
-    record_bound = config.reading("X23") == "record-bound"
+    record_bound = config.selected_readings.value_length_bound == "record-bound"
     values: dict[str, int] = {}
     for name, (setting, limit) in _SOURCES.items():
         if parameter(name).since > config.profile.spec_version:

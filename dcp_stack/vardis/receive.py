@@ -37,7 +37,7 @@ class Receiver:
         self._check_empty_and_repcnt = core.features.receive_checks_empty_and_repcnt
         most = core.settings.max_creation_ahead_s
         self._most_ahead = None if most is None else round(most * 1e9)
-        self._drop_mismatch = core.config.reading("X14") == "drop-mismatch"
+        self._drop_mismatch = core.readings.mismatched_ids == "drop-mismatch"
 
     def process(self, extracted: Extracted, *, now: int, wall: int) -> None:
         """Emit ``Dropped`` for each problem, then process all records. Never raises."""
@@ -220,8 +220,7 @@ class Receiver:
             self._request(var_id, offset)
         elif entry is not None:
             if action is Action.TEACH:
-                ##= VD-PU-06
-                ##= VD-PS-03
+                ##= VD-PU-06 VD-PS-03
                 if var_id not in database.update_q:
                     database.arm_update(entry)
             elif action is Action.SEND_UPDATE:
@@ -247,10 +246,7 @@ class Receiver:
         if len(self._database) >= self._core.max_variables or len(queue) >= self._core.max_variables:
             self._dropped("database-full", offset, var_id)
             return
-        ##= VD-PU-01
-        ##= VD-PS-01
-        ##= VD-RU-01
-        ##= VD-RC-01
+        ##= VD-PU-01 VD-PS-01 VD-RU-01 VD-RC-01
         queue.append(var_id)
 
     def _drop(self, cell: Cell, offset: int, var_id: int) -> None:

@@ -36,13 +36,12 @@ class VariableServices:
         self._bp = bp
         self.registered = False
         """Whether the last registration with BP succeeded. Another client of BP may have deregistered VarDis since."""
-        self._silent = core.config.reading("X30") == "no-response"
-        self._steady = core.config.reading("X38") == "steady-clock"
+        self._silent = core.readings.unregistered_vardis == "no-response"
+        self._steady = core.readings.vardis_clock == "steady-clock"
         """Whether ages and creation times are unaffected by steps of the system time."""
-        self._refuses_empty_description = core.config.reading("X21") == "refuse-locally"
+        self._refuses_empty_description = core.readings.empty_description == "refuse-locally"
 
-    ##= VD-CRE-13
-    ##= DATA-11
+    ##= VD-CRE-13 DATA-11
     def create(
         self,
         var_id: int,
@@ -73,8 +72,7 @@ class VariableServices:
         cell = self._core.cell(Event.APP_CREATE, entry)
         if cell.status is not None:
             return self._confirm(cell.status)
-        ##= VD-CRE-04
-        ##= DATA-08
+        ##= VD-CRE-04 DATA-08
         if len(descr) > self._core.parameters.longest_description:
             return self._confirm(VardisStatus.VARIABLE_DESCRIPTION_TOO_LONG)
         ##= VD-CRE-15
@@ -173,8 +171,7 @@ class VariableServices:
         if not self._serving():
             return DescribeDatabaseConfirm(VardisStatus.INACTIVE)
         entries = self._core.database.entries.values()
-        ##= VD-DDB-02
-        ##= VD-DDB-03
+        ##= VD-DDB-02 VD-DDB-03
         listed = tuple(DescribedVariable(entry.spec, entry.is_deleted, entry.t_stamp) for entry in entries)
         return DescribeDatabaseConfirm(VardisStatus.OK, listed)
 
@@ -195,8 +192,7 @@ class VariableServices:
 
         Raises NoResponseError while VarDis is not registered, under reading X30 ``no-response``.
         """
-        ##= VD-SRV-01
-        ##= VD-MGT-04
+        ##= VD-SRV-01 VD-MGT-04
         # BP is queried because another of its clients may have deregistered VarDis.
         if self.registered and self._bp.query_number_buffered(BP_PROTID_VARDIS).status.is_ok:
             return self._core.active
@@ -206,12 +202,7 @@ class VariableServices:
 
     def _confirm(self, status: VardisStatus) -> Confirm:
         """Return a confirm with the status code of the profile's version, in which two codes have other names."""
-        ##= VD-DEL-09
-        ##= VD-UPD-12
-        ##= VD-REA-06
-        ##= VD-SRV-02
-        ##= VD-SRV-03
-        ##= DATA-10
+        ##= VD-DEL-09 VD-UPD-12 VD-REA-06 VD-SRV-02 VD-SRV-03 DATA-10
         # The confirm is the return value, so concurrent requests of several applications cannot be mixed up.
         return Confirm(status.in_version(self._core.config.profile.spec_version))
 
@@ -230,12 +221,10 @@ class VariableServices:
 
     def _refused_value(self, value: bytes) -> VardisStatus | None:
         """Return the status for a value that is too long or empty, None for a valid one."""
-        ##= VD-CRE-05
-        ##= VD-UPD-05
+        ##= VD-CRE-05 VD-UPD-05
         if len(value) > self._core.parameters.max_value_length:
             return VardisStatus.VALUE_TOO_LONG
-        ##= VD-CRE-06
-        ##= VD-UPD-06
+        ##= VD-CRE-06 VD-UPD-06
         return None if value else VardisStatus.EMPTY_VALUE
 
     def _refused_size(self, spec: VarSpec, value: bytes) -> VardisStatus | None:

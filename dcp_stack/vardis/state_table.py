@@ -133,24 +133,17 @@ def _known(unknown: Cell, own: str, alive: Cell, deleted: str) -> Row:
     Records about a deleted variable are ignored with the reason ``deleted``, others about an own variable with the
     reason ``own``.
     """
-    ##= VD-PD-02
-    ##= VD-PD-03
-    ##= VD-PU-02
-    ##= VD-PU-03
-    ##= VD-PS-02
+    ##= VD-PD-02 VD-PD-03 VD-PU-02 VD-PU-03 VD-PS-02
     return (unknown, _ignore(own), alive, _ignore(deleted), _ignore(deleted))
 
 
 _TABLE: Final[Table] = {
     # event: (unknown, alive own, alive foreign, deleted own, deleted foreign)
-    ##= VD-CRE-02
-    ##= VD-CRE-03
+    ##= VD-CRE-02 VD-CRE-03
     Event.APP_CREATE: (_CREATE, _CREATE, _EXISTS, _CREATE, _EXISTS),
-    ##= VD-UPD-03
-    ##= VD-UPD-04
+    ##= VD-UPD-03 VD-UPD-04
     Event.APP_UPDATE: (_UNKNOWN, _UPDATE, _FOREIGN, _DELETED, _FOREIGN),
-    ##= VD-DEL-03
-    ##= VD-DEL-04
+    ##= VD-DEL-03 VD-DEL-04
     Event.APP_DELETE: (_UNKNOWN, _DELETE, _FOREIGN, _DELETED, _FOREIGN),
     ##= VD-REA-03
     Event.APP_READ: (_UNKNOWN, _READ, _READ, _DELETED, _DELETED),
@@ -171,23 +164,19 @@ _TABLE: Final[Table] = {
     Event.RX_DELETE: _known(_ignore("delete-unknown"), "delete-own", _DELETE, "delete-deleted"),
     ##= VD-PU-04
     Event.RX_UPDATE_BAD_VALUE: _known(_UPDATE_UNKNOWN, "update-own", _ignore("update-bad-value"), "update-deleted"),
-    ##= VD-PU-05
-    ##= VD-SCP-03
+    ##= VD-PU-05 VD-SCP-03
     Event.RX_UPDATE_EQUAL: _known(_UPDATE_UNKNOWN, "update-own", _ignore("update-equal"), "update-deleted"),
     ##= VD-PU-06
     Event.RX_UPDATE_OLDER: _known(_UPDATE_UNKNOWN, "update-own", _UPDATE_OLDER, "update-deleted"),
-    ##= VD-PU-07
-    ##= VD-PU-01
+    ##= VD-PU-07 VD-PU-01
     Event.RX_UPDATE_NEWER: _known(_UPDATE_UNKNOWN, "update-own", _STORE, "update-deleted"),
     ##= VD-PS-02
     Event.RX_SUMMARY_EQUAL: _known(_ASK_CREATE, "summary-own", _ignore("summary-equal"), "summary-deleted"),
     ##= VD-PS-03
     Event.RX_SUMMARY_OLDER: _known(_ASK_CREATE, "summary-own", _TEACH, "summary-deleted"),
-    ##= VD-PS-04
-    ##= VD-PS-01
+    ##= VD-PS-04 VD-PS-01
     Event.RX_SUMMARY_NEWER: _known(_ASK_CREATE, "summary-own", _ASK_UPDATE, "summary-deleted"),
-    ##= VD-RU-02
-    ##= VD-RU-04
+    ##= VD-RU-02 VD-RU-04
     Event.RX_REQUEST_UPDATE_BEHIND: (
         _ASK_CREATE,
         _SEND_UPDATE,
@@ -195,8 +184,7 @@ _TABLE: Final[Table] = {
         _ignore("update-request-deleted"),
         _ignore("update-request-deleted"),
     ),
-    ##= VD-RU-03
-    ##= VD-RU-01
+    ##= VD-RU-03 VD-RU-01
     Event.RX_REQUEST_UPDATE_OTHER: (
         _ASK_CREATE,
         _ignore("update-request-not-behind"),
@@ -204,9 +192,7 @@ _TABLE: Final[Table] = {
         _ignore("update-request-deleted"),
         _ignore("update-request-deleted"),
     ),
-    ##= VD-RC-01
-    ##= VD-RC-02
-    ##= VD-RC-03
+    ##= VD-RC-01 VD-RC-02 VD-RC-03
     Event.RX_REQUEST_CREATE: (
         _ASK_CREATE,
         _SEND_CREATE,
@@ -214,30 +200,29 @@ _TABLE: Final[Table] = {
         _ignore("create-request-deleted"),
         _ignore("create-request-deleted"),
     ),
-    ##= VD-SCR-02
-    ##= VD-SCR-05
+    ##= VD-SCR-02 VD-SCR-05
     Event.TIMED_OUT: (_NONE, _DELETE, _DELETE, _NONE, _NONE),
 }
 
 
 def table(config: NodeConfig) -> Table:
     """Return the table for the version of a node's profile and for its readings."""
+    readings = config.selected_readings
     found = dict(_TABLE)
     if not config.features.creation_time:
         # Without creation times two creations cannot be ordered: a stored variable stays unchanged.
         ##= VD-CRE-16
         found[Event.APP_CREATE] = (_CREATE, _EXISTS, _EXISTS, _EXISTS, _EXISTS)
-    elif config.reading("X20") == "by-description":
+    elif readings.repeated_create == "by-description":
         found[Event.APP_CREATE] = (_CREATE, _EXISTS, _EXISTS, _CREATE, _CREATE)
     if not config.features.rerequest_unknown:
-        ##= VD-RU-05
-        ##= VD-RC-04
+        ##= VD-RU-05 VD-RC-04
         for event, reason in (
             (Event.RX_REQUEST_UPDATE_BEHIND, "update-request-unknown"),
             (Event.RX_REQUEST_UPDATE_OTHER, "update-request-unknown"),
             (Event.RX_REQUEST_CREATE, "create-request-unknown"),
         ):
             found[event] = (_ignore(reason), *found[event][1:])
-    if config.reading("X26") == "producer-only":
+    if readings.scrubbing == "producer-only":
         found[Event.TIMED_OUT] = (_NONE, _DELETE, _NONE, _NONE, _NONE)
     return found

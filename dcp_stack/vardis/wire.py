@@ -33,7 +33,7 @@ class Extractor:
     def __init__(self, config: NodeConfig, sizes: RecordSizes) -> None:
         self._codec: Codec = config.codec
         self._sizes = sizes
-        self._policy = _receive_error_policy(config)
+        self._policy = config.selected_readings.receive_errors
         self._kinds: dict[int, ContainerType] = {number: kind for kind, number in config.container_numbers.items()}
         self._kinds |= {each.number: each.name for each in config.profile.vardis.own_containers}
 
@@ -54,8 +54,7 @@ class Extractor:
         start = 0
         while True:
             problems.append(error.problem.moved(start))
-            ##= VD-RX-05
-            ##= VD-RX-07
+            ##= VD-RX-05 VD-RX-07
             if self._policy == "drop-payload":
                 break
             partial: tuple[Container, ...] = error.partial or ()
@@ -94,8 +93,7 @@ class Extractor:
         """
         sizes = self._sizes
         for container in containers:
-            ##= VD-RX-02
-            ##= VD-RX-03
+            ##= VD-RX-02 VD-RX-03
             kind = self._kinds[container.ic_type]
             offset += sizes.ic_header
             ##= VD-RX-09
@@ -108,11 +106,3 @@ class Extractor:
                 found.append((offset, record))
                 offset += sizes.record(record)
         return offset
-
-
-def _receive_error_policy(config: NodeConfig) -> str:
-    """Return reading X34 if it is configured, otherwise the behaviour that the profile states."""
-    if "X34" in config.readings:
-        return config.reading("X34")
-    policy = config.profile.behaviour.vardis_receive_error
-    return "skip-container" if policy == "skip-element" else policy

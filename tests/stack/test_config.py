@@ -9,6 +9,7 @@ from dcp_spec.profile.loading import profile_names
 from dcp_codec import Codec
 from dcp_codec.values import Container, VarDelete
 from dcp_stack.config import BPConfig, NodeConfig, VardisConfig
+from dcp_stack.readings import Readings
 from dcp_stack.vardis.parameters import VardisParameters
 
 
@@ -47,8 +48,19 @@ def test_the_computed_size_of_a_container_is_right(profile):
 
 
 def test_readings_are_chosen_by_name():
-    assert config("dcp-2.0").reading("X04") == "with-header"
-    assert config("dcp-2.0", readings={"X04": "blocks-only"}).reading("X04") == "blocks-only"
+    assert config("dcp-2.0").selected_readings == Readings()
+    assert config("dcp-2.0", readings={"X04": "blocks-only"}).selected_readings == Readings(packet_size="blocks-only")
+
+
+@pytest.mark.parametrize("profile", profile_names())
+def test_a_profile_states_readings(profile):
+    stated = Codec(profile).profile.behaviour
+    halves = {"neither": "half-range-neither", "newer": "half-range-answered", "older": "half-range-older"}
+    errors = {"skip-element": "skip-container"}.get(stated.vardis_receive_error, stated.vardis_receive_error)
+    expected = Readings(half_range=halves[stated.seqno_half_range], receive_errors=errors)
+    assert config(profile).selected_readings == expected
+    chosen = config(profile, readings={"X28": "half-range-older", "X34": "drop-payload"}).selected_readings
+    assert chosen == Readings(half_range="half-range-older", receive_errors="drop-payload")
 
 
 @pytest.mark.parametrize("readings", [{"X04": "nonsense"}, {"X99": "with-header"}, {"X09": "any"}])
@@ -76,7 +88,7 @@ def test_derived_values_are_computed_once_per_configuration():
         first, bp=BPConfig(beacon_period_ms=50, max_packet_size=300), readings={"X02": "frame-size"}
     )
     assert (other.once(find), len(asked)) == (50, 2)
-    assert (other.sizes.max_packet_size, other.reading("X02"), first.reading("X02")) == (
+    assert (other.sizes.max_packet_size, other.selected_readings.beacon_end, first.selected_readings.beacon_end) == (
         300,
         "frame-size",
         "length-field",

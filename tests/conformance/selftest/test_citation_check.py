@@ -38,7 +38,7 @@ class Some:
         low, high = limit, 4
         if value > limit:
             return low
-        ##= BP-REG-04
+        ##= BP-REG-04 BP-REG-05
         return high
 
 
@@ -61,6 +61,7 @@ def test_the_lines_that_a_citation_covers():
         "BP-REG-02": (15, 17, 20, "Some.method"),
         "BP-REG-03": (16, 17, 20, "Some.method"),
         "BP-REG-04": (21, 22, 22, "Some.method"),
+        "BP-REG-05": (21, 22, 22, "Some.method"),
         "VD-PC-01": (25, 26, 30, "last"),
         "VD-PC-03": (28, 29, 30, "last"),
     }

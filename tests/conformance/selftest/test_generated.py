@@ -60,7 +60,8 @@ class Receiver:
         self.fault = Fault("odd", "BP-RX-16", 1 + 2)
         if len(octets) > 9:
             raise ValueError("octets")
-        self.first = config.reading("X03") == "first"
+        self.first = config.selected_readings.first_seqno == "first"
+        self.last = readings.first_seqno == "first"
         self._emit(Received(octets, 2))
 
     def _drop(self, reason):
@@ -92,7 +93,9 @@ def test_code_that_only_reports_or_displays_is_not_changed():
     assert ("Receiver.handle", "self.fault = Fault('odd', 'BP-RX-16', 1 + 2)") in changed
     texts = {text for _, text in changed}
     assert texts.isdisjoint({"self._drop('empty')", "len(octets) - 1", "1 + 2", "len(octets) > 9"})
-    assert not any("Dropped" in text or text.startswith(("config.reading", "if len(octets) > 9")) for text in texts)
+    assert not any(
+        "Dropped" in text or text.startswith(("config.selected", "readings.", "if len(octets) > 9")) for text in texts
+    )
 
 
 def test_the_same_seed_draws_the_same():

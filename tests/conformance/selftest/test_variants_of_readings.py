@@ -7,12 +7,15 @@ import pkgutil
 import re
 from importlib import import_module
 
+import msgspec
 import pytest
 from dcp_conformance.selftest import variants
 from dcp_conformance.selftest.runner import PROFILES
 from dcp_conformance.selftest.variants import Variant, all_variants
 from dcp_conformance.selftest.variants.variant import variants_of
 from dcp_spec.catalogue.readings import readings
+
+from dcp_stack.readings import Readings
 
 #: Alternatives that no variant follows, as ``<reading> <alternative>``, with the reason.
 EXEMPT: dict[str, str] = {}
@@ -68,7 +71,9 @@ def test_an_alternative_has_a_variant(reading: str, name: str, followed: dict[tu
 
 def test_a_choice_that_the_node_ignores_is_not_a_variant():
     """A configuration can choose any reading of the catalogue; only those that the node asks for change anything."""
-    asked = set(re.findall(r'readings?\("([A-Z]\d+)"\)', _source_of_the_node()))
+    source = _source_of_the_node()
+    fields = msgspec.structs.fields(Readings)
+    asked = {each.encode_name for each in fields if re.search(rf"readings\.{each.name}\b", source)}
     elsewhere = {match[1] for each in _beside_the_node() if (match := re.match(r"V-([A-Z]\d+)-", each.id))}
     ignored = {reading for reading, _ in ALTERNATIVES} - asked - elsewhere
     assert ignored == {each.partition(" ")[0] for each in EXEMPT} & ignored

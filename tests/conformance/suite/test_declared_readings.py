@@ -97,7 +97,7 @@ def test_a_container_that_cannot_be_skipped_contradicts_neither(name):
 
 
 def test_a_generated_mutant_that_switches_a_reading_is_killed():
-    before = "1 if config.reading('X03') == 'increment-then-write'"
+    before = "1 if readings.first_seqno == 'increment-then-write'"
     switched = next(each for each in sites() if each.operator == "branch" and each.before.startswith(before))
     numbers = tuple(place for place, case in enumerate(cases()) if case.id in (SANITY, "TC_BP_INI_BV_01"))
     plan = (Step("dcp-2.0", numbers),)

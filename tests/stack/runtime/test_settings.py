@@ -69,7 +69,7 @@ def test_a_whole_file(tmp_path):
     assert (config.bp.beacon_period_ms, config.bp.network_id) == (200, 0x2222)
     assert config.srp.neighbour_table_timeout_ms == 2000
     assert config.vardis.max_summaries == 5
-    assert config.reading("X05") == "usable-minimum"
+    assert config.selected_readings.smallest_packet == "usable-minimum"
 
 
 def test_settings_are_shown_as_an_equivalent_file(tmp_path):

@@ -1,4 +1,4 @@
-"""Citations of requirements in our own code: ``##= ID`` on the line above the code that fulfils the requirement.
+"""Citations of requirements in our own code: ``##= ID ID`` on the line above the code that fulfils the requirements.
 
 A citation refers to the statement, or the entry of a table, that follows it. If that statement only assigns local
 variables, the citation includes the following statements, up to the first that does more. Adjacent citations refer to
@@ -8,7 +8,6 @@ the same code. Sources are read as text; no module is imported.
 from __future__ import annotations
 
 import ast
-import re
 import tokenize
 from collections.abc import Iterator
 from functools import cache
@@ -17,10 +16,10 @@ from io import StringIO
 from pathlib import Path
 from typing import Final, NamedTuple
 
+from dcp_conformance.traceability import CITATION
+
 PACKAGES: Final = ("dcp_spec", "dcp_codec", "dcp_stack")
 """Packages whose code fulfils requirements and may cite them."""
-
-_CITATION: Final = re.compile(r"##= *((?:DATA|UWB)-\d\d|(?:BP|SRP|VD)-[A-Z]+-\d\d)\b *(\|.*)?")
 
 
 class Citation(NamedTuple):
@@ -78,14 +77,15 @@ def citations_in(path: str, source: str) -> Iterator[Citation]:
     comments = [
         (token.start[0], match)
         for token in tokenize.generate_tokens(StringIO(source).readline)
-        if token.type == tokenize.COMMENT and (match := _CITATION.match(token.string))
+        if token.type == tokenize.COMMENT and (match := CITATION.match(token.string))
     ]
     if not comments:
         return
     places = sorted(_places(ast.parse(source), ""), key=lambda place: (place[0], -place[1]))
     for line, match in comments:
         first, last, function = next((place for place in places if place[0] > line), (line, line, ""))
-        yield Citation(match[1], path, line, first, last, function, (match[2] or "").lstrip("| "))
+        for requirement in match[1].split():
+            yield Citation(requirement, path, line, first, last, function, match[2] or "")
 
 
 def _places(node: ast.AST, function: str) -> Iterator[tuple[int, int, str]]:

@@ -17,6 +17,8 @@ from typing import Final
 
 #: Timeout in seconds for the tests of one requirement: a change can cause an endless loop.
 _PATIENCE: Final = 240.0
+#: The parts of the tests that run in virtual time (``tests/conftest.py``).
+_PARTS: Final = tuple(f"--part={each}" for each in ("core", "suite", "tools", "tables"))
 
 
 def checkout() -> Path | None:
@@ -83,8 +85,8 @@ def main(module: str, path: str, name: str, files: list[str]) -> int:
             items[:] = [each for each in items if any(name in mark.args for mark in each.iter_markers("req"))]
 
     sys.meta_path.insert(0, Importer())
-    options = ["-x", "-q", "--no-header", "--tb=no", "-p", "no:cacheprovider", "-p", "no:xdist", "-m", "not real_time"]
-    return int(pytest.main([*options, *files], plugins=[Only()]))
+    options = ["-x", "-q", "--no-header", "--tb=no", "-p", "no:cacheprovider", "-p", "no:xdist"]
+    return int(pytest.main([*options, *_PARTS, *files], plugins=[Only()]))
 
 
 if __name__ == "__main__":

@@ -21,8 +21,8 @@ _REPORT: Final = "Dropped"
 _DESCRIPTIONS: Final = frozenset({_REPORT, "Fault"})
 #: The object and its method by which BP counts events.
 _COUNTERS, _COUNT = "_counters", "count"
-#: The method of a configuration that returns the chosen alternative of a reading.
-_READING: Final = "reading"
+#: Names of the object with the selected alternatives of readings (``dcp_stack.readings.Readings``).
+_READINGS: Final = frozenset({"readings", "selected_readings"})
 #: Methods that show or check the state of an object.
 _SHOWING: Final = frozenset({"__repr__", "snapshot", "check_invariants"})
 
@@ -60,7 +60,7 @@ def without_reports(expression: ast.AST) -> Iterator[ast.AST]:
     if isinstance(expression, ast.Call) and _name(expression.func) in _DESCRIPTIONS:
         return
     left = expression.left if isinstance(expression, ast.Compare) else None
-    if isinstance(left, ast.Call) and _name(left.func) == _READING:
+    if isinstance(left, ast.Attribute) and _name(left.value) in _READINGS:
         return
     yield expression
     for child in ast.iter_child_nodes(expression):

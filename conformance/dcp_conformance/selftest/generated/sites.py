@@ -5,11 +5,12 @@ from __future__ import annotations
 import ast
 import copy
 import hashlib
-import re
 from collections.abc import Iterator
 from functools import cache
 from importlib import resources
 from typing import Final, NamedTuple
+
+from dcp_conformance.traceability import cited_in_comments
 
 from .reports import Reports, is_guard, reports_of, without_reports
 
@@ -49,8 +50,7 @@ _ARITHMETIC: Final[dict[type[ast.operator], type[ast.operator]]] = {
 }
 
 
-#: A citation of a requirement, and its maximum distance from a change to count as near, in lines.
-_CITATION: Final = re.compile(r"##= ([A-Z0-9-]+)")
+#: The maximum distance of a citation from a change to count as near, in lines.
 _NEAR: Final = 20
 
 
@@ -104,7 +104,7 @@ def _citations(module: str) -> tuple[tuple[int, str], ...]:
     return tuple(
         (number, identifier)
         for number, line in enumerate(_source(module).splitlines(), 1)
-        for identifier in _CITATION.findall(line)
+        for identifier in cited_in_comments(line)
     )
 
 

@@ -5,13 +5,14 @@ from __future__ import annotations
 from typing import Any, ClassVar
 
 from dcp_conformance.selftest.mutants.mutant import mutant
+from dcp_stack.readings import ReceiveErrors
 from dcp_stack.vardis.wire import Extractor
 
 
 class OtherPolicy(Extractor):
     """Follows another policy than that of its version."""
 
-    policy: ClassVar[str]
+    policy: ClassVar[ReceiveErrors]
 
     def __init__(self, *args: Any, **more: Any) -> None:
         super().__init__(*args, **more)
