@@ -27,9 +27,9 @@ from pathlib import Path
 from typing import Any
 
 from dcp_codec.codec import get_codec
+from dcp_codec.network.namespaces import enter_command
 from dcp_stack.sim.scenario.definition import Scenario, Tracks
 from dcp_stack.sim.testbed.fabric import INTERFACE
-from dcp_stack.sim.testbed.namespaces import enter_command
 from dcp_stack.sim.testbed.processes import NodeProcess
 from dcp_stack.sim.testbed.testbed import Testbed
 

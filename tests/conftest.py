@@ -11,7 +11,8 @@ import random
 import shutil
 import signal
 import tempfile
-from collections.abc import Iterable
+import time
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import pytest
@@ -81,14 +82,29 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def part_of(item: pytest.Item) -> str:
-    """The part to which a test belongs: that of its mark, of its folder, or the core."""
+    """The part to which a test belongs: that of its mark or folder; `tools` if it drives a program; or the core."""
     mark = item.get_closest_marker("part")
     if mark is None:
-        return PART_OF_FOLDER.get(item.path.parent.name, PARTS[0])
+        return PART_OF_FOLDER.get(
+            item.path.parent.name, PARTS[0] if item.get_closest_marker("tool") is None else "tools"
+        )
     (part,) = mark.args
     if part not in PARTS:
         raise pytest.UsageError(f"{item.nodeid}: {part!r} is not one of the parts {', '.join(PARTS)}")
     return part
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item: pytest.Item) -> Iterator[None]:
+    """Fail a test of the core that sleeps: its result would depend on real time."""
+
+    def refuse(seconds: float) -> None:
+        pytest.fail(f"time.sleep({seconds}): use virtual time, or mark the test as part of links", pytrace=True)
+
+    with pytest.MonkeyPatch.context() as patch:
+        if part_of(item) == PARTS[0]:
+            patch.setattr(time, "sleep", refuse)
+        return (yield)
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:

@@ -13,7 +13,7 @@ EXTRAS: Mapping[str, str] = MappingProxyType(
         "yaml": "ksy",
         "pymavlink": "mavlink",
         "prometheus_client": "metrics",
-        "greenlet": "conformance",
+        **dict.fromkeys(("greenlet", "psutil"), "conformance"),
         "pytest": "pytest",
         **dict.fromkeys(("numba", "numpy", "pyarrow"), "table"),
         "duckdb": "duckdb",

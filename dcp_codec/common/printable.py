@@ -17,3 +17,8 @@ def plain(text: str, *, keep: str = "") -> str:
     return "".join(
         char if char in keep or char.isprintable() else char.encode("unicode_escape").decode() for char in text
     )
+
+
+def printable(text: str) -> str:
+    """Return received text for a message, with characters that are not printable escaped."""
+    return plain(text, keep="\n").replace("\n", " | ")

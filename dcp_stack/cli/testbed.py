@@ -71,11 +71,11 @@ def command(
     While it runs, 'dcp-node ... --control DIR/node-0.sock' controls the nodes. Afterwards everything is removed except
     the files of --keep. Needs root, or a system that allows user namespaces.
     """
+    from dcp_codec.network.namespaces import NamespaceError
     from dcp_stack.relay import RelayAir, needs_relay
     from dcp_stack.sim.scenario.definition import ScenarioError
     from dcp_stack.sim.scenario.report import lines
     from dcp_stack.sim.testbed.fabric import Fabric
-    from dcp_stack.sim.testbed.namespaces import NamespaceError
     from dcp_stack.sim.testbed.testbed import StartError, Testbed
 
     played = scenario_of(scenario, duration=30.0 if duration is None and scenario is None else duration, **options)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from dcp_codec.network.namespaces import NamespaceError, run
 from dcp_stack.sim.scenario.definition import LinkQuality, Scenario, ScenarioError, SetLink
 from dcp_stack.sim.testbed import namespaces
 
@@ -74,8 +75,8 @@ def _has_netem() -> bool:
     name = f"{namespaces.own_prefix()}-netem"
     namespaces.create([name])
     try:
-        namespaces.run(["tc", "-n", name, "qdisc", "add", "dev", "lo", "root", "netem", "delay", "1ms"])
-    except namespaces.NamespaceError:
+        run(["tc", "-n", name, "qdisc", "add", "dev", "lo", "root", "netem", "delay", "1ms"])
+    except NamespaceError:
         return False
     finally:
         namespaces.delete([name])

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import select
-import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Sequence
 from typing import Any, Final
 
 import msgspec
+
+from dcp_codec.common.child import Child
 
 from .messages import Answer, Command, Count, Setup
 
@@ -33,20 +33,13 @@ class RelayProcess:
         ``around``: arguments that precede the command, such as those of ``nsenter``. Raises :class:`RelayError` if it
         does not start or refuses the setup.
         """
-        self._complaints = tempfile.TemporaryFile()  # noqa: SIM115 - closed in close()
         self._rest = b""
         try:
-            self._process = subprocess.Popen(  # noqa: S603 - our own program
-                [*around, sys.executable, "-m", "dcp_stack.relay"],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=self._complaints,
-                # Signals to the group of the program (Ctrl-C, timeout(1)) must not end the relay before its stations.
-                start_new_session=True,
-            )
+            # Signals to the group of this program (Ctrl-C, timeout(1)) must not end the relay before its stations.
+            self._child = Child([*around, sys.executable, "-m", "dcp_stack.relay"], pipes=True)
         except OSError as error:
-            self._complaints.close()
             raise RelayError(f"the relay cannot be started: {error}") from None
+        self._process = self._child.popen
         self._final: dict[str, Any] | None = None
         try:
             self._ask(msgspec.json.encode(setup), START_PATIENCE)
@@ -72,20 +65,13 @@ class RelayProcess:
         if self._final is not None:
             return self._final
         self._final = {}
-        process = self._process
-        assert process.stdin is not None
-        assert process.stdout is not None
+        assert self._process.stdin is not None
         with contextlib.suppress(OSError):
-            process.stdin.close()
+            self._process.stdin.close()
         with contextlib.suppress(RelayError, msgspec.DecodeError):
             self._final = msgspec.json.decode(self._line(PATIENCE), type=Answer).counters
-        try:
-            process.wait(PATIENCE)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
-        process.stdout.close()
-        self._complaints.close()
+        self._child.status(PATIENCE)
+        self._child.kill(PATIENCE)
         return self._final
 
     def _ask(self, line: bytes, patience: float) -> Answer:
@@ -120,9 +106,6 @@ class RelayProcess:
 
     def _gone(self) -> RelayError:
         """Return the error for a relay that has ended, with its exit status and the last line that it wrote."""
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            self._process.wait(1.0)
-        self._complaints.seek(0)
-        said = self._complaints.read().decode(errors="replace").strip().splitlines()
-        last = f"; its last message: {said[-1]}" if said else ""
-        return RelayError(f"the relay has ended (exit status {self._process.returncode}){last}")
+        status, said = self._child.status(1.0), self._child.last_line()
+        last = f"; its last message: {said}" if said else ""
+        return RelayError(f"the relay has ended (exit status {status}){last}")

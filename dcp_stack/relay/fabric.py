@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, Final, Self
 
 from dcp_codec.impairment import PERFECT, Impairment, text_of
+from dcp_codec.network.namespaces import batch, enter_command
 from dcp_stack.sim.testbed import namespaces
 
 from .control import RelayError, RelayProcess
@@ -39,7 +40,7 @@ class RelayFabric:
         ``pairs``: connections (sender, receiver); None for all. ``record``: an existing directory for ``port-N.mcap``.
         ``profile``: wire profile in the metadata of the recordings.
 
-        Raises :class:`RelayError` if the relay does not start, ``namespaces.NamespaceError`` if the system refuses
+        Raises :class:`RelayError` if the relay does not start, ``NamespaceError`` if the system refuses
         namespaces or interfaces.
         """
         width = len(str(max(0, len(addresses) - 1)))
@@ -58,7 +59,7 @@ class RelayFabric:
                 record="" if record is None else str(Path(record).resolve()),
                 profile=profile,
             )
-            self._relay = RelayProcess(setup, namespaces.enter_command(self.air))
+            self._relay = RelayProcess(setup, enter_command(self.air))
         except BaseException:
             namespaces.delete(made)
             raise
@@ -70,9 +71,9 @@ class RelayFabric:
             peer = f"{INTERFACE} address {address} netns {self.namespaces[number]}"
             lines.append(f"link add p{number} type veth peer name {peer}")
             lines.append(f"link set p{number} addrgenmode none up")
-        namespaces.batch("ip", self.air, lines)
+        batch("ip", self.air, lines)
         for name in self.namespaces:
-            namespaces.batch("ip", name, ["link set lo up", f"link set {INTERFACE} addrgenmode none up"])
+            batch("ip", name, ["link set lo up", f"link set {INTERFACE} addrgenmode none up"])
 
     @property
     def relay_pid(self) -> int:

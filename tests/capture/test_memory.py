@@ -23,6 +23,7 @@ def peak():
         tracemalloc.stop()
 
 
+@pytest.mark.part("tools")
 def test_a_pipe_of_many_frames(peak):
     receiving, sending = os.pipe()
     record = struct.pack("<IIII", 1, 2, 100, 100) + bytes(100)

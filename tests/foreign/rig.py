@@ -39,7 +39,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 import pytest
-from dcp_conformance.sut.process import started_at
+
+from dcp_codec.common.processes import started_at
 
 from ..ports import own_port
 from .switches import Switches

@@ -6,7 +6,6 @@ where all tools are promised (DCP_REQUIRE_TOOLS=1).
 
 from __future__ import annotations
 
-import ctypes
 import json
 import os
 import queue
@@ -15,10 +14,11 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
+
+from dcp_codec.network.namespaces import entered
 
 from ..waiting import PATIENCE, eventually
 
@@ -153,10 +153,5 @@ def namespace() -> Iterator[Namespace]:
 @pytest.fixture
 def inside(namespace: Namespace) -> Iterator[Namespace]:
     """This thread is inside of the namespace."""
-    setns = ctypes.CDLL(None, use_errno=True).setns
-    with Path("/proc/thread-self/ns/net").open() as home, Path(f"/run/netns/{namespace.name}").open() as there:
-        assert setns(there.fileno(), 0) == 0, os.strerror(ctypes.get_errno())
-        try:
-            yield namespace
-        finally:
-            assert setns(home.fileno(), 0) == 0
+    with entered(namespace.name):
+        yield namespace

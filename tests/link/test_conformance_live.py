@@ -20,10 +20,11 @@ from dcp_conformance.model.pics import Pics, Testing
 from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.namespace import Namespace, NamespaceError
 from dcp_conformance.reference.process import ReferenceProcess, free_port, reference_process, wait_for
-from dcp_conformance.sut.process import ProcessControl, started_at
+from dcp_conformance.sut.process import ProcessControl
 from dcp_conformance.test_system.bench import Bench, Session
 
 from dcp_codec import Codec
+from dcp_codec.common.processes import started_at
 from dcp_codec.network import sockets
 
 from ..waiting import PATIENCE, eventually

@@ -16,6 +16,7 @@ import pytest
 
 from dcp_codec.capture import open_capture
 from dcp_codec.impairment import Impairment, parse_impairment
+from dcp_codec.network.namespaces import batch
 from dcp_stack.relay import INTERFACE, RelayError, RelayFabric
 from dcp_stack.relay.control import RelayProcess
 from dcp_stack.relay.messages import Setup
@@ -175,7 +176,7 @@ def test_a_frame_is_sent_at_its_deadline_and_not_before(make: Make, listen: List
 def test_the_relay_survives_strange_frames_and_changes_of_interfaces(make: Make, listen: Listen) -> None:
     fabric = make("delay=1ms")
     a, b, _ = map(listen, fabric.namespaces)
-    namespaces.batch("ip", fabric.air, ["link set p2 mtu 100"])
+    batch("ip", fabric.air, ["link set p2 mtu 100"])
     for octets in (b"", b"\x00", bytes(1400), os.urandom(900)):
         a.send(frame(0, octets))
         assert b.recv(2000)[14 : 14 + len(octets)] == octets
@@ -183,12 +184,12 @@ def test_the_relay_survives_strange_frames_and_changes_of_interfaces(make: Make,
     # Not the EtherType of the listener, a VLAN tag, and a length in place of the type.
     for kind in (b"\x08\x00" + b"\x45" * 3, b"\x81\x00\x00\x05\x88\xb5tagged", b"\x00\x05" + bytes(30)):
         a.send(b"\xff" * 6 + ADDRESSES[0] + kind)
-    namespaces.batch("ip", fabric.air, ["link set p0 down", "link set p0 up"])
-    namespaces.batch("ip", fabric.namespaces[2], [f"link del {INTERFACE}"])
+    batch("ip", fabric.air, ["link set p0 down", "link set p0 up"])
+    batch("ip", fabric.namespaces[2], [f"link del {INTERFACE}"])
     eventually(lambda: fabric.counters()["ports"][2]["outages"] > 0, "a removed interface is noticed")
-    namespaces.batch("ip", fabric.air, [f"link add p2 type veth peer name {INTERFACE} netns {fabric.namespaces[2]}"])
-    namespaces.batch("ip", fabric.air, ["link set p2 addrgenmode none up"])
-    namespaces.batch("ip", fabric.namespaces[2], [f"link set {INTERFACE} addrgenmode none up"])
+    batch("ip", fabric.air, [f"link add p2 type veth peer name {INTERFACE} netns {fabric.namespaces[2]}"])
+    batch("ip", fabric.air, ["link set p2 addrgenmode none up"])
+    batch("ip", fabric.namespaces[2], [f"link set {INTERFACE} addrgenmode none up"])
     c = listen(fabric.namespaces[2])
     c.settimeout(0.1)
 

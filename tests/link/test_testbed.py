@@ -20,6 +20,7 @@ import pytest
 
 from dcp_codec import Codec
 from dcp_codec.capture import open_capture
+from dcp_codec.network.namespaces import enter_command
 from dcp_codec.network.sockets import ETHERNET_HEADER
 from dcp_stack.sim.scenario.definition import LinkQuality, ScenarioError
 from dcp_stack.sim.scenario.report import LATE, SLOW_START
@@ -204,7 +205,7 @@ class TestEnds:
         mine = f"{namespaces.own_prefix()}-n0"
         foreign = f"{namespaces.PREFIX}-not-one-of-ours"
         namespaces.create([left, mine, foreign])
-        sleeper = subprocess.Popen([*namespaces.enter_command(left), "sleep", "100"])
+        sleeper = subprocess.Popen([*enter_command(left), "sleep", "100"])
         try:
             # A testbed that starts elsewhere sweeps, too, and may be first; and there may be more to sweep than this.
             swept = namespaces.sweep()

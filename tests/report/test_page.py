@@ -268,6 +268,7 @@ def test_hostile_names_stay_text(tmp_path):
     assert "$$" not in json.dumps(items(text))
 
 
+@pytest.mark.part("tables")
 def test_many_senders_and_variables_are_bounded(tmp_path):
     sent = [(n / 10, node, n, (report(node, n),)) for node in range(1, 24) for n in range(3 + node)]
     sent += [(node / 10, 1, 100 + node, (create(node, 1, b"12"),)) for node in range(1, 24)]
@@ -278,6 +279,7 @@ def test_many_senders_and_variables_are_bounded(tmp_path):
     assert size(drawn) < 2_500_000
 
 
+@pytest.mark.part("tables")
 def test_as_many_senders_as_beacons(tmp_path):
     recorded = gathered(record(tmp_path / "a.pcap", steady(1, 3)))
     many = 20_000

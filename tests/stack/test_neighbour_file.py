@@ -381,6 +381,7 @@ def _read_at_full_speed(path):
             reads += 1
 
 
+@pytest.mark.part("tools")
 @pytest.mark.tool("gcc")
 def test_no_snapshot_is_torn(compiled, path):
     context = multiprocessing.get_context("spawn")

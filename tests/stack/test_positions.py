@@ -559,6 +559,7 @@ def test_numbers_that_do_not_fit_are_counted(stream):
     assert source.counts["out-of-range"] == 1
 
 
+@pytest.mark.part("links")
 def test_silence_is_reported_once(stream):
     source, vehicle = stream()
     assert source.poll_timeout() == 0
@@ -575,6 +576,7 @@ def test_silence_is_reported_once(stream):
     assert source.take_complaints() == []
 
 
+@pytest.mark.part("links")
 def test_a_tcp_connection_comes_back():
     common = needs_pymavlink()
     port = own_port()
@@ -612,6 +614,7 @@ def test_a_tcp_connection_comes_back():
     assert source.poll(99 * S, 0) == []
 
 
+@pytest.mark.part("links")
 def test_a_serial_line_is_read():
     common = needs_pymavlink()
     import pty

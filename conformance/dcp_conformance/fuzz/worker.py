@@ -21,10 +21,10 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
+from dcp_codec.common.child import ending_with_parent
 from dcp_codec.testing.mutation import Touch
 from dcp_conformance.errors import ConformanceError
 from dcp_conformance.execution.signals import Stop
-from dcp_conformance.sut.process import ending_with_parent
 
 from .campaign import Campaign, Limits, State
 from .generate.coverage import counter_of

@@ -17,6 +17,7 @@ from types import FrameType
 from typing import Literal
 
 from dcp_codec.codec import Codec
+from dcp_codec.network.namespaces import NamespaceError
 from dcp_conformance.errors import ConformanceError, LowerTesterError
 from dcp_conformance.lower_tester import LowerTester, open_ethernet, open_udp
 from dcp_conformance.lower_tester.udp import DEFAULT_GROUP
@@ -26,7 +27,7 @@ from dcp_conformance.sut.process import ProcessControl
 from dcp_conformance.upper_tester import Reconnecting, UpperTester, open_upper
 from dcp_stack.config import BPConfig, VardisConfig
 
-from .namespace import SUT_INTERFACE, TESTER_INTERFACE, Namespace, NamespaceError
+from .namespace import SUT_INTERFACE, TESTER_INTERFACE, Namespace
 
 LinkKind = Literal["auto", "ethernet", "udp"]
 NODE_ID = b"\x02\x00\x00\x00\x00\x01"

@@ -3,37 +3,22 @@
 from __future__ import annotations
 
 import contextlib
-import ctypes
-import os
-import re
-import secrets
-import signal
-import subprocess
-import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import IO
 
+from dcp_codec.common.child import Child, ending
+from dcp_codec.common.processes import Held, Started, end_all
 from dcp_conformance.errors import ConformanceError, UsageError
-from dcp_conformance.upper_tester.channels import LastLines, end_group, ending, split
+from dcp_conformance.upper_tester.channels import split
 
 #: Seconds that commands which stop or restart something may take.
 PATIENCE = 30.0
 #: Seconds in which a start command may end by itself if it only launches something.
 SETTLE = 0.5
-_MARK = "DCP_CONFORMANCE_STARTED"
 #: Seconds that a process has to end after SIGTERM.
 END_PATIENCE = 3.0
-#: Octets of output that are kept on disk; then the file starts again.
-_MOST_OUTPUT = 1024 * 1024
-_KEPT_OUTPUT = 64 * 1024
-#: Unit of ``st_blocks``, in octets.
-_BLOCK = 512
-_PR_SET_PDEATHSIG = 1
-#: ``FALLOC_FL_KEEP_SIZE`` and ``FALLOC_FL_PUNCH_HOLE`` of <linux/falloc.h>.
-_PUNCH_HOLE = 0x01 | 0x02
 
 
 class ProcessControl:
@@ -44,8 +29,7 @@ class ProcessControl:
     * ``stop``: a command that stops it; without one the process of ``start`` and all that it has started get SIGTERM,
       and SIGKILL after 3 s.
     * ``restart``: a command that restarts it and ends; without one it is stopped and started.
-    * ``pid``, ``pidfile``: a process to watch. With its time of start, so that a reused number is not mistaken for it;
-      the file is read again after a restart.
+    * ``pid``, ``pidfile``: a process to watch; the file is read again after a restart.
 
     Commands are run without a shell unless they use one (pipes, variables, ``&&``). Nothing is started here before
     :meth:`start` is called.
@@ -81,18 +65,16 @@ class ProcessControl:
         self.can_restart = self._restart is not None or self._start is not None
         self.after_restart: list[Callable[[], None]] = []
         """Called after each restart, to reconnect upper testers."""
-        self._process: subprocess.Popen[bytes] | None = None
+        self._process: Child | None = None
         self._launched = False
-        self._output: IO[bytes] | None = None
-        self._watched: tuple[int, int] | None = None
+        self._watched: Held | None = None
         self._why = ""
-        self._mark = secrets.token_hex(8)
-        """Marks the environment of all processes that the start command starts, also if they leave its session."""
+        self._started = Started()
         if pid is not None:
-            started = started_at(pid)
-            if started is None:
-                raise UsageError(f"--pid {pid}: there is no such process")
-            self._watched = (pid, started)
+            try:
+                self._watched = Held(pid)
+            except ProcessLookupError:
+                raise UsageError(f"--pid {pid}: there is no such process") from None
         elif self._pidfile is not None and self._start is None:
             self._watch_pidfile(0)
             if self._watched is None:
@@ -103,22 +85,21 @@ class ProcessControl:
     def alive(self) -> bool | None:
         """Whether the process runs; None if no process is known."""
         if self._watched is not None:
-            pid, started = self._watched
-            if started_at(pid) != started:
-                self._why = self._why or f"process {pid} is gone"
+            if self._watched.ended():
+                self._why = self._why or f"process {self._watched.pid} is gone"
                 return False
             return True
         if self._process is None or self._launched:
             return None
-        status = self._process.poll()
+        status = self._process.status()
         if status is None:
-            self._trim()
+            self._process.trim()
             return True
-        if status == 0 and self._settle and not self._why and self._runs_on():
+        if status == 0 and self._settle and not self._why and self._started.running():
             # The launcher has ended only now, since the machine is busy; the implementation runs.
             self._launched = True
             return None
-        self._why = self._why or f"it ended with {ending(status)}{self._last_words()}"
+        self._why = self._why or f"it ended with {ending(status)}{self._process.last_lines()}"
         return False
 
     def why_dead(self) -> str:
@@ -144,9 +125,6 @@ class ProcessControl:
         if self._process is not None:
             with contextlib.suppress(ConformanceError):
                 self._end()
-        if self._output is not None:
-            self._output.close()
-            self._output = None
 
     # -- starting and ending -----------------------------------------------------------------------------------
 
@@ -158,33 +136,20 @@ class ProcessControl:
         if self._start is None:
             return
         self._why, self._launched = "", False
-        if self._output is None:
-            self._output = tempfile.TemporaryFile()  # noqa: SIM115 - closed by close()
-        self._output.truncate(0)
-        # O_APPEND: the process writes at the end, also after the file was truncated.
-        appending = os.open(f"/proc/self/fd/{self._output.fileno()}", os.O_WRONLY | os.O_APPEND | os.O_CLOEXEC)
         try:
-            with self._around():
-                self._process = subprocess.Popen(  # noqa: S603 - the command is the user's own
-                    self._start,
-                    stdin=subprocess.DEVNULL,
-                    stdout=appending,
-                    stderr=subprocess.STDOUT,
-                    start_new_session=True,
-                    env={**os.environ, _MARK: self._mark},
-                    preexec_fn=ending_with_parent() if self._ends_with_tester else None,
-                )
+            self._process = Child(
+                self._start,
+                environment=self._started.environment(),
+                around=self._around,
+                ends_with_parent=self._ends_with_tester,
+            )
         except OSError as error:
-            raise UsageError(f"--start: {self._start[0]} cannot be started: {error.strerror or error}") from None
-        finally:
-            os.close(appending)
-        try:
-            status = self._process.wait(self._settle)
-        except subprocess.TimeoutExpired:
-            pass
-        else:
-            if status:
-                raise ConformanceError(f"--start: the command ended at once with {ending(status)}{self._last_words()}")
+            raise UsageError(f"--start: {error}") from None
+        status = self._process.status(self._settle)
+        if status:
+            said = self._process.last_lines()
+            raise ConformanceError(f"--start: the command ended at once with {ending(status)}{said}")
+        if status == 0:
             self._launched = True
         self._watch_pidfile(PATIENCE)
 
@@ -192,44 +157,33 @@ class ProcessControl:
         if self._stop is not None:
             self._run("--stop", self._stop)
         if self._process is not None:
-            end_group(self._process, patience=END_PATIENCE)
+            if self._stop is None:
+                # Held before a signal ends them.
+                self._started.running()
+            self._process.end(END_PATIENCE)
             self._process = None
             if self._stop is None:
-                self._end_detached()
+                # Also those in other sessions: two nodes of one name spoil every verdict.
+                end_all(self._started.running, END_PATIENCE)
         self._watched = None
-
-    def _end_detached(self) -> None:
-        """End what the start command has started in other sessions: two nodes of one name spoil every verdict."""
-        for number in (signal.SIGTERM, signal.SIGKILL):
-            left = [int(process.name) for process in self._processes()]
-            for pid in left:
-                with contextlib.suppress(ProcessLookupError, PermissionError):
-                    os.kill(pid, number)
-            deadline = time.monotonic() + END_PATIENCE
-            while left and any(True for _ in self._processes()) and time.monotonic() < deadline:
-                time.sleep(0.02)
 
     def _run(self, name: str, words: list[str]) -> None:
         """Run a command to its end. Raises ``ConformanceError`` if it fails or hangs."""
-        with tempfile.TemporaryFile() as output:
-            try:
-                with self._around():
-                    process = subprocess.Popen(  # noqa: S603 - the command is the user's own
-                        words, stdin=subprocess.DEVNULL, stdout=output, stderr=output, start_new_session=True
-                    )
-            except OSError as error:
-                raise UsageError(f"{name}: {words[0]} cannot be started: {error.strerror or error}") from None
-            try:
-                status = process.wait(PATIENCE)
-            except subprocess.TimeoutExpired:
-                raise ConformanceError(f"{name}: the command did not end within {PATIENCE:g} s") from None
-            finally:
-                # End the command itself; processes that it started continue.
-                if process.poll() is None:
-                    process.kill()
-                    process.wait()
+        try:
+            command = Child(words, around=self._around)
+        except OSError as error:
+            raise UsageError(f"{name}: {error}") from None
+        try:
+            status = command.status(PATIENCE)
+            if status is None:
+                raise ConformanceError(f"{name}: the command did not end within {PATIENCE:g} s")
             if status:
-                raise ConformanceError(f"{name}: the command ended with {ending(status)}{_end_of(output)}")
+                raise ConformanceError(f"{name}: the command ended with {ending(status)}{command.last_lines()}")
+        finally:
+            # End the command itself; processes that it started continue.
+            command.popen.kill()
+            command.popen.wait()
+            command.close()
 
     # -- watching ----------------------------------------------------------------------------------------------
 
@@ -240,11 +194,8 @@ class ProcessControl:
         deadline = time.monotonic() + patience
         while True:
             with contextlib.suppress(OSError, ValueError, IndexError):
-                pid = int(self._pidfile.read_text().split()[0])
-                started = started_at(pid)
-                if started is not None:
-                    self._watched = (pid, started)
-                    return
+                self._watched = Held(int(self._pidfile.read_text().split()[0]))
+                return
             if time.monotonic() >= deadline:
                 if patience:
                     raise ConformanceError(
@@ -255,51 +206,13 @@ class ProcessControl:
 
     def on_link(self) -> bool:
         """Whether a process of the implementation has a socket open for the link; False if that cannot be seen."""
-        return any(has_link_socket(process, self._udp_port) for process in self._processes())
-
-    def _runs_on(self) -> bool:
-        """Whether something that the start command has started runs."""
-        return any(True for _ in self._processes())
-
-    def _processes(self) -> Iterator[Path]:
-        """Folders in /proc of the processes that the start command has started, and of those that they have."""
-        wanted = os.fsencode(f"{_MARK}={self._mark}")
-        for path in Path("/proc").glob("[0-9]*/environ"):
-            # Gone, or of another user.
-            with contextlib.suppress(OSError):
-                if wanted in path.read_bytes().split(b"\0") and started_at(int(path.parent.name)) is not None:
-                    yield path.parent
-
-    def _last_words(self) -> str:
-        return "" if self._output is None else _end_of(self._output)
-
-    def _trim(self) -> None:
-        """Free the disk space of old output."""
-        if self._output is None:
-            return
-        status = os.fstat(self._output.fileno())
-        if status.st_blocks * _BLOCK > _MOST_OUTPUT:
-            # Punch a hole at the beginning; concurrent writes at the end are not affected.
-            libc = ctypes.CDLL(None)
-            size = ctypes.c_int64(max(0, status.st_size - _KEPT_OUTPUT))
-            if libc.fallocate64(self._output.fileno(), _PUNCH_HOLE, ctypes.c_int64(0), size):
-                # No holes in this file system: output between fstat and truncate is lost.
-                self._output.truncate(0)
+        return any(has_link_socket(each.pid, self._udp_port) for each in self._started.running())
 
 
-def started_at(pid: int) -> int | None:
-    """When a process began, in ticks since the machine did; None if there is none, or only what is left of it."""
-    try:
-        stat = Path(f"/proc/{pid}/stat").read_text()
-    except (OSError, UnicodeDecodeError):
-        return None
-    # The name of the program, in parentheses, may hold anything.
-    fields = re.split(r"\s+", stat.rpartition(")")[2].strip())
-    return None if fields[0] in ("Z", "X") else int(fields[19])
-
-
-def has_link_socket(process: Path, udp_port: int | None) -> bool:
-    """Whether a process, a folder in /proc, has a packet socket open, or with ``udp_port`` a socket bound to it."""
+def has_link_socket(pid: int, udp_port: int | None) -> bool:
+    """Whether a process has a packet socket open, or with ``udp_port`` a socket bound to it."""
+    # Not by psutil, which knows no packet sockets, and UDP sockets of the own network namespace only.
+    process = Path("/proc", str(pid))
     owned: set[str] = set()
     try:
         for link in (process / "fd").iterdir():
@@ -319,17 +232,3 @@ def has_link_socket(process: Path, udp_port: int | None) -> bool:
 def _lines(path: Path) -> list[str]:
     """The lines of a table in /proc without its heading; none where there is no such table."""
     return path.read_text().splitlines()[1:] if path.exists() else []
-
-
-def _end_of(output: IO[bytes]) -> str:
-    """The last lines of a file as the end of a message."""
-    size = os.fstat(output.fileno()).st_size
-    lines = LastLines()
-    lines.take(os.pread(output.fileno(), 8192, max(0, size - 8192)))
-    return lines.shown()
-
-
-def ending_with_parent() -> Callable[[], None]:
-    """For a new process: has the kernel end it when the tester ends, however that happens."""
-    libc = ctypes.CDLL(None)
-    return lambda: libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)

@@ -10,27 +10,21 @@ import os
 import re
 import select
 import shlex
-import signal
 import socket
 import subprocess
 import time
-from collections import deque
 from collections.abc import Sequence
 
+from dcp_codec.common.child import LastLines, end_group, ending
 from dcp_codec.common.lines import LineBuffer, LineTooLongError
-from dcp_codec.common.printable import plain
 from dcp_conformance.errors import UpperTesterError, UsageError
 
 #: Octets of the longest line that is taken: the contract allows 16 MiB for the answer to a batch.
 LONGEST_LINE = 16 * 1024 * 1024
-#: Lines of a program's standard error that are kept, and octets of each.
-LAST_LINES, LAST_OCTETS = 10, 500
 #: Seconds that an attempt to connect gets at least: over a network an answer takes its time.
 _ATTEMPT = 2.0
 #: Seconds between attempts to connect, and seconds in which a program must end after a signal.
 _RETRY, _END = 0.02, 2.0
-#: Seconds that what was killed may take to be gone.
-_GONE = 0.5
 
 
 class Channel:
@@ -245,31 +239,6 @@ class ProcessChannel(Channel):
         return f"the program {how}{self._said.shown()}"
 
 
-class LastLines:
-    """The last lines of the output of a program, bounded."""
-
-    def __init__(self) -> None:
-        self._lines: deque[bytes] = deque(maxlen=LAST_LINES)
-        self._rest = b""
-
-    def take(self, data: bytes) -> None:
-        """More of what it says."""
-        *lines, rest = (self._rest + data).split(b"\n")
-        self._lines.extend(line[:LAST_OCTETS] for line in lines[-LAST_LINES:] if line.strip())
-        self._rest = rest[:LAST_OCTETS]
-
-    def shown(self) -> str:
-        """Return the last lines of output, as the end of an error message."""
-        lines = [*self._lines, self._rest] if self._rest.strip() else [*self._lines]
-        text = b"\n".join(lines[-LAST_LINES:]).decode(errors="replace").strip()
-        return f"; its output: {printable(text)}" if text else "; it wrote nothing"
-
-
-def printable(text: str) -> str:
-    """Return received text for a message, with characters that are not printable escaped."""
-    return plain(text, keep="\n").replace("\n", " | ")
-
-
 def split(name: str, command: str) -> list[str]:
     """Split a command into words as a shell does; run it in a shell if it uses more than quoting.
 
@@ -284,45 +253,6 @@ def split(name: str, command: str) -> list[str]:
     if not words:
         raise UsageError(f"{name}: which command?")
     return words
-
-
-def ending(status: int) -> str:
-    """Return the text for an exit status or signal."""
-    if status >= 0:
-        return f"exit status {status}"
-    try:
-        return f"signal {signal.Signals(-status).name}"
-    except ValueError:
-        return f"signal {-status}"
-
-
-def end_group(process: subprocess.Popen[bytes], *, patience: float, ask_first: bool = True) -> None:
-    """End a process that leads a session, and its process group: SIGTERM, then SIGKILL after ``patience`` s.
-
-    Without ``ask_first``, wait first: the process has got another request to end.
-    """
-    if not ask_first:
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            process.wait(patience)
-    _signal_group(process, signal.SIGTERM)
-    with contextlib.suppress(subprocess.TimeoutExpired):
-        process.wait(patience)
-    # Orphans of the group, too. Another process reaps them, which may take a moment.
-    deadline = time.monotonic() + min(patience, _GONE)
-    while _signal_group(process, signal.SIGKILL) and time.monotonic() < deadline:
-        process.poll()
-        time.sleep(_RETRY)
-    with contextlib.suppress(subprocess.TimeoutExpired):
-        process.wait(patience)
-
-
-def _signal_group(process: subprocess.Popen[bytes], number: signal.Signals) -> bool:
-    """Send a signal to a process group. Return whether it had members."""
-    try:
-        os.killpg(process.pid, number)
-    except (ProcessLookupError, PermissionError):
-        return False
-    return True
 
 
 def _wait(descriptors: Sequence[int], events: int, seconds: float) -> None:

@@ -14,10 +14,11 @@ import subprocess
 import time
 from typing import Any
 
+from dcp_codec.common.child import end_group, ending
+from dcp_codec.common.printable import printable
 from dcp_conformance.errors import CouldNotAskError, NoAnswerError, UpperTesterError, UsageError
 
 from .base import METHOD_NOT_FOUND, Answer, Notification
-from .channels import end_group, ending, printable
 from .commands_file import Adapter, Method, Reading, converted, load_adapter, placeholders, status_of_success
 
 #: Octets of output of a command that are read.

@@ -14,10 +14,11 @@ from typing import Any
 
 import msgspec
 
+from dcp_codec.common.printable import printable
 from dcp_conformance.errors import NoAnswerError, UpperTesterError
 
 from .base import METHOD_NOT_FOUND, Answer, Notification
-from .channels import Channel, printable
+from .channels import Channel
 from .jsonrpc import answer_of, notification_of, request_line
 
 #: Notifications that wait to be taken; beyond that the oldest are dropped.

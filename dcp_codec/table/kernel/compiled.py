@@ -7,6 +7,8 @@ process compiles again.
 
 from __future__ import annotations
 
+import contextlib
+import fcntl
 import hashlib
 import linecache
 import os
@@ -124,7 +126,29 @@ def compiled(shape: Shape) -> Decode:
     if not same:
         # Several processes may write the file at once; all write the same content, of which the name is a hash.
         write_whole(path, wanted.encode())
-    return machine(_module(path, digest))
+    return _compiled_once(machine(_module(path, digest)), path.with_suffix(".lock"))
+
+
+def _compiled_once(decode: Decode, path: Path) -> Decode:
+    """Return ``decode`` with a lock on ``path`` during its first call.
+
+    One of several processes compiles; the others wait and load the machine code that it has stored.
+    """
+    ready = False
+
+    def call(*arguments: Any) -> tuple[int, int]:
+        nonlocal ready
+        if ready:
+            return decode(*arguments)
+        with path.open("w") as lock:
+            # A file system without locks: each process compiles.
+            with contextlib.suppress(OSError):
+                fcntl.flock(lock, fcntl.LOCK_EX)
+            result = decode(*arguments)
+        ready = True
+        return result
+
+    return call
 
 
 def cache_folder() -> Path | None:

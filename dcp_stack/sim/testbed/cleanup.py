@@ -12,7 +12,9 @@ import signal
 import subprocess
 import sys
 
-from .namespaces import PATIENCE, NamespaceError, delete, existing
+from dcp_codec.network.namespaces import PATIENCE, NamespaceError
+
+from .namespaces import delete, existing
 
 
 class CleanupProcess:

@@ -19,9 +19,10 @@ from collections import defaultdict
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
+from dcp_codec.network.namespaces import NamespaceError, batch, run
 from dcp_stack.sim.scenario.definition import PERFECT, LinkQuality, Scenario, ScenarioError, SetLink
 
-from .namespaces import NamespaceError, batch, create, run
+from .namespaces import create
 
 
 class Air(Protocol):

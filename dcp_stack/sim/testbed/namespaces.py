@@ -6,60 +6,30 @@ All functions use ``ip`` of iproute2. Interfaces exist only inside the namespace
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
-import shutil
-import signal
-import subprocess
-import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from pathlib import Path
 
+from dcp_codec.common.processes import Held, end_all, started_at
+from dcp_codec.network.namespaces import NamespaceError, batch, run
+
 PREFIX = "dcptb"
-#: Maximum time in s for a command of the system.
-PATIENCE = 30.0
+#: Maximum time in s from SIGTERM to SIGKILL for processes in a namespace that is deleted.
+_END = 3.0
 _NAME = re.compile(rf"({PREFIX}-(\d+)-(\d+))-\w+")
-
-
-class NamespaceError(Exception):
-    """A command of the system failed; the message has the command and the reason."""
 
 
 def own_prefix() -> str:
     """Return the prefix of the names of all namespaces of this process."""
     pid = os.getpid()
-    return f"{PREFIX}-{pid}-{_started(pid)}"
-
-
-def run(command: Sequence[str], given: str = "") -> str:
-    """Run a command with the input ``given``, and return its output.
-
-    Raises :class:`NamespaceError` if it is not installed, fails, or takes more than ``PATIENCE`` s.
-    """
-    try:
-        done = subprocess.run(  # noqa: S603 - commands of ours, without a shell
-            command, input=given, capture_output=True, text=True, check=False, timeout=PATIENCE
-        )
-    except FileNotFoundError:
-        raise NamespaceError(f"{command[0]} is not installed (Debian: iproute2 and util-linux)") from None
-    except subprocess.TimeoutExpired:
-        raise NamespaceError(f"{' '.join(command)}: did not end within {PATIENCE:g} s") from None
-    if done.returncode:
-        raise NamespaceError(f"{' '.join(command)}: {done.stderr.strip() or f'exit status {done.returncode}'}")
-    return done.stdout
-
-
-def batch(program: str, namespace: str, lines: Iterable[str]) -> None:
-    """Run commands of ``ip``, ``bridge`` or ``tc`` in one namespace by one process, which is faster than one each."""
-    text = "".join(f"{line}\n" for line in lines)
-    if text:
-        run([program, "-n", namespace, "-batch", "-"], text)
+    return f"{PREFIX}-{pid}-{started_at(pid)}"
 
 
 def create(names: Iterable[str]) -> None:
     """Create namespaces, with their loopback interfaces down."""
-    text = "".join(f"netns add {name}\n" for name in names)
-    run(["ip", "-batch", "-"], text)
+    batch("ip", "", [f"netns add {name}" for name in names])
 
 
 def existing(prefix: str = PREFIX) -> list[str]:
@@ -71,13 +41,7 @@ def existing(prefix: str = PREFIX) -> list[str]:
 def delete(names: Iterable[str]) -> None:
     """End all processes in namespaces, and delete the namespaces with their interfaces."""
     names = list(names)
-    for number in (signal.SIGTERM, signal.SIGKILL):
-        inside = [pid for name in names for pid in _pids(name)]
-        if not inside:
-            break
-        for pid in inside:
-            _kill(pid, number)
-        _wait_until_gone(inside, 3.0)
+    end_all(lambda: _inside(names), _END)
     for name in names:
         # Another process may delete it concurrently, even between the check and the command.
         if Path("/run/netns", name).exists():
@@ -109,59 +73,27 @@ def permitted() -> bool:
     return True
 
 
-def enter_command(name: str) -> list[str]:
-    """Return the arguments that precede a command to run it in a namespace."""
-    # "ip netns exec" mounts another /sys, which is not permitted in a user namespace.
-    return [shutil.which("nsenter") or "nsenter", f"--net=/run/netns/{name}", "--"]
-
-
 def _maker_lives(name: str) -> bool:
     """Return whether the process that created a namespace still runs."""
     match = _NAME.fullmatch(name)
-    return match is not None and _started(int(match[2])) == int(match[3])
+    return match is not None and started_at(int(match[2])) == int(match[3])
 
 
-def _started(pid: int) -> int:
-    """Return the start time of a process in clock ticks since boot, -1 if it does not exist."""
-    return int(_stat(pid)[19])
+def _inside(names: Iterable[str]) -> list[Held]:
+    """Return the processes in namespaces."""
+    spaces = {_identity(Path("/run/netns", name)) for name in names} - {None}
+    found = []
+    for path in Path("/proc").glob("[0-9]*/ns/net"):
+        if _identity(path) in spaces:
+            with contextlib.suppress(ProcessLookupError):
+                found.append(Held(int(path.parts[2])))
+    return found
 
 
-def _stat(pid: int) -> list[str]:
-    """Return the fields of /proc/PID/stat from the state on (proc(5)).
-
-    For a process that does not exist the state is ``X`` (dead) and the other fields are -1.
-    """
+def _identity(namespace: Path) -> tuple[int, int] | None:
+    """Return what is unique to a namespace; None if it does not exist, or belongs to another user."""
     try:
-        stat = Path(f"/proc/{pid}/stat").read_text()
+        status = namespace.stat()
     except OSError:
-        return ["X", *["-1"] * 49]
-    # The name of the program, in parentheses, may contain any character.
-    return stat.rpartition(")")[2].split()
-
-
-def _pids(name: str) -> list[int]:
-    """Return the processes in a namespace; an empty list if it does not exist."""
-    try:
-        return [int(pid) for pid in run(["ip", "netns", "pids", name]).split()]
-    except NamespaceError:
-        return []
-
-
-def _kill(pid: int, number: signal.Signals) -> None:
-    """Send a signal to a process, if it exists."""
-    try:
-        os.kill(pid, number)
-    except OSError:
-        return
-
-
-def _wait_until_gone(pids: Iterable[int], patience: float) -> None:
-    """Wait until all processes have ended, at most ``patience`` s."""
-    deadline = time.monotonic() + patience
-    while time.monotonic() < deadline and any(_running(pid) for pid in pids):
-        time.sleep(0.02)
-
-
-def _running(pid: int) -> bool:
-    """Return whether a process exists and is not a zombie."""
-    return _stat(pid)[0] not in ("Z", "X")
+        return None
+    return status.st_dev, status.st_ino

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
 import time
 from pathlib import Path
@@ -10,13 +9,14 @@ from typing import Any, NamedTuple
 
 import msgspec
 
+from dcp_codec.common.child import Child
+from dcp_codec.network.namespaces import enter_command
 from dcp_stack.control.client import ControlClient, ControlError
 from dcp_stack.runtime.settings import Settings, SRPSettings, VardisSettings, settings_text
 from dcp_stack.sim.scenario.agreement import Known
 from dcp_stack.sim.scenario.definition import NS_PER_S, Scenario
 
 from .fabric import INTERFACE
-from .namespaces import enter_command
 
 #: Maximum time in s for the answer to a request, and for the end of a node after SIGTERM.
 ANSWER_PATIENCE = 10.0
@@ -60,7 +60,7 @@ class NodeProcess:
         self._name = name
         self._record = record
         self._lives = 0
-        self._process: subprocess.Popen[bytes] | None = None
+        self._process: Child | None = None
         self._client: ControlClient | None = None
         self._first: Look | None = None
         self._last: Look | None = None
@@ -98,14 +98,7 @@ class NodeProcess:
         recording.unlink(missing_ok=True)
         command = [sys.executable, "-m", "dcp_stack.cli", "run", "--config", str(path)]
         self._begun = time.monotonic()
-        with self.log.open("ab") as log:
-            self._process = subprocess.Popen(  # noqa: S603 - our own program
-                [*enter_command(self.namespace), *command],
-                stdin=subprocess.DEVNULL,
-                stdout=log,
-                stderr=log,
-                start_new_session=True,
-            )
+        self._process = Child([*enter_command(self.namespace), *command], self.log)
 
     def connect(self) -> bool:
         """Try to connect to the control socket; returns whether the node is ready. Does not wait until it is."""
@@ -121,20 +114,17 @@ class NodeProcess:
 
     def ended(self) -> bool:
         """Return whether there is no running process; note in ``failure`` if it ended unexpectedly."""
-        if self._process is None or self._process.poll() is None:
-            return self._process is None
-        status = self._process.returncode
-        self.failure = self.failure or f"node {self.index} ended with status {status}: {self.last_words()}"
+        if self._process is None:
+            return True
+        status = self._process.status()
+        if status is None:
+            return False
+        self.failure = self.failure or self._ended_with(self._process, status)
         self._forget()
         return True
 
-    def last_words(self) -> str:
-        """Return the last line of the log, at most 300 characters."""
-        try:
-            lines = self.log.read_text(errors="replace").strip().splitlines()
-        except OSError:
-            return ""
-        return lines[-1][-300:] if lines else "it logged nothing"
+    def _ended_with(self, process: Child, status: int) -> str:
+        return f"node {self.index} ended with status {status}: {process.last_line() or 'it logged nothing'}"
 
     def call(self, method: str, /, **params: Any) -> dict[str, Any]:
         """Send a request to the node, and return its answer.
@@ -173,27 +163,24 @@ class NodeProcess:
     def kill(self) -> None:
         """Kill the process, as if the battery were empty."""
         if self._process is not None:
-            self._process.kill()
-            self._process.wait(END_PATIENCE)
+            self._process.kill(END_PATIENCE)
         self._forget()
 
     def ask_to_end(self) -> None:
         """Request an orderly end of the process (SIGTERM); :meth:`wait` waits for it."""
-        if self._process is not None and self._process.poll() is None:
-            self._process.terminate()
+        if self._process is not None:
+            self._process.popen.terminate()
 
     def wait(self, deadline: float) -> None:
         """Wait for the end of the process until ``deadline`` (monotonic s), then kill it."""
         if self._process is None:
             return
-        try:
-            status = self._process.wait(max(deadline - time.monotonic(), 0.01))
-        except subprocess.TimeoutExpired:
+        status = self._process.status(max(deadline - time.monotonic(), 0.01))
+        if status is None:
             self.failure = self.failure or f"node {self.index} did not end within {END_PATIENCE:g} s"
-            self._process.kill()
-            status = self._process.wait(END_PATIENCE)
-        if status and not self.failure:
-            self.failure = f"node {self.index} ended with status {status}: {self.last_words()}"
+        elif status:
+            self.failure = self.failure or self._ended_with(self._process, status)
+        self._process.kill(END_PATIENCE)
         self._forget()
 
     def disconnect(self) -> None:
@@ -205,7 +192,9 @@ class NodeProcess:
     def _forget(self) -> None:
         """Note the reported states of a process that has ended, and mark the node as switched off."""
         self.disconnect()
-        self._process = None
+        if self._process is not None:
+            self._process.close()
+            self._process = None
         if self._first is not None and self._last is not None:
             self.runs.append((self._first, self._last))
         self._first = self._last = None

@@ -79,6 +79,7 @@ def test_all_options_of_a_target_are_in_the_command(options: TargetOptions):
     assert taken == [options]
 
 
+@pytest.mark.part("tools")
 def test_a_case_that_fails_with_its_pics(tmp_path: Path):
     pics = tmp_path / "my node's.toml"
     pics.write_text("[pics]\ntriggered_beacons = true\n")
@@ -97,6 +98,7 @@ def test_a_case_that_fails_with_its_pics(tmp_path: Path):
     assert again(out) == [command]
 
 
+@pytest.mark.part("tools")
 def test_a_finding_of_the_fuzzer_as_a_case(tmp_path: Path):
     folder = "finds of 'Monday'"
     mutant = "M-VD-RC-03-consumer-silent"
@@ -115,6 +117,7 @@ def test_a_finding_of_the_fuzzer_as_a_case(tmp_path: Path):
     assert status == (0 if case.verdict is Verdict.PASS else 1)
 
 
+@pytest.mark.part("tools")
 def test_a_recording_that_is_judged(tmp_path: Path):
     shutil.copy(CAPTURES / "b_crud.mcap", tmp_path / "the 'first' flight.mcap")
     (tmp_path / "pics.toml").write_text("[pixit]\nbeacon_period_ms = 100.0\n")
@@ -129,6 +132,7 @@ def test_a_recording_that_is_judged(tmp_path: Path):
     assert verdicts(load_results(tmp_path / "second").cases) == verdicts(first.cases)
 
 
+@pytest.mark.part("tools")
 def test_a_recording_that_is_played(tmp_path: Path):
     shutil.copy(CAPTURES / "b_crud.mcap", tmp_path / "a flight.mcap")
     words = ["dcp-conformance", "replay", "a flight.mcap", "--in-process", "--speed", "0", "--seed", "3"]

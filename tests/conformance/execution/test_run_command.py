@@ -32,7 +32,8 @@ from dcp_conformance.model.results import CaseResult
 from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.pytest_plugin import run_with_pytest
 from dcp_conformance.reporting import load_results
-from dcp_conformance.sut.process import started_at
+
+from dcp_codec.common.processes import started_at
 
 from ...ports import own_port
 from ...waiting import PATIENCE, eventually

@@ -30,6 +30,8 @@ from dcp_conformance.upper_tester import Answer
 
 from dcp_codec.codec import Codec
 
+from ...parts import every
+
 #: Mutants of each kind: wrong octets, missing reactions, too many of them, queues, time, deaths.
 MUTANTS = (
     "M-BP-HDR-01-two",
@@ -51,12 +53,13 @@ def run(side_by_side: int, *patterns: str, profile: str | None = None, **more) -
     return found
 
 
+@pytest.mark.part("suite")
 @pytest.mark.parametrize("profile", ["dcp-1.0", "dcp-2.0"])
 def test_our_node_gets_the_same_verdicts(profile: str) -> None:
     assert compare(None, profile, cases()).differences == ()
 
 
-@pytest.mark.parametrize("mutant", MUTANTS)
+@pytest.mark.parametrize("mutant", every(4, MUTANTS))
 def test_a_mutant_is_detected_in_a_concurrent_run(mutant: str) -> None:
     mutants = all_mutants()
     assert mutant in mutants

@@ -17,6 +17,7 @@ from dcp_conformance.test_system.bench import Bench, Session
 from dcp_conformance.upper_tester import Answer
 from dcp_spec.constants import ICType, SpecVersion
 
+from ...parts import also
 from ..rig import codec_of, known_cases
 
 FINE = (Verdict.PASS, Verdict.INFO, Verdict.NOT_APPLICABLE)
@@ -69,13 +70,14 @@ def odd(results: Iterator[CaseResult], profile: str) -> list[str]:
     ]
 
 
-@pytest.mark.parametrize("profile", ["dcp-2.0", "dcp-1.3", "dcp-1.0", "cpp-2.0"])
+@pytest.mark.parametrize("profile", ["dcp-2.0", *also("suite", "dcp-1.3", "dcp-1.0", "cpp-2.0")])
 def test_the_whole_suite_without_a_restart_of_the_node(profile: str):
     runner = runner_of(profile)
     cases = [each for each in ordered(known_cases().values()) if not each.needs.restart and each.id not in ON_PAPER]
     assert odd((runner.run(each) for each in cases), profile) == []
 
 
+@pytest.mark.part("suite")
 @pytest.mark.parametrize("profile", ["dcp-1.3", "dcp-1.0"])
 def test_up_to_1_3_identifiers_are_never_used_up(profile: str):
     """Deleted variables leave the database."""

@@ -24,6 +24,7 @@ def scheduler() -> Iterator[str]:
         yield cluster.scheduler_address
 
 
+@pytest.mark.part("tools")
 def test_a_cluster_gives_the_same_verdicts_as_this_machine(scheduler: str) -> None:
     cells = cells_of(resolve(NAMES, {}), [all_tests()[name] for name in TESTS])
     ours, theirs = run_matrix(cells, seeds=2, jobs=1), run_matrix(cells, seeds=2, dask=scheduler)

@@ -72,6 +72,7 @@ def citation(requirement: str, file: str = "") -> Citation:
     return next(each for each in citations() if each.requirement == requirement and file in each.path)
 
 
+@pytest.mark.part("suite")
 def test_changes_are_in_the_cited_code():
     for each in citations():
         for change in changes_under(each):
@@ -104,6 +105,7 @@ def test_two_ids_in_each_others_place_are_noticed():
     assert len(wrong.unproved) == 2
 
 
+@pytest.mark.part("suite")
 def test_unit_tests_with_the_requirement_count_as_well():
     droptail = citation("BP-QM-01", "bp/queue.py")
     (change, *_) = [each for each in changes_under(droptail) if "discard-new" in each.text.partition("->")[0]]

@@ -30,6 +30,7 @@ def site(text: str, operator: str) -> Site:
     return found
 
 
+@pytest.mark.part("suite")
 def test_every_change_is_one_and_compiles():
     chosen = draw(150, 7)
     for each in chosen:

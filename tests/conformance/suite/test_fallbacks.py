@@ -41,6 +41,7 @@ def one(case_id: str, pixit: Testing = TOLD, **how: Any) -> CaseResult:
     return runner_for(without=HIDDEN, pics=Pics(pixit=pixit), **how).run(known_cases()[case_id])
 
 
+@pytest.mark.part("suite")
 def test_cases_that_are_not_applicable_without_parameters():
     open_, hidden = runner_for(), runner_for(without=HIDDEN, pics=Pics(pixit=TOLD))
     results = [(open_.run(each), hidden.run(each)) for each in ordered(known_cases().values())]

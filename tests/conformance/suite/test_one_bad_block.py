@@ -38,6 +38,7 @@ def test_an_unreadable_state_report_fails_srp_only(identifier: str, profile: str
     assert failed(outcome) == {"SRP-FMT-01", "SRP-TYP-02"}
 
 
+@pytest.mark.part("suite")
 @pytest.mark.parametrize("identifier", HEADERS)
 def test_a_fault_in_the_header_fails_requirements_about_that_field(identifier: str) -> None:
     outcome = trial(MUTANTS[identifier], full=True)
@@ -63,6 +64,7 @@ def test_each_fault_in_the_header_of_a_block_fails_its_own_rule(head: str, requi
     assert set(broken_by(bytes.fromhex(head), bytes.fromhex("70 19 01 02"))) == requirements
 
 
+@pytest.mark.part("suite")
 def test_a_bad_container_hides_neither_those_before_it_nor_bp() -> None:
     outcome = trial(MUTANTS["M-VD-IC-02-unknown-behind"], full=True)
     assert outcome.killed

@@ -278,11 +278,13 @@ def others_blamed(name: str) -> list[tuple[str, Check]]:
     ]
 
 
+@pytest.mark.part("suite")
 @pytest.mark.parametrize("name", list(HEADER_FAULTS)[:4])
 def test_a_wrong_header_fails_no_other_requirement(name: str):
     assert others_blamed(name) == []
 
 
+@pytest.mark.part("suite")
 @pytest.mark.parametrize("name", list(HEADER_FAULTS)[4:])
 def test_an_unreadable_answer_does_not_count_as_missing(name: str):
     """Checks of received octets may find another fault; an unreadable answer does not count as an answer."""

@@ -18,6 +18,7 @@ from dcp_spec.profile.loading import load_profile
 
 from dcp_codec import Codec
 
+from ...parts import also
 from ..rig import codec_of, ids_of, known_cases
 
 FINE = (Verdict.PASS, Verdict.INFO, Verdict.NOT_APPLICABLE)
@@ -118,10 +119,13 @@ def test_rows_of_the_database_need_no_more_than_a_specification():
 @pytest.mark.parametrize(
     "vardis",
     [
-        {"max_value_length": 1, "max_description_length": 1},
-        {"max_value_length": 4},
-        {"max_description_length": 5},
         {"max_payload_size": 60, "max_value_length": 10, "max_description_length": 10, "max_summaries": 5},
+        *also(
+            "suite",
+            {"max_value_length": 1, "max_description_length": 1},
+            {"max_value_length": 4},
+            {"max_description_length": 5},
+        ),
     ],
     ids=str,
 )

@@ -15,6 +15,7 @@ from dcp_conformance.test_system.bench import MS, Session
 from dcp_stack.config import NodeConfig
 from dcp_stack.node import Node
 
+from ...parts import also
 from ..rig import codec_of, ids_of, known_cases
 
 MODULES = (
@@ -73,7 +74,7 @@ def all_in_one_session(profile: str, *, make: MakeNode | None = None, upper: boo
 
 
 @pytest.mark.parametrize("upper", [True, False], ids=["upper", "wire"])
-@pytest.mark.parametrize("profile", ["dcp-1.0", "dcp-1.2", "dcp-2.0"])
+@pytest.mark.parametrize("profile", ["dcp-2.0", *also("suite", "dcp-1.0", "dcp-1.2")])
 def test_a_node_that_cannot_be_reset(profile: str, upper: bool) -> None:
     wrong = all_in_one_session(profile, upper=upper, reset=False)
     # Since 2.0 nothing is forgotten: where identifiers are used up a case says what to give.

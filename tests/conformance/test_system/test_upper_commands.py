@@ -8,9 +8,10 @@ from pathlib import Path
 
 import pytest
 from dcp_conformance.errors import UpperTesterError, UsageError
-from dcp_conformance.sut.process import started_at
 from dcp_conformance.upper_tester import open_upper
 from dcp_conformance.upper_tester.commands_file import Method, Reading, converted, load_adapter, parameters_of_methods
+
+from dcp_codec.common.processes import started_at
 
 from ...waiting import PATIENCE
 
@@ -187,6 +188,7 @@ def runs(pid: int, deadline: float) -> bool:
     return there
 
 
+@pytest.mark.part("links")
 def test_commands_that_hang_flood_or_die(tools, tmp_path):
     begun = time.monotonic()
     usual = tools.path.read_text()

@@ -37,7 +37,7 @@ _BACKLOG: Final = 100
 _BEFORE_REQUESTS: Final = (ICType.CREATE_VARIABLES, ICType.UPDATES, ICType.DELETE_VARIABLES)
 Sign = Literal["answer", "beacon", "service"]
 _POLL_NS: Final = 20_000_000
-#: Separators in quoted last lines of a process (``upper_tester.channels.LastLines.shown``).
+#: Separators in quoted last lines of a process (``dcp_codec.common.child.LastLines.shown``).
 _OUTPUT, _LINES = "; its output: ", " | "
 _FAULT: Final = re.compile(r"fatal|error|terminate|exception|what\(\)|assert|panic|abort|fault", re.IGNORECASE)
 _NUMBERS: Final = re.compile(r"0x[0-9a-fA-F]+|\d+")

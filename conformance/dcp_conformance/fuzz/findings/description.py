@@ -9,11 +9,11 @@ import msgspec
 from dcp_spec.catalogue.requirements import requirement
 
 from dcp_codec.codec import Codec
+from dcp_codec.common.printable import printable
 from dcp_codec.texts import payload_line
 from dcp_conformance.errors import UsageError
 from dcp_conformance.fuzz.reduce.causes import Cause
 from dcp_conformance.fuzz.steps import Frame, Step, Wait
-from dcp_conformance.upper_tester.channels import printable
 
 from .artefact import Artefact, load
 

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import contextlib
-import os
-import signal
-import subprocess
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
+from dcp_codec.common.child import Child
+from dcp_codec.network.namespaces import enter_command
 from dcp_conformance.errors import ConformanceError, NoAnswerError, UpperTesterError, UsageError
 from dcp_conformance.upper_tester import Answer
 from dcp_conformance.upper_tester.base import Reconnecting
 from dcp_conformance.upper_tester.opening import open_upper
-from dcp_stack.sim.testbed.namespaces import enter_command
 
 #: Seconds that an answer may take, and an end.
 _ANSWER: Final = 30.0
@@ -37,7 +34,7 @@ class Station:
         self._command = command
         self._upper_spec = upper
         self._upper: Reconnecting | None = None
-        self._process: subprocess.Popen[bytes] | None = None
+        self._process: Child | None = None
         #: Methods that the running process did not answer.
         self._unanswered: set[str] = set()
 
@@ -52,17 +49,10 @@ class Station:
             # A socket of an earlier life would be refused as one in use.
             Path(self._upper_spec[5:]).unlink(missing_ok=True)
         self._unanswered.clear()
-        with self.log.open("ab") as log:
-            try:
-                self._process = subprocess.Popen(  # noqa: S603 - the user's own command, without a shell
-                    [*enter_command(self._namespace), *self._command],
-                    stdin=subprocess.DEVNULL,
-                    stdout=log,
-                    stderr=log,
-                    start_new_session=True,
-                )
-            except OSError as error:
-                raise UsageError(f"{self._command[0]} cannot be started: {error.strerror or error}") from None
+        try:
+            self._process = Child([*enter_command(self._namespace), *self._command], self.log)
+        except OSError as error:
+            raise UsageError(str(error)) from None
 
     def connect(self) -> bool:
         """Open the upper tester; True if there is none, or it answers."""
@@ -101,9 +91,10 @@ class Station:
 
     def ended(self) -> bool:
         """Whether the process ended by itself; ``death`` then says how."""
-        if self._process is None or self._process.poll() is None:
+        status = None if self._process is None else self._process.status()
+        if self._process is None or status is None:
             return False
-        self.death = self.death or f"it ended with status {self._process.returncode}: {self._last_words()}"
+        self.death = self.death or f"it ended with status {status}: {self._process.last_line() or 'it wrote nothing'}"
         return True
 
     def stop(self) -> None:
@@ -112,17 +103,9 @@ class Station:
             self._upper.close()
             self._upper = None
         if self._process is not None:
-            with contextlib.suppress(ProcessLookupError):
-                os.killpg(self._process.pid, signal.SIGKILL)
-            try:
-                self._process.wait(_END)
-            except subprocess.TimeoutExpired:
-                raise ConformanceError(f"process {self._process.pid} does not end after SIGKILL") from None
+            if not self._process.kill(_END):
+                raise ConformanceError(f"process {self._process.pid} does not end after SIGKILL")
             self._process = None
-
-    def _last_words(self) -> str:
-        lines = self.log.read_text(errors="replace").strip().splitlines() if self.log.is_file() else []
-        return lines[-1][-300:] if lines else "it wrote nothing"
 
     def awaited(self, *, heard: bool) -> str:
         """Say what shows that the process is ready and has not happened; empty if it is ready, or has ended.

@@ -13,6 +13,7 @@ from typing import Any, Final
 
 from dcp_codec.framing.locate import OtherTraffic, locate
 from dcp_codec.impairment import PERFECT, Impairment
+from dcp_codec.network.namespaces import NamespaceError, entered
 from dcp_conformance.errors import ConformanceError, LowerTesterError
 from dcp_conformance.interop.definition import Shape
 from dcp_conformance.interop.implementations import Implementation, codec_of, command_of, upper_tester_of
@@ -24,7 +25,7 @@ from dcp_stack.sim.testbed import namespaces
 from dcp_stack.sim.virtual.network import node_id
 
 from .processes import Station
-from .taps import Taps, inside
+from .taps import Taps
 
 #: Seconds after which the world says what it waits for.
 _QUIET: Final = 3.0
@@ -71,7 +72,7 @@ class RealWorld:
             self.places.append(Place(number, name, codec, node_id(codec.profile, number + 1), each.limits))
         try:
             self._build(stations, count, seed)
-        except (RelayError, namespaces.NamespaceError) as error:
+        except (RelayError, NamespaceError) as error:
             self._closing.close()
             raise LowerTesterError(f"the network cannot be built: {error}") from None
         except BaseException:
@@ -92,7 +93,7 @@ class RealWorld:
             self._fabric.set_quality(direction, PERFECT)
         self._taps = Taps(self._fabric.air, [f"p{place}" for place in range(count)])
         self._closing.callback(self._taps.close)
-        with inside(self._fabric.namespaces[count]):
+        with entered(self._fabric.namespaces[count]):
             self._voice = socket.socket(socket.AF_PACKET, socket.SOCK_RAW)
             self._closing.callback(self._voice.close)
             self._voice.bind((INTERFACE, 0))

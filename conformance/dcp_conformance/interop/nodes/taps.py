@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import contextlib
-import ctypes
-import os
 import select
 import socket
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Final, NamedTuple
 
+from dcp_codec.network.namespaces import entered
 from dcp_conformance.errors import LowerTesterError
 
 _ETH_P_ALL: Final = 0x0003
 _SO_TIMESTAMPNS: Final = 35
-_CLONE_NEWNET: Final = 0x40000000
 _PACKET_OUTGOING: Final = 4
 
 
@@ -27,24 +25,6 @@ class Tapped(NamedTuple):
     frame: bytes
 
 
-@contextlib.contextmanager
-def inside(namespace: str) -> Iterator[None]:
-    """Enter a network namespace: sockets that are opened within the block stay in it. Raises ``LowerTesterError``."""
-    libc = ctypes.CDLL(None, use_errno=True)
-    outside = os.open("/proc/self/ns/net", os.O_RDONLY | os.O_CLOEXEC)
-    there = os.open(f"/run/netns/{namespace}", os.O_RDONLY | os.O_CLOEXEC)
-    try:
-        if libc.setns(there, _CLONE_NEWNET):
-            raise LowerTesterError(f"namespace {namespace} cannot be entered: {os.strerror(ctypes.get_errno())}")
-        try:
-            yield
-        finally:
-            libc.setns(outside, _CLONE_NEWNET)
-    finally:
-        os.close(outside)
-        os.close(there)
-
-
 class Taps:
     """One socket for each station, in the namespace of the relay."""
 
@@ -52,7 +32,7 @@ class Taps:
         """Raises ``LowerTesterError`` if packet sockets cannot be opened."""
         self._sockets: list[socket.socket] = []
         try:
-            with inside(namespace):
+            with entered(namespace):
                 for name in interfaces:
                     made = socket.socket(socket.AF_PACKET, socket.SOCK_RAW, socket.htons(_ETH_P_ALL))
                     self._sockets.append(made)

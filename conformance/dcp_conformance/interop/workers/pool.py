@@ -19,6 +19,7 @@ from concurrent.futures.process import BrokenProcessPool
 from multiprocessing.connection import Connection
 from typing import Final, TypeVar
 
+from dcp_codec.network.namespaces import NamespaceError
 from dcp_conformance.errors import ConformanceError
 from dcp_conformance.execution.signals import Stop, deferred
 from dcp_stack.sim.testbed import namespaces
@@ -115,7 +116,7 @@ def run_in_workers(
             our_life.close()
             our_command.close()
             if not finished:
-                with contextlib.suppress(namespaces.NamespaceError):
+                with contextlib.suppress(NamespaceError):
                     namespaces.sweep()
 
 

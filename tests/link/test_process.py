@@ -5,8 +5,10 @@ from __future__ import annotations
 import itertools
 import os
 import re
+import select
 import shlex
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -14,10 +16,14 @@ from pathlib import Path
 
 import pytest
 from dcp_conformance.errors import ConformanceError, UsageError
-from dcp_conformance.sut.process import ProcessControl, started_at
+from dcp_conformance.sut import process as keeper
+from dcp_conformance.sut.process import ProcessControl
 from dcp_conformance.upper_tester.channels import split
 
-from ...waiting import PATIENCE, eventually
+from dcp_codec.common.processes import started_at
+
+from ..ports import own_port
+from ..waiting import PATIENCE, eventually
 
 
 def program(tmp_path: Path, code: str, name: str = "sut") -> str:
@@ -100,30 +106,30 @@ def test_disk_space_of_old_output_is_freed_without_truncating_the_file(tmp_path,
     """Truncating it would lose output that is written between reading and truncating."""
     it = control(start=program(tmp_path, "time.sleep(60)"), settle=0)
     it.start()
-    assert it._output is not None
+    assert it._process is not None
     said = b"x" * 101 + b"\n" + b"line\n" * 2_000_000 + b"the last line\n"
-    os.write(it._output.fileno(), said)
+    os.write(it._process._output.fileno(), said)
     assert it.alive() is True
-    status = os.fstat(it._output.fileno())
+    status = os.fstat(it._process._output.fileno())
     assert status.st_size == len(said)
     assert status.st_blocks * 512 < 1_000_000
-    assert "the last line" in it._last_words()
+    assert "the last line" in it._process.last_lines()
 
 
 def test_much_output_does_not_fill_the_disk(tmp_path, control):
     code = "block = 'y' * 65535 + chr(10)\nwhile True: print(block, flush=True); time.sleep(0.001)"
     it = control(start=program(tmp_path, code), settle=0)
     it.start()
-    assert it._output is not None
+    assert it._process is not None
     taken = []
 
     def given_back() -> bool:
         assert it.alive()
-        taken.append(os.fstat(it._output.fileno()).st_blocks * 512)
+        taken.append(os.fstat(it._process._output.fileno()).st_blocks * 512)
         return sum(later < earlier for earlier, later in itertools.pairwise(taken)) > 2
 
     eventually(given_back, "room is given back, again and again")
-    assert os.fstat(it._output.fileno()).st_size > 2_000_000
+    assert os.fstat(it._process._output.fileno()).st_size > 2_000_000
     assert min(taken[1:]) < 1_000_000
 
 
@@ -172,6 +178,69 @@ def test_detached_children_of_a_launcher_are_ended(tmp_path, control, stubborn):
     second = pid_in(tmp_path)
     it.close()
     assert started_at(second) is None
+
+
+#: Holds memory whose release takes the kernel some ms, and a UDP port that is free again when all of that is over.
+LARGE = """
+import socket
+memory = b"x" * 100_000_000
+held = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+held.bind(("127.0.0.1", int(sys.argv[1])))
+(here / "new").write_text(str(os.getpid()))
+(here / "new").rename(here / "pid")
+time.sleep(600)
+"""
+
+
+def port_is_free(port: int) -> bool:
+    """Whether a UDP port can be bound."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as trial:
+        try:
+            trial.bind(("127.0.0.1", port))
+        except OSError:
+            return False
+    return True
+
+
+@pytest.mark.parametrize("stubborn", [False, True])
+def test_nothing_of_a_large_detached_process_is_left_after_its_end(tmp_path, control, monkeypatch, stubborn):
+    """100 ends by SIGTERM, 100 by SIGKILL: the kernel removes the environment of a process before it closes sockets."""
+    monkeypatch.setattr(keeper, "END_PATIENCE", 0.1 if stubborn else PATIENCE)
+    ignore = "signal.signal(signal.SIGTERM, signal.SIG_IGN)\n" if stubborn else ""
+    port = own_port()
+    it = control(start=f"setsid {program(tmp_path, ignore + LARGE)} {port} & true", settle=PATIENCE)
+    left: list[str] = []
+    for turn in range(100):
+        it.start()
+        descriptor = os.pidfd_open(pid_in(tmp_path))
+        (tmp_path / "pid").unlink()
+        it._end()
+        free = port_is_free(port)
+        if not free or not select.select([descriptor], [], [], 0)[0]:
+            left.append(f"turn {turn}: {'it runs' if free else 'its port is in use'}")
+            select.select([descriptor], [], [], PATIENCE)
+        os.close(descriptor)
+    assert not left, f"{len(left)} of 100: {left[:5]}"
+
+
+def test_processes_started_during_the_end_are_ended(tmp_path, control):
+    """Each service starts its successor in another session on SIGTERM."""
+    service = (
+        "import subprocess\nnumber = int(sys.argv[1])\n"
+        "def succeed(*_):\n"
+        "    if number < 5: subprocess.Popen([sys.executable, __file__, str(number + 1)], start_new_session=True)\n"
+        "    os._exit(0)\n"
+        "signal.signal(signal.SIGTERM, succeed)\n"
+        "with (here / 'log').open('a') as log: print(os.getpid(), file=log)\n"
+        "(here / 'pid').write_text(str(os.getpid()))\ntime.sleep(600)"
+    )
+    it = control(start=f"setsid {program(tmp_path, service, 'service')} 1 & true", settle=PATIENCE)
+    it.start()
+    pid_in(tmp_path)
+    it.close()
+    started = [int(line) for line in (tmp_path / "log").read_text().split()]
+    assert not [pid for pid in started if started_at(pid) is not None]
+    assert not it._started.running()
 
 
 def test_a_launcher_on_a_busy_machine(tmp_path, control):
@@ -238,11 +307,20 @@ def test_watching_a_process(control):
 
 
 def test_a_reused_pid_is_another_process(control):
-    it = control(pid=os.getpid())
-    assert it.alive()
-    pid, started = it._watched
-    it._watched = (pid, started - 1)
-    assert it.alive() is False
+    last = Path("/proc/sys/kernel/ns_last_pid")
+    with subprocess.Popen(["sleep", "600"]) as first:
+        it = control(pid=first.pid)
+        first.kill()
+
+    def again() -> bool:
+        """Whether the number is that of another process; anything may start in between."""
+        last.write_text(str(first.pid - 1))
+        with subprocess.Popen(["true"]) as second:
+            return second.pid == first.pid and it.alive() is False and started_at(first.pid) is not None
+
+    if not os.access(last, os.W_OK):
+        pytest.skip("the next number of a process cannot be chosen here")
+    eventually(again, "the number is used again")
 
 
 def test_a_pidfile_without_a_running_process(tmp_path, control):
