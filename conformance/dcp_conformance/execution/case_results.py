@@ -65,6 +65,14 @@ def result_of(
     )
 
 
+def doubted(check: Check, executions: int, why: str) -> Check:
+    """Return a failed check as inconclusive, because it held in the last of so many further executions of the case."""
+    if check.verdict is not Verdict.FAIL:
+        return check
+    observed = f"{check.observed}; but not in further execution {executions}, and {why}"
+    return msgspec.structs.replace(check, verdict=Verdict.INCONCLUSIVE, observed=observed)
+
+
 def _reason(checks: Iterable[Check], verdict: Verdict, executions: int) -> str:
     """Return the text of the check that decided the verdict; empty for a pass."""
     decisive = next((check for check in checks if check.verdict is verdict), None)

@@ -134,6 +134,10 @@ class Excuses:
         """Describe the faults of the tester or its link in this case."""
         return self._losses.of_tester()
 
+    def lateness(self) -> str:
+        """Describe delays of tester and implementation that are too short or too uncertain to be an excuse."""
+        return self._losses.lateness()
+
     def assumed(self) -> str:
         """Return the texts of all assumptions of the case; empty if there are none."""
         return self._assumptions.text_of_all()

@@ -17,6 +17,8 @@ from .counting import Counting
 
 #: Larger gaps between sequence numbers are not losses: the implementation was restarted, or skips numbers itself.
 _LARGEST_GAP = 5
+#: Delays of the tester, and times without a beacon, from which a failure is confirmed; in beacon periods.
+_HELD, _SILENT = 0.25, 2
 
 
 class Losses:
@@ -90,6 +92,13 @@ class Losses:
         if not numbers and self._steps.late_ns > patience * self._sut.period:
             faults.append(f"it acted late by {self._steps.late_ns / MS:.0f} ms")
         return faults
+
+    def lateness(self) -> str:
+        """Describe delays after which a reaction may have come too late for a wait of the case; empty without any."""
+        held, silence, period = self._steps.held_ns, self._steps.silence_ns, self._sut.period
+        if held > _HELD * period:
+            return f"tester or implementation were held up for {held / MS:.0f} ms"
+        return f"the implementation sent nothing for {silence / MS:.0f} ms" if silence > _SILENT * period else ""
 
     def explain_all(self, *, numbers: bool = False) -> bool:
         """Return whether faults of the tester explain everything that is missing, so that a repetition may succeed."""

@@ -56,6 +56,8 @@ class Verdicts:
         """Observed readings of disputed text, by identifier in the catalogue."""
         self._disturbed: set[int] = set()
         """Indices of the checks that only faults of the tester have left undecided."""
+        self._proved = False
+        """Whether received octets or sequence numbers prove a failure of this case."""
 
     def check(
         self,
@@ -92,6 +94,7 @@ class Verdicts:
         decided = requirements or self._case.requirements
         excuse = self._excuses.find(decided, shown=bool(shown), numbers=numbers, patience=patience, field=field)
         if excuse is None:
+            self._proved = self._proved or bool(shown) or numbers
             self._add(Verdict.FAIL, expected, observed, requirements, frames, shown=bool(shown))
         else:
             text = f"{observed}; but {excuse.text}"
@@ -172,6 +175,11 @@ class Verdicts:
             self.check(False, f"{identifier}: {entry.title}: {declared}, as declared in the PICS", observed)
             return
         self._add(Verdict.INFO, f"{identifier}: {entry.title}", observed, (), ())
+
+    @property
+    def may_be_late(self) -> str:
+        """Why all failures of this case may only be late reactions; empty if one is proved, or all were in time."""
+        return "" if self._proved else self._excuses.lateness()
 
     def all_hold(self) -> bool:
         """Return whether no check of this case has failed so far."""
