@@ -35,6 +35,10 @@ class Steps:
         """The longest delay of the tester in ns, including late ends of waits and calls that took longer than usual."""
         self.silence_ns = 0
         """The longest time without a frame of the implementation, in ns, from its first frame or the first stimulus."""
+        self.overtaken_ns = 0
+        """The longest time in ns by which a frame was sent before the end of a wait that did not return it."""
+        self._waited_until = 0
+        """Time in ns until which waits have returned all frames, as far as the tester could know."""
         self._heard: int | None = None
         """Time of the last frame of the implementation, or of the first stimulus before any frame."""
 
@@ -62,6 +66,10 @@ class Steps:
         """Record that tester or implementation may have been held up for ``duration`` ns."""
         self.held_ns = max(self.held_ns, duration)
 
+    def waited(self, until: int) -> None:
+        """Record that a wait has returned all frames that were sent before ``until``, and ended."""
+        self._waited_until = max(self._waited_until, until)
+
     def forget(self) -> None:
         """Do not count the time since the last step as lateness."""
         self._ended = None
@@ -79,6 +87,7 @@ class Steps:
         if self._heard is not None:
             self.silence_ns = max(self.silence_ns, time - self._heard)
         self._heard = time
+        self.overtaken_ns = max(self.overtaken_ns, self._waited_until - time)
 
     @property
     def silent(self) -> bool:

@@ -66,8 +66,18 @@ class Losses:
         return sum(not each.to for each in self.take_incidents())
 
     def misleading(self) -> str:
-        """Describe effects of an impaired link after which even received data may be wrong; empty without any."""
-        return self._described(each for each in self.take_incidents() if each.misleads)
+        """Describe effects after which even received data may be wrong; empty without any.
+
+        These are effects of an impaired link, and frames that other data have overtaken on a busy machine: the case has
+        taken them for frames that were sent later.
+        """
+        return self._described(each for each in self.take_incidents() if each.misleads) or self._overtaken()
+
+    def _overtaken(self) -> str:
+        late = self._steps.overtaken_ns
+        return (
+            f"a frame was received {late / MS:.1f} ms after the end of a wait before which it was sent" if late else ""
+        )
 
     def own(self, *, numbers: bool = False, patience: float = 1.0) -> str:
         """Describe everything that the tester has missed in this case; empty if nothing is known.
@@ -89,6 +99,8 @@ class Losses:
             faults.append(link)
         if self.dropped:
             faults.append(f"the kernel dropped {self.dropped} frames")
+        if not numbers and (overtaken := self._overtaken()):
+            faults.append(overtaken)
         if not numbers and self._steps.late_ns > patience * self._sut.period:
             faults.append(f"it acted late by {self._steps.late_ns / MS:.0f} ms")
         return faults

@@ -179,7 +179,11 @@ class Verdicts:
     @property
     def may_be_late(self) -> str:
         """Why all failures of this case may only be late reactions; empty if one is proved, or all were in time."""
-        return "" if self._proved else self._excuses.lateness()
+        return "" if self._proved else self.lateness()
+
+    def lateness(self) -> str:
+        """Describe delays of tester and implementation so far that may be the cause of a failure; empty without any."""
+        return self._excuses.lateness()
 
     def all_hold(self) -> bool:
         """Return whether no check of this case has failed so far."""
