@@ -75,9 +75,7 @@ class Losses:
 
     def _overtaken(self) -> str:
         late = self._steps.overtaken_ns
-        return (
-            f"a frame was received {late / MS:.1f} ms after the end of a wait before which it was sent" if late else ""
-        )
+        return f"a frame sent {late / MS:.1f} ms before the end of a wait was received after it" if late else ""
 
     def own(self, *, numbers: bool = False, patience: float = 1.0) -> str:
         """Describe everything that the tester has missed in this case; empty if nothing is known.

@@ -132,8 +132,8 @@ class Repetitions:
         """Check that exactly ``count`` distinct beacons since a mark have one record of this kind about a variable.
 
         Returns the records. More records are a failure even after losses (``shown``), unless tester or implementation
-        were late, so the stimulus must not be repeated during the check. ``absent``: the requirement that decides if there is no record at all, if it is
-        another one.
+        were late, so the stimulus must not be repeated during the check. ``absent``: the requirement that decides if
+        there is no record at all, if it is another one.
         """
         found = self._waiting.repeated(kind, var_id, since)
         if absent and not found:
