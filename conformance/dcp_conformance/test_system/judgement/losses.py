@@ -71,9 +71,10 @@ class Losses:
         These are effects of an impaired link, and frames that other data have overtaken on a busy machine: the case has
         taken them for frames that were sent later.
         """
-        return self._described(each for each in self.take_incidents() if each.misleads) or self._overtaken()
+        return self._described(each for each in self.take_incidents() if each.misleads) or self.overtaken()
 
-    def _overtaken(self) -> str:
+    def overtaken(self) -> str:
+        """Describe the frame that other data have overtaken by the longest time; empty without any."""
         late = self._steps.overtaken_ns
         return f"a frame sent {late / MS:.1f} ms before the end of a wait was received after it" if late else ""
 
@@ -97,7 +98,7 @@ class Losses:
             faults.append(link)
         if self.dropped:
             faults.append(f"the kernel dropped {self.dropped} frames")
-        if not numbers and (overtaken := self._overtaken()):
+        if not numbers and (overtaken := self.overtaken()):
             faults.append(overtaken)
         if not numbers and self._steps.late_ns > patience * self._sut.period:
             faults.append(f"it acted late by {self._steps.late_ns / MS:.0f} ms")

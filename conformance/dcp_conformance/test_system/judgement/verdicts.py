@@ -178,8 +178,11 @@ class Verdicts:
 
     @property
     def may_be_late(self) -> str:
-        """Why all failures of this case may only be late reactions; empty if one is proved, or all were in time."""
-        return "" if self._proved else self.lateness()
+        """Why all failures of this case may follow from delays; empty if one is proved, or there was none.
+
+        A frame that other data have overtaken can be received after the check that it would have changed.
+        """
+        return self._excuses.overtaken() or ("" if self._proved else self.lateness())
 
     def lateness(self) -> str:
         """Describe delays of tester and implementation so far that may be the cause of a failure; empty without any."""
