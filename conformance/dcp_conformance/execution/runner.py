@@ -268,11 +268,11 @@ class Runner:
         why, executions = trial.bench.verdicts.may_be_late, 0
         while why and executions < CONFIRMATIONS:
             again = self._trial(trial.case)
+            if again.used_up and self.session.renewable:
+                again = self._trial_after_restart(again)
             executions += 1
             if again.loss is not None:
                 return again, executions
-            if again.used_up:
-                break
             if not trial.failed & again.failed:
                 trial.checks = [doubted(each, executions, why) for each in trial.checks]
                 break

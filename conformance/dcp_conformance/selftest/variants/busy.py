@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import random
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
@@ -19,7 +19,7 @@ from dcp_conformance.reference.inprocess import VirtualLowerTester, VirtualUpper
 from dcp_conformance.upper_tester import Answer, Notification
 
 from .surroundings import Tested
-from .variant import Setup
+from .variant import Setup, UpperTesting, Variant, setup
 
 _MS: Final = 1_000_000
 _SECOND: Final = 1000 * _MS
@@ -39,6 +39,19 @@ class Load:
     longest_flight_ms: float = 20.0
     rare: float = 0.0
     """Share of the delays of tester and node that are 2 s."""
+
+
+LOADS: Final = {
+    "mild": Load(tester=0.1, node=2, flight=0.2, longest_ms=30, longest_flight_ms=10),
+    "busy": Load(tester=0.2, node=3, flight=0.3, longest_ms=120, longest_flight_ms=20),
+    "late-tester": Load(tester=0.1, longest_ms=800, rare=0.01),
+    "late-node": Load(node=0.5, longest_ms=800, rare=0.01),
+    "late-frames": Load(flight=0.5, longest_flight_ms=80),
+    "all-late": Load(tester=0.06, node=0.5, flight=0.3, longest_ms=800, longest_flight_ms=40, rare=0.01),
+}
+"""Loads by name. With ``mild`` nothing is longer than a third of the usual beacon period."""
+#: Number of seeds of each load in the campaign.
+_SEEDS: Final = 3
 
 
 class _Readable(NamedTuple):
@@ -162,7 +175,7 @@ class Busy(Tested):
         """Return a lower tester for the node."""
         return BusyLowerTester(self)
 
-    def connection(self, testing: Any) -> VirtualUpperTester | None:
+    def connection(self, testing: UpperTesting) -> VirtualUpperTester | None:
         """Return the upper tester; None if the set-up has none."""
         return BusyUpper(self) if testing.there else None
 
@@ -224,3 +237,24 @@ class BusyUpper(VirtualUpperTester):
     def another(self) -> VirtualUpperTester | None:  # type: ignore[override]
         """Return a second connection."""
         return BusyUpper(self._machine)
+
+
+def busy(profile: str, load: Load, seed: int, **changes: Any) -> Setup:
+    """Return a set-up of the reference node on a busy machine; ``changes``: of :func:`~.variant.setup`."""
+    return setup(profile, surroundings=lambda made: Busy(made, load, seed=seed), **changes)
+
+
+def _variants() -> Iterator[Variant]:
+    for name, load in LOADS.items():
+        for seed in range(1, _SEEDS + 1):
+            yield Variant(
+                f"V-BUSY-{name}-{seed}",
+                f"and the tester are held up by a busy machine ({name}, seed {seed})",
+                "the specification has no time limits for reactions",
+                lambda profile, load=load, seed=seed: busy(profile, load, seed),  # type: ignore[misc]
+                # What the tester has not seen in time may be inconclusive.
+                explains=() if name == "mild" else (".",),
+            )
+
+
+VARIANTS = tuple(_variants())
