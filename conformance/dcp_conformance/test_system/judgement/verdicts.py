@@ -182,11 +182,16 @@ class Verdicts:
 
         A frame that other data have overtaken can be received after the check that it would have changed.
         """
-        return self._excuses.overtaken() or ("" if self._proved else self.lateness())
+        return self._excuses.overtaken() or ("" if self._proved else self._excuses.lateness())
 
-    def lateness(self) -> str:
-        """Describe delays of tester and implementation so far that may be the cause of a failure; empty without any."""
-        return self._excuses.lateness()
+    @property
+    def in_time(self) -> bool:
+        """Whether no delay was observed so far, so that stimuli in succession had their effect in succession.
+
+        For ``shown`` in checks that depend on this: after a delay, a record can be a late repetition of an earlier one,
+        or can have been sent between two stimuli.
+        """
+        return not self._excuses.lateness()
 
     def all_hold(self) -> bool:
         """Return whether no check of this case has failed so far."""

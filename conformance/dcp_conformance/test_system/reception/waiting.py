@@ -147,7 +147,6 @@ class Repetitions:
             came,
             *requirements,
             frames=found[:32],
-            # After a delay, a record may be a late repetition that a former stimulus has caused.
-            shown=len(found) > min(count, len(beacons)) and not self._verdicts.lateness(),
+            shown=len(found) > min(count, len(beacons)) and self._verdicts.in_time,
         )
         return found
