@@ -94,7 +94,9 @@ class Verdicts:
         decided = requirements or self._case.requirements
         excuse = self._excuses.find(decided, shown=bool(shown), numbers=numbers, patience=patience, field=field)
         if excuse is None:
-            self._proved = self._proved or bool(shown) or numbers
+            # After a missing reaction, the next one may be a late answer to the earlier stimulus.
+            first = all(each.verdict is not Verdict.FAIL for each in self.checks)
+            self._proved = self._proved or (first and (bool(shown) or numbers))
             self._add(Verdict.FAIL, expected, observed, requirements, frames, shown=bool(shown))
         else:
             text = f"{observed}; but {excuse.text}"
