@@ -131,9 +131,6 @@ class Teaching:
             return all(seen[create.spec.var_id] >= create.spec.rep_cnt for create in creates)
 
         self._waiting.until_quiet(present, since=start, complete=complete)
-        if not complete():
-            # An implementation that was not executed for a while has repetitions left, which later checks would count.
-            self._waiting.until_quiet(present, since=start, complete=complete)
         if missing := wanted - set(forwarded()):
             self.not_learnt(missing)
 
