@@ -66,11 +66,11 @@ def result_of(
 
 
 def doubted(check: Check, executions: int, why: str) -> Check:
-    """Return a failed check as inconclusive: it did not fail again in the last of so many further executions."""
+    """Return a failed check as inconclusive: it did not fail in each of so many further executions."""
     if check.verdict is not Verdict.FAIL:
         return check
-    again = "once" if executions == 1 else f"{executions} times"
-    observed = f"{check.observed}; but it did not fail again when the case was executed {again} more, and {why}"
+    each = "a further execution" if executions == 1 else f"each of {executions} further executions"
+    observed = f"{check.observed}; but it did not fail in {each}, and {why}"
     return msgspec.structs.replace(check, verdict=Verdict.INCONCLUSIVE, observed=observed)
 
 

@@ -265,15 +265,18 @@ class Runner:
         """
         if trial.verdict is not Verdict.FAIL or trial.loss is not None:
             return trial, 0
-        why, executions = trial.bench.verdicts.may_be_late, 0
-        while why and executions < CONFIRMATIONS:
+        why, executions, recurred = trial.bench.verdicts.may_be_late, 0, 0
+        while why and recurred < CONFIRMATIONS:
             again = self._trial(trial.case)
             if again.used_up and self.session.renewable:
                 again = self._trial_after_restart(again)
             executions += 1
             if again.loss is not None:
                 return again, executions
-            if not trial.failed & again.failed:
+            if trial.failed & again.failed:
+                recurred += 1
+            elif not again.disturbed or executions >= MOST_EXECUTIONS:
+                # An execution that the tester's own lateness leaves undecided shows nothing.
                 trial.checks = [doubted(each, executions, why) for each in trial.checks]
                 break
         return trial, executions

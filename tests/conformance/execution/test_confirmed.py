@@ -39,7 +39,7 @@ def run(late: Callable[[Bench], None], *fails: bool, shown: bool = False) -> Cas
 def test_a_failure_that_does_not_recur_is_inconclusive(late: Callable[[Bench], None]):
     result = run(late, True, False)
     assert (result.verdict, result.executions) == (Verdict.INCONCLUSIVE, 2)
-    assert "it did not fail again when the case was executed once more, and" in result.reason
+    assert "it did not fail in a further execution, and" in result.reason
 
 
 @pytest.mark.parametrize("late", [silent, held])
@@ -83,3 +83,17 @@ def test_wrong_octets_before_a_frame_that_was_overtaken_must_recur():
         bench.probes.probe()
 
     assert Rig().run(body).verdict is Verdict.INCONCLUSIVE
+
+
+def test_an_execution_that_is_undecided_shows_nothing():
+    """The tester was late in the second execution, so the failure is neither confirmed nor refuted by it."""
+    rig = Rig()
+
+    def body(bench: Bench, number: int) -> None:
+        silent(bench)
+        if number == 2:
+            rig.be_late(bench)
+        bench.check(False, "a reaction", "none")
+
+    result = rig.run(body)
+    assert (result.verdict, result.executions) == (Verdict.FAIL, 2 + CONFIRMATIONS)

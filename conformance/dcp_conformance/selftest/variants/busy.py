@@ -52,7 +52,7 @@ LOADS: Final = {
 """Loads by name. With ``mild`` nothing is longer than a third of the usual beacon period."""
 #: What the tester has not seen in time may be inconclusive.
 _LATE: Final = (
-    r"; but it did not fail again when the case was executed|; executed \d times$"
+    r"; but it did not fail in|; executed \d times$"
     r"|which this case needs: (none|room for|VARDIS-STATUS|BP-STATUS)|: a beacon in between in each attempt",
 )
 #: Number of seeds of each load in the campaign.
