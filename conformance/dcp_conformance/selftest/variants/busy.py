@@ -50,7 +50,7 @@ LOADS: Final = {
     "all-late": Load(tester=0.06, node=0.5, flight=0.3, longest_ms=800, longest_flight_ms=40, rare=0.01),
 }
 """Loads by name. With ``mild`` nothing is longer than a third of the usual beacon period."""
-#: What the tester has not seen in time may be inconclusive.
+#: Reasons for an inconclusive verdict on such a machine.
 _LATE: Final = (
     r"; but it did not fail in|; executed \d times$"
     r"|which this case needs: (none|room for|VARDIS-STATUS|BP-STATUS)|: a beacon in between in each attempt",
