@@ -65,6 +65,15 @@ def result_of(
     )
 
 
+def doubted(check: Check, executions: int, why: str) -> Check:
+    """Return a failed check as inconclusive: it did not fail in each of so many further executions."""
+    if check.verdict is not Verdict.FAIL:
+        return check
+    each = "a further execution" if executions == 1 else f"each of {executions} further executions"
+    observed = f"{check.observed}; but it did not fail in {each}, and {why}"
+    return msgspec.structs.replace(check, verdict=Verdict.INCONCLUSIVE, observed=observed)
+
+
 def _reason(checks: Iterable[Check], verdict: Verdict, executions: int) -> str:
     """Return the text of the check that decided the verdict; empty for a pass."""
     decisive = next((check for check in checks if check.verdict is verdict), None)

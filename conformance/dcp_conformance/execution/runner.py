@@ -25,7 +25,7 @@ from dcp_conformance.test_system.bench import Bench, Session
 from dcp_conformance.test_system.session import FLOOR
 
 from .body import delete_variables, recorded, run_body
-from .case_results import result_of
+from .case_results import doubted, result_of
 from .remarks import deaths_alike, executed_again, left_changed
 from .survival.attribution import Trial, attribute, blamed, came_back, with_failures_of
 from .survival.life import Life
@@ -41,6 +41,8 @@ DEACTIVATE = "BP-MGMT-Deactivate"
 _ALIVE = "the implementation is alive"
 #: Maximum number of executions of a case that only lateness or lost frames of the tester leave undecided.
 MOST_EXECUTIONS = 6
+#: Number of further executions in which a failure must recur that lateness may explain.
+CONFIRMATIONS = 2
 #: The JSON-RPC code for an internal error.
 _INTERNAL_ERROR = -32603
 
@@ -212,6 +214,8 @@ class Runner:
         if trial.used_up and self.session.renewable:
             trial = self._trial_after_restart(trial)
         trial, executions = self._undisturbed(trial)
+        trial, further = self._confirmed(trial)
+        executions += further
         if trial.loss is not None and not self._restartable:
             self._wait_for(trial)
         if trial.loss is None:
@@ -251,6 +255,30 @@ class Runner:
             if trial.verdict is Verdict.FAIL and again.verdict is not Verdict.FAIL and again.loss is None:
                 break
             trial = again
+        return trial, executions
+
+    def _confirmed(self, trial: Trial) -> tuple[Trial, int]:
+        """Execute a case again that failed because something was missing that may only be late.
+
+        The failure counts if it recurs in each execution, and is inconclusive otherwise. Return the execution that
+        counts, and the number of further executions.
+        """
+        if trial.verdict is not Verdict.FAIL or trial.loss is not None:
+            return trial, 0
+        why, executions, recurred = trial.bench.verdicts.may_be_late, 0, 0
+        while why and recurred < CONFIRMATIONS:
+            again = self._trial(trial.case)
+            if again.used_up and self.session.renewable:
+                again = self._trial_after_restart(again)
+            executions += 1
+            if again.loss is not None:
+                return again, executions
+            if trial.failed & again.failed:
+                recurred += 1
+            elif not again.disturbed or executions >= MOST_EXECUTIONS:
+                # An execution that the tester's own lateness leaves undecided shows nothing.
+                trial.checks = [doubted(each, executions, why) for each in trial.checks]
+                break
         return trial, executions
 
     def _trial_after_restart(self, trial: Trial) -> Trial:

@@ -14,6 +14,8 @@ from dcp_spec.profile.definition import Profile
 
 from dcp_codec.common.commandline import say
 from dcp_conformance.errors import ConformanceError
+from dcp_conformance.execution.case_results import doubted
+from dcp_conformance.execution.runner import CONFIRMATIONS
 from dcp_conformance.execution.signals import Stop
 from dcp_conformance.model.results import Check
 from dcp_conformance.model.verdict import Verdict, worst
@@ -74,6 +76,8 @@ def _has(profile: Profile, entity: str) -> bool:
 def run_cell(cell: Cell, test: NetworkTest, folder: Path | None = None, stop: Stop | None = None) -> CellResult:
     """Run a cell. ``folder``: for recordings and logs.
 
+    A failure on a machine that was too busy counts only if it recurs in each of some further executions.
+
     ``stop``: the handler of signals, which then interrupt the test only, and not the making or removal of its network.
     Raises ``KeyboardInterrupt`` after the removal.
     """
@@ -83,11 +87,35 @@ def run_cell(cell: Cell, test: NetworkTest, folder: Path | None = None, stop: St
     reason = obstacle(test, a, b, cell.world)
     if reason:
         return _result(cell, test, profile, Verdict.NOT_APPLICABLE, reason)
+    result, late = _run_once(cell, test, profile, folder, stop)
+    died = any(station.death for station in result.stations)
+    for number in range(1, CONFIRMATIONS + 1):
+        if result.verdict is not Verdict.FAIL or not late or died:
+            break
+        again, _ = _run_once(cell, test, profile, None, stop)
+        if not _failed(result) & _failed(again):
+            checks = [doubted(each, number, late) for each in result.checks]
+            verdict = worst(check.verdict for check in checks) or Verdict.INCONCLUSIVE
+            result = msgspec.structs.replace(
+                result, checks=tuple(checks), verdict=verdict, reason=_reason(checks, verdict)
+            )
+    return msgspec.structs.replace(result, elapsed_s=round(time.perf_counter() - began, 3))
+
+
+def _failed(result: CellResult) -> set[str]:
+    """Return the requirements of the failed checks."""
+    return {each for check in result.checks if check.verdict is Verdict.FAIL for each in check.requirements}
+
+
+def _run_once(
+    cell: Cell, test: NetworkTest, profile: str, folder: Path | None, stop: Stop | None
+) -> tuple[CellResult, str]:
+    """Run a cell once; return its result, and why the machine may have been too busy (empty if it was not)."""
     # Not before: most cells of a large matrix do not apply.
     try:
         world = _world(cell, test)
     except ConformanceError as error:
-        return _result(cell, test, profile, Verdict.ERROR, str(error))
+        return _result(cell, test, profile, Verdict.ERROR, str(error)), ""
     try:
         with nullcontext() if stop is None else stop.interruptible_by_signals():
             result = _play(cell, test, world, profile)
@@ -95,9 +123,9 @@ def run_cell(cell: Cell, test: NetworkTest, folder: Path | None = None, stop: St
             from .recording import write_recordings
 
             result = write_recordings(result, world, folder)
+        return result, world.lateness
     finally:
         world.close()
-    return msgspec.structs.replace(result, elapsed_s=round(time.perf_counter() - began, 3))
 
 
 def _world(cell: Cell, test: NetworkTest) -> World:

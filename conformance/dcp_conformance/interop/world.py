@@ -104,6 +104,11 @@ class World(Protocol):
         """The most seconds that are granted to stations for what they still have to work off."""
         ...
 
+    @property
+    def lateness(self) -> str:
+        """Why the machine may have been too busy for the stations or the recorder; empty if it was not."""
+        ...
+
     def now(self) -> int:
         """Return the time since the start."""
         ...

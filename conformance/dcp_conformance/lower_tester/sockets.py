@@ -21,6 +21,8 @@ _PATIENCE = 1_000_000_000
 _MOST_HELD = 100_000
 #: ms until the tester tries again to send to a full queue of an interface: there is no event for free space.
 _PAUSE = 5
+#: Maximum time in ns between two readings of the clocks, and maximum number of readings.
+_CLOCKS_APART, _CLOCK_READS = 100_000, 8
 #: Load for each processor from which what runs must wait for its turn for milliseconds.
 _OVERLOAD = 3
 
@@ -163,7 +165,7 @@ class SocketLowerTester:
                 raise self._gone(error) from None
             if found is not None:
                 octets, frame, sender, stamp = found
-                wall, now = time.time_ns(), time.monotonic_ns()
+                wall, now = _clocks()
                 wall_of_arrival = stamp or wall
                 # Never after now, and never before another that was read earlier, whatever the clocks do.
                 when = min(max(wall_of_arrival - wall + now, self._last), now)
@@ -205,6 +207,18 @@ class SocketLowerTester:
     def _release(self, old: socket.socket) -> None:
         """Close what was opened."""
         old.close()
+
+
+def _clocks() -> tuple[int, int]:
+    """Return the time since 1970 and the monotonic time of one moment, in ns.
+
+    They are read again if the process was not executed in between, which would make frames later than they were.
+    """
+    for _ in range(_CLOCK_READS):
+        before, wall, after = time.monotonic_ns(), time.time_ns(), time.monotonic_ns()
+        if after - before < _CLOCKS_APART:
+            break
+    return wall, after
 
 
 class Echoes:

@@ -93,8 +93,9 @@ class CaseResult(msgspec.Struct, frozen=True, kw_only=True):
     """Whether it counts as a case: repetitions of the sanity case do not."""
     attempt: int = 1
     executions: int = 1
-    """Number of executions; the result is that of the last one. It is above 1 if the only reason for an undecided case
-    was that the tester itself was late or lost frames."""
+    """Number of executions. It is above 1 if the only reason for an undecided case was that the tester itself was late
+    or lost frames: then the result is that of the last one. It is also above 1 if lateness may explain a failure, which
+    is inconclusive unless it recurs each time."""
     side_by_side: bool = False
     """Whether other cases were executed at the same time. Only a pass can be; all else is repeated alone."""
     short_period: float = 0.0

@@ -31,6 +31,16 @@ class Steps:
         """When the tester sent the last stimulus; None if a frame of the implementation was received since."""
         self.late_ns = 0
         """The longest delay of the tester before one of its steps, in ns; see :meth:`begin`."""
+        self.held_ns = 0
+        """The longest delay of the tester in ns, including late ends of waits and calls that took longer than usual."""
+        self.silence_ns = 0
+        """The longest time without a frame of the implementation, in ns, from its first frame or the first stimulus."""
+        self.overtaken_ns = 0
+        """The longest time in ns by which a frame was sent before the end of a wait that did not return it."""
+        self._waited_until = 0
+        """Time in ns until which waits have returned all frames, as far as the tester could know."""
+        self._heard: int | None = None
+        """Time of the last frame of the implementation, or of the first stimulus before any frame."""
 
     def begin(self) -> int:
         """Record that a step begins now, and return the time.
@@ -43,12 +53,22 @@ class Steps:
         now = self._clock.now()
         if self._ended is not None:
             self.late_ns = max(self.late_ns, now - self._ended)
+            self.held(now - self._ended)
         self._ended = now
         return now
 
     def end(self, time: int) -> None:
-        """Record that the current step ended at ``time``."""
+        """Record that the current step ended at ``time``; the tester notices it now."""
+        self.held(self._clock.now() - time)
         self._ended = time
+
+    def held(self, duration: int) -> None:
+        """Record that tester or implementation may have been held up for ``duration`` ns."""
+        self.held_ns = max(self.held_ns, duration)
+
+    def waited(self, until: int) -> None:
+        """Record that a wait has returned all frames that were sent before ``until``, and ended."""
+        self._waited_until = max(self._waited_until, until)
 
     def forget(self) -> None:
         """Do not count the time since the last step as lateness."""
@@ -57,11 +77,17 @@ class Steps:
     def stimulated(self) -> None:
         """Record that the tester has just sent a stimulus."""
         self._stimulus = self._clock.now()
+        if self._heard is None:
+            self._heard = self._stimulus
 
     def reacted(self, time: int) -> None:
         """Record that a frame of the implementation was received at ``time``."""
         if self._stimulus is not None and time >= self._stimulus:
             self._stimulus = None
+        if self._heard is not None:
+            self.silence_ns = max(self.silence_ns, time - self._heard)
+        self._heard = time
+        self.overtaken_ns = max(self.overtaken_ns, self._waited_until - time)
 
     @property
     def silent(self) -> bool:

@@ -149,6 +149,7 @@ class Run:
         self.creation_time = 0
         self.upper: Any = None
         self.call_times: deque[int] = deque()
+        self.typical_call = 0
         self.restart: Callable[[], None] | None = None
         self.switch_link: Callable[[bool], None] | None = None
         self.log: list[str] = []

@@ -32,6 +32,7 @@ SAMPLE = (
     "V-TYPE-var-seqno-2",
     "V-CLOCK-fast",
     "V-APP-client",
+    "V-BUSY-mild-1",
 )
 PROFILE = "dcp-2.0"
 

@@ -58,6 +58,11 @@ class Trial:
         return worst(check.verdict for check in self.checks) or Verdict.INCONCLUSIVE
 
     @property
+    def failed(self) -> frozenset[str]:
+        """The requirements of the failed checks."""
+        return frozenset(each for check in self.checks if check.verdict is Verdict.FAIL for each in check.requirements)
+
+    @property
     def disturbed(self) -> bool:
         """Whether only a disturbance of the tester (lateness, lost frames) left the case, or parts of it, undecided."""
         undecided = self.verdict in (Verdict.INCONCLUSIVE, Verdict.FAIL)

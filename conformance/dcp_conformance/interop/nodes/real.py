@@ -29,6 +29,8 @@ from .taps import Taps
 
 #: Seconds after which the world says what it waits for.
 _QUIET: Final = 3.0
+#: ns by which the recorder may be late; it looks every 20 ms.
+_HELD: Final = 50_000_000
 
 
 class RealWorld:
@@ -65,6 +67,8 @@ class RealWorld:
         self._on_wait = on_wait
         self._counters: dict[str, Any] = {}
         self._settled = False
+        self._held = self._lost = 0
+        """The longest time in ns until the recorder read a frame, and the number of frames that it lost."""
         self._directory = Path(tempfile.mkdtemp(prefix="dcp-it-"))
         self._closing.callback(shutil.rmtree, self._directory, ignore_errors=True)
         for number, (name, each, profile) in enumerate(stations):
@@ -173,9 +177,17 @@ class RealWorld:
             if isinstance(framing, OtherTraffic):
                 continue
             moment = now + (each.wall - wall) if each.wall else self.now()
+            self._held = max(self._held, self.now() - moment)
             last = self._sent[-1].time if self._sent else 0
             self._sent.append(Sent(max(moment, last), each.place, each.frame[framing.start : framing.end]))
             self._heard.add(each.place)
+
+    @property
+    def lateness(self) -> str:
+        """Why the machine may have been too busy; empty if it was not."""
+        if self._lost:
+            return f"the recorder lost {self._lost} frames"
+        return f"the recorder was held up for {self._held / 1e6:.0f} ms" if self._held > _HELD else ""
 
     def _watch(self) -> None:
         for station in self._stations:
@@ -256,6 +268,7 @@ class RealWorld:
             return
         self._settled = True
         self._listen(0.05)
+        self._lost += self._taps.lost()
         self._watch()
         for station in self._stations:
             station.stop()

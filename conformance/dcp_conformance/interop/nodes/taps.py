@@ -15,6 +15,7 @@ from dcp_conformance.errors import LowerTesterError
 _ETH_P_ALL: Final = 0x0003
 _SO_TIMESTAMPNS: Final = 35
 _PACKET_OUTGOING: Final = 4
+_SOL_PACKET, _PACKET_STATISTICS = 263, 6
 
 
 class Tapped(NamedTuple):
@@ -56,6 +57,11 @@ class Taps:
                         continue
                     found.append(Tapped(_stamp(extra), place, frame))
         return sorted(found)
+
+    def lost(self) -> int:
+        """Return the number of frames that the kernel has dropped since the last call."""
+        counters = (each.getsockopt(_SOL_PACKET, _PACKET_STATISTICS, 8) for each in self._sockets)
+        return sum(struct.unpack("II", each)[1] for each in counters)
 
     def close(self) -> None:
         """Close the sockets."""

@@ -65,6 +65,7 @@ class VirtualWorld:
     epoch = EPOCH
     patience = 1.0
     most_backlog = float("inf")
+    lateness = ""
 
     def __init__(self, setups: Sequence[tuple[str, Setup, Limits]], shape: Shape, seed: int = 1) -> None:
         """``setups``: for each place the name of its implementation, how it is made, and its limits."""

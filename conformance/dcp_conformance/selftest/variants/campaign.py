@@ -137,7 +137,7 @@ def judge(variant: Variant, profile: str, cases: Sequence[Case] | None = None) -
 def _results(variant: Variant, profile: str, cases: Sequence[Case] | None) -> list[CaseResult]:
     """Run the cases; return the last result of each, in the order of the run, and the passive rules that failed."""
     setup = variant.build(profile)
-    sut = Tested(setup)
+    sut = Tested(setup) if setup.surroundings is None else setup.surroundings(setup)
     session = Session(setup.config.codec, sut.lower_tester(), sut.connection(setup.upper), setup.pics)
     runner = Runner(session, sut)
     runner.prepare()

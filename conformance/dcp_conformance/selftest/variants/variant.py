@@ -77,6 +77,8 @@ class Setup:
     application: Callable[[], Application] | None = None
     clock: Callable[[int], int] = same_clock
     """Function of the monotonic time in ns; returns the offset of the node's wall clock from the tester's in ns."""
+    surroundings: Callable[[Setup], Any] | None = None
+    """Function that starts the node with its tester; None: :class:`~.surroundings.Tested`."""
 
 
 def anywhere(profile: Profile) -> bool:

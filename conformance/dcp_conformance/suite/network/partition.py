@@ -100,7 +100,7 @@ def both_directions(bench: Bench) -> None:
             f"no {kind.label} record of the variable with equal sequence numbers",
             f"{len(found)} records",
             "VD-PS-02",
-            shown=True,
+            shown=bench.verdicts.in_time,
         )
 
 

@@ -134,6 +134,14 @@ class Excuses:
         """Describe the faults of the tester or its link in this case."""
         return self._losses.of_tester()
 
+    def lateness(self) -> str:
+        """Describe delays of tester and implementation that are too short or too uncertain to be an excuse."""
+        return self._losses.lateness()
+
+    def overtaken(self) -> str:
+        """Describe frames that were received after data that were sent later; empty without any."""
+        return self._losses.overtaken()
+
     def assumed(self) -> str:
         """Return the texts of all assumptions of the case; empty if there are none."""
         return self._assumptions.text_of_all()

@@ -17,6 +17,8 @@ from .counting import Counting
 
 #: Larger gaps between sequence numbers are not losses: the implementation was restarted, or skips numbers itself.
 _LARGEST_GAP = 5
+#: Delays of the tester, and times without a beacon, from which a failure is confirmed; in beacon periods.
+_HELD, _SILENT = 0.25, 2
 
 
 class Losses:
@@ -64,8 +66,17 @@ class Losses:
         return sum(not each.to for each in self.take_incidents())
 
     def misleading(self) -> str:
-        """Describe effects of an impaired link after which even received data may be wrong; empty without any."""
-        return self._described(each for each in self.take_incidents() if each.misleads)
+        """Describe effects after which even received data may be wrong; empty without any.
+
+        These are effects of an impaired link, and frames that other data have overtaken on a busy machine: the case has
+        taken them for frames that were sent later.
+        """
+        return self._described(each for each in self.take_incidents() if each.misleads) or self.overtaken()
+
+    def overtaken(self) -> str:
+        """Describe the frame that other data have overtaken by the longest time; empty without any."""
+        late = self._steps.overtaken_ns
+        return f"a frame sent {late / MS:.1f} ms before the end of a wait was received after it" if late else ""
 
     def own(self, *, numbers: bool = False, patience: float = 1.0) -> str:
         """Describe everything that the tester has missed in this case; empty if nothing is known.
@@ -87,9 +98,18 @@ class Losses:
             faults.append(link)
         if self.dropped:
             faults.append(f"the kernel dropped {self.dropped} frames")
+        if not numbers and (overtaken := self.overtaken()):
+            faults.append(overtaken)
         if not numbers and self._steps.late_ns > patience * self._sut.period:
             faults.append(f"it acted late by {self._steps.late_ns / MS:.0f} ms")
         return faults
+
+    def lateness(self) -> str:
+        """Describe delays after which a reaction may have come too late for a wait of the case; empty without any."""
+        held, silence, period = self._steps.held_ns, self._steps.silence_ns, self._sut.period
+        if held > _HELD * period:
+            return f"tester or implementation were held up for {held / MS:.0f} ms"
+        return f"the implementation sent nothing for {silence / MS:.0f} ms" if silence > _SILENT * period else ""
 
     def explain_all(self, *, numbers: bool = False) -> bool:
         """Return whether faults of the tester explain everything that is missing, so that a repetition may succeed."""

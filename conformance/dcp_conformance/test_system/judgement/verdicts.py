@@ -56,6 +56,8 @@ class Verdicts:
         """Observed readings of disputed text, by identifier in the catalogue."""
         self._disturbed: set[int] = set()
         """Indices of the checks that only faults of the tester have left undecided."""
+        self._proved = False
+        """Whether received octets or sequence numbers prove a failure of this case."""
 
     def check(
         self,
@@ -92,6 +94,9 @@ class Verdicts:
         decided = requirements or self._case.requirements
         excuse = self._excuses.find(decided, shown=bool(shown), numbers=numbers, patience=patience, field=field)
         if excuse is None:
+            # After a missing reaction, the next one may be a late answer to the earlier stimulus.
+            first = all(each.verdict is not Verdict.FAIL for each in self.checks)
+            self._proved = self._proved or (first and (bool(shown) or numbers))
             self._add(Verdict.FAIL, expected, observed, requirements, frames, shown=bool(shown))
         else:
             text = f"{observed}; but {excuse.text}"
@@ -172,6 +177,23 @@ class Verdicts:
             self.check(False, f"{identifier}: {entry.title}: {declared}, as declared in the PICS", observed)
             return
         self._add(Verdict.INFO, f"{identifier}: {entry.title}", observed, (), ())
+
+    @property
+    def may_be_late(self) -> str:
+        """Why all failures of this case may follow from delays; empty if one is proved, or there was none.
+
+        A frame that other data have overtaken can be received after the check that it would have changed.
+        """
+        return self._excuses.overtaken() or ("" if self._proved else self._excuses.lateness())
+
+    @property
+    def in_time(self) -> bool:
+        """Whether no delay was observed so far, so that stimuli in succession had their effect in succession.
+
+        For ``shown`` in checks that depend on this: after a delay, a record can be a late repetition of an earlier one,
+        or can have been sent between two stimuli.
+        """
+        return not self._excuses.lateness()
 
     def all_hold(self) -> bool:
         """Return whether no check of this case has failed so far."""

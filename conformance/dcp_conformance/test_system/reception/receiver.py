@@ -70,6 +70,7 @@ class Receiver:
             if arrival is None:
                 if now >= deadline:
                     steps.end(max(begun, deadline))
+                    steps.waited(deadline)
                     return
                 continue
             heard = self._take(arrival)

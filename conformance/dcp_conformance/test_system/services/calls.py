@@ -25,6 +25,11 @@ class RunServices(Protocol):
     upper: UpperTester | None
     call_times: deque[int]
 
+    @property
+    def typical_call(self) -> int:
+        """The median duration of calls in ns."""
+        ...
+
     def called(self, method: str, params: Mapping[str, Any], case: str) -> None:
         """Take a call into account that is about to be made."""
         ...
@@ -95,6 +100,7 @@ class Services:
         link.take_in()
         ended = link.now()
         self._steps.end(ended)
+        self._steps.held(ended - begun - self._run.typical_call)
         if answer.ok:
             self._run.call_times.append(ended - begun)
         self._steps.stimulated()

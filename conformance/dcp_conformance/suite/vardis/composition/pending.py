@@ -33,7 +33,7 @@ def _check_once(bench: Bench, attempt: Callable[[], bool], expected: str, observ
         bench.inconclusive(
             expected, f"{observed}; but it processes received payloads one at a time and may answer in between"
         )
-    bench.check(right, expected, observed, shown=True)
+    bench.check(right, expected, observed, shown=bench.verdicts.in_time)
 
 
 @case(
