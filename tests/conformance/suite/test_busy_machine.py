@@ -1,4 +1,4 @@
-"""Lateness accuses nobody: cases on a busy machine in virtual time, where tester, node and frames are held up."""
+"""Lateness fails no conforming node: a busy machine in virtual time, where tester, node and frames are held up."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def wrong(found: Sequence[CaseResult]) -> list[tuple[str, str]]:
 
 @pytest.mark.parametrize("upper", [True, False], ids=["upper", "wire"])
 @pytest.mark.parametrize("load", LOADS)
-def test_nobody_fails_for_being_late(load: str, upper: bool):
+def test_no_case_fails_for_lateness(load: str, upper: bool):
     found = results(LOADS[load], 1 + list(LOADS).index(load), upper=upper)
     assert wrong(found) == []
     undecided = [(each.id, each.reason) for each in found if each.verdict is Verdict.INCONCLUSIVE]
