@@ -58,9 +58,10 @@ class Trial:
         return worst(check.verdict for check in self.checks) or Verdict.INCONCLUSIVE
 
     @property
-    def failed(self) -> frozenset[str]:
-        """The requirements of the failed checks."""
-        return frozenset(each for check in self.checks if check.verdict is Verdict.FAIL for each in check.requirements)
+    def failed(self) -> frozenset[tuple[int, str]]:
+        """The requirements of the failed checks, each with the place of its check in the case."""
+        failed = ((place, each) for place, each in enumerate(self.checks) if each.verdict is Verdict.FAIL)
+        return frozenset((place, each) for place, check in failed for each in check.requirements)
 
     @property
     def disturbed(self) -> bool:
