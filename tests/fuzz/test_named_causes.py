@@ -53,7 +53,7 @@ def campaign_on(make, generator, seed=1) -> Campaign:
     return Campaign(CODEC, target, generator, saved, seed, by_cause=True, budget=200, fresh=target.run_after_restart)
 
 
-@pytest.mark.parametrize("seed", every(5, SEEDS))
+@pytest.mark.parametrize("seed", every(10, SEEDS))
 @pytest.mark.parametrize("fault", FAULTS)
 def test_the_deadly_anomaly_is_named_and_is_the_only_one_kept(fault, seed):
     make = make_of(deadly=[fault]) if seed % 2 else make_of(silent=[fault])
@@ -72,7 +72,7 @@ def test_the_deadly_anomaly_is_named_and_is_the_only_one_kept(fault, seed):
     assert campaign.target.restarts <= 12
 
 
-@pytest.mark.parametrize("seed", every(5, SEEDS))
+@pytest.mark.parametrize("seed", every(10, SEEDS))
 @pytest.mark.parametrize(
     ("mutant", "fault"),
     [

@@ -120,6 +120,7 @@ class TestExitStatus:
         # The tester was not asked to start it, so it does not wait.
         assert f"unix:{tmp_path}/node.sock: there is no such socket; is the implementation running" in done.err
 
+    @pytest.mark.part("links")
     def test_4_the_start_command_fails_later(
         self, dcp_conformance: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ):

@@ -32,6 +32,7 @@ class Hanging:
         """There are no notifications."""
 
 
+@pytest.mark.part("links")
 def test_a_method_without_an_answer_is_called_once(tmp_path: Path) -> None:
     station = Station(0, "", ["false"], "unix:x", tmp_path / "log", 1.0)
     upper = Hanging()

@@ -15,6 +15,8 @@ from dcp_codec.common.processes import started_at
 
 from ...waiting import PATIENCE
 
+pytestmark = pytest.mark.part("links")
+
 #: Seconds that what must come may take on a busy machine.
 FILE = """
 name = "fake tools"
@@ -188,7 +190,6 @@ def runs(pid: int, deadline: float) -> bool:
     return there
 
 
-@pytest.mark.part("links")
 def test_commands_that_hang_flood_or_die(tools, tmp_path):
     begun = time.monotonic()
     usual = tools.path.read_text()

@@ -21,6 +21,8 @@ from dcp_conformance.upper_tester.stream import DROPPED, MOST_NOTIFICATIONS
 
 from ...waiting import PATIENCE
 
+pytestmark = pytest.mark.part("links")
+
 
 def open_upper(spec: str, patience: float = PATIENCE, **keys: bool) -> uppers.Reconnecting:
     """An upper tester that waits for a program as long as the machine takes to start it."""
@@ -144,7 +146,6 @@ def test_a_status_that_the_specification_lacks_is_an_answer_of_the_implementatio
         upper.close()
 
 
-@pytest.mark.part("links")
 def test_a_program_that_hangs(tmp_path):
     waiting = f"while not pathlib.Path({str(tmp_path / 'go')!r}).exists(): time.sleep(0.01)"
     code = f"import pathlib\ndef other(r):\n    {waiting}\n    say(id=r['id'], result=hello)"
@@ -165,7 +166,6 @@ def test_a_program_that_hangs(tmp_path):
         upper.close()
 
 
-@pytest.mark.part("links")
 def test_endless_output_counts_as_hanging(tmp_path):
     upper = open_upper(adapter(tmp_path, "def other(r):\n    while True: say(method='M', params={})"))
     try:
@@ -202,7 +202,6 @@ def test_a_program_that_dies(tmp_path, death):
         upper.close()
 
 
-@pytest.mark.part("links")
 def test_the_end_of_a_program_is_noticed_while_waiting(tmp_path):
     code = "def other(r): say(id=r['id'], result={'status': 'BP-STATUS-OK'}); sys.exit(4)"
     upper = open_upper(adapter(tmp_path, code))
@@ -225,7 +224,6 @@ def test_a_program_that_dies_at_once():
         open_upper("exec:false")
 
 
-@pytest.mark.part("links")
 def test_an_echo():
     begun = time.monotonic()
     with pytest.raises(UpperTesterError, match=r"exec:cat: sends a request instead of answering one: .* is it an echo"):
@@ -248,7 +246,6 @@ def test_a_line_without_end(tmp_path):
         upper.close()
 
 
-@pytest.mark.part("links")
 def test_a_program_that_reads_no_input(tmp_path):
     code = "def other(r): time.sleep(3600)"
     upper = open_upper(adapter(tmp_path, code))
@@ -266,7 +263,6 @@ def test_a_program_that_reads_no_input(tmp_path):
         assert time.monotonic() - begun < PATIENCE
 
 
-@pytest.mark.part("links")
 def test_nothing_is_left_of_a_program(tmp_path):
     code = "import subprocess\nchild = subprocess.Popen(['sleep', '600'])\nhello['version'] = str(child.pid)"
     upper = open_upper(adapter(tmp_path, code))

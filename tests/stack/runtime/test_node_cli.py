@@ -200,6 +200,7 @@ def test_without_a_path_the_usual_places_are_searched(run, tmp_path, monkeypatch
     assert "start one with 'dcp-node run'" in shown.err
 
 
+@pytest.mark.part("links")
 def test_waiting_for_a_node_that_never_starts(run, tmp_path):
     shown = run("wait", "--timeout", "0.1", "--control", tmp_path / "none.sock")
     assert shown.status == 3
