@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from types import SimpleNamespace
 
+import pytest
 from dcp_conformance.errors import NoAnswerError
 from dcp_conformance.interop import matrix
 from dcp_conformance.interop.cell import Cell
