@@ -13,6 +13,6 @@ FACTOR = int(os.environ.get("DCP_EXAMPLES", "5"))
 def examples(number: int) -> int:
     """``number`` of examples for a run that draws new ones, times ``FACTOR``.
 
-    A run that draws the same ones each time finds nothing new by drawing many: it takes half of the number.
+    A run that draws the same ones each time finds nothing new by drawing many: it takes a quarter of the number.
     """
-    return number * FACTOR if FRESH else (number + 1) // 2
+    return number * FACTOR if FRESH else (number + 3) // 4

@@ -21,4 +21,8 @@ def also(part: str, *values: Any) -> list[Any]:
 
 def every(step: int, values: Iterable[Any], part: str = "suite") -> list[Any]:
     """``values``, of which each ``step``-th belongs to the part of the test, and the others to ``part``."""
-    return [each if number % step == 0 else also(part, each)[0] for number, each in enumerate(values)]
+    # Parameters that have a mark keep it.
+    return [
+        each if number % step == 0 or hasattr(each, "marks") else also(part, each)[0]
+        for number, each in enumerate(values)
+    ]

@@ -58,6 +58,7 @@ def test_a_dry_run_writes_the_frames(tmp_path):
     assert len(frames) > 20
 
 
+@pytest.mark.part("tools")
 def test_findings_are_saved_and_replayed_and_campaigns_resumed(tmp_path):
     folder = tmp_path / "findings"
     options = ("--seed", "1", "--artefacts", str(folder), "--mutant", "M-BP-RX-15-dies")
@@ -91,6 +92,7 @@ def test_findings_are_saved_and_replayed_and_campaigns_resumed(tmp_path):
     assert len(state["findings"]) == 1
 
 
+@pytest.mark.part("tools")
 def test_coverage_is_written_with_missing_pairs(tmp_path):
     path = tmp_path / "coverage.json"
     done = fuzz("stack", "--max-cases", "5", "--coverage", str(path))
@@ -106,6 +108,7 @@ def test_coverage_is_written_with_missing_pairs(tmp_path):
     assert "1 cases" in done.stdout
 
 
+@pytest.mark.part("tools")
 def test_a_recording_and_lines_of_code_guide(tmp_path):
     out = tmp_path / "frames.mcap"
     assert fuzz("stack", "--dry-run", "--max-cases", "20", "--out", str(out)).returncode == 0

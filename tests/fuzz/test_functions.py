@@ -24,6 +24,7 @@ def target():
     made.close()
 
 
+@pytest.mark.part("suite")
 @pytest.mark.parametrize(
     ("part", "cases"), [("beacon", 2000), ("capture", 600), ("control", 800), ("profile", 60), ("pics", 150)]
 )

@@ -306,6 +306,7 @@ def test_late_records_of_a_variable_that_timed_out_may_follow_its_new_creation()
     assert StackTarget(CODEC).run(steps) is None
 
 
+@pytest.mark.part("suite")
 @pytest.mark.parametrize(("mutant", "kind"), [("M-VD-PD-04-ignored", "state"), ("M-VD-ROB-01-dies-of-type", "raised")])
 def test_a_soaked_node_is_compared_in_epochs(mutant: str, kind: str):
     def soaked(make: Any) -> tuple[Soak, str]:

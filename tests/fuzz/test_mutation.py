@@ -11,9 +11,10 @@ from dcp_codec.testing.mutation import FIELD_CLASSES, STRUCTURE_CLASSES, Mutator
 from dcp_codec.testing.mutation_values import ValidValues, valid_beacons
 
 from ..odd_profiles import BUILT_IN
+from ..parts import every
 
 
-@pytest.fixture(params=BUILT_IN)
+@pytest.fixture(params=every(4, BUILT_IN))
 def codec(request) -> Codec:
     return Codec(request.param)
 

@@ -112,6 +112,7 @@ def test_page(run, tmp_path):
     assert len(text) < 2_000_000
 
 
+@pytest.mark.part("tables")
 def test_every_colour_of_a_plot_is_one_of_the_scheme():
     """Or the script of the page could not exchange it."""
     text = json.dumps(items(render([chapter(gather(str(CAPTURES / "c_latejoin.mcap"), "cpp-2.0", None))])))
@@ -148,6 +149,7 @@ class TestAccess:
         assert page.text.count("In words") >= 8
 
 
+@pytest.mark.part("tables")
 class TestTwoFlights:
     def test_side_by_side(self, run, tmp_path):
         page = tmp_path / "page.html"
@@ -181,6 +183,7 @@ def axis(plot: dict[str, Any], name: str) -> dict[str, Any]:
     return found
 
 
+@pytest.mark.part("tables")
 class TestLongRecordings:
     def test_numbers_rise_and_the_number_of_drawn_points_is_stated(self, tmp_path):
         """The aliasing of a recording of hours, from a hundred thousand updates of an 8-bit number."""
@@ -229,6 +232,7 @@ class TestLongRecordings:
         assert size(chapter(recorded)) < 900_000
 
 
+@pytest.mark.part("tables")
 class TestCommands:
     def test_each_anomaly_has_one_that_works(self, run, tmp_path, capsys):
         path = record(tmp_path / "a b.pcap", steady(1, 3, skipped=[7, 8]), damaged=[0.55])
@@ -317,6 +321,7 @@ def test_time_that_goes_backwards(tmp_path):
     assert self_contained(render([chapter(recorded)]))
 
 
+@pytest.mark.part("tables")
 def test_a_clock_that_was_set_back_is_reported(tmp_path):
     path = tmp_path / "a.pcap"
     envelope = Envelope(CODEC.profile.link)
@@ -358,6 +363,7 @@ def test_damage_is_shown(run, tmp_path):
     assert path.name in done.err
 
 
+@pytest.mark.part("tables")
 @pytest.mark.parametrize(
     ("sent", "damaged", "words"),
     [
@@ -406,6 +412,7 @@ def test_profiles_without_optional_fields(profile, tmp_path):
     assert self_contained(render([chapter(recorded)]))
 
 
+@pytest.mark.part("tables")
 def test_several_recordings_are_chapters(run, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     paths = [record(tmp_path / f"{node}.pcap", steady(node, 2)) for node in (1, 2, 3)]
@@ -417,6 +424,7 @@ def test_several_recordings_are_chapters(run, tmp_path, monkeypatch):
     assert {plot["group"] for plot in items(text).values()} == {"01", "02", "03"}
 
 
+@pytest.mark.part("tables")
 def test_refusals(run, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     path = record(tmp_path / "a.pcap", steady(1, 1))

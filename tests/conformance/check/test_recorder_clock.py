@@ -31,6 +31,7 @@ def test_a_step_back_counts_as_the_preceding_interval() -> None:
     assert [clock.time(each) for each in (1000, 1030, 500, 540)] == [1000, 1030, 1060, 1100]
 
 
+@pytest.mark.part("suite")
 @pytest.mark.parametrize("number", [248, 354])
 def test_a_beacon_that_was_not_recorded_stays_missing(number: int) -> None:
     """After the step, a record from before it looked later than the gap, and so as if no beacon had been missed since:

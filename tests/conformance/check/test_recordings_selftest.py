@@ -18,6 +18,7 @@ from ..air import case_of, findings, judged
 DRAW = (0, 3, 5, 6, 7, 11)
 
 
+@pytest.mark.part("suite")
 def test_networks_without_a_fault_have_no_findings():
     result = clean(DRAW)
     assert result.false == ()

@@ -78,6 +78,7 @@ class TestGoldens:
 
 
 class TestWhatIsFound:
+    @pytest.mark.part("suite")
     @pytest.mark.parametrize(
         ("mutant", "named"),
         [

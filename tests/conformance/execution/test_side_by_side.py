@@ -139,6 +139,7 @@ def test_a_signal_ends_the_run_with_its_results_and_deregisters_everything(monke
     assert {entry["protocolId"] for entry in left} <= {1, 2}
 
 
+@pytest.mark.part("suite")
 def test_live_cases_never_share_an_identifier(monkeypatch) -> None:
     clashes: list[set[int]] = []
     account = SideBySide._account

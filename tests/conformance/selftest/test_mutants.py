@@ -244,6 +244,7 @@ def test_the_matrix_does_not_depend_on_time_and_names_survivors():
 # -- the command -------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.part("suite")
 @pytest.mark.parametrize("width", [60, pytest.param(160, marks=pytest.mark.part("suite"))])
 def test_command(tmp_path, width):
     arguments = [EQUAL, "--profile", "dcp-2.0", "--jobs", "1", "--report-dir", str(tmp_path)]

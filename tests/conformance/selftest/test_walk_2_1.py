@@ -65,6 +65,7 @@ def test_a_scenario_gives_the_new_field(walk: Walk) -> None:
     assert not found["failed"]
 
 
+@pytest.mark.part("suite")
 def test_every_case_for_the_latest_version_applies_and_passes(walk: Walk) -> None:
     found = walk("suite")
     assert found["not fine"] == []

@@ -564,6 +564,7 @@ SERVICES: list[tuple[type[Wrong], str, str]] = [
 ]
 
 
+@pytest.mark.part("suite")
 @pytest.mark.parametrize(
     ("wrong", "case_id", "requirement"),
     [

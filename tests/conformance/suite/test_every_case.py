@@ -23,8 +23,8 @@ VARIANTS = {
     if base not in (DECLARED, DENIED)
 }
 WIRE_PROFILES = ("dcp-1.0", "dcp-1.2", "dcp-1.3", "dcp-2.0", "cpp-2.0")
-#: The versions of the specification, and one profile with the wire format of an implementation.
-VERSIONS = ("dcp-2.0", "dcp-1.3", "dcp-1.2", "dcp-1.1", "dcp-1.0", "cpp-2.0")
+#: The versions of the specification.
+VERSIONS = ("dcp-2.0", "dcp-1.3", "dcp-1.2", "dcp-1.1", "dcp-1.0")
 FINE = frozenset((Verdict.PASS, Verdict.NOT_APPLICABLE))
 #: Cases that only report what the specification leaves open and the PICS does not state, without their variants.
 OPEN = frozenset(

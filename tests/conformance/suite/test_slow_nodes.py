@@ -33,6 +33,7 @@ MOST_UNDECIDED = 8
 TOO_SLOW_FOR_A_GAP = "between two beacons: a beacon in between in each attempt; calls take up to 500 ms"
 
 
+@pytest.mark.part("suite")
 @pytest.mark.parametrize(
     ("how", "profile"),
     every(

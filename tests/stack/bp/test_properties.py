@@ -15,6 +15,7 @@ from dcp_codec.testing import strategies
 from dcp_stack.drops import DROPS
 from dcp_stack.effects import Dropped, PayloadReceived
 
+from ...parts import every
 from ..bp_rig import DROPHEAD, DROPTAIL, ME, MS, OK, ONCE, OTHER, PROFILES, QUEUE, REPEAT, Rig
 
 CLIENTS = (1, 2, 3, 4, 5)
@@ -226,7 +227,7 @@ READINGS = st.sampled_from(("length-field", "frame-size"))
 
 
 @pytest.mark.req("BP-RX-16")
-@pytest.mark.parametrize("profile", PROFILES)
+@pytest.mark.parametrize("profile", every(4, PROFILES))
 @given(octets=st.binary(max_size=80), reading=READINGS)
 @example(octets=b"", reading="length-field")
 @example(octets=b"", reading="frame-size")
@@ -236,7 +237,7 @@ def test_any_octets(profile, octets, reading):
 
 @pytest.mark.req("BP-RX-16")
 @pytest.mark.req("BP-RX-09")
-@pytest.mark.parametrize("profile", PROFILES)
+@pytest.mark.parametrize("profile", every(4, PROFILES))
 @given(data=st.data(), reading=READINGS)
 def test_damaged_beacons(profile, data, reading):
     codec = get_codec(profile)
@@ -247,7 +248,7 @@ def test_damaged_beacons(profile, data, reading):
     survives(rig, data.draw(strategies.mutations(good, codec.dissect)))
 
 
-@pytest.mark.parametrize("profile", PROFILES)
+@pytest.mark.parametrize("profile", every(4, PROFILES))
 @given(data=st.data())
 def test_every_envelope_of_another_node_is_delivered(profile, data):
     codec = get_codec(profile)
@@ -266,7 +267,7 @@ def test_every_envelope_of_another_node_is_delivered(profile, data):
 
 @pytest.mark.req("BP-RX-14")
 @given(padding=st.binary(min_size=1, max_size=60), blocks=st.lists(st.binary(min_size=1, max_size=20), max_size=5))
-@pytest.mark.parametrize("profile", [profile for profile in PROFILES if profile != "student-2024"])
+@pytest.mark.parametrize("profile", every(4, [profile for profile in PROFILES if profile != "student-2024"]))
 def test_any_padding_is_ignored(profile, padding, blocks):
     rig = listening(profile)
     blocks = [(1, block) for block in (b"first", *blocks)]

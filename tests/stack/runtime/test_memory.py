@@ -5,7 +5,10 @@ from __future__ import annotations
 import subprocess
 import sys
 
+import pytest
 
+
+@pytest.mark.part("tools")
 def test_live_objects_survive_the_freezing_of_memory():
     """In a process of its own: the collector is frozen, and pages move."""
     program = (

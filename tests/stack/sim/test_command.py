@@ -168,6 +168,7 @@ def test_a_recording_of_the_medium_claims_nothing_about_losses(run, tmp_path, ca
     assert own["02:00:00:00:00:01"]["lost"] > 5
 
 
+@pytest.mark.part("tables")
 @pytest.mark.parametrize("vantage", ["medium", "node"])
 def test_the_page_of_a_recording_of_the_medium_claims_nothing_about_losses(run, tmp_path, vantage):
     pytest.importorskip("bokeh")

@@ -73,6 +73,7 @@ def mean(report, kind: str = "update") -> float:
 
 
 class TestFormerErrors:
+    @pytest.mark.part("suite")
     def test_a_link_of_60_s_is_not_one_of_9_s(self):
         """followed.toml: 256 updates later the sequence number is the same again."""
         events = [event for variable in range(10) for event in updates(0, variable, start=1, every=0.1)]
@@ -86,6 +87,7 @@ class TestFormerErrors:
         assert found.report.values.wrapped == 30
         assert any("sequence numbers wrapped 30 times" in note for note in found.report.values.notes)
 
+    @pytest.mark.part("suite")
     def test_many_concurrent_values_are_all_followed(self):
         """followed3.toml: more values are under way than were followed."""
         events = [event for variable in range(50) for event in updates(0, variable, start=1, every=0.2)]
@@ -115,6 +117,7 @@ class TestFormerErrors:
             )
             assert {row.hops for row in found.delays} == distances
 
+    @pytest.mark.part("suite")
     def test_consistency_under_continuous_updates(self):
         """grid5-l2.toml: a lossless grid of 25 in which each node updates a variable every two seconds."""
         events = [event for node in range(25) for event in updates(node, node, start=1 + node * 2 / 25, every=2)]

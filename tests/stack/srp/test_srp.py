@@ -21,6 +21,8 @@ from dcp_stack.effects import Dropped, NeighbourExpired, NeighbourSeen
 from dcp_stack.positions.fields import FieldError
 from dcp_stack.srp.entity import TIMEOUT, NotInitializedError, StateReporting
 
+from ...parts import every
+
 OWN = bytes.fromhex("0200000000aa")
 OTHER = bytes.fromhex("0200000000bb")
 THIRD = bytes.fromhex("0200000000cc")
@@ -313,7 +315,7 @@ def test_simulation_stamps_count_from_the_creation_of_the_node():
 
 
 @pytest.mark.req("SRP-TYP-02")
-@pytest.mark.parametrize("profile", PROFILES)
+@pytest.mark.parametrize("profile", every(4, PROFILES))
 @given(data=st.data())
 def test_all_reports_have_one_size(profile, data):
     bench = Bench(profile)
@@ -580,7 +582,7 @@ def test_the_shown_limit_is_the_effective_one(profile, given, effective):
 
 
 @pytest.mark.req("SRP-RX-01")
-@pytest.mark.parametrize("profile", PROFILES)
+@pytest.mark.parametrize("profile", every(4, PROFILES))
 @given(data=st.data())
 def test_no_octets_raise(profile, data):
     bench = Bench(profile, max_neighbours=3)
@@ -605,7 +607,7 @@ def test_no_octets_raise(profile, data):
         table.delay(entry)
 
 
-@pytest.mark.parametrize("profile", PROFILES)
+@pytest.mark.parametrize("profile", every(4, PROFILES))
 @given(data=st.data())
 def test_valid_reports_are_stored_unchanged(profile, data):
     bench = Bench(profile)

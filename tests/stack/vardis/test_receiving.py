@@ -12,6 +12,7 @@ from dcp_codec import get_codec
 from dcp_codec.testing import strategies
 from dcp_stack.effects import Dropped, VariableChanged
 
+from ...parts import every
 from ..vardis_rig import (
     ME,
     OTHER,
@@ -398,7 +399,7 @@ def works(rig: Rig) -> None:
 
 
 @pytest.mark.req("VD-ROB-01")
-@pytest.mark.parametrize("profile", PROFILES)
+@pytest.mark.parametrize("profile", every(4, PROFILES))
 @pytest.mark.parametrize("policy", POLICIES)
 @given(data=st.data())
 def test_arbitrary_octets(profile: str, policy: str, data: st.DataObject) -> None:
@@ -410,7 +411,7 @@ def test_arbitrary_octets(profile: str, policy: str, data: st.DataObject) -> Non
 
 @pytest.mark.req("VD-ROB-01")
 @pytest.mark.req("VD-RX-07")
-@pytest.mark.parametrize("profile", PROFILES)
+@pytest.mark.parametrize("profile", every(4, PROFILES))
 @given(data=st.data())
 def test_mutated_payloads(profile: str, data: st.DataObject) -> None:
     codec = get_codec(profile)
