@@ -30,7 +30,7 @@ demo: $(DEMO)
 	@$(BIN)/dcp-conformance run --report-dir demo-report
 
 test: lint
-	$(PYTEST) --part core
+	$(PYTEST) --part=core
 
 lint: $(STAMP)
 	$(BIN)/ruff check --quiet .
@@ -43,11 +43,11 @@ test-all: test-suite test-tools test-tables test-links
 test-tools: $(KAITAI)
 
 test-suite test-tools test-tables: $(STAMP)
-	$(PYTEST) --part $(@:test-%=%)
+	$(PYTEST) --part=$(@:test-%=%)
 
 # Tests in real time wait more than they compute, hence more of them at a time.
 test-links: $(STAMP)
-	$(PYTEST) -n 4 --dist loadfile --part links
+	$(PYTEST) -n 4 --dist loadfile --part=links
 
 FOR  ?= 3600
 N    ?= 10

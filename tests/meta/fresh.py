@@ -42,7 +42,7 @@ def command_of(seed: int, examples: int, tests: list[str]) -> tuple[dict[str, st
         "PYTHONHASHSEED": str(seed),
     }
     pytest = [str(Path(sys.executable).parent / "pytest"), "-q", "-x", "-n", "auto", "-p", "no:cacheprovider"]
-    pytest += [each for part in ("core", "suite", "tools", "tables") for each in ("--part", part)]
+    pytest += [f"--part={part}" for part in ("core", "suite", "tools", "tables")]
     return variables, [*pytest, f"--hypothesis-seed={seed}", f"--shuffle={seed}", *tests]
 
 

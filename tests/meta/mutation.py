@@ -142,10 +142,10 @@ class Clone:
         listed = self.folder / ".git" / "items"
         listed.write_text("\n".join(items))
         files = sorted({each.partition("::")[0] for each in items})
-        command = [".venv/bin/pytest", "-q", "-x", "-p", "no:cacheprovider", "-p", "mutation", "--only", str(listed)]
-        command += [each for part in parts for each in ("--part", part)]
+        command = [".venv/bin/pytest", "-q", "-x", "-p", "no:cacheprovider", "-p", "mutation", f"--only={listed}"]
+        command += [f"--part={part}" for part in parts]
         if parts == ("links",):
-            command = [".venv/bin/pytest", "-q", "-x", "-n", "4", "--dist", "loadfile", "--part", "links"]
+            command = [".venv/bin/pytest", "-q", "-x", "-n", "4", "--dist", "loadfile", "--part=links"]
         status, output = self.run(["env", "PYTHONPATH=tests/meta", *command, *files])
         if status in (0, 5):
             return ""
