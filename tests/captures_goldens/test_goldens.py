@@ -200,6 +200,7 @@ def test_an_unusable_manifest_is_an_error(tmp_path, capsys):
 # -- building them ------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.part("tools")
 def test_building_twice_gives_the_same_octets(tmp_path):
     built = []
     for name in ("one", "two"):

@@ -133,6 +133,7 @@ def mixed_with(rng: random.Random, fault: str) -> list[Frame]:
     return [mixed(rng, fault) for _ in range(3)]
 
 
+@pytest.mark.part("suite")
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_findings_of_one_fault_are_one_cause_and_all_faults_are_found_soon(seed):
     """A node with seven faults: seven causes come out, however many fields there are to cut a record at."""
@@ -167,27 +168,30 @@ def found_in_process(mutant: str, findings: int = 2) -> Campaign:
 
 @pytest.mark.parametrize(
     ("mutant", "requirement"),
-    [
-        ("M-BP-RX-07-first-only", "BP-RX-07"),
-        ("M-BP-RX-07-one-of-each", "BP-RX-07"),
-        ("M-VD-RX-04-octets", "VD-RX-04"),
-        ("M-VD-RX-04-first-half", "VD-RX-04"),
-        ("M-VD-RX-08-updates-first", "VD-RX-08"),
-        ("M-VD-RX-08-deletes-first", "VD-RX-08"),
-        ("M-VD-RX-09-first-record", "VD-RX-09"),
-        ("M-VD-PC-03-taken", "VD-PC-03"),
-        ("M-VD-PC-05-empty-description", "VD-PC-05"),
-        ("M-VD-PC-06-zero", "VD-PC-06"),
-        ("M-VD-PD-03-own", "VD-PD-03"),
-        ("M-VD-PD-04-ignored", "VD-PD-04"),
-        ("M-VD-PU-02-revived", "VD-PU-02"),
-        ("M-VD-PU-03-own", "VD-PU-03"),
-        ("M-VD-PU-05-stored", "VD-PU-05"),
-        ("M-VD-PU-06-stored", "VD-PU-06"),
-        ("M-VD-PS-04-not-requested", "VD-PS-04"),
-        ("M-VD-RU-01-ignored", "VD-RU-01"),
-        ("M-VD-RU-03-equal-answered", "VD-RU-03"),
-    ],
+    every(
+        6,
+        [
+            ("M-BP-RX-07-first-only", "BP-RX-07"),
+            ("M-BP-RX-07-one-of-each", "BP-RX-07"),
+            ("M-VD-RX-04-octets", "VD-RX-04"),
+            ("M-VD-RX-04-first-half", "VD-RX-04"),
+            ("M-VD-RX-08-updates-first", "VD-RX-08"),
+            ("M-VD-RX-08-deletes-first", "VD-RX-08"),
+            ("M-VD-RX-09-first-record", "VD-RX-09"),
+            ("M-VD-PC-03-taken", "VD-PC-03"),
+            ("M-VD-PC-05-empty-description", "VD-PC-05"),
+            ("M-VD-PC-06-zero", "VD-PC-06"),
+            ("M-VD-PD-03-own", "VD-PD-03"),
+            ("M-VD-PD-04-ignored", "VD-PD-04"),
+            ("M-VD-PU-02-revived", "VD-PU-02"),
+            ("M-VD-PU-03-own", "VD-PU-03"),
+            ("M-VD-PU-05-stored", "VD-PU-05"),
+            ("M-VD-PU-06-stored", "VD-PU-06"),
+            ("M-VD-PS-04-not-requested", "VD-PS-04"),
+            ("M-VD-RU-01-ignored", "VD-RU-01"),
+            ("M-VD-RU-03-equal-answered", "VD-RU-03"),
+        ],
+    ),
 )
 def test_the_violated_rule_is_found_and_not_only_its_symptom(mutant, requirement):
     campaign = found_in_process(mutant)

@@ -60,6 +60,7 @@ def test_a_faulty_node_in_a_network_is_found_with_its_requirement(name: str, sha
     assert "1 networks" in text
 
 
+@pytest.mark.part("suite")
 @pytest.mark.parametrize(
     ("name", "shape", "why"),
     [

@@ -190,6 +190,7 @@ def test_there_are_ten_mutants() -> None:
     assert len(MUTANTS) >= 10
 
 
+@pytest.mark.part("suite")
 @pytest.mark.usefixtures("lossy")
 @pytest.mark.parametrize("mutant", MUTANTS, ids=lambda mutant: mutant.id)
 def test_mutants_still_fail_their_requirements(mutant: selftest.Mutant) -> None:

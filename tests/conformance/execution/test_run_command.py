@@ -365,6 +365,7 @@ class TestList:
         assert dcp_conformance("list", "TC_NOPE").status == USAGE
 
 
+@pytest.mark.part("tools")
 class TestPytest:
     def test_cases_are_pytest_items_anywhere(self, tmp_path: Path):
         done = subprocess.run(

@@ -96,6 +96,7 @@ def test_a_container_that_cannot_be_skipped_contradicts_neither(name):
     assert result.verdict is not Verdict.FAIL, result.reason
 
 
+@pytest.mark.part("suite")
 def test_a_generated_mutant_that_switches_a_reading_is_killed():
     before = "1 if readings.first_seqno == 'increment-then-write'"
     switched = next(each for each in sites() if each.operator == "branch" and each.before.startswith(before))

@@ -80,8 +80,9 @@ def check(base: str, profiles: Iterable[str], *, upper: bool = True, any_verdict
 
 @pytest.mark.parametrize("base", VARIANTS)
 def test_our_node_passes_and_each_case_applies_to_some_version(base: str):
-    applied = check(base, VERSIONS)
-    assert applied >= {each for each in VARIANTS[base] if not known_cases()[each].needs.pics}
+    missing = {each for each in VARIANTS[base] if not known_cases()[each].needs.pics} - check(base, VERSIONS)
+    # Some cases are about the wire format of an implementation.
+    assert not missing or missing <= check(base, ["cpp-2.0"])
 
 
 @pytest.mark.part("suite")

@@ -306,6 +306,7 @@ def failing(make: MakeNode, choose: Callable[[str], bool] = lambda _: True) -> d
     return found
 
 
+@pytest.mark.part("suite")
 def test_one_kind_without_answer_fails_its_own_requirement_only():
     found = failing(mutant("M-VD-PS-01-ignored"), lambda name: name.startswith(("TC_BP_", "TC_NET_", "TC_VD_RX")))
     assert set(found) == {"VD-PS-01"}

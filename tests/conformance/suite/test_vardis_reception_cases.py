@@ -82,6 +82,7 @@ def test_a_node_that_cannot_be_reset(profile: str, upper: bool) -> None:
     assert len(wrong) <= 3
 
 
+@pytest.mark.part("suite")
 @pytest.mark.parametrize("profile", ["dcp-1.2", "dcp-2.0"])
 def test_a_node_that_receives_late(profile: str) -> None:
     assert not all_in_one_session(profile, make=Slow, upper=True, reset=True)

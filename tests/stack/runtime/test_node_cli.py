@@ -343,6 +343,7 @@ def test_rates_of_vanished_nodes_are_forgotten():
     assert len(rates._before) + len(rates._now) <= 4
 
 
+@pytest.mark.part("tools")
 @pytest.mark.parametrize("width", [80, 160])
 def test_the_monitor_shows_numbers_whole(width):
     rig = Rig()
