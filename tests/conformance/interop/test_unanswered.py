@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from types import SimpleNamespace
 
-import pytest
 from dcp_conformance.errors import NoAnswerError
 from dcp_conformance.interop import matrix
 from dcp_conformance.interop.cell import Cell
@@ -33,12 +32,11 @@ class Hanging:
         """There are no notifications."""
 
 
-@pytest.mark.part("links")
 def test_a_method_without_an_answer_is_called_once(tmp_path: Path) -> None:
     station = Station(0, "", ["false"], "unix:x", tmp_path / "log", 1.0)
     upper = Hanging()
     station._upper = upper  # type: ignore[assignment]
-    station._process = SimpleNamespace(poll=lambda: None)  # type: ignore[assignment]
+    station._process = SimpleNamespace(status=lambda: None)  # type: ignore[assignment]
     answers = [station.call("RTDB-Read", {"varId": 1}) for _ in range(3)]
     assert "within 30 s" in answers[0].message
     assert all(each.code == -32603 and "not called again" in each.message for each in answers[1:])
