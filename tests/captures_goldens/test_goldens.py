@@ -120,6 +120,7 @@ def test_a_changed_manifest_is_noticed(copy, change, check):
     assert check in checks(copy)
 
 
+@pytest.mark.part("suite")
 def test_every_count_is_compared(copy):
     golden = load_manifest(copy).capture[0]
     counts = json.loads(msgspec.json.encode(golden.expected))

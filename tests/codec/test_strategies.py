@@ -142,6 +142,7 @@ def reason(octets: bytes) -> str:
     return ""
 
 
+@pytest.mark.part("suite")
 @pytest.mark.parametrize(
     "wanted",
     [

@@ -102,6 +102,7 @@ def random_container(codec: Codec, rnd: random.Random, name: str) -> Container:
 # -- what is printed fits -----------------------------------------------------------------------------------------
 
 
+@pytest.mark.part("suite")
 @pytest.mark.parametrize("recording", every(4, RECORDINGS), ids=lambda recording: recording["file"])
 def test_every_frame_of_the_recordings_fits(recording):
     codec = get_codec(recording["profile"])

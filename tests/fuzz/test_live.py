@@ -49,6 +49,7 @@ def sequences(seed: int = 1) -> Sequences:
     return Sequences(CODEC, rng, OWN, Mutator(CODEC, rng, drawn_pool(CODEC, rng, 60)))
 
 
+@pytest.mark.part("suite")
 @pytest.mark.parametrize("upper", [True, False])
 @pytest.mark.parametrize("differential", [True, False])
 def test_no_finding_in_our_node(upper, differential):

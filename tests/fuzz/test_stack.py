@@ -38,6 +38,7 @@ def test_a_short_campaign_finds_nothing_in_our_node(profile):
     assert len(state.kinds) > 8
 
 
+@pytest.mark.part("suite")
 @pytest.mark.parametrize(
     ("mutant", "kind", "frames"),
     [

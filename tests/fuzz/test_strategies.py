@@ -26,6 +26,7 @@ VALID = beacon(Container(1, (VarSumm(1, 2), VarSumm(3, 4))), Container(6, (VarDe
 OTHER = beacon(Container(1, (VarSumm(8, 9),)))
 
 
+@pytest.mark.part("suite")
 @pytest.mark.parametrize("base", [14, *also("suite", 0)])
 @pytest.mark.parametrize(
     "wanted",

@@ -135,6 +135,7 @@ class TestAccess:
             assert all(a != b for a, b in combinations(scheme, 2))
         assert len({marker for marker, _ in SYMBOLS}) == len({symbol for _, symbol in SYMBOLS}) == 10
 
+    @pytest.mark.part("tables")
     def test_structure(self):
         page = Page(render([chapter(gather(str(CAPTURES / "c_latejoin.mcap"), "cpp-2.0", None))]))
         links = [attrs["href"] for tag, attrs in page.elements if tag == "a"]
@@ -296,6 +297,7 @@ def test_as_many_senders_as_beacons(tmp_path):
     assert "19,980 more sent 19,980 received beacons" in page.text
 
 
+@pytest.mark.part("tables")
 def test_invalid_positions(tmp_path):
     odd = [(math.nan, 1.0, 1.0), (1e300, 1.0, 1.0), (1.0, math.inf, 1.0), (1.0, 1.0, 2.0), (2.0, 1.0, -math.inf)]
     sent = [(n / 10, 1, n, (report(1, n, *place),)) for n, place in enumerate(odd)]
@@ -348,6 +350,7 @@ def test_one_beacon_has_no_rate(tmp_path):
     assert "Time goes back" not in self_contained(render([chapter(recorded)])).text
 
 
+@pytest.mark.part("tables")
 def test_damage_is_shown(run, tmp_path):
     path = record(tmp_path / "a.pcap", steady(1, 3, skipped=[7, 8]), damaged=[0.55])
     done = run(path, "-o", tmp_path / "a.html", "--profile", "dcp-2.0")

@@ -71,6 +71,7 @@ def assert_same(codec: Codec, beacon: Any, dissection: Dissection) -> None:
                 assert held == expected(codec, found), found.path
 
 
+@pytest.mark.part("suite")
 @pytest.mark.skipif(not RECORDINGS, reason="captures/*.mcap are not there")
 @pytest.mark.parametrize("path", every(4, RECORDINGS), ids=lambda path: path.stem)
 def test_recordings(path: Path) -> None:

@@ -631,6 +631,7 @@ class TestEveryInvariant:
 class TestNetworksThatFollowTheSpecification:
     """Nothing may be found in them, whatever happens to nodes, frames and recorder."""
 
+    @pytest.mark.part("suite")
     @pytest.mark.parametrize("profile", [PROFILES[0], *also("suite", *PROFILES[1:])])
     @pytest.mark.parametrize("shape", TOPOLOGIES)
     def test_nothing_is_found(self, profile: str, shape: str):
@@ -880,6 +881,7 @@ def test_no_recording_raises_an_exception(profile: str):
     judge_all()
 
 
+@pytest.mark.part("suite")
 def test_forged_senders_and_variables_do_not_use_up_memory():
     """A flood with ever new senders, variables and numbers is followed up to the limits and no further."""
     judge = Judge(codec_of("dcp-2.0"), Pics())

@@ -63,6 +63,7 @@ def left_by(case: Case, lost: int) -> tuple[dict[str, Any], dict[str, Any], int]
     return before, state(sut), upper.calls
 
 
+@pytest.mark.part("suite")
 @pytest.mark.parametrize("case_id", every(10, CASES))
 def test_the_state_is_restored_after_a_lost_answer(case_id: str):
     case = known_cases()[case_id]

@@ -70,6 +70,7 @@ def odd(results: Iterator[CaseResult], profile: str) -> list[str]:
     ]
 
 
+@pytest.mark.part("suite")
 @pytest.mark.parametrize("profile", ["dcp-2.0", *also("suite", "dcp-1.3", "dcp-1.0", "cpp-2.0")])
 def test_the_whole_suite_without_a_restart_of_the_node(profile: str):
     runner = runner_of(profile)

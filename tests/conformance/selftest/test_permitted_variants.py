@@ -140,6 +140,7 @@ def test_whole_records_may_be_listed_in_1_0():
     assert not judged("V-UT-whole-records", "dcp-1.0", "bp.services.deregistration")
 
 
+@pytest.mark.part("suite")
 @pytest.mark.parametrize(
     ("variant", "profile", "cases"),
     [

@@ -116,6 +116,7 @@ def test_rows_of_the_database_need_no_more_than_a_specification():
     assert [each.observed for each in reported] == ["none"]
 
 
+@pytest.mark.part("suite")
 @pytest.mark.parametrize(
     "vardis",
     [

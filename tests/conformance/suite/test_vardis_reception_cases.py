@@ -73,6 +73,7 @@ def all_in_one_session(profile: str, *, make: MakeNode | None = None, upper: boo
     return [f"{each.id}: {each.verdict}: {each.reason}" for each in results if each.verdict not in FINE]
 
 
+@pytest.mark.part("suite")
 @pytest.mark.parametrize("upper", [True, False], ids=["upper", "wire"])
 @pytest.mark.parametrize("profile", ["dcp-2.0", *also("suite", "dcp-1.0", "dcp-1.2")])
 def test_a_node_that_cannot_be_reset(profile: str, upper: bool) -> None:

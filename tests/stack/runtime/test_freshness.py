@@ -53,6 +53,7 @@ def mean_delay(jitter: float, summaries: int, *, lines: int = 14, updates: int =
     return sum(delays) / len(delays) / PERIOD / HOPS
 
 
+@pytest.mark.part("suite")
 @pytest.mark.req("VD-RUN-01")
 @pytest.mark.req("VD-RUN-02")
 @pytest.mark.parametrize("jitter", [0.0, 0.1])

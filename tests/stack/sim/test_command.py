@@ -184,6 +184,7 @@ def test_the_page_of_a_recording_of_the_medium_claims_nothing_about_losses(run, 
     assert "No sequence number of a beacon is missing" not in text
 
 
+@pytest.mark.part("suite")
 def test_the_default_scenario_allows_for_the_number_of_hops(run):
     """Values need 1.5 beacon periods a hop: 5 s are too few for 62 hops, and nothing is amiss."""
     report = json.loads(
