@@ -27,7 +27,8 @@ export PYTHONHASHSEED := 0
 
 demo: $(DEMO)
 	@echo "The suite now tests our own node over virtual Ethernet (UDP without root): about a minute."
-	@$(BIN)/dcp-conformance run --report-dir demo-report
+	# Status 3: something inconclusive, as on a machine that is too busy; the command names it.
+	@$(BIN)/dcp-conformance run --report-dir demo-report || [ $$? -eq 3 ]
 
 test: lint
 	$(PYTEST) --part=core
