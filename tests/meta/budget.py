@@ -46,11 +46,8 @@ def main(arguments: list[str]) -> int:
     spent = resource.getrusage(resource.RUSAGE_CHILDREN)
     cpu = spent.ru_utime + spent.ru_stime
     slowness = statistics.mean(samples) / REFERENCE if samples else 1.0
-    print(
-        f"{' '.join(command)}: {cpu / slowness:.0f} CPU s of {budget:.0f} ({cpu:.0f} s, each worth {1 / slowness:.2f}); "
-        f"{time.monotonic() - begun:.0f} s of wall time",
-        file=sys.stderr,
-    )
+    used = f"{cpu / slowness:.0f} CPU s of {budget:.0f} ({cpu:.0f} s, each worth {1 / slowness:.2f})"
+    print(f"{' '.join(command)}: {used}; {time.monotonic() - begun:.0f} s of wall time", file=sys.stderr)
     if process.returncode == 0 and cpu / slowness > budget:
         print("more CPU seconds than the budget: see the most expensive tests above", file=sys.stderr)
         return 1
