@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 from dataclasses import replace
 from pathlib import Path
-from typing import cast
 
 from dcp_spec.profile.definition import Profile
 from dcp_spec.profile.loading import load_profile
@@ -15,7 +14,7 @@ from .errors import DecodeError, Problem
 from .plan.layout import ValueTypes, read_scalar, walk
 from .plan.measures import least_size, member, places, record
 from .plan.tree import Many, Node, Scalar, Select, lower
-from .values import Beacon, Container, ExtendedSafetyData, OwnRecord, SafetyData, VarSpec
+from .values import Beacon, Container, ExtendedSafetyData, OwnRecord, SafetyData
 from .views.decoder import Decode, generate_decoder
 from .views.dissector import Dissect, generate_dissector
 from .views.encoder import Encode, generate_encoder
@@ -130,11 +129,6 @@ class Codec:
     def safety_data_type(self) -> type[SafetyData]:
         """Return the class of ``ExtendedSafetyData.s_data``, with the fields that the profile lists."""
         return self.types.safety_data
-
-    @property
-    def var_spec_type(self) -> type[VarSpec]:
-        """Return the class of a VarSpec; if the profile adds fields, with ``extra`` and zero as their default."""
-        return cast("type[VarSpec]", self.types["VarSpec"])
 
     # -- beacons ----------------------------------------------------------------------------------------------
 

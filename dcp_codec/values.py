@@ -3,8 +3,9 @@
 There is one class for each record type of the specification. Its attributes are the specification's field names in
 snake_case, in the order of the specification. Fields that follow from others (lengths, counts, version, magic number)
 are not stored, so they cannot be inconsistent. Fields that a profile adds to a record (opaque regions of an in-memory
-image, an implementation's additional field) are kept in wire order in ``extra``; if ``extra`` is empty, they are
-encoded as zeros.
+image, an implementation's additional field) are kept in wire order in ``extra``; if ``extra`` is empty or missing, they
+are encoded as zeros. Records have it only in the classes of such a profile (``codec.types``), which are derived from
+those of this module. ``IC_TYPE`` is the type of the container that holds the records of a class.
 
 Integers are ``int``, octets are ``bytes``. Node identifiers are octets as on the wire; time stamps have the unit and
 epoch of the profile.
@@ -14,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import Any
+from typing import Any, ClassVar, TypeVar
 
 import msgspec
 from dcp_spec.constants import ICType
@@ -49,6 +50,8 @@ class OwnRecord(msgspec.Struct, frozen=True, gc=False):
     implementation sends instead of state reports. Attributes are the field names in snake_case.
     """
 
+    IC_TYPE: ClassVar[None] = None
+
     def as_dict(self) -> dict[str, Any]:
         """Return the fields by attribute, in wire order."""
         return {name: getattr(self, name) for name in self.__struct_fields__}
@@ -78,6 +81,8 @@ class VarSpec(msgspec.Struct, frozen=True, gc=False):
 class VarUpdate(msgspec.Struct, frozen=True, gc=False):
     """``VarUpdateT``: a new value."""
 
+    IC_TYPE: ClassVar[ICType] = ICType.UPDATES
+
     var_id: int
     seqno: int
     value: bytes
@@ -86,6 +91,8 @@ class VarUpdate(msgspec.Struct, frozen=True, gc=False):
 class VarCreate(msgspec.Struct, frozen=True, gc=False):
     """``VarCreateT``: the static attributes and the current value."""
 
+    IC_TYPE: ClassVar[ICType] = ICType.CREATE_VARIABLES
+
     spec: VarSpec
     upd: VarUpdate
 
@@ -93,11 +100,15 @@ class VarCreate(msgspec.Struct, frozen=True, gc=False):
 class VarDelete(msgspec.Struct, frozen=True, gc=False):
     """``VarDeleteT``."""
 
+    IC_TYPE: ClassVar[ICType] = ICType.DELETE_VARIABLES
+
     var_id: int
 
 
 class VarSumm(msgspec.Struct, frozen=True, gc=False):
     """``VarSummT``: the newest sequence number that the sender has."""
+
+    IC_TYPE: ClassVar[ICType] = ICType.SUMMARIES
 
     var_id: int
     seqno: int
@@ -106,6 +117,8 @@ class VarSumm(msgspec.Struct, frozen=True, gc=False):
 class VarReqUpdate(msgspec.Struct, frozen=True, gc=False):
     """``VarReqUpdateT``: ``seqno`` is the requester's own, outdated number."""
 
+    IC_TYPE: ClassVar[ICType] = ICType.REQUEST_VARUPDATES
+
     var_id: int
     seqno: int
 
@@ -113,22 +126,18 @@ class VarReqUpdate(msgspec.Struct, frozen=True, gc=False):
 class VarReqCreate(msgspec.Struct, frozen=True, gc=False):
     """``VarReqCreateT``."""
 
+    IC_TYPE: ClassVar[ICType] = ICType.REQUEST_VARCREATES
+
     var_id: int
 
 
 #: The record of each type of instruction container of the specification.
 RECORD_CLASSES: Mapping[ICType, type[msgspec.Struct]] = MappingProxyType(
-    {
-        ICType.SUMMARIES: VarSumm,
-        ICType.UPDATES: VarUpdate,
-        ICType.REQUEST_VARUPDATES: VarReqUpdate,
-        ICType.REQUEST_VARCREATES: VarReqCreate,
-        ICType.CREATE_VARIABLES: VarCreate,
-        ICType.DELETE_VARIABLES: VarDelete,
-    }
+    {each.IC_TYPE: each for each in (VarSumm, VarUpdate, VarReqUpdate, VarReqCreate, VarCreate, VarDelete)}
 )
 
 VardisRecord = VarCreate | VarDelete | VarUpdate | VarSumm | VarReqUpdate | VarReqCreate
+AnyRecord = TypeVar("AnyRecord", bound=VardisRecord | VarSpec | ExtendedSafetyData)
 
 
 class Container(msgspec.Struct, frozen=True, gc=False):

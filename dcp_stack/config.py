@@ -17,7 +17,7 @@ from dcp_codec.codec import Codec
 from dcp_codec.plan.measures import least_size, record
 from dcp_codec.plan.tree import Scalar
 
-from .own_fields import OwnSpecFields
+from .own_fields import OwnFields, Rule
 from .positions.fields import SafetyFields
 from .readings import HalfRange, Readings, ReceiveErrors
 from .record_sizes import RecordSizes
@@ -108,6 +108,8 @@ class NodeConfig(msgspec.Struct, frozen=True, kw_only=True, dict=True):
     readings: Mapping[str, str] = msgspec.field(default_factory=dict)
     instructions: tuple[Callable[[Any], Any], ...] = ()
     """Subclasses of ``dcp_stack.vardis.instructions.Instruction`` for container types that the profile adds."""
+    field_rules: Mapping[str, Rule] = msgspec.field(default_factory=dict)
+    """Values of fields that the profile adds, in records of this node (``dcp_stack.own_fields.FIELD_RULES``)."""
 
     def __post_init__(self) -> None:
         """Check the values.
@@ -167,9 +169,9 @@ class NodeConfig(msgspec.Struct, frozen=True, kw_only=True, dict=True):
         return SafetyFields(self.profile)
 
     @functools.cached_property
-    def own_spec_fields(self) -> OwnSpecFields:
-        """The fields that the profile adds to VarSpec."""
-        return OwnSpecFields(self.codec)
+    def own_fields(self) -> OwnFields:
+        """The fields that the profile adds to records."""
+        return OwnFields(self.codec, self.field_rules)
 
     @functools.cached_property
     def container_numbers(self) -> Mapping[ICType, int]:

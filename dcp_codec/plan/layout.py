@@ -7,9 +7,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple, cast
 
 import msgspec
-from dcp_spec.profile.definition import OwnField, Profile, own_fields
+from dcp_spec.profile.definition import OwnField, Profile
 
-from dcp_codec.values import VALUE_CLASSES, Extra, OwnRecord, SafetyData
+from dcp_codec.values import VALUE_CLASSES, AnyRecord, Extra, OwnRecord, SafetyData
 
 from .source import Source
 from .tree import Fill, Group, Many, Node, Region, Scalar, Select, Text, snake
@@ -157,9 +157,8 @@ class ValueTypes:
         )
         classes = {**VALUE_CLASSES, "SafetyData": self.safety_data}
         vardis = profile.vardis
-        for name, members in (("VarSpec", vardis.var_spec), *vardis.records.by_name().items()):
-            if own := own_fields(members):
-                classes[name] = _extended(name, own)
+        for name, own in vardis.own_fields().items():
+            classes[name] = _extended(name, own)
         records = {container.type_name: container.record for container in vardis.own_containers}
         if profile.srp.record and not profile.srp.is_report:
             records["OwnReport"] = profile.srp.record
@@ -170,6 +169,11 @@ class ValueTypes:
 
     def __getitem__(self, type_name: str) -> type[msgspec.Struct]:
         return self._classes[type_name]
+
+    def extended(self, record: AnyRecord, extra: Extra) -> AnyRecord:
+        """Return a record of a class of ``dcp_codec.values`` in that of the profile, with the values of its fields."""
+        made: Any = self._classes[type(record).__name__]
+        return cast(AnyRecord, made(**{**msgspec.structs.asdict(record), "extra": extra}))
 
     def slots(self, group: Group) -> tuple[list[str], list[Node]]:
         """Return the attribute names of the value class of ``group``, and the stored members that go to ``extra``."""

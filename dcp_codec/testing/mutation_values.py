@@ -104,7 +104,7 @@ class ValidValues:
     def var_spec(self, var_id: int) -> VarSpec:
         """Draw the static attributes of a variable."""
         stamp, timeout = self._types.timestamp, self._types.var_timeout
-        return self.codec.var_spec_type(
+        return VarSpec(
             var_id,
             self.node_id(),
             self.number(self._types.var_rep_cnt.width, signed=self._types.var_rep_cnt.signed),

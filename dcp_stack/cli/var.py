@@ -35,6 +35,39 @@ if TYPE_CHECKING:
     from dcp_spec.profile.definition import Profile
 
 
+def _field(given: str) -> tuple[str, int | float | str]:
+    """Return name and value of a field that the profile adds to a record."""
+    name, equals, value = given.partition("=")
+    if not name or not equals:
+        raise click.BadParameter(f"needs NAME=VALUE, such as priority=3, not {given!r}", param_hint="--field")
+    if value.startswith("0x"):
+        return name, value[2:]
+    try:
+        return name, int(value)
+    except ValueError:
+        pass
+    try:
+        return name, float(value)
+    except ValueError:
+        message = f"needs a number, or octets in hex after 0x, as value of {name}, not {value!r}"
+        raise click.BadParameter(message, param_hint="--field") from None
+
+
+def _own_fields(_context: click.Context, _option: click.Parameter, given: tuple[str, ...]) -> dict[str, Any]:
+    """Return the member ``ownFields`` of a request; without fields nothing."""
+    return {"ownFields": dict(map(_field, given))} if given else {}
+
+
+_FIELDS = click.option(
+    "--field",
+    "fields",
+    multiple=True,
+    callback=_own_fields,
+    metavar="NAME=VALUE",
+    help="A field that the profile adds to the record: a number, or octets in hex after 0x.  [default: 0]",
+)
+
+
 @click.group("var", epilog=EXIT_STATUS)
 def command() -> None:
     """Create, update, read, delete, list and watch variables (RTDB services of VarDis)."""
@@ -63,13 +96,7 @@ def command() -> None:
     metavar="MS",
     help="Delete it after this time without update; 0: never.  [default: 0]",
 )
-@click.option(
-    "--field",
-    "fields",
-    multiple=True,
-    metavar="NAME=VALUE",
-    help="A field that the profile adds to VarSpec: a number, or octets in hex after 0x.  [default: 0]",
-)
+@_FIELDS
 @node_options
 def create(
     var_id: int,
@@ -78,16 +105,14 @@ def create(
     descr: str,
     repcnt: int | None,
     timeout: int,
-    fields: tuple[str, ...],
+    fields: dict[str, Any],
     control: str,
     as_json: bool,
 ) -> int:
     """Create variable ID, with this node as its producer."""
-    params: dict[str, Any] = {"varId": var_id, "descr": descr, "value": octets_given("--value", octets, text)}
+    params = {"varId": var_id, "descr": descr, "value": octets_given("--value", octets, text), **fields}
     if timeout:
         params["timeout"] = timeout
-    if fields:
-        params["ownFields"] = dict(map(_field, fields))
     with connect(control) as client:
         params["repCnt"] = _repetitions(client) if repcnt is None else repcnt
         result = client.call("RTDB-Create", **params)
@@ -95,24 +120,6 @@ def create(
             for warning in _ignored_by_others(client, descr, repcnt):
                 note(f"warning: {warning}")
     return finish("RTDB-Create", result, as_json)
-
-
-def _field(given: str) -> tuple[str, int | float | str]:
-    """Return name and value of a field that the profile adds to VarSpec."""
-    name, equals, value = given.partition("=")
-    if not name or not equals:
-        raise click.BadParameter(f"needs NAME=VALUE, such as priority=3, not {given!r}", param_hint="--field")
-    if value.startswith("0x"):
-        return name, value[2:]
-    try:
-        return name, int(value)
-    except ValueError:
-        pass
-    try:
-        return name, float(value)
-    except ValueError:
-        message = f"needs a number, or octets in hex after 0x, as value of {name}, not {value!r}"
-        raise click.BadParameter(message, param_hint="--field") from None
 
 
 def _repetitions(client: ControlClient) -> int:
@@ -151,10 +158,13 @@ def _ignored_by_others(client: ControlClient, descr: str, repcnt: int | None) ->
 @command.command("update", epilog=EXIT_STATUS)
 @click.argument("var_id", type=int, metavar="ID")
 @octets_options("--value")
+@_FIELDS
 @node_options
-def update(var_id: int, octets: str | None, text: str | None, control: str, as_json: bool) -> int:
+def update(
+    var_id: int, octets: str | None, text: str | None, fields: dict[str, Any], control: str, as_json: bool
+) -> int:
     """Set the value of variable ID, which this node produces."""
-    return simple(control, as_json, "RTDB-Update", varId=var_id, value=octets_given("--value", octets, text))
+    return simple(control, as_json, "RTDB-Update", varId=var_id, value=octets_given("--value", octets, text), **fields)
 
 
 @command.command("get", epilog=EXIT_STATUS)

@@ -29,7 +29,7 @@ WallNs = Annotated[int, Meta(description="ns since 1970-01-01T00:00:00Z.")]
 Millis = Annotated[int, Meta(description="Milliseconds.")]
 OwnFields = Annotated[
     dict[str, int | float | str],
-    Meta(description="Fields that the profile adds to VarSpec, by name; octets in hex."),
+    Meta(description="Fields that the profile adds to records, by name; octets in hex."),
 ]
 UTStatus = Annotated[str, Meta(pattern="^UT-STATUS-OK$")]
 
@@ -226,6 +226,7 @@ class Update(Params, frozen=True):
 
     var_id: VarId
     value: Octets
+    own_fields: OwnFields | UnsetType = UNSET
 
 
 class ReadConfirm(Result, frozen=True):

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
 from typing import Any, Final, NamedTuple, TypeVar
 
 import msgspec
@@ -12,7 +13,7 @@ from dcp_spec.status import BPStatus, SRPStatus, VardisStatus
 from dcp_spec.version import __version__
 from msgspec import UNSET, UnsetType
 
-from dcp_codec.values import VarSpec
+from dcp_codec.values import Extra, VarSpec
 from dcp_stack.bp.entity import BeaconingProtocol
 from dcp_stack.bp.services import UnknownServiceError
 from dcp_stack.config import MS
@@ -247,7 +248,7 @@ def _create(node: Node, params: m.Create, times: Times) -> VardisStatus:
         params.descr.encode(),
         octets_of(params.value),
         params.timeout,
-        own_fields=None if params.own_fields is UNSET else node.config.own_spec_fields.parsed(params.own_fields),
+        own_fields=_own_fields(node, params),
         now=times.now,
         wall=times.wall,
     )
@@ -255,7 +256,15 @@ def _create(node: Node, params: m.Create, times: Times) -> VardisStatus:
 
 
 def _update(node: Node, params: m.Update, times: Times) -> VardisStatus:
-    return _vardis(node).update(params.var_id, octets_of(params.value), now=times.now, wall=times.wall).status
+    vardis, value, fields = _vardis(node), octets_of(params.value), _own_fields(node, params)
+    if fields:
+        return vardis.update_with_fields(params.var_id, value, fields, now=times.now, wall=times.wall).status
+    return vardis.update(params.var_id, value, now=times.now, wall=times.wall).status
+
+
+def _own_fields(node: Node, params: m.Create | m.Update) -> dict[str, Any]:
+    """Return the given values of fields that the profile adds. Raises ValueError for invalid octets."""
+    return {} if params.own_fields is UNSET else node.config.own_fields.parsed(params.own_fields)
 
 
 def _delete(node: Node, params: m.ForVariable, times: Times) -> VardisStatus:
@@ -283,7 +292,7 @@ def _describe_variable(node: Node, params: m.ForVariable, _times: Times) -> m.Re
     if entry is None:
         return m.DescribeVariableConfirm(status=confirm.status)
     variable = m.Variable(
-        **_spec(node, entry.spec),
+        **_spec(node, entry.spec, entry.own),
         is_deleted=entry.is_deleted,
         t_stamp=entry.t_stamp,
         value=entry.value.hex(),
@@ -295,8 +304,8 @@ def _describe_variable(node: Node, params: m.ForVariable, _times: Times) -> m.Re
     return m.DescribeVariableConfirm(status=confirm.status, variable=variable)
 
 
-def _spec(node: Node, spec: VarSpec) -> dict[str, Any]:
-    """Return the members of a Variable that come from its VarSpec."""
+def _spec(node: Node, spec: VarSpec, own: Mapping[str, Extra] = MappingProxyType({})) -> dict[str, Any]:
+    """Return the members of a Variable that come from its VarSpec, and ``own``, the values of added fields."""
     shown: dict[str, Any] = {"var_id": spec.var_id, "prod_id": spec.prod_id.hex(":"), "rep_cnt": spec.rep_cnt}
     try:
         shown["descr"] = spec.descr.decode()
@@ -306,8 +315,8 @@ def _spec(node: Node, spec: VarSpec) -> dict[str, Any]:
         shown["creation_time"] = spec.creation_time
     if spec.timeout is not None:
         shown["timeout"] = spec.timeout
-    if own := node.config.own_spec_fields.shown(spec):
-        shown["own_fields"] = own
+    if fields := node.config.own_fields.shown(spec, own):
+        shown["own_fields"] = fields
     return shown
 
 

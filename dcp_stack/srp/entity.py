@@ -168,7 +168,7 @@ class StateReporting:
             self._seqno,
         )
         ##= SRP-FMT-01 SRP-TYP-02
-        payload = self._config.codec.encode_report(report)
+        payload = self._config.codec.encode_report(self._config.own_fields.filled(report))
         ##= SRP-SEQ-01 SRP-TYP-01
         self._seqno = (self._seqno + 1) % seqno_modulus(self._config.profile)
         self._own.note(report.s_data, now)

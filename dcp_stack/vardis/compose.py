@@ -35,6 +35,7 @@ class Composer:
         self._database = core.database
         self._parameters = core.parameters
         self._sizes = core.sizes
+        self._own_fields = config.own_fields
         database = core.database
         self._queues: dict[ContainerType, IdQueue] = {
             ICType.CREATE_VARIABLES: database.create_q,
@@ -69,6 +70,7 @@ class Composer:
         ##= VD-CMP-14
         if self._purge:
             self._database.purge()
+        take = self._take_filled if self._own_fields else self._take
         largest = room - self._sizes.ic_header
         containers: list[Container] = []
         for kind, queue in self._order:
@@ -78,7 +80,7 @@ class Composer:
             chosen, used = self._fitting(kind, queue, room, largest)
             room -= used
             # Records are built before the next queue is read: building them changes queues (VD-CMP-06 to VD-CMP-12).
-            records = [self._take(kind, var_id) for var_id in chosen]
+            records = [take(kind, var_id) for var_id in chosen]
             ##= VD-PAY-05
             for first in range(0, len(records), IC_MAX_RECORDS):
                 group = tuple(records[first : first + IC_MAX_RECORDS])
@@ -172,6 +174,14 @@ class Composer:
         database.summary_q.rotate(var_id)
         ##= VD-CMP-04
         return VarSumm(var_id, entry.seqno)
+
+    def _take_filled(self, kind: ContainerType, var_id: int) -> VardisRecord | OwnRecord:
+        """Return :meth:`_take` with the values of fields that the profile adds to records."""
+        entry = self._database.lookup(var_id)
+        record = self._take(kind, var_id)
+        if isinstance(record, OwnRecord):
+            return record
+        return self._own_fields.filled(record, kept={} if entry is None else entry.own)
 
     @staticmethod
     def _take_own(instruction: Instruction, var_id: int) -> OwnRecord:

@@ -11,7 +11,7 @@ from typing import Any
 
 import msgspec
 
-from dcp_codec.values import VarSpec
+from dcp_codec.values import Extra, VarSpec
 
 
 class IdQueue(OrderedDict[int, None]):
@@ -43,7 +43,8 @@ class DBEntry(msgspec.Struct, gc=False):
 
     ``t_stamp``: local wall time (ns since 1970) of the last accepted creation or update. ``refreshed``: the same
     moment in monotonic ns. The age is computed from ``refreshed``, so a step of the wall clock neither deletes a
-    variable too early nor keeps it too long. Counters: payloads in which a record is still to be repeated.
+    variable too early nor keeps it too long. Counters: payloads in which a record is still to be repeated. ``own``:
+    values of fields that the profile adds to records other than VarSpec, by the name of the record.
     """
 
     ##= VD-DB-01
@@ -56,6 +57,7 @@ class DBEntry(msgspec.Struct, gc=False):
     count_create: int = 0
     count_delete: int = 0
     is_deleted: bool = False
+    own: dict[str, Extra] = msgspec.field(default_factory=dict)
 
 
 class Database:

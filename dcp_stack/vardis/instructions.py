@@ -64,8 +64,8 @@ class Instruction(ABC):
 
     def own_field(self, entry: DBEntry, name: str) -> Any:
         """Return the value of a field that the profile adds to VarSpec, by its name in the profile."""
-        return self.core.config.own_spec_fields.values(entry.spec)[name]
+        return self.core.config.own_fields.values(entry.spec)[name]
 
     def change_spec(self, entry: DBEntry, **fields: Any) -> None:
         """Change fields that the profile adds to VarSpec, by their names in the profile."""
-        entry.spec = self.core.config.own_spec_fields.replaced(entry.spec, fields)
+        entry.spec = self.core.config.own_fields.replaced(entry.spec, fields)

@@ -33,6 +33,7 @@ class Receiver:
         self._database = core.database
         self._parameters = core.parameters
         self._emit = core.emit
+        self._own_fields = core.config.own_fields
         self._check_too_long = core.features.receive_checks_too_long
         self._check_empty_and_repcnt = core.features.receive_checks_empty_and_repcnt
         most = core.settings.max_creation_ahead_s
@@ -86,6 +87,7 @@ class Receiver:
             return
         ##= VD-PC-07
         stored = self._database.insert(record.spec, record.upd.value, record.upd.seqno, now=now, wall=wall)
+        self._own_fields.keep(stored.own, record)
         self._core.changed("created", stored)
         self._core.delivery.adopted(entry, stored, self._core.own_id)
 
@@ -141,6 +143,7 @@ class Receiver:
         if cell.action is Action.DELETE and entry is not None:
             ##= VD-PD-04
             self._database.mark_deleted(entry)
+            self._own_fields.keep(entry.own, record)
             self._core.changed("deleted", entry)
         else:
             self._drop(cell, offset, record.var_id)
@@ -153,6 +156,7 @@ class Receiver:
         if cell.action is Action.STORE and entry is not None:
             ##= VD-PU-07
             self._database.store(entry, record.value, record.seqno, now=now, wall=wall)
+            self._own_fields.keep(entry.own, record)
             ##= VD-PU-08
             self._database.req_upd_q.remove(var_id)
             self._core.changed("updated", entry)

@@ -9,7 +9,7 @@ from typing import Any
 from dcp_spec.constants import BP_PROTID_VARDIS
 from dcp_spec.status import VardisStatus
 
-from dcp_codec.values import VarSpec
+from dcp_codec.values import VarCreate, VarSpec, VarUpdate
 from dcp_stack.bp_port import BPPort
 
 from .confirms import (
@@ -34,6 +34,7 @@ class VariableServices:
     def __init__(self, core: Core, bp: BPPort) -> None:
         self._core = core
         self._bp = bp
+        self._own_fields = core.config.own_fields
         self.registered = False
         """Whether the last registration with BP succeeded. Another client of BP may have deregistered VarDis since."""
         self._silent = core.readings.unregistered_vardis == "no-response"
@@ -57,8 +58,8 @@ class VariableServices:
     ) -> Confirm:
         """``RTDB-Create``. ``prod_id`` None is this node. ``descr``: UTF-8. ``timeout_ms``: 0 means without timeout.
 
-        Versions before 2.0 have no timeout. ``own_fields``: values of fields that the profile adds to VarSpec, by
-        name; omitted ones are zero or empty.
+        Versions before 2.0 have no timeout. ``own_fields``: values of fields that the profile adds to the
+        VarCreate, by name; omitted ones have the value of their rule (``dcp_stack.own_fields``) or zero.
 
         Beyond the specification, the confirm has VALUE-TOO-LONG if the VarCreate does not fit into a payload,
         DESCRIPTION-TOO-LONG if it would not fit with the shortest value either, and INACTIVE, as a temporary refusal,
@@ -85,7 +86,7 @@ class VariableServices:
             return self._confirm(VardisStatus.ILLEGAL_REPCOUNT)
         creation_time = self._later_than_received(var_id, self._creation_time(entry, wall))
         ##= VD-TYP-05
-        spec = self._core.config.codec.var_spec_type(
+        spec = VarSpec(
             var_id=var_id,
             ##= VD-CRE-08
             prod_id=self._producer(prod_id),
@@ -95,8 +96,8 @@ class VariableServices:
             ##= VD-TYP-04
             timeout=timeout_ms if self._core.features.creation_time else None,
         )
-        if own_fields:
-            spec = self._core.config.own_spec_fields.replaced(spec, own_fields)
+        record = self._own_fields.replaced(VarCreate(spec, VarUpdate(var_id, 0, value)), own_fields or {})
+        spec = record.spec
         ##= VD-CRE-04 | exception: a description is also too long if the VarCreate does not fit into a payload (X42)
         ##= VD-CRE-05 | exception: a value is also too long if the VarCreate does not fit into a payload (X42)
         if status := self._refused_size(spec, value):
@@ -108,7 +109,9 @@ class VariableServices:
             # creationTime would exceed its field: the stored variable already has the highest value.
             return self._confirm(VardisStatus.VARIABLE_EXISTS)
         self._core.delivery.created(var_id)
-        self._core.changed("created", self._core.database.insert(spec, value, 0, now=now, wall=wall))
+        stored = self._core.database.insert(spec, value, 0, now=now, wall=wall)
+        self._own_fields.keep(stored.own, record)
+        self._core.changed("created", stored)
         ##= VD-CRE-14
         return self._confirm(VardisStatus.OK)
 
@@ -131,9 +134,28 @@ class VariableServices:
             return self._confirm(status)
         ##= VD-UPD-07
         self._core.database.store(entry, value, self._core.sequence.after(entry.seqno), now=now, wall=wall)
+        self._note_fields(entry, {})
         self._core.delivery.updated(var_id, entry.seqno, now)
         self._core.changed("updated", entry)
         return self._confirm(VardisStatus.OK)
+
+    def update_with_fields(
+        self, var_id: int, value: bytes, own_fields: Mapping[str, Any], *, now: int, wall: int
+    ) -> Confirm:
+        """As :meth:`update`, with values of fields that the profile adds to VarUpdate.
+
+        Raises ValueError, and changes nothing, for a field or value that the profile cannot express.
+        """
+        self._own_fields.replaced(VarUpdate(var_id, 0, value), own_fields)
+        confirm = self.update(var_id, value, now=now, wall=wall)
+        if confirm.status.is_ok:
+            self._note_fields(self._core.database.entries[var_id], own_fields)
+        return confirm
+
+    def _note_fields(self, entry: DBEntry, given: Mapping[str, Any]) -> None:
+        """Store the values of added fields for the VarUpdate of a variable of this node."""
+        record = VarUpdate(entry.spec.var_id, entry.seqno, entry.value)
+        self._own_fields.keep(entry.own, self._own_fields.replaced(record, given))
 
     ##= VD-DEL-07
     def delete(self, var_id: int, *, now: int, wall: int) -> Confirm:  # noqa: ARG002 - every service takes the time

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import msgspec
 from dcp_spec.constants import ICType
 
-from dcp_conformance.frames.received import KIND_OF, ReceivedBeacon
+from dcp_conformance.frames.received import ReceivedBeacon
 
 
 class Statement(msgspec.Struct, frozen=True, gc=False):
@@ -50,7 +50,7 @@ def parts_of(heard: ReceivedBeacon) -> list[Part]:
     for container in heard.containers:
         records = container.records
         # Skip container types that a profile adds: no rule is about their records.
-        if records and (kind := KIND_OF.get(type(records[0]))) is not None:
+        if records and (kind := records[0].IC_TYPE) is not None:
             ids = [each.spec.var_id for each in records] if kind is CREATE else [each.var_id for each in records]
             parts.append(Part(kind, records, ids))
     return parts

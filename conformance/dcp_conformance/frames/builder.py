@@ -25,8 +25,6 @@ from dcp_codec.values import (
 )
 from dcp_codec.views.dissect import Field, dissect
 
-from .received import KIND_OF
-
 Lies = Mapping[str, int | bytes]
 
 
@@ -66,7 +64,7 @@ class FrameBuilder:
         ``count`` and ``ic_type`` replace the correct values of icNumRecords and icType. ``lies`` has further wrong
         values by paths below the container: ``{"records[0].upd.value.length": 200}``.
         """
-        valid = self.codec.encode_containers((Container(self.ic_type(KIND_OF[type(records[0])]), tuple(records)),))
+        valid = self.codec.encode_containers((Container(self.ic_type(records[0].IC_TYPE), tuple(records)),))
         wrong = {f"[0].{path}": value for path, value in (lies or {}).items()}
         if count is not None:
             wrong["[0].icNumRecords"] = count

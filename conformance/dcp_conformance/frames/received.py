@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import Any, Final, NamedTuple
 
 from dcp_spec.constants import ICType
@@ -11,16 +11,11 @@ from dcp_spec.constants import ICType
 from dcp_codec.codec import Codec
 from dcp_codec.errors import Problem
 from dcp_codec.values import (
-    RECORD_CLASSES,
     Beacon,
     Container,
     ExtendedSafetyData,
 )
 from dcp_codec.views.salvage import Salvaged
-
-KIND_OF: Final[Mapping[type, ICType]] = {record: kind for kind, record in RECORD_CLASSES.items()}
-"""The container type of each record class of the specification, independent of the numbers in a profile."""
-
 
 #: The path of a problem inside a client payload.
 _CLIENT: Final = re.compile(r"payloads\[\d+\]\.(srp|vardis)\b")
@@ -86,7 +81,7 @@ class ReceivedBeacon:
     def _taken_apart(self) -> Iterator[Instruction]:
         for number, container in enumerate(self.containers):
             for position, record in enumerate(container.records):
-                if (kind := KIND_OF.get(type(record))) is not None:
+                if (kind := record.IC_TYPE) is not None:
                     yield Instruction(self, number, position, kind, record)
 
     def _sender(self, codec: Codec) -> bytes | None:

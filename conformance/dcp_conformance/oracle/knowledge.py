@@ -9,7 +9,7 @@ from typing import Literal, NamedTuple
 import msgspec
 from dcp_spec.constants import Features, ICType
 
-from dcp_codec.values import VarCreate, VarSpec
+from dcp_codec.values import Extra, VarCreate, VarSpec
 
 from .repetitions import Repetitions
 
@@ -56,6 +56,8 @@ class Version(NamedTuple):
     spec: VarSpec | None
     seqno: int
     value: bytes
+    own: Extra | None = None
+    """Values of the fields that the profile adds to VarUpdate; None if they are not known."""
 
 
 _UNKNOWN = Version(EVER, "unknown", None, 0, b"")

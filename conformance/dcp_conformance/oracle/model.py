@@ -17,7 +17,17 @@ from typing import Any, Final
 
 from dcp_spec.constants import Features, ICType
 
-from dcp_codec.values import VarCreate, VarDelete, VardisRecord, VarReqCreate, VarReqUpdate, VarSpec, VarSumm, VarUpdate
+from dcp_codec.values import (
+    Extra,
+    VarCreate,
+    VarDelete,
+    VardisRecord,
+    VarReqCreate,
+    VarReqUpdate,
+    VarSpec,
+    VarSumm,
+    VarUpdate,
+)
 from dcp_conformance.model.circular import Circle
 
 from .knowledge import ANY_CREATION, NEVER, NO_CREATION, Limits, Obligation, Variable, Version
@@ -28,14 +38,17 @@ _CREATES, _DELETES, _UPDATES = ICType.CREATE_VARIABLES, ICType.DELETE_VARIABLES,
 _SUMMARIES, _CREATE_REQUESTS = ICType.SUMMARIES, ICType.REQUEST_VARCREATES
 _UPDATE_REQUESTS = ICType.REQUEST_VARUPDATES
 #: The order in which records of a payload are processed.
-_ORDER = {VarCreate: 0, VarDelete: 1, VarUpdate: 2, VarSumm: 3, VarReqUpdate: 4, VarReqCreate: 5}
+_ORDER = {
+    each: place
+    for place, each in enumerate((_CREATES, _DELETES, _UPDATES, _SUMMARIES, _UPDATE_REQUESTS, _CREATE_REQUESTS))
+}
 DELETION: Final = (_DELETES, 0)
 #: ns in a millisecond, the unit of timeouts.
 _MS = 1_000_000
 
 
 def _place(record: VardisRecord) -> int:
-    return _ORDER[type(record)]
+    return _ORDER[record.IC_TYPE]
 
 
 class Model:
@@ -78,7 +91,7 @@ class Model:
             var_id = record.spec.var_id if isinstance(record, VarCreate) else record.var_id
             variable = variables.get(var_id) or self._variable(var_id)
             if time < variable.due or self._ageing(record, variable, var_id, time):
-                _HEAR[type(record)](self, record, variable, time, frame)
+                _HEAR[record.IC_TYPE](self, record, variable, time, frame)
 
     def doubt(self, var_id: int, creation: int = ANY_CREATION) -> None:
         """Mark a variable as uncertain: the node may or may not have processed a record about it.
@@ -115,7 +128,7 @@ class Model:
         variable.latest, variable.foreign = creation, True
         self._forget(spec.var_id)
         variable.repetitions.clear()
-        self._become(variable, Version(time, "alive", spec, update.seqno, update.value))
+        self._become(variable, Version(time, "alive", spec, update.seqno, update.value, own_values(update)))
         if spec.var_id != update.var_id:
             self._lose(variable)
             variable.foreign = False
@@ -143,7 +156,8 @@ class Model:
             self._ask(_CREATE_REQUESTS, record.var_id, time, frame, "VD-PU-01")
         elif known.state == "alive" and not self._own(known) and self._limits.fitting(record.value, self._features):
             if self._circle.newer(record.seqno, known.seqno):
-                self._become(variable, Version(time, "alive", known.spec, record.seqno, record.value))
+                version = Version(time, "alive", known.spec, record.seqno, record.value, own_values(record))
+                self._become(variable, version)
                 self._settle(_UPDATE_REQUESTS, record.var_id)
                 # Older numbers are not owed any more, also those that seem newer after the number has wrapped.
                 self._settle(_UPDATES, record.var_id)
@@ -349,6 +363,12 @@ def key_of(kind: ICType, seqno: int) -> Key:
     return kind, seqno if kind is _UPDATES else 0
 
 
+def own_values(update: VarUpdate) -> Extra:
+    """Return the values of the fields that the profile adds to VarUpdate."""
+    found: Extra = getattr(update, "extra", ())
+    return found
+
+
 def _creation(version: Version) -> int:
     """Return creationTime; 0 before 2.0, NO_CREATION if the variable does not exist."""
     return NO_CREATION if version.spec is None else version.spec.creation_time or 0
@@ -356,11 +376,11 @@ def _creation(version: Version) -> int:
 
 #: Functions of the class: bound methods would make each model refer to itself, and the thousands of models a second in
 #: a fuzzer would live until the garbage collector runs.
-_HEAR: Final[dict[type, Callable[[Model, Any, Variable, int, int], None]]] = {
-    VarCreate: Model._receive_create,
-    VarDelete: Model._receive_delete,
-    VarUpdate: Model._receive_update,
-    VarSumm: Model._receive_summary,
-    VarReqUpdate: Model._receive_update_request,
-    VarReqCreate: Model._receive_create_request,
+_HEAR: Final[dict[ICType, Callable[[Model, Any, Variable, int, int], None]]] = {
+    _CREATES: Model._receive_create,
+    _DELETES: Model._receive_delete,
+    _UPDATES: Model._receive_update,
+    _SUMMARIES: Model._receive_summary,
+    _UPDATE_REQUESTS: Model._receive_update_request,
+    _CREATE_REQUESTS: Model._receive_create_request,
 }

@@ -13,10 +13,10 @@ from typing import Any, Final
 
 from dcp_spec.constants import ICType
 
-from dcp_codec.values import VarCreate, VardisRecord, VarSpec
+from dcp_codec.values import VarCreate, VardisRecord, VarSpec, VarUpdate
 
 from .knowledge import VERSIONS, Complaint, Obligation, State, Variable, Version
-from .model import DELETION, Model, key_of
+from .model import DELETION, Model, key_of, own_values
 from .repetitions import Key
 
 # Module-level names: faster than attributes of the enumeration in comparisons for each record.
@@ -167,12 +167,18 @@ class Oracle(Model):
     def _judge_content(
         self, record: VardisRecord, var_id: int, meant: list[Version], frame: int
     ) -> Iterator[Complaint]:
-        """Yield a complaint if the value is not the one that belongs to the sequence number (VD-PU-07)."""
-        value = record.upd.value if isinstance(record, VarCreate) else getattr(record, "value", None)
-        if value is not None and value not in {version.value for version in meant}:
+        """Yield a complaint if value or added fields are not those that belong to the sequence number (VD-PU-07)."""
+        update = record.upd if isinstance(record, VarCreate) else record
+        if not isinstance(update, VarUpdate):
+            return
+        if update.value not in {version.value for version in meant}:
             shown = " or ".join({version.value.hex(): None for version in meant})
             expected = f"the value {shown} for number {meant[0].seqno}"
-            yield Complaint("VD-PU-07", var_id, expected, value.hex(), frame)
+            yield Complaint("VD-PU-07", var_id, expected, update.value.hex(), frame)
+        elif not {None, own_values(update)} & {version.own for version in meant}:
+            shown = " or ".join({str(version.own): None for version in meant})
+            expected = f"the added fields {shown} for number {meant[0].seqno}"
+            yield Complaint("VD-PU-07", var_id, expected, str(own_values(update)), frame)
 
     def _other_creation(self, record: VarCreate, var_id: int, fitting: list[Version], frame: int) -> Complaint | None:
         """Return a complaint if a forwarded VarCreate has a VarSpec that the node never stored (VD-PC-10)."""

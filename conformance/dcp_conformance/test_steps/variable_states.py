@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import msgspec
 from dcp_spec.constants import ICType
 
 from dcp_codec.values import VarCreate, VardisRecord, VarUpdate
@@ -76,7 +77,7 @@ class VariableState:
                     "remaining repetitions of the VarDelete", "none left when RTDB-Delete was confirmed"
                 )
             self.peer.send(record)
-        elif type(record) is VarCreate:
+        elif isinstance(record, VarCreate):
             # In one payload it would be processed before the deletion (VD-RX-08).
             self.peer.send(self.peer.delete(self.var_id))
             self.peer.send(record)
@@ -141,7 +142,7 @@ def own(bench: Bench, state: str) -> VariableState:
     created = next((each.record for each in bench.instructions(ICType.CREATE_VARIABLES, var_id, since)), None)
     if created is None or updated is None:
         bench.inconclusive("a VarCreate of the node's own variable, which this case needs", "none in time")
-    held = VarCreate(created.spec, updated)
+    held = msgspec.structs.replace(created, upd=updated)
     if rep_cnt > 1:
         bench.until_quiet(newest, since=since)
     situation = VariableState(bench, bench.peer(), var_id, state, own=True, stored=held, rep_cnt=rep_cnt)

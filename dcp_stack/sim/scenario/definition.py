@@ -197,7 +197,7 @@ class Create(Content, tag="create", kw_only=True, frozen=True):
     repetitions: int = 1
     timeout_ms: int = 0
     own_fields: dict[str, int | float | str] = {}
-    """Fields that the profile adds to VarSpec, by name; octets in hexadecimal digits. Omitted fields are zero."""
+    """Fields that the profile adds to VarCreate, by name; octets in hexadecimal digits."""
 
     @property
     def description(self) -> str:
@@ -212,6 +212,8 @@ class Update(Content, tag="update", kw_only=True, frozen=True):
 
     node: int
     variable: int
+    own_fields: dict[str, int | float | str] = {}
+    """Fields that the profile adds to VarUpdate, as for :class:`Create`."""
 
 
 class Delete(Event, tag="delete", kw_only=True, frozen=True):

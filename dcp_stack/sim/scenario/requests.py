@@ -21,6 +21,8 @@ _LAYERS = {"vardis": "VD", "bp": "BP"}
 
 def request(event: ServiceEvent, n: int) -> tuple[str, dict[str, Any]]:
     """Return method and parameters for the ``n``-th repetition of an event."""
+    own_fields = event.own_fields if isinstance(event, Create | Update) else {}
+    given = {"ownFields": own_fields} if own_fields else {}
     match event:
         case Create():
             return "RTDB-Create", {
@@ -29,10 +31,10 @@ def request(event: ServiceEvent, n: int) -> tuple[str, dict[str, Any]]:
                 "descr": event.description,
                 "value": event.octets(n).hex(),
                 "timeout": event.timeout_ms,
-                **({"ownFields": event.own_fields} if event.own_fields else {}),
+                **given,
             }
         case Update():
-            return "RTDB-Update", {"varId": event.variable, "value": event.octets(n).hex()}
+            return "RTDB-Update", {"varId": event.variable, "value": event.octets(n).hex(), **given}
         case Delete():
             return "RTDB-Delete", {"varId": event.variable}
         case Activate():

@@ -267,6 +267,11 @@ class VardisLayout(Part, frozen=True):
     records: Annotated[RecordLayouts, Meta(description="Members of the instruction records.")] = RecordLayouts()
     own_containers: Annotated[tuple[OwnContainer, ...], Meta(description="Container types of your own.")] = ()
 
+    def own_fields(self) -> dict[str, list[OwnField]]:
+        """Return the fields that the profile adds to VarSpec and to records, by the name of the record; none empty."""
+        layouts = {"VarSpec": self.var_spec, **self.records.by_name()}
+        return {name: own for name, members in layouts.items() if (own := own_fields(members))}
+
 
 class Limits(Part, frozen=True):
     """Limits of the implementation; they bound what it sends and takes."""

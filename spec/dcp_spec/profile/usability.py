@@ -4,9 +4,10 @@ The codec reads and writes whatever a profile describes. Programs that take part
 meaning to each field: what they should send in a field of the implementation's own, and what follows when they receive
 it, no profile says. Octets without a meaning (``opaque``) are sent as zeros and ignored.
 
-A field that the profile adds to VarSpec is not an obstacle: it belongs to the variable, so nodes store and forward it.
-The application that creates the variable gives its value; it is zero by default. Container types of the profile's
-own are not an obstacle either: a node ignores those that it has no instruction for.
+A field that the profile adds to VarSpec or to a record is not an obstacle: nodes store and forward it with the record.
+The node that makes the record sends the value of the application, that of a rule, or zero (``dcp_stack.own_fields``).
+Only a block of octets in a record is refused, because nodes compute the sizes of payloads from those of their records.
+Container types of the profile's own are not an obstacle either: a node ignores those that it has no instruction for.
 """
 
 from __future__ import annotations
@@ -38,12 +39,12 @@ def _unusable(profile: Profile) -> Iterator[tuple[str, str]]:
     meaning = "nothing says what to send there"
     if own := own_fields(bp.header):
         yield "bp.header", f"has {_names(own)}; {meaning}"
-    for key, members in (("bp.payload_header", bp.payload_header), ("srp.record", srp.record if srp.is_report else ())):
-        if own := [each for each in own_fields(members) if each.opaque is None]:
-            yield key, f"has {_names(own)}; {meaning}"
-    for name, members in vardis.records.by_name().items():
-        if own := own_fields(members):
-            yield f"vardis.records.{name}", f"has {_names(own)}; {meaning}, and a node could not forward it"
+    if own := [each for each in own_fields(bp.payload_header) if each.opaque is None]:
+        yield "bp.payload_header", f"has {_names(own)}; {meaning}"
+    records = {f"vardis.records.{name}": own for name, own in vardis.own_fields().items() if name != "VarSpec"}
+    for key, members in {"srp.record": own_fields(srp.record) if srp.is_report else [], **records}.items():
+        if own := [each for each in members if each.block is not None]:
+            yield key, f"has {_names(own)}; a node needs a fixed number of octets"
     if own := [each for each in vardis.container_extra if each.extra is None]:
         yield "vardis.container_extra", f"has {_names(own)}; only integers can be sent, as zeros"
 

@@ -17,14 +17,10 @@ from dcp_codec.values import (
     VarDelete,
     VardisRecord,
     VarReqCreate,
-    VarReqUpdate,
     VarSpec,
-    VarSumm,
-    VarUpdate,
 )
 from dcp_codec.views.dissect import dissect
 from dcp_conformance.frames.header_rules import judge
-from dcp_conformance.frames.received import KIND_OF
 from dcp_conformance.fuzz.steps import Effect
 from dcp_conformance.model.circular import Circle
 from dcp_conformance.oracle import Limits, Oracle, Version, Waiting
@@ -35,12 +31,12 @@ LATENCY, WINDOW = 1.6, 8.0
 
 #: Names of the records in the reached pairs of state and message.
 _NAMES: Final = {
-    VarCreate: "create",
-    VarDelete: "delete",
-    VarUpdate: "update",
-    VarSumm: "summary",
-    VarReqUpdate: "request-update",
-    VarReqCreate: "request-create",
+    ICType.CREATE_VARIABLES: "create",
+    ICType.DELETE_VARIABLES: "delete",
+    ICType.UPDATES: "update",
+    ICType.SUMMARIES: "summary",
+    ICType.REQUEST_VARUPDATES: "request-update",
+    ICType.REQUEST_VARCREATES: "request-create",
 }
 #: Requirements whose violation makes a receiver discard the whole beacon.
 _IGNORED = frozenset({"BP-RX-01", "BP-RX-02"})
@@ -173,7 +169,7 @@ class Observer:
             known = variables.get(var_id)
             now = None if known is None else known.versions[-1]
             if now is None or now.state == "unknown":
-                reached.append(("unknown", _NAMES[type(record)]))
+                reached.append(("unknown", _NAMES[record.IC_TYPE]))
             else:
                 reached.append((self._state(now), self._message(record, now)))
             if isinstance(record, VarCreate):
@@ -212,7 +208,7 @@ class Observer:
         return f"{version.state} {'own' if own else 'foreign'}"
 
     def _message(self, record: VardisRecord, version: Version) -> str:
-        name = _NAMES[type(record)]
+        name = _NAMES[record.IC_TYPE]
         if isinstance(record, VarCreate):
             return f"{name} {self._compared(record, version)}".rstrip()
         if isinstance(record, (VarDelete, VarReqCreate)):
@@ -287,7 +283,7 @@ class Observer:
         records: list[tuple[ICType, VardisRecord]] = []
         for container in containers:
             # All records of a container have the same type.
-            if (kind := KIND_OF.get(type(container.records[0]))) is None:
+            if (kind := container.records[0].IC_TYPE) is None:
                 continue
             records += [(kind, record) for record in container.records]
             if kind is ICType.REQUEST_VARCREATES:

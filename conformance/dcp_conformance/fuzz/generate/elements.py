@@ -6,7 +6,7 @@ import itertools
 import random
 from typing import Final
 
-from dcp_spec.constants import BP_PROTID_SRP, BP_PROTID_VARDIS, BP_SEQNO_MODULUS, seqno_modulus
+from dcp_spec.constants import BP_PROTID_SRP, BP_PROTID_VARDIS, BP_SEQNO_MODULUS, ICType, seqno_modulus
 
 from dcp_codec.codec import Codec
 from dcp_codec.testing.draws import Draws
@@ -19,9 +19,10 @@ from dcp_codec.values import (
     Payload,
     VarCreate,
     VardisRecord,
+    VarSpec,
     VarUpdate,
 )
-from dcp_conformance.frames.received import KIND_OF
+from dcp_conformance.frames.sampling import Sampler
 from dcp_conformance.fuzz.steps import Frame, Step, Wait
 
 #: Base of creation times, in ticks of the profile's clock; far from both ends of the range.
@@ -40,7 +41,8 @@ class Parts:
         self._seqno = 0
         profile = codec.profile
         numbers = profile.vardis.container_types.by_name()
-        self._ic_types = {record: numbers[kind.label] for record, kind in KIND_OF.items()}
+        self._ic_types = {kind: numbers[kind.label] for kind in ICType}
+        self._sampler = Sampler(codec)
         self._has_header = bool(profile.bp.header)
         self._network = (profile.bp.network_id or 0) if profile.has_header_field("networkId") else None
         self._creation = "creationTime" in profile.vardis.var_spec
@@ -73,8 +75,9 @@ class Parts:
 
     def frame(self, *records: VardisRecord, sender: bytes | None = None, peer: int = 1) -> Frame:
         """Return a beacon of a station; consecutive records of one kind share a container."""
-        ic_types = self._ic_types
-        containers = tuple([Container(ic_types[kind], tuple(run)) for kind, run in itertools.groupby(records, type)])
+        ic_types, filled = self._ic_types, self._sampler.filled
+        runs = itertools.groupby(records, lambda record: record.IC_TYPE)
+        containers = tuple([Container(ic_types[kind], tuple(map(filled, run))) for kind, run in runs])
         return self._beacon(Payload(BP_PROTID_VARDIS, containers), sender, peer)
 
     def report_frame(self, report: ExtendedSafetyData, *, sender: bytes | None = None, peer: int = 1) -> Frame:
@@ -106,7 +109,7 @@ class Parts:
     ) -> VarCreate:
         """Return a VarCreate with attributes that are mostly valid."""
         rep_cnt, descr, value = self._attributes()
-        spec = self.codec.var_spec_type(
+        spec = VarSpec(
             var_id,
             self.node(peer) if producer is None else producer,
             rep_cnt,
@@ -135,7 +138,7 @@ class Parts:
         """Return a valid VarCreate; ``timeout`` in ms."""
         # Draw as many random numbers as create(), so that seeds keep producing the same sequences.
         self._attributes()
-        spec = self.codec.var_spec_type(
+        spec = VarSpec(
             var_id,
             self.node(peer) if producer is None else producer,
             2,

@@ -19,9 +19,11 @@ from dcp_codec.values import (
     VardisRecord,
     VarReqCreate,
     VarReqUpdate,
+    VarSpec,
     VarSumm,
     VarUpdate,
 )
+from dcp_conformance.frames.sampling import Sampler
 
 #: Protocol identifier that no node implements.
 OTHER_PROTOCOL: Final = 0x77
@@ -36,6 +38,7 @@ class Samples:
 
     def __init__(self, codec: Codec) -> None:
         self.codec = codec
+        self._sampler = Sampler(codec)
         self._numbers = codec.profile.vardis.container_types.by_name()
 
     def node(self, number: int = 1) -> bytes:
@@ -61,13 +64,13 @@ class Samples:
                 return VarDelete(var_id)
         fields = self.codec.profile.vardis.var_spec
         creation = 1 if "creationTime" in fields else None
-        spec = self.codec.var_spec_type(var_id, self.node(), 1, TEXT, creation, 0 if "timeout" in fields else None)
+        spec = VarSpec(var_id, self.node(), 1, TEXT, creation, 0 if "timeout" in fields else None)
         return VarCreate(spec, VarUpdate(var_id, 0, TEXT))
 
     def container(self, kind: ICType, count: int = 1) -> Container:
         """Return a container of ``count`` records of a kind, about different variables as far as possible."""
         top = 1 << (8 * min(2, self.codec.profile.types.var_id.width))
-        records = tuple(self.record(kind, number % top) for number in range(count))
+        records = tuple(self._sampler.filled(self.record(kind, number % top)) for number in range(count))
         return Container(self._numbers[kind.label], records)
 
     def vardis(self, *containers: Container) -> Payload:

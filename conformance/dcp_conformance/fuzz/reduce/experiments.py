@@ -14,7 +14,7 @@ from dcp_spec.constants import ICType
 
 from dcp_codec.codec import Codec
 from dcp_codec.errors import DecodeError, EncodeError
-from dcp_codec.values import Container, Payload, VarCreate, VardisRecord, VarUpdate
+from dcp_codec.values import Container, Payload, VarCreate, VardisRecord, VarSpec, VarUpdate
 from dcp_conformance.frames.received import var_id_of
 from dcp_conformance.fuzz.execute.model_monitor import Observer
 from dcp_conformance.fuzz.steps import Call, Effect, Frame, Step, Wait
@@ -156,7 +156,7 @@ def _about_others(block: Payload, kept: Container) -> Payload:
     def moved(record: VardisRecord) -> VardisRecord:
         other = var_id_of(record) ^ _FAR
         if isinstance(record, VarCreate):
-            return VarCreate(replace(record.spec, var_id=other), replace(record.upd, var_id=other))
+            return replace(record, spec=replace(record.spec, var_id=other), upd=replace(record.upd, var_id=other))
         return replace(record, var_id=other)
 
     return replace(
@@ -262,8 +262,7 @@ def _follow(observer: Observer, call: Call, now: int) -> None:
         case "RTDB-Create" if value is not None:
             timed = observer.compares_creations
             repetitions = call.params.get("repCnt", 1)
-            made = observer.codec.var_spec_type
-            spec = made(var_id, observer.own_id, repetitions, b"", now if timed else None, 0 if timed else None)
+            spec = VarSpec(var_id, observer.own_id, repetitions, b"", now if timed else None, 0 if timed else None)
             observer.created(spec, value, now)
         case "RTDB-Update" if value is not None:
             observer.oracle.updated(var_id, value, now)

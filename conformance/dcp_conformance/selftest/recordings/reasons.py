@@ -9,7 +9,6 @@ from typing import Final
 from dcp_spec.constants import ICType
 
 from dcp_codec.codec import Codec
-from dcp_conformance.frames.received import KIND_OF
 from dcp_conformance.model.results import CaseResult
 
 #: Octets of the Ethernet header before the beacon.
@@ -83,6 +82,6 @@ def _counts(octets: Sequence[bytes], codec: Codec) -> Counter[ICType]:
         for payload in beacon.payloads if beacon is not None else ():
             for container in payload.vardis or ():
                 for record in container.records:
-                    if type(record) in KIND_OF:
-                        counts[KIND_OF[type(record)]] += 1
+                    if record.IC_TYPE is not None:
+                        counts[record.IC_TYPE] += 1
     return counts

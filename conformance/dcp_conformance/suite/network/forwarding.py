@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dcp_spec.constants import ICType
 
-from dcp_codec.values import VarDelete, VardisRecord, VarUpdate
+from dcp_codec.values import VardisRecord
 from dcp_conformance.frames.received import Instruction
 from dcp_conformance.model.case import case
 from dcp_conformance.test_steps.repetitions import check_order
@@ -39,8 +39,8 @@ def passes_through(bench: Bench, wanted: int) -> None:
     create = peer.create(name, rep_cnt=count, producer=producer, descr=b"a far one", value=b"\x00\xff\x80", seqno=200)
     steps = (
         (_CREATE, create, ("VD-TYP-06", "VD-PC-10")),
-        (_UPDATE, VarUpdate(name, 201, bench.records.value(b"another length")), ("VD-PU-07",)),
-        (_DELETE, VarDelete(name), ("VD-PD-04",)),
+        (_UPDATE, peer.update(name, 201, b"another length"), ("VD-PU-07",)),
+        (_DELETE, peer.delete(name), ("VD-PD-04",)),
     )
     for kind, record, requirements in steps:
         mark = bench.mark()

@@ -5,9 +5,10 @@ Peers behave like nodes: they request variables that they do not know, and answe
 
 from __future__ import annotations
 
+import msgspec
 from dcp_spec.constants import ICType
 
-from dcp_codec.values import VarCreate, VarUpdate
+from dcp_codec.values import VarCreate
 from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.model.case import Needs, case
 from dcp_conformance.suite.vardis.composition.summaries import summarises
@@ -83,7 +84,7 @@ def catches_up(bench: Bench) -> None:
     )
     peer.send(peer.update(name, 7, b"seven"))
     found = bench.check_repeated(_UPDATE, name, count, mark, "VD-PU-07")
-    wrong = [each for each in found if each.record != VarUpdate(name, 7, bench.records.value(b"seven"))]
+    wrong = [each for each in found if each.record != bench.records.update(name, 7, b"seven")]
     text = f"{wrong[0].record}" if wrong else ""
     bench.check(not wrong, "the VarUpdate unchanged", text, "VD-PU-07", frames=wrong, shown=True)
     bench.check_repeated(_ASK_UPDATE, name, 1, mark, "VD-CMP-11")
@@ -108,7 +109,7 @@ def teaches_create(bench: Bench) -> None:
     mark = bench.mark()
     joiner.send(joiner.request_create(name))
     found = bench.check_repeated(_CREATE, name, count, mark, "VD-RC-03")
-    wanted = VarCreate(create.spec, VarUpdate(name, 2, bench.records.value(b"new")))
+    wanted = msgspec.structs.replace(create, upd=bench.records.update(name, 2, b"new"))
     wrong = [each for each in found if each.record != wanted]
     text = f"{wrong[0].record}" if wrong else ""
     bench.check(not wrong, f"{wanted}", text, "VD-CMP-07", frames=wrong, shown=updated)
@@ -129,7 +130,7 @@ def teaches_update(bench: Bench) -> None:
     mark = bench.mark()
     stale.send(stale.request_update(name, 4))
     found = bench.check_repeated(_UPDATE, name, count, mark)
-    wrong = [each for each in found if each.record != VarUpdate(name, 5, bench.records.value(b"five"))]
+    wrong = [each for each in found if each.record != bench.records.update(name, 5, b"five")]
     text = f"{wrong[0].record}" if wrong else ""
     bench.check(not wrong, "the stored value with sequence number 5", text, frames=wrong, shown=True)
 
@@ -151,7 +152,7 @@ def teaches_stale(bench: Bench, by: ICType) -> None:
     mark = bench.mark()
     stale.send(stale.summary(name, 8) if by is _SUMMARY else stale.update(name, 8, b"eight"))
     found = bench.check_repeated(_UPDATE, name, count, mark, requirement)
-    wrong = [each for each in found if each.record != VarUpdate(name, 9, bench.records.value(b"nine"))]
+    wrong = [each for each in found if each.record != bench.records.update(name, 9, b"nine")]
     text = f"{wrong[0].record}" if wrong else ""
     bench.check(not wrong, "the stored value with sequence number 9", text, requirement, frames=wrong, shown=True)
     mark = bench.mark()
@@ -273,7 +274,8 @@ def taught_by_producer(bench: Bench) -> None:
     mark = bench.mark()
     joiner.send(joiner.request_create(name))
     found = bench.check_repeated(_CREATE, name, count, mark, "VD-RC-03")
-    wrong = [each for each in found if each.record.upd != VarUpdate(name, 1, bench.records.value(b"\x01\x02"))]
+    wanted = (name, 1, bench.records.value(b"\x01\x02"))
+    wrong = [each for each in found if (each.record.upd.var_id, each.record.upd.seqno, each.record.upd.value) != wanted]
     text = f"{wrong[0].record.upd}" if wrong else ""
     bench.check(not wrong, "the current value with sequence number 1", text, "VD-CMP-07", frames=wrong, shown=True)
     mark = bench.mark()

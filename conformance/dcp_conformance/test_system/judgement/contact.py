@@ -13,7 +13,7 @@ from typing import Final, Literal
 from dcp_spec.constants import ICType
 
 from dcp_codec.codec import Codec
-from dcp_conformance.frames.received import KIND_OF, ReceivedBeacon, var_id_of
+from dcp_conformance.frames.received import ReceivedBeacon, var_id_of
 from dcp_conformance.model.results import Mark
 from dcp_conformance.test_system.traffic import Event
 
@@ -182,7 +182,7 @@ def stimuli(
                 yield "payload", None
             for container in payload.vardis or ():
                 for record in container.records:
-                    if (kind := KIND_OF.get(type(record))) is None:
+                    if (kind := record.IC_TYPE) is None:
                         continue
                     var_id = var_id_of(record)
                     if kind is ICType.CREATE_VARIABLES:

@@ -7,16 +7,7 @@ from typing import Unpack
 
 from dcp_spec.constants import IC_MAX_RECORDS
 
-from dcp_codec.values import (
-    ExtendedSafetyData,
-    VarCreate,
-    VarDelete,
-    VardisRecord,
-    VarReqCreate,
-    VarReqUpdate,
-    VarSumm,
-    VarUpdate,
-)
+from dcp_codec.values import ExtendedSafetyData, VarCreate, VardisRecord
 from dcp_conformance.frames.builder import Block, FrameBuilder, Lies
 from dcp_conformance.test_system.identifiers.allocation import Identifiers
 from dcp_conformance.test_system.sut_properties import SutProperties
@@ -45,6 +36,11 @@ class Peer:
         self._builder = builder
         self._records = records
         self._sut = sut
+        self.update = records.update
+        self.delete = records.delete
+        self.summary = records.summary
+        self.request_update = records.request_update
+        self.request_create = records.request_create
 
     def send(
         self,
@@ -131,26 +127,6 @@ class Peer:
         Value and description are truncated to the implementation's maximum unless ``exact``.
         """
         return self._records.create(var_id, self.node_id if producer is None else producer, **fields)
-
-    def update(self, var_id: int, seqno: int, value: bytes = b"newer", *, exact: bool = False) -> VarUpdate:
-        """Return a VarUpdate; the value is truncated to the implementation's maximum unless ``exact``."""
-        return VarUpdate(var_id, seqno, value if exact else self._records.value(value))
-
-    def delete(self, var_id: int) -> VarDelete:
-        """Return a VarDelete."""
-        return VarDelete(var_id)
-
-    def summary(self, var_id: int, seqno: int) -> VarSumm:
-        """Return a VarSumm."""
-        return VarSumm(var_id, seqno)
-
-    def request_update(self, var_id: int, seqno: int) -> VarReqUpdate:
-        """Return a VarReqUpdate; ``seqno`` is the sequence number that this peer claims to have."""
-        return VarReqUpdate(var_id, seqno)
-
-    def request_create(self, var_id: int) -> VarReqCreate:
-        """Return a VarReqCreate."""
-        return VarReqCreate(var_id)
 
 
 class Peers:

@@ -6,7 +6,17 @@ from typing import Any, Protocol, TypedDict, Unpack
 
 from dcp_codec.codec import Codec
 from dcp_codec.plan.tree import snake
-from dcp_codec.values import ExtendedSafetyData, VarCreate, VarSpec, VarUpdate
+from dcp_codec.values import (
+    ExtendedSafetyData,
+    VarCreate,
+    VarDelete,
+    VarReqCreate,
+    VarReqUpdate,
+    VarSpec,
+    VarSumm,
+    VarUpdate,
+)
+from dcp_conformance.frames.sampling import Sampler
 from dcp_conformance.test_system.identifiers.allocation import Identifiers
 from dcp_conformance.test_system.judgement.verdicts import Verdicts
 from dcp_conformance.test_system.steps import Clock
@@ -44,6 +54,7 @@ class Records:
         verdicts: Verdicts,
     ) -> None:
         self._codec = codec
+        self._sampler = Sampler(codec)
         self._clock = clock
         self._run = run
         self._sut = sut
@@ -104,7 +115,7 @@ class Records:
         """
         names = self._sut.profile.vardis.var_spec
         self.require_timeout(timeout)
-        return self._codec.var_spec_type(
+        spec = VarSpec(
             var_id,
             producer,
             rep_cnt,
@@ -112,6 +123,7 @@ class Records:
             (self.creation_time() if creation_time is None else creation_time) if "creationTime" in names else None,
             timeout if "timeout" in names else None,
         )
+        return self._sampler.filled(spec)
 
     def create(self, var_id: int, producer: bytes, **fields: Unpack[CreationFields]) -> VarCreate:
         """Return a VarCreate like :meth:`sample`. From now on the implementation may know the variable."""
@@ -147,7 +159,27 @@ class Records:
             timeout=timeout,
             exact=exact,
         )
-        return VarCreate(spec, VarUpdate(var_id, seqno, value if exact else self.value(value)))
+        return self._sampler.filled(VarCreate(spec, self.update(var_id, seqno, value, exact=exact)))
+
+    def update(self, var_id: int, seqno: int, value: bytes = b"newer", *, exact: bool = False) -> VarUpdate:
+        """Return a VarUpdate; the value is truncated to the implementation's maximum unless ``exact``."""
+        return self._sampler.filled(VarUpdate(var_id, seqno, value if exact else self.value(value)))
+
+    def delete(self, var_id: int) -> VarDelete:
+        """Return a VarDelete."""
+        return self._sampler.filled(VarDelete(var_id))
+
+    def summary(self, var_id: int, seqno: int) -> VarSumm:
+        """Return a VarSumm."""
+        return self._sampler.filled(VarSumm(var_id, seqno))
+
+    def request_update(self, var_id: int, seqno: int) -> VarReqUpdate:
+        """Return a VarReqUpdate; ``seqno`` is the sequence number that the sender claims to have."""
+        return self._sampler.filled(VarReqUpdate(var_id, seqno))
+
+    def request_create(self, var_id: int) -> VarReqCreate:
+        """Return a VarReqCreate."""
+        return self._sampler.filled(VarReqCreate(var_id))
 
     def report(self, node_id: bytes, seqno: int, *, t_stamp: int | None = None, **fields: float) -> ExtendedSafetyData:
         """Return a state report; fields of the safety data that are not given are zero."""

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 from dcp_spec.constants import IC_MAX_RECORDS, ICType
 
-from dcp_codec.values import VarCreate, VarSumm
+from dcp_codec.values import VarCreate
 from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.model.case import Needs, case
 from dcp_conformance.test_steps.full_payloads import PAYLOAD_SIZE, longest
@@ -105,7 +105,7 @@ def _room_for_all_kinds(bench: Bench) -> str | None:
     if not summaries:
         return "the implementation sends no summaries"
     create, size = bench.records.sample(), bench.builder.record_size
-    octets = size(create) + size(create.upd) + (3 + min(summaries, 16)) * size(VarSumm(0, 0))
+    octets = size(create) + size(create.upd) + (3 + min(summaries, 16)) * size(bench.records.summary(0, 0))
     octets += 6 * bench.builder.container_header_size
     limit = bench.sut.parameter(PAYLOAD_SIZE)
     return None if octets <= limit else f"{PAYLOAD_SIZE} is {limit}, and all kinds together may need {octets} octets"
