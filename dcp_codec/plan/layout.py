@@ -170,6 +170,12 @@ class ValueTypes:
     def __getitem__(self, type_name: str) -> type[msgspec.Struct]:
         return self._classes[type_name]
 
+    def accepted(self, type_name: str) -> tuple[type[msgspec.Struct], ...]:
+        """Return the classes whose values can be encoded: that of the profile, and the plain one it is derived from."""
+        made = self[type_name]
+        plain = VALUE_CLASSES.get(type_name, made)
+        return (made,) if plain is made else (made, plain)
+
     def extended(self, record: AnyRecord, extra: Extra) -> AnyRecord:
         """Return a record of a class of ``dcp_codec.values`` in that of the profile, with the values of its fields."""
         made: Any = self._classes[type(record).__name__]

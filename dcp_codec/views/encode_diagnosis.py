@@ -126,9 +126,8 @@ class _Explainer:
         return size + sum(prefix.size for prefix in text.prefixes)
 
     def group(self, group: Group, value: Any, path: str) -> int:
-        cls = self.types[group.type_name]
-        if not isinstance(value, cls):
-            raise EncodeError(path, f"needs a {cls.__name__}, not {type(value).__name__}")
+        if not isinstance(value, self.types.accepted(group.type_name)):
+            raise EncodeError(path, f"needs a {group.type_name}, not {type(value).__name__}")
         siblings = self.members(group, value, path)
         paths: dict[str, str] = {}
         sizes: dict[str, int] = {}
@@ -210,7 +209,7 @@ class _Explainer:
             raise EncodeError(path, f"needs at least one {many.element.type_name}")
         size = 0
         for index, element in enumerate(value):
-            if type(element) is not self.types[many.element.type_name]:
+            if type(element) not in self.types.accepted(many.element.type_name):
                 expected = many.element.type_name
                 raise EncodeError(f"{path}[{index}]", f"needs a {expected}, not {type(element).__name__}")
             size += self.group(many.element, element, f"{path}[{index}]")

@@ -6,10 +6,11 @@ Each wrong node is found with few frames; the unchanged node shows nothing in th
 from __future__ import annotations
 
 import random
+from pathlib import Path
 from typing import Any
 
 import pytest
-from dcp_conformance.frames.builder import FrameBuilder
+from dcp_conformance.frames.builder import Block, FrameBuilder
 from dcp_conformance.fuzz import Frame, Wait
 from dcp_conformance.fuzz.execute.soak import Soak
 from dcp_conformance.fuzz.execute.stack import StackTarget
@@ -19,10 +20,21 @@ from dcp_conformance.fuzz.generate.sequences import Sequences
 from dcp_conformance.fuzz.steps import Call, Step
 from dcp_conformance.reference.inprocess import plain_node
 from dcp_conformance.selftest.mutants.mutant import all_mutants, node_with
+from dcp_spec.constants import BP_PROTID_VARDIS
 
 from dcp_codec import Codec
 from dcp_codec.testing.mutation import Mutator, drawn_pool
-from dcp_codec.values import VarCreate, VarDelete, VardisRecord, VarReqCreate, VarReqUpdate, VarSpec, VarSumm, VarUpdate
+from dcp_codec.values import (
+    Container,
+    VarCreate,
+    VarDelete,
+    VardisRecord,
+    VarReqCreate,
+    VarReqUpdate,
+    VarSpec,
+    VarSumm,
+    VarUpdate,
+)
 from dcp_stack.config import NodeConfig
 from dcp_stack.node import Node
 from dcp_stack.vardis.compose import Composer
@@ -322,3 +334,13 @@ def test_a_soaked_node_is_compared_in_epochs(mutant: str, kind: str):
     healthy, found = soaked(plain_node)
     assert (found, healthy.number, healthy.epochs) == ("", 6000, 60)
     assert healthy.compared > healthy.epochs
+
+
+def test_records_of_a_container_type_that_a_profile_adds_are_not_judged(tmp_path: Path):
+    path = tmp_path / "own.toml"
+    container = '[[vardis.own_containers]]\nname = "ACK"\nnumber = 7\nrecord = ["varId", "seqno"]\n'
+    path.write_text(f'extends = "dcp-2.0"\nname = "own"\n{container}', encoding="utf-8")
+    codec = Codec(path)
+    octets = codec.encode_containers((Container(7, (codec.types["Ack"](7, 1),)),))  # type: ignore[call-arg]
+    beacon = FrameBuilder(codec).beacon(PEER, 1, [Block(BP_PROTID_VARDIS, octets)], network_id=NETWORK)
+    assert StackTarget(codec).run([frame(create(1)), Frame(beacon), Wait(4.0)]) is None

@@ -29,18 +29,23 @@ def test_each_key_that_a_node_cannot_use_is_named(tmp_path: Path) -> None:
     assert list(unusable_keys(profile)) == [
         "bp.header",
         "bp.payload_header",
-        "vardis.records.VarSumm",
-        "vardis.records.VarUpdate",
         "vardis.records.VarReqCreate",
-        "vardis.records.VarCreate",
-        "vardis.records.VarDelete",
         "vardis.container_extra",
     ]
     reason = refusal(profile)
     assert reason is not None
     assert "bp.header: has hops, load; nothing says what to send there" in reason
+    assert "vardis.records.VarReqCreate: has reason; a node needs a fixed number of octets" in reason
     assert "vardis.container_extra: has" in reason
     assert "Use it with dcp-codec" in reason
+
+
+def test_a_node_can_use_fields_of_records_and_reports_with_a_fixed_size(tmp_path: Path) -> None:
+    report = 'record = ["sData", "nodeId", "tStamp", "seqno", { name = "battery", extra = { width = 1 } }]'
+    records = 'records.VarSumm = ["varId", "seqno", { name = "age", real = { width = 4 } }]'
+    assert refusal(load_profile(written(tmp_path, f"[srp]\n{report}\n[vardis]\n{records}"))) is None
+    varying = report.replace("extra = { width = 1 }", "block = { terminated = true }")
+    assert list(unusable_keys(load_profile(written(tmp_path, f"[srp]\n{varying}")))) == ["srp.record"]
 
 
 def test_a_node_can_use_octets_without_a_meaning(tmp_path: Path) -> None:

@@ -23,13 +23,13 @@ def profile(tmp_path: Path) -> Path:
 
 
 def test_the_suite_refuses_such_a_profile(profile: Path) -> None:
-    with pytest.raises(UsageError, match=r"bp\.header: has hops, load.*vardis\.records\.VarSumm: has age"):
+    with pytest.raises(UsageError, match=r"bp\.header: has hops, load.*vardis\.records\.VarReqCreate: has reason"):
         describe(TargetOptions(in_process=True, profile=str(profile)))
 
 
 def test_a_node_refuses_such_a_profile(profile: Path) -> None:
     codec = Codec(profile)
-    with pytest.raises(ValueError, match=r"vardis\.records\.VarSumm: has age"):
+    with pytest.raises(ValueError, match=r"vardis\.records\.VarReqCreate: has reason"):
         NodeConfig(node_id=bytes(6), codec=codec)
 
 

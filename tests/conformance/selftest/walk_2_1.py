@@ -1,9 +1,9 @@
 """The walk "specification 2.1": what a new version of the specification takes, done for real.
 
-The made-up version 2.1 gives VarSpec a `priority` of one octet after `timeout`, and adds container type 7,
-SET-PRIORITY, with records of varId, priority and seqno. :func:`patched` makes a copy of `dcp_spec` with the two changes
-of the wire layer. The class :func:`set_priority` is the change of the node; the rest is what is tried. It runs in a
-process of its own, because the version must exist before other modules are imported: ``walk_2_1.py PART FOLDER``.
+The made-up version 2.1 gives VarSpec a `priority` of one octet after `timeout` and VarUpdate a `ttl` of one octet, and
+adds container type 7, SET-PRIORITY, with records of varId, priority and seqno. :func:`patched` makes these changes in
+a copy of `dcp_spec` and `dcp_stack`; the rest is what is tried. It runs in a process of its own, because the version
+must exist before other modules are imported: ``walk_2_1.py PART FOLDER``.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 PROFILE = """\
-# Specification 2.1 (made up): variables have a priority that their producer can change.
+# Specification 2.1 (made up): variables have a priority that their producer can change, and updates a time to live.
 extends = "dcp-2.0"
 name = "dcp-2.1"
 title = "DCP specification 2.1"
@@ -27,59 +27,41 @@ var_spec = [
     { name = "priority", extra = { width = 1 }, note = "how urgent the variable is" },
     "descr",
 ]
+records.VarUpdate = ["varId", "seqno", { name = "ttl", extra = { width = 1 }, unit = "s" }, "value"]
 
 [[vardis.own_containers]]
 name = "SET-PRIORITY"
 number = 7
 record = ["varId", { name = "priority", extra = { width = 1 } }, "seqno"]
 """
-VERSION = ('    V2_0 = "2.0"\n', '    V2_0 = "2.0"\n    V2_1 = "2.1"\n')
+#: The new files, and the replacements in existing ones. A node sends its own updates with a ttl of 200.
+ADDED = {
+    "dcp_spec/profiles/dcp-2.1.toml": PROFILE,
+    "dcp_stack/vardis/set_priority.py": Path(__file__).with_name("set_priority.py").read_text(encoding="utf-8"),
+}
+CHANGED = {
+    "dcp_spec/constants.py": {'    V2_0 = "2.0"\n': '    V2_0 = "2.0"\n    V2_1 = "2.1"\n'},
+    "dcp_stack/own_fields.py": {"MappingProxyType({})\n\n\nclass": '{"VarUpdate.ttl": lambda _record: 200}\n\n\nclass'},
+    "dcp_stack/vardis/known_instructions.py": {
+        "from .instructions import Instruction\n": "from .instructions import Instruction\n"
+        "from .set_priority import SetPriority\n",
+        "[type[Instruction], ...]] = ()": "[type[Instruction], ...]] = (SetPriority,)",
+    },
+}
 
 
-def patched(source: Path, folder: Path) -> None:
-    """Copy the package `dcp_spec` to `folder`, with a line more for the version, and its profile."""
-    copy = folder / "dcp_spec"
-    shutil.copytree(source, copy, ignore=shutil.ignore_patterns("__pycache__"))
-    constants = copy / "constants.py"
-    before = constants.read_text(encoding="utf-8")
-    assert before.count(VERSION[0]) == 1
-    constants.write_text(before.replace(*VERSION), encoding="utf-8")
-    (copy / "profiles" / "dcp-2.1.toml").write_text(PROFILE, encoding="utf-8")
-
-
-# -- the change of the node -------------------------------------------------------------------------------------------
-
-
-def set_priority() -> Any:
-    """The class that a node needs for the container; imported late, see the docstring of the module."""
-    from dcp_stack.vardis.instructions import Instruction
-
-    class SetPriority(Instruction):
-        """SET-PRIORITY: the producer changes the priority of a variable; receivers pass the change on once."""
-
-        container = "SET-PRIORITY"
-
-        def receive(self, record: Any, now: int, wall: int) -> str | None:
-            entry = self.entry(record.var_id)
-            if entry is None or entry.spec.prod_id == self.core.own_id:
-                return "update-unknown" if entry is None else "update-own"
-            if record.priority != self.own_field(entry, "priority"):
-                self.change(record.var_id, record.priority)
-            return None
-
-        def change(self, var_id: int, priority: int) -> None:
-            """Note the new priority and send it."""
-            entry = self.entry(var_id)
-            assert entry is not None
-            self.change_spec(entry, priority=priority)
-            self.queue.append(var_id)
-
-        def record(self, var_id: int) -> Any:
-            entry = self.entry(var_id)
-            assert entry is not None
-            return self.record_type(var_id=var_id, priority=self.own_field(entry, "priority"), seqno=entry.seqno)
-
-    return SetPriority
+def patched(packages: list[Path], folder: Path) -> None:
+    """Copy `dcp_spec` and `dcp_stack` to `folder`, with the changes."""
+    for each in packages:
+        shutil.copytree(each, folder / each.name)
+    for name, text in ADDED.items():
+        (folder / name).write_text(text, encoding="utf-8")
+    for name, replacements in CHANGED.items():
+        text = (folder / name).read_text(encoding="utf-8")
+        for old, new in replacements.items():
+            assert text.count(old) == 1, f"{name}: {old}"
+            text = text.replace(old, new)
+        (folder / name).write_text(text, encoding="utf-8")
 
 
 # -- what is tried ----------------------------------------------------------------------------------------------------
@@ -91,19 +73,20 @@ def codec(folder: Path) -> dict[str, Any]:
     from dcp_codec.export.jsonschema import beacon_schema
     from dcp_codec.export.lua import wireshark_dissector
     from dcp_codec.jsonform import beacon_from_json, value_json
-    from dcp_codec.values import Beacon, BPHeader, Container, Payload, VarCreate, VarUpdate
+    from dcp_codec.values import Beacon, BPHeader, Container, Payload, VarCreate, VarSpec, VarUpdate
 
     made = Codec("dcp-2.1")
-    spec = made.var_spec_type(1, b"\2" * 6, 1, b"speed", 5, 0, extra=(9,))  # type: ignore[call-arg]
+    spec = made.types.extended(VarSpec(1, b"\2" * 6, 1, b"speed", 5, 0), (9,))
+    update = made.types.extended(VarUpdate(1, 3, b"x"), (4,))
     change = made.types["SetPriority"](1, 9, 3)  # type: ignore[call-arg]
-    containers = (Container(5, (VarCreate(spec, VarUpdate(1, 3, b"x")),)), Container(7, (change,)))
+    containers = (Container(5, (VarCreate(spec, update),)), Container(7, (change,)))
     beacon = Beacon(BPHeader(b"\2" * 6, 1, 0x1111), (Payload(2, containers),))
     octets = made.encode(beacon)
     fields = {each.path: each.value for each in made.dissect(octets).root.walk()}
     return {
         "same": made.decode(octets) == beacon,
         "priority": made.decode(octets).payloads[0].content[0].records[0].spec.priority,  # type: ignore[union-attr]
-        "fields": {path: value for path, value in fields.items() if path.endswith("priority")},
+        "fields": {path: value for path, value in fields.items() if path.endswith(("priority", "ttl"))},
         "json": beacon_from_json(made, json.loads(json.dumps(value_json(made, beacon)))) == beacon,
         "lua": all(name in wireshark_dissector(made) for name in ("priority", "SET-PRIORITY")),
         "schema": "priority" in json.dumps(beacon_schema(made)),
@@ -111,7 +94,7 @@ def codec(folder: Path) -> dict[str, Any]:
 
 
 def node(_folder: Path) -> dict[str, Any]:
-    """Two nodes exchange a variable with a priority, and its producer changes the priority; a third has no handler."""
+    """Nodes exchange a variable with the fields, and its producer changes them; the third has no handler."""
     import random
 
     from dcp_codec.codec import Codec
@@ -120,16 +103,13 @@ def node(_folder: Path) -> dict[str, Any]:
     from dcp_stack.node import Node
 
     made, step, wall = Codec("dcp-2.1"), 10_000_000, 1_700_000_000_000_000_000
-    handlers = ((set_priority(),), (set_priority(),), ())
     nodes = [
         Node(
-            NodeConfig(node_id=bytes((2, 0, 0, 0, 0, number)), codec=made, instructions=handled),
-            rng=random.Random(number),
-            now=0,
-            wall=wall,
+            NodeConfig(node_id=bytes((2, 0, 0, 0, 0, number)), codec=made), rng=random.Random(number), now=0, wall=wall
         )
-        for number, handled in enumerate(handlers)
+        for number in range(3)
     ]
+    nodes[2].vardis.instructions.clear()
     dropped: set[str] = set()
     now = 0
 
@@ -149,9 +129,9 @@ def node(_folder: Path) -> dict[str, Any]:
                     elif isinstance(effect, Dropped):
                         dropped.add(effect.reason)
 
-    def priorities() -> list[int | None]:
+    def fields() -> list[list[int]]:
         entries = [each.vardis.entry(1) for each in nodes]
-        return [None if each is None else each.spec.priority for each in entries]
+        return [[each.spec.priority, *each.own["VarUpdate"]] for each in entries]
 
     for each in nodes:
         each.start(0, wall)
@@ -164,16 +144,17 @@ def node(_folder: Path) -> dict[str, Any]:
         wrong = str(error)
     producer.create(1, None, 2, b"speed", b"x", own_fields={"priority": 9}, now=now, wall=wall + now)
     run(1)
-    created = priorities()
+    created = fields()
     producer.instructions["SET-PRIORITY"].change(1, 3)
+    producer.update_with_fields(1, b"y", {"ttl": 2}, now=now, wall=wall + now)
     run(1)
     for each in nodes:
         each.vardis.check_invariants()
-    return {"created": created, "changed": priorities(), "dropped": sorted(dropped), "wrong": wrong}
+    return {"created": created, "changed": fields(), "dropped": sorted(dropped), "wrong": wrong}
 
 
 def simulator(folder: Path) -> dict[str, Any]:
-    """A scenario in which a variable has a priority."""
+    """A scenario in which a variable has a priority, and its update a ttl."""
     from dcp_stack.sim.scenario.loading import load_scenario
     from dcp_stack.sim.virtual.player import Simulation
 
@@ -192,6 +173,14 @@ node = 0
 variable = 7
 text = "one"
 own_fields = { priority = 5 }
+
+[[events]]
+at_s = 2
+do = "update"
+node = 0
+variable = 7
+text = "two"
+own_fields = { ttl = 3 }
 """,
         encoding="utf-8",
     )
@@ -200,36 +189,74 @@ own_fields = { priority = 5 }
     entries = [each.vardis.entry(7) for each in map(player.network.node, range(3))]
     return {
         "failed": [each.what for each in report.findings if not each.met],
-        "priorities": [None if each is None else each.spec.priority for each in entries],
+        "fields": [[each.spec.priority, *each.own["VarUpdate"]] for each in entries],
     }
 
 
-def suite(_folder: Path) -> dict[str, Any]:
-    """Every case against our node with the handler: what does not pass, and what only the version excludes."""
-    import msgspec
-    from dcp_conformance.execution.runner import Runner
+#: Cases that forward each kind of record, and read what the node made itself.
+CASES = (
+    "TC_NET_HOP_BV_01-2",
+    "TC_NET_JOIN_BV_02",
+    "TC_NET_JOIN_BV_03",
+    "TC_NET_JOIN_BV_05-update",
+    "TC_NET_JOIN_BV_07",
+)
+
+
+def cases(_folder: Path) -> dict[str, Any]:
+    """A few cases, and generated sequences, against our node, and against one that does not keep the fields."""
+    import random
+
+    from dcp_conformance.fuzz.execute.stack import StackTarget
+    from dcp_conformance.fuzz.generate.sequences import Sequences
     from dcp_conformance.model.case import all_cases
+
+    from dcp_codec.codec import Codec
+    from dcp_codec.testing.mutation import Mutator, drawn_pool
+    from dcp_stack.own_fields import OwnFields
+
+    made = Codec("dcp-2.1")
+    selection = [all_cases()[name] for name in CASES]
+
+    def sequences() -> list[str]:
+        target = StackTarget(made)
+        rng = random.Random(5)
+        drawn = Sequences(made, rng, target.own_id, Mutator(made, rng, drawn_pool(made, rng, 40)))
+        effects = [target.run(drawn.draw()) for _ in range(150)]
+        return sorted({each.detail for each in effects if each is not None})
+
+    found: dict[str, Any] = {"right": _verdicts(made, selection), "effects": sequences()}
+    OwnFields.keep = lambda *_: None  # type: ignore[assignment, method-assign]
+    return found | {"wrong": _verdicts(made, selection), "wrong effects": sequences()}
+
+
+def _verdicts(made: Any, selection: Any) -> dict[str, str]:
+    """Return ``verdict: reason`` of each case against our node."""
+    from dcp_conformance.execution.runner import Runner
     from dcp_conformance.model.pics import Pics
     from dcp_conformance.reference.inprocess import InProcess, reference_config
-    from dcp_conformance.selftest.runner import cases
     from dcp_conformance.test_system.bench import Session
+
+    sut = InProcess(reference_config(made))
+    runner = Runner(Session(made, sut.lower_tester(), sut.upper_tester(), Pics()), sut)
+    runner.prepare()
+    results = [runner.run(each) for each in selection]
+    runner.finish()
+    return {each.id: f"{each.verdict}: {each.reason}" for each in results}
+
+
+def suite(_folder: Path) -> dict[str, Any]:
+    """Every case against our node: what does not pass, and what only the version excludes."""
+    from dcp_conformance.model.case import all_cases
+    from dcp_conformance.selftest.runner import cases
 
     from dcp_codec.codec import Codec
 
-    made = Codec("dcp-2.1")
-    config = msgspec.structs.replace(reference_config(made), instructions=(set_priority(),))
-    sut = InProcess(config)
-    runner = Runner(Session(made, sut.lower_tester(), sut.upper_tester(), Pics()), sut)
-    runner.prepare()
-    results = [runner.run(each) for each in cases() if not each.long]
-    runner.finish()
-    verdicts: dict[str, int] = {}
-    for each in results:
-        verdicts[str(each.verdict)] = verdicts.get(str(each.verdict), 0) + 1
+    results = _verdicts(Codec("dcp-2.1"), [each for each in cases() if not each.long])
     return {
-        "verdicts": verdicts,
-        "not fine": [f"{each.id}: {each.verdict}: {each.reason}" for each in results if str(each.verdict) in _BAD],
-        "excluded": [each.id for each in results if "2.1" in each.reason and "until" in each.reason],
+        "passed": sum(each.startswith("pass:") for each in results.values()),
+        "not fine": [f"{name}: {each}" for name, each in results.items() if each.startswith(_BAD)],
+        "excluded": [name for name, each in results.items() if "2.1" in each and "until" in each],
         "excluded in 2.0": [each.id for each in all_cases().values() if each.needs.until is not None and not each.long],
     }
 
@@ -237,7 +264,7 @@ def suite(_folder: Path) -> dict[str, Any]:
 _BAD = ("fail", "inconclusive", "error")
 
 
-PARTS = {each.__name__: each for each in (codec, node, simulator, suite)}
+PARTS = {each.__name__: each for each in (codec, node, simulator, cases, suite)}
 
 if __name__ == "__main__":
     print(json.dumps(PARTS[sys.argv[1]](Path(sys.argv[2]))))

@@ -160,7 +160,8 @@ class Observer:
         return ids, latest
 
     def _payload(self, containers: tuple[Container, ...], time: int, number: int) -> list[int]:
-        records: list[VardisRecord] = [record for container in containers for record in container.records]
+        # The model has no rules for container types that a profile adds.
+        records: list[VardisRecord] = [each for one in containers for each in one.records if each.IC_TYPE is not None]
         variables, reached, removes = self.oracle.variables, self.reached, self._features.removed_after_deletion
         touched = []
         for record in records:
