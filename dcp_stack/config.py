@@ -206,7 +206,8 @@ def _sizes(config: NodeConfig) -> Sizes:
         bp_header=0 if header is None else least_size(header),
         bp_payload_header=sum(each.size for each in block.members if isinstance(each, Scalar)),
         ic_header=records.ic_header,
-        var_spec_fixed=records.var_spec + own_id,
+        # With the fields that the profile adds to VarCreate itself.
+        var_spec_fixed=records.var_create - records.var_update + own_id,
         var_update_fixed=records.var_update,
         var_summ=records.var_summ,
         max_packet_size=config.bp.max_packet_size or profile.limits.max_beacon_size,

@@ -19,11 +19,10 @@ class RecordSizes:
         spec, summary, update = (_record(plan, name) for name in ("VarSpec", "VarSumm", "VarUpdate"))
         self.ic_header = least_size(_record(plan, "Container"))
         self.var_summ = least_size(summary)
-        self.var_spec = least_size(spec)
-        """Octets of a VarSpec without description, and without an identifier of variable length."""
         self.var_update = least_size(update)
         """Octets of a VarUpdate without its value."""
-        self._create = least_size(layouts[ICType.CREATE_VARIABLES])
+        self.var_create = least_size(layouts[ICType.CREATE_VARIABLES])
+        """Octets of a VarCreate without description and value, and without an identifier of variable length."""
         own = codec.profile.vardis.own_containers
         self.fixed: dict[ICType | str, int | None] = {kind: layout.size for kind, layout in layouts.items()} | {
             each.name: _record(plan, each.type_name).size for each in own
@@ -56,7 +55,7 @@ class RecordSizes:
     def create(self, spec: VarSpec, value: bytes) -> int:
         """Return the octets of a VarCreate with this value."""
         producer = len(spec.prod_id) if self._id_varies else 0
-        size = self._create + producer + len(spec.descr) + len(value)
+        size = self.var_create + producer + len(spec.descr) + len(value)
         for place in self._own_texts:
             size += len(spec.extra[place])  # type: ignore[attr-defined]
         return size

@@ -119,6 +119,22 @@ ODD_PROFILES: dict[str, str] = {
         VarCreate = ["upd", { name = "mark", extra = { width = 1 } }, "spec"]
         VarDelete = ["varId", { name = "cause", extra = { width = 1 } }]
     """,
+    "odd-records": """
+        extends = "dcp-2.0"
+        name = "odd-records"
+        [srp]
+        record = ["sData", "nodeId", "tStamp", "seqno", { name = "battery", extra = { width = 1 } }]
+        [vardis]
+        var_spec = ["varId", "prodId", "repCnt", "creationTime", "timeout", "descr",
+                    { name = "priority", extra = { width = 1 } }, { name = "key", opaque = 2 }]
+        [vardis.records]
+        VarSumm = ["varId", "seqno", { name = "age", extra = { width = 2 } }]
+        VarUpdate = ["varId", "seqno", { name = "ttl", extra = { width = 1 } }, { name = "key", opaque = 2 }, "value"]
+        VarReqCreate = ["varId", { name = "reason", extra = { width = 1 } }]
+        VarReqUpdate = ["varId", { name = "hops", extra = { width = 1, signed = true } }, "seqno"]
+        VarCreate = [{ name = "mark", real = { width = 4 } }, "spec", "upd"]
+        VarDelete = ["varId", { name = "cause", extra = { width = 1 } }]
+    """,
     "odd-header-size": """
         extends = "sim-2.0"
         name = "odd-header-size"

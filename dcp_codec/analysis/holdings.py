@@ -83,7 +83,8 @@ class Holdings:
         if held is None:
             held = self._held[node] = {}
         for record in records:
-            self._record(record, held, frame, time_ns, node, changes)
+            if record.IC_TYPE is not None:
+                self._record(record, held, frame, time_ns, node, changes)
         return changes
 
     def _record(
@@ -98,8 +99,8 @@ class Holdings:
             var_id = record.var_id
             before = held.get(var_id)
             creation = None if before is None else before.creation
-            kind = type(record)
-            number = DELETED if kind is VarDelete else UNKNOWN if kind is VarReqCreate else record.seqno
+            deleted = isinstance(record, VarDelete)
+            number = DELETED if deleted else UNKNOWN if isinstance(record, VarReqCreate) else record.seqno
         if before is None:
             if self._pairs >= self._most:
                 return

@@ -25,6 +25,8 @@ from dcp_codec.analysis.holdings import DELETED, UNKNOWN, Held, History, Holding
 from dcp_codec.capture import open_capture
 from dcp_codec.framing.locate import OtherTraffic, locate
 
+from ..odd_profiles import codec_of
+
 CAPTURES = Path(__file__).resolve().parents[2] / "captures"
 ONE, TWO = b"\x02\0\0\0\0\1", b"\x02\0\0\0\0\2"
 
@@ -55,6 +57,14 @@ def test_every_record_shows_a_part_of_its_senders_database(record, number):
     assert change.now.number == number
     assert holdings.held(ONE, 7) == change.now
     assert holdings.held(TWO, 7) is None
+
+
+def test_records_with_fields_of_a_profile(tmp_path):
+    """Records of containers that the profile adds show nothing."""
+    types = codec_of("odd-own", tmp_path).types
+    delete, request = types["VarDelete"](7), types["VarReqCreate"](8)
+    changes = Holdings().feed(1, 10, ONE, saying(delete, request, types["Ping"](ONE, 1, b"")))
+    assert [(each.var_id, each.now.number) for each in changes] == [(7, DELETED), (8, UNKNOWN)]
 
 
 def test_repeated_records_change_nothing():

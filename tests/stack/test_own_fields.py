@@ -18,26 +18,8 @@ from dcp_stack.effects import SendBeacon
 from dcp_stack.node import Node
 from dcp_stack.own_fields import OwnFields
 
-PROFILE = """
-extends = "dcp-2.0"
-name = "own"
+from ..odd_profiles import write_profile
 
-[srp]
-record = ["sData", "nodeId", "tStamp", "seqno", { name = "battery", extra = { width = 1 } }]
-
-[vardis]
-var_spec = [
-    "varId", "prodId", "repCnt", "creationTime", "timeout", "descr",
-    { name = "priority", extra = { width = 1 } },
-    { name = "key", opaque = 2 },
-]
-[vardis.records]
-VarUpdate = ["varId", "seqno", { name = "ttl", extra = { width = 1 } }, { name = "key", opaque = 2 }, "value"]
-VarCreate = [{ name = "mark", real = { width = 4 } }, "spec", "upd"]
-VarDelete = ["varId", { name = "cause", extra = { width = 1 } }]
-VarSumm = ["varId", "seqno", { name = "age", extra = { width = 2 } }]
-VarReqCreate = ["varId", { name = "reason", extra = { width = 1 } }]
-"""
 SPEC = VarSpec(1, bytes(6), 1, b"x", 1, 0)
 CREATE = VarCreate(SPEC, VarUpdate(1, 0, b"v"))
 MS = 1_000_000
@@ -45,8 +27,7 @@ MS = 1_000_000
 
 @pytest.fixture
 def codec(tmp_path: Path) -> Codec:
-    (tmp_path / "own.toml").write_text(PROFILE, encoding="utf-8")
-    return Codec(tmp_path / "own.toml")
+    return Codec(write_profile("odd-records", tmp_path))
 
 
 @pytest.fixture

@@ -13,6 +13,7 @@ from typing import NamedTuple
 from dcp_spec.constants import BP_PROTID_SRP, BP_PROTID_VARDIS, ICType
 
 from dcp_codec.codec import Codec
+from dcp_codec.plan.measures import least_size, record
 from dcp_codec.plan.tree import Node, Scalar
 from dcp_codec.values import (
     Beacon,
@@ -75,12 +76,14 @@ class FrameBuilder:
     def empty_container(self, ic_type: int, count: int = 0, rest: bytes = b"") -> bytes:
         """Return the header of a container without any record, followed by the octets ``rest``."""
         probe = self.container(VarDelete(0), count=count, ic_type=ic_type)
-        return probe[: len(probe) - self.codec.profile.types.var_id.width] + rest
+        return probe[: self.container_header_size] + rest
 
     @property
     def container_header_size(self) -> int:
         """Size of an ``ICHeaderT`` in octets."""
-        return len(self.empty_container(1))
+        layout = record(self.codec.containers_plan, "Container")
+        assert layout is not None
+        return least_size(layout)
 
     def record_size(self, record: VardisRecord) -> int:
         """Return the size of a record in its container, in octets."""

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any, cast
+
 import msgspec
 from dcp_spec.profile.definition import OwnField
 
 from dcp_codec.codec import Codec
 from dcp_codec.plan.layout import neutral
-from dcp_codec.values import AnyRecord, VarCreate
+from dcp_codec.values import VALUE_CLASSES, AnyRecord, VarCreate
 
 
 class Sampler:
@@ -32,6 +34,12 @@ class Sampler:
             return record
         number = getattr(record, "seqno", 0)
         return self._types.extended(record, tuple([_sample(each, number) for each in own]))
+
+
+def plain(record: AnyRecord) -> AnyRecord:
+    """Return ``record`` without the fields that a profile adds, for a comparison of what the specification defines."""
+    made: Any = VALUE_CLASSES[type(record).__name__]
+    return cast(AnyRecord, made(*[getattr(record, name) for name in made.__struct_fields__]))
 
 
 def _sample(member: OwnField, number: int) -> int | float | bytes:

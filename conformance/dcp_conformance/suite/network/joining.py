@@ -8,8 +8,9 @@ from __future__ import annotations
 import msgspec
 from dcp_spec.constants import ICType
 
-from dcp_codec.values import VarCreate
+from dcp_codec.values import VarCreate, VarUpdate
 from dcp_conformance.frames.received import ReceivedBeacon
+from dcp_conformance.frames.sampling import plain
 from dcp_conformance.model.case import Needs, case
 from dcp_conformance.suite.vardis.composition.summaries import summarises
 from dcp_conformance.test_steps.services import produced, settled
@@ -274,8 +275,8 @@ def taught_by_producer(bench: Bench) -> None:
     mark = bench.mark()
     joiner.send(joiner.request_create(name))
     found = bench.check_repeated(_CREATE, name, count, mark, "VD-RC-03")
-    wanted = (name, 1, bench.records.value(b"\x01\x02"))
-    wrong = [each for each in found if (each.record.upd.var_id, each.record.upd.seqno, each.record.upd.value) != wanted]
+    wanted = VarUpdate(name, 1, bench.records.value(b"\x01\x02"))
+    wrong = [each for each in found if plain(each.record.upd) != wanted]
     text = f"{wrong[0].record.upd}" if wrong else ""
     bench.check(not wrong, "the current value with sequence number 1", text, "VD-CMP-07", frames=wrong, shown=True)
     mark = bench.mark()

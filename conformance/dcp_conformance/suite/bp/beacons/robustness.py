@@ -16,6 +16,7 @@ from dcp_spec.profile.loading import load_profile
 
 from dcp_codec import Codec
 from dcp_conformance.frames.builder import Block, FrameBuilder
+from dcp_conformance.frames.sampling import plain
 from dcp_conformance.model.case import Needs, case
 from dcp_conformance.test_steps.bp_clients import block_header_octets, header_octets, unused_protocol_id
 from dcp_conformance.test_system.bench import Bench
@@ -81,7 +82,7 @@ def foreign_layout(bench: Bench, name: str) -> None:
     sent = []
     for number, filler in enumerate((0, 300)):
         var_id = bench.unknown_id()
-        blocks = [Block(0x7777, bytes(filler))] * (filler > 0) + [builder.vardis(peer.summary(var_id, 1))]
+        blocks = [Block(0x7777, bytes(filler))] * (filler > 0) + [builder.vardis(plain(peer.summary(var_id, 1)))]
         network = bench.sut.parameter("BPPAR_NETWORK_ID") if codec.profile.has_header_field("networkId") else None
         octets = builder.beacon(peer.node_id, 258 + number, blocks, network_id=network)
         peer.send_octets(octets)
