@@ -101,14 +101,14 @@ man: $(STAMP)
 
 # Regenerate docs/traceability.md and add new cases to the ledger of identifiers.
 matrix: $(STAMP)
-	$(BIN)/python -m dcp_conformance.traceability
+	$(BIN)/dcp-selftest matrix
 
 # Regenerate docs/selftest.md: all cases that name a requirement against its mutants, all permitted variants,
 # and three draws of random changes of the node.
 selftest-doc: $(STAMP)
-	$(BIN)/dcp-conformance selftest --document docs/selftest.md
-	$(BIN)/dcp-conformance selftest --variants --document docs/selftest.md
-	$(BIN)/dcp-conformance selftest --generated 200 --seed 501 --seed 502 --seed 503 --document docs/selftest.md
+	$(BIN)/dcp-selftest mutants --document docs/selftest.md
+	$(BIN)/dcp-selftest variants --document docs/selftest.md
+	$(BIN)/dcp-selftest generated 200 --seed 501 --seed 502 --seed 503 --document docs/selftest.md
 
 $(STAMP) $(DEMO): pyproject.toml
 	@echo "Installing into $(VENV) ..."

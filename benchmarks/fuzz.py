@@ -33,7 +33,6 @@ from dcp_conformance.execution.target import Target
 from dcp_conformance.fuzz.campaign import read_state
 from dcp_conformance.fuzz.execute.live import LiveTarget
 from dcp_conformance.fuzz.execute.model_monitor import Observer
-from dcp_conformance.fuzz.execute.soak import Soak
 from dcp_conformance.fuzz.execute.stack import StackTarget
 from dcp_conformance.fuzz.generate.sequence_batches import Lifetimes
 from dcp_conformance.fuzz.generate.sequences import Sequences
@@ -42,6 +41,7 @@ from dcp_conformance.model.pics import Pics, Testing
 from dcp_conformance.reference.inprocess import plain_node
 from dcp_conformance.reference.process import reference_process
 from dcp_conformance.test_system.bench import Session
+from dcp_selftest.fuzz.soak import Soak
 
 from dcp_codec.codec import Codec
 from dcp_codec.errors import DecodeError

@@ -200,8 +200,8 @@ def test_artefacts_are_cases_of_the_runner(tmp_path, mutant, verdict):
     from dcp_conformance.execution.runner import Runner
     from dcp_conformance.model.pics import Pics
     from dcp_conformance.reference.inprocess import InProcess, plain_node, reference_config
-    from dcp_conformance.selftest.mutants import all_mutants
     from dcp_conformance.test_system.bench import Session
+    from dcp_selftest.mutants import all_mutants
 
     saved(tmp_path)
     [case] = artefact_cases(tmp_path)
@@ -235,8 +235,8 @@ def test_the_steps_of_a_wrong_state_are_compared_with_the_model(tmp_path):
     from dcp_conformance.fuzz.generate.sequences import Sequences
     from dcp_conformance.model.pics import Pics
     from dcp_conformance.reference.inprocess import InProcess, plain_node, reference_config
-    from dcp_conformance.selftest.mutants import all_mutants
     from dcp_conformance.test_system.bench import Session
+    from dcp_selftest.mutants import all_mutants
 
     from dcp_codec.testing.mutation import Mutator
     from dcp_codec.values import VarUpdate

@@ -29,7 +29,7 @@ from pathlib import Path
 from queue import Queue
 
 import pytest
-from dcp_conformance.selftest.generated import sites
+from dcp_selftest.generated import sites
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("spec/dcp_spec", "dcp_codec", "dcp_stack", "conformance/dcp_conformance")

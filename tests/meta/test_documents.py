@@ -11,7 +11,7 @@ import click
 import pytest
 from dcp_conformance.cli import main as conformance
 from dcp_conformance.model.case import all_cases
-from dcp_conformance.selftest.mutants import all_mutants
+from dcp_selftest.mutants import all_mutants
 
 from dcp_codec.cli import main as codec
 from dcp_stack.cli import main as node

@@ -58,7 +58,7 @@ def helps() -> Iterator[tuple[str, frozenset[str]]]:
 WORK = {
     "dcp-conformance list": HEAVY | SHOWING | {"dcp_stack.node"},
     "dcp-conformance run --dry-run": HEAVY | {"mcap", "dcp_stack.node"},
-    "dcp-conformance selftest --list": HEAVY | {"mcap"},
+    "dcp-selftest mutants --list": HEAVY | {"mcap"},
     f"dcp-conformance check {RECORDING} --quiet": HEAVY - {"jinja2"} | {"dcp_stack.node"},
     "dcp-node run --link udp --print-config": HEAVY | SHOWING,
     "dcp-node status --control /no-such-folder/node.sock": HEAVY | SHOWING | SCHEMAS | MACHINES,

@@ -7,10 +7,10 @@ import shutil
 from pathlib import Path
 
 import pytest
-from dcp_conformance import traceability
 from dcp_conformance.errors import UsageError
 from dcp_conformance.model.case import Case, Kind
-from dcp_conformance.traceability import DOCUMENT, LEDGER, UNDECIDED, matrix, outdated, render, write
+from dcp_selftest import traceability
+from dcp_selftest.traceability import DOCUMENT, LEDGER, UNDECIDED, matrix, outdated, render, write
 from dcp_spec.catalogue.requirements import requirements
 
 ROOT = Path(__file__).parents[2]

@@ -20,9 +20,9 @@ from dcp_conformance.interop.nodes.virtual import VirtualWorld
 from dcp_conformance.interop.reports import load_matrix, write_reports
 from dcp_conformance.interop.results import CellResult
 from dcp_conformance.interop.scene import MS, SECOND, Scene
-from dcp_conformance.interop.selftest import FAULTS, variants_to_try
 from dcp_conformance.model.verdict import Verdict
-from dcp_conformance.selftest.variants.variant import all_variants
+from dcp_selftest.interop import FAULTS, variants_to_try
+from dcp_selftest.variants.variant import all_variants
 
 from ...parts import every
 from ..command import Command

@@ -6,9 +6,9 @@ Failures name the requirement that is violated, and none about other parts of th
 from __future__ import annotations
 
 import pytest
-from dcp_conformance.selftest.mutants import all_mutants
-from dcp_conformance.selftest.runner import Finding, Trial, trial
 from dcp_conformance.suite.bp.services.client_reception import broken_by
+from dcp_selftest.mutants import all_mutants
+from dcp_selftest.runner import Finding, Trial, trial
 
 MUTANTS = all_mutants()
 REPORTS = ("M-SRP-FMT-01-test-pattern", "M-SRP-FMT-01-two-more", "M-SRP-FMT-01-filled-up", "M-SRP-FMT-01-two")

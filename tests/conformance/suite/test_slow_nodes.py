@@ -12,8 +12,8 @@ from dcp_conformance.model.case import DECLARED, DENIED
 from dcp_conformance.model.pics import Pics
 from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, reference_config
-from dcp_conformance.selftest.mutants import all_mutants
 from dcp_conformance.test_system.bench import MS, Session
+from dcp_selftest.mutants import all_mutants
 
 from ...parts import also, every
 from ..rig import codec_of, known_cases
