@@ -120,7 +120,7 @@ class Clone:
         subprocess.run(["git", "clone", "--quiet", str(ROOT), str(folder)], check=True)
         uv = str(ROOT / ".venv" / "bin" / "uv")
         subprocess.run([uv, "venv", "--quiet", ".venv"], cwd=folder, check=True)
-        install = [uv, "pip", "install", "--quiet", "--python", ".venv/bin/python", "-e", ".[test]"]
+        install = [uv, "pip", "install", "--quiet", "--python", ".venv/bin/python", "-e", ".[test]", "-e", "./selftest"]
         subprocess.run(install, cwd=folder, check=True)
         if (ROOT / "node_modules").exists():
             (folder / "node_modules").symlink_to(ROOT / "node_modules")

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 from dcp_conformance.cli import main as conformance
+from dcp_selftest.cli import main as selftest
 
 from dcp_codec.cli import main as codec
 from dcp_codec.common.commandline import CommandLine
@@ -20,7 +21,7 @@ from dcp_stack.cli import main as node
 pytestmark = pytest.mark.part("tools")
 
 RECORDING = str(Path(__file__).resolve().parents[2] / "captures" / "b_crud.mcap")
-COMMANDS: tuple[CommandLine, ...] = (codec, node, conformance)
+COMMANDS: tuple[CommandLine, ...] = (codec, node, conformance, selftest)
 #: Of extras, of the tests, or slow: for those who ask for what needs them.
 HEAVY = frozenset(
     (

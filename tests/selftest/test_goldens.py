@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import json
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import msgspec
 import pytest
-from dcp_selftest.goldens import Counts, GoldensError, load_manifest, main, make, verify
+from dcp_selftest.goldens import Counts, GoldensError, load_manifest, make, verify
 
 from dcp_codec import get_codec
 from dcp_codec.capture import attachments, create_capture, extract_attachment, open_capture
@@ -58,18 +56,11 @@ def test_the_recordings_are_small():
     assert sum(path.stat().st_size for path in CAPTURES.iterdir()) < 1_500_000
 
 
-def test_the_command(capsys):
-    assert main(["verify", str(MANIFEST)]) == 0
-    assert capsys.readouterr().out == "4 recordings, 0 findings\n"
+def test_the_command(dcp_selftest):
+    assert dcp_selftest("goldens", "verify", MANIFEST)[:2] == (0, "4 recordings, 0 findings\n")
 
 
-def test_the_command_of_the_module():
-    command = [sys.executable, "-m", "dcp_selftest.goldens", "verify", str(MANIFEST)]
-    ran = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert (ran.returncode, ran.stderr) == (0, "")
-
-
-def test_a_changed_octet_is_noticed(copy, capsys):
+def test_a_changed_octet_is_noticed(copy, dcp_selftest):
     path = copy.parent / "c_latejoin.mcap"
     octets = path.read_bytes()
     for place in range(0, len(octets), len(octets) // 20):
@@ -77,8 +68,9 @@ def test_a_changed_octet_is_noticed(copy, capsys):
         changed[place] ^= 0x10
         path.write_bytes(changed)
         assert "hash" in checks(copy), place
-    assert main(["verify", str(copy)]) == 1
-    assert "SHA-256" in capsys.readouterr().out
+    done = dcp_selftest("goldens", "verify", copy)
+    assert done.status == 1
+    assert "SHA-256" in done.out
 
 
 def test_a_file_cut_off_is_noticed(copy):
@@ -179,7 +171,7 @@ def test_a_beacon_that_does_not_decode_is_noticed(copy):
     assert found[-1].message == "and 4 more of this kind"
 
 
-def test_an_unusable_manifest_is_an_error(tmp_path, capsys):
+def test_an_unusable_manifest_is_an_error(tmp_path, dcp_selftest):
     path = tmp_path / "manifest.toml"
     for text in (
         "[[capture]]\n",
@@ -190,12 +182,13 @@ def test_an_unusable_manifest_is_an_error(tmp_path, capsys):
         path.write_text(text)
         with pytest.raises(GoldensError, match="manifest"):
             verify(path)
-        assert main(["verify", str(path)]) == 2
+        assert dcp_selftest("goldens", "verify", path).status == 2
     path.unlink()
-    assert main(["verify", str(path)]) == 2
-    assert "error:" in capsys.readouterr().err
+    done = dcp_selftest("goldens", "verify", path)
+    assert done.status == 2
+    assert "dcp-selftest: " in done.err
     path.write_text("capture = []\nmade_with = {}\n")
-    assert main(["verify", str(path)]) == 2
+    assert dcp_selftest("goldens", "verify", path).status == 2
 
 
 # -- building them ------------------------------------------------------------------------------------------------
@@ -216,14 +209,14 @@ def test_building_twice_gives_the_same_octets(tmp_path):
     assert built[0] == built[1]
 
 
-def test_building_from_a_folder_takes_the_counts_beside_the_recording(copy, tmp_path):
+def test_building_from_a_folder_takes_the_counts_beside_the_recording(copy, tmp_path, dcp_selftest):
     folder = tmp_path / "originals"
     folder.mkdir()
     golden = load_manifest(copy).capture[0]
     path = copy.parent / golden.file
     (attachment,) = attachments(path)
     extract_attachment(path, attachment, folder / golden.original)
-    assert main(["make", str(copy), "--originals", str(folder)]) == 0
+    assert dcp_selftest("goldens", "make", copy, "--originals", folder).status == 0
     expected = golden.expected
     beside = {
         "counts": {"beacons": 271, "srp": expected.srp, "containers UPDATES": 24},
@@ -231,22 +224,23 @@ def test_building_from_a_folder_takes_the_counts_beside_the_recording(copy, tmp_
         "last_sent_value": {"1": [4, "03040506"]},
     }
     (folder / "c_latejoin.json").write_text(json.dumps(beside))
-    assert main(["make", str(copy), "--originals", str(folder)]) == 1
+    assert dcp_selftest("goldens", "make", copy, "--originals", folder).status == 1
     found = [finding.message for finding in verify(copy)]
     assert "beacons is 270, expected 271" in found
     assert "containers / SUMMARIES is 267, expected absent" in found
     assert load_manifest(copy).capture[0].expected.containers == {"UPDATES": 24}
     (folder / "c_latejoin.json").write_text("{}")
-    assert main(["make", str(copy), "--originals", str(folder)]) == 2
+    assert dcp_selftest("goldens", "make", copy, "--originals", folder).status == 2
 
 
-def test_building_from_an_empty_folder_changes_no_files(copy, tmp_path, capsys):
+def test_building_from_an_empty_folder_changes_no_files(copy, tmp_path, dcp_selftest):
     path = copy.parent / "c_latejoin.mcap"
     before = path.read_bytes(), copy.read_text()
-    assert main(["make", str(copy), "--originals", str(tmp_path / "none")]) == 2
-    assert "cannot be read: No such file or directory" in capsys.readouterr().err
+    done = dcp_selftest("goldens", "make", copy, "--originals", tmp_path / "none")
+    assert done.status == 2
+    assert "cannot be read: No such file or directory" in done.err
     golden = load_manifest(copy).capture[0]
     write(copy, msgspec.structs.replace(golden, original="other.pcap"))
-    assert main(["make", str(copy)]) == 2
+    assert dcp_selftest("goldens", "make", copy).status == 2
     write(copy, golden)
     assert (path.read_bytes(), copy.read_text()) == before

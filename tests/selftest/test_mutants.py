@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
-from dcp_conformance.cli.selftest import command
 from dcp_conformance.errors import UsageError
 from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import plain_node
+from dcp_selftest.cli.mutants import command
 from dcp_selftest.kill_matrix import markdown
 from dcp_selftest.mutants import Mutant, all_mutants, mutant, node_with
 from dcp_selftest.mutants.mutant import replaced
@@ -27,7 +27,7 @@ from dcp_stack.node import Node
 from dcp_stack.vardis.receive import Receiver
 
 MUTANTS = all_mutants()
-DOCUMENT = Path(__file__).parents[3] / "docs" / "selftest.md"
+DOCUMENT = Path(__file__).parents[2] / "docs" / "selftest.md"
 EQUAL = "M-VD-RU-03-equal-answered"
 
 

@@ -27,8 +27,8 @@ from dcp_codec.values import (
     VarUpdate,
 )
 
-from ..air import KINDS, MS
-from ..rig import codec_of
+from ..conformance.air import KINDS, MS
+from ..conformance.rig import codec_of
 
 PROFILES = ("dcp-2.0", "dcp-1.3", "dcp-1.2", "dcp-1.1", "dcp-1.0")
 PERIOD = 100 * MS

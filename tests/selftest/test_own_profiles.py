@@ -14,7 +14,7 @@ from dcp_codec import Codec
 from dcp_codec.capture import Frame, create_capture
 from dcp_stack.config import NodeConfig
 
-from ...odd_profiles import write_profile
+from ..odd_profiles import write_profile
 
 
 @pytest.fixture

@@ -16,7 +16,7 @@ from dcp_selftest.variants.variant import setup
 
 from dcp_stack.bp.clients import Chosen, ClientList
 
-from ..rig import PROFILES, ids_of, one_case
+from ..conformance.rig import PROFILES, ids_of, one_case
 
 FINE = (Verdict.PASS, Verdict.INFO, Verdict.NOT_APPLICABLE)
 

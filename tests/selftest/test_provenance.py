@@ -25,7 +25,7 @@ from dcp_selftest.provenance.statements import distance, statements
 from dcp_spec.catalogue.origins import OriginsFile
 from dcp_spec.constants import SpecVersion
 
-from ..command import Command
+from ..conformance.command import Command
 
 LETTERS = """\
 ---
@@ -323,16 +323,16 @@ def made_up(monkeypatch, baseline) -> None:
 
 @pytest.mark.usefixtures("made_up")
 class TestCommand:
-    def test_unchanged_specification(self, dcp_conformance: Command, specification):
-        done = dcp_conformance("provenance", specification)
+    def test_unchanged_specification(self, dcp_selftest: Command, specification):
+        done = dcp_selftest("provenance", specification)
         assert done.status == 0
         assert re.search(r"^unchanged +\d+ +\d+$", done.out, re.MULTILINE)
         assert "Changed" not in done.out
 
-    def test_a_change_is_listed_with_everything_affected(self, dcp_conformance: Command, specification):
+    def test_a_change_is_listed_with_everything_affected(self, dcp_selftest: Command, specification):
         edit(specification, "dcp-bp.md", "at most 50", "at most 60")
         edit(specification, "dcp-srp.md", "## Tracking", "## Following Parcels")
-        done = dcp_conformance("provenance", specification)
+        done = dcp_selftest("provenance", specification)
         assert done.status == 1
         assert "dcp-bp.md:25  Limits\n    | A bag holds at most 60 letters.\n    VD-PAR-01\n" in done.out
         assert "dcp-srp.md, Tracking -> dcp-srp.md, Following Parcels\n    SRP-TYP-02 SRP-TYP-03\n" in done.out
@@ -341,9 +341,9 @@ class TestCommand:
         # The folder may have any length; everything else is wrapped.
         assert max(len(line) for line in done.out.splitlines() if str(specification) not in line) <= 80
 
-    def test_json(self, dcp_conformance: Command, specification):
+    def test_json(self, dcp_selftest: Command, specification):
         edit(specification, "dcp-bp.md", "at most 50", "at most 60")
-        done = dcp_conformance("provenance", specification, "--json")
+        done = dcp_selftest("provenance", specification, "--json")
         assert done.status == 1
         data = json.loads(done.out)
         assert data["schema"] == report.SCHEMA
@@ -355,20 +355,20 @@ class TestCommand:
         assert entry["id"] == "VD-PAR-01"
         assert "TC_VD_PAR_BV_02" in entry["cases"]
 
-    def test_text_without_rules_is_shown_on_demand(self, dcp_conformance: Command, specification):
+    def test_text_without_rules_is_shown_on_demand(self, dcp_selftest: Command, specification):
         edit(specification, "dcp-bp.md", "Some **words** about letters.", "Some words about letters. People like them.")
-        assert "People like them" not in dcp_conformance("provenance", specification).out
-        assert "People like them" in dcp_conformance("provenance", specification, "--all").out
+        assert "People like them" not in dcp_selftest("provenance", specification).out
+        assert "People like them" in dcp_selftest("provenance", specification, "--all").out
 
     @pytest.mark.parametrize("words", [[], ["/nowhere"], ["--requirement", "BP-RX-999"]])
-    def test_usage(self, dcp_conformance: Command, words):
-        done = dcp_conformance("provenance", *words)
+    def test_usage(self, dcp_selftest: Command, words):
+        done = dcp_selftest("provenance", *words)
         assert done.status == 2
         assert done.err.count("\n") == 1
 
 
-def test_the_places_of_a_requirement(dcp_conformance: Command):
-    done = dcp_conformance("provenance", "--requirement", "BP-RX-06", "--requirement", "BP-RX-16")
+def test_the_places_of_a_requirement(dcp_selftest: Command):
+    done = dcp_selftest("provenance", "--requirement", "BP-RX-06", "--requirement", "BP-RX-16")
     assert done.status == 0
     assert re.search(r"2\.0  [0-9a-f]{12}  dcp-bp\.md:\d+ \(Receive Path, step 2\)", done.out)
     assert "BP-RX-16" in done.out

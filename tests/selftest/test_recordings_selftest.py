@@ -11,8 +11,8 @@ from dcp_selftest.mutants import all_mutants
 from dcp_selftest.recordings import clean, faulty, situation
 from dcp_selftest.recordings.table import document
 
-from ...parts import also
-from ..air import case_of, findings, judged
+from ..conformance.air import case_of, findings, judged
+from ..parts import also
 
 #: Networks of the fixed draw: together all shapes, and losses, restarts, variants.
 DRAW = (0, 3, 5, 6, 7, 11)

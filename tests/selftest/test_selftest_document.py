@@ -6,12 +6,11 @@ from itertools import permutations
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
-from dcp_conformance.cli.selftest import command
-from dcp_conformance.errors import UsageError
 from dcp_selftest.document import SECTIONS, DocumentError, section_of, with_section, write_section
 
-DOCUMENT = Path(__file__).parents[3] / "docs" / "selftest.md"
+from ..conformance.command import Command
+
+DOCUMENT = Path(__file__).parents[2] / "docs" / "selftest.md"
 
 
 @pytest.mark.parametrize("order", list(permutations(SECTIONS)), ids=" ".join)
@@ -65,12 +64,11 @@ def test_a_document_that_is_missing_is_made(tmp_path: Path):
 
 
 @pytest.mark.part("suite")
-def test_both_commands_write_into_one_document(tmp_path: Path):
+def test_both_commands_write_into_one_document(tmp_path: Path, dcp_selftest: Command):
     path = tmp_path / "selftest.md"
-    for arguments in (["M-BP-HDR-01-two"], ["--variants", "V-X27-*"], ["M-BP-HDR-02-swapped"]):
-        options = ["--profile", "dcp-2.0", "--jobs", "1", "-q", "--document", str(path)]
-        found = CliRunner().invoke(command, [*arguments, *options], standalone_mode=False)
-        assert found.return_value == 0, found.output
+    for words in (["mutants", "M-BP-HDR-01-two"], ["variants", "V-X27-*"], ["mutants", "M-BP-HDR-02-swapped"]):
+        done = dcp_selftest(*words, "--profile", "dcp-2.0", "--jobs", "1", "-q", "--document", path)
+        assert done.status == 0, done.out
     text = path.read_text(encoding="utf-8")
     assert "`M-BP-HDR-02-swapped`" in section_of(text, "mutants")
     assert "`M-BP-HDR-01-two`" not in text
@@ -78,13 +76,12 @@ def test_both_commands_write_into_one_document(tmp_path: Path):
 
 
 @pytest.mark.part("suite")
-def test_a_broken_document_is_wrong_usage(tmp_path: Path):
+def test_a_broken_document_is_wrong_usage(tmp_path: Path, dcp_selftest: Command):
     path = tmp_path / "selftest.md"
     path.write_text("<!-- section: variants -->\n", encoding="utf-8")
-    arguments = ["--variants", "V-X27-*", "--profile", "dcp-2.0", "--jobs", "1", "-q", "--document", str(path)]
-    found = CliRunner().invoke(command, arguments, standalone_mode=False)
-    assert isinstance(found.exception, UsageError)
-    assert str(path) in str(found.exception)
+    done = dcp_selftest("variants", "V-X27-*", "--profile", "dcp-2.0", "--jobs", "1", "-q", "--document", path)
+    assert done.status == 2
+    assert str(path) in done.err
 
 
 def test_the_document_of_the_repository_has_sections():

@@ -23,7 +23,7 @@ from dcp_codec.codec import Codec
 def test_the_file_is_the_output_of_the_command() -> None:
     times = load()
     assert times.smoke == choose(cases(), times.seconds, load_dictionary())
-    file = Path(__file__).parents[3] / "conformance/dcp_conformance/data/case-times.json"
+    file = Path(__file__).parents[2] / "conformance/dcp_conformance/data/case-times.json"
     assert file.read_bytes() == encode(times)
 
 

@@ -19,7 +19,7 @@ from dcp_selftest.variants.variant import setup
 from dcp_selftest.variants.variant import variants_of as of_module
 from dcp_spec.constants import SpecVersion
 
-from ..rig import known_cases
+from ..conformance.rig import known_cases
 
 #: A variant of each module that the suite treats fairly.
 SAMPLE = (

@@ -11,6 +11,7 @@ from pathlib import Path
 import msgspec
 import pytest
 from dcp_conformance.errors import UsageError
+from dcp_conformance.interop import implementations
 from dcp_conformance.interop.bounds import attempts
 from dcp_conformance.interop.cell import Cell, run_cell
 from dcp_conformance.interop.definition import GRID_8, LINE_5, PAIR, all_tests, network_test
@@ -239,6 +240,22 @@ def test_a_bad_description_is_refused_by_key(tmp_path: Path, text: str, complain
     with pytest.raises(UsageError, match=r"interop\.toml") as refusal:
         load_description(path)
     assert complaint in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "advice"),
+    [
+        ("mutant:M-ABSENT", "pip install ./selftest"),
+        ("variant:V-ABSENT", "dcp-conformance-selftest"),
+        ("drone:X", "is not a built-in implementation"),
+    ],
+)
+def test_nodes_that_no_installed_package_offers_are_refused(
+    name: str, advice: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(implementations, "entry_points", lambda **_: ())
+    with pytest.raises(UsageError, match=advice):
+        built_in(name)
 
 
 def test_a_description_is_played(tmp_path: Path, dcp_conformance: Command) -> None:
