@@ -10,9 +10,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from dcp_conformance.cli.fuzz import stack_campaign
 from dcp_conformance.errors import UsageError
 from dcp_conformance.fuzz import Campaign, Effect, Step, Target
+from dcp_selftest.cli.fuzz import stack_campaign
 
 
 class Crashing:
