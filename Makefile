@@ -25,9 +25,10 @@ export PYTHONHASHSEED := 0
 .PHONY: docs man demo test test-all test-suite test-tools test-tables test-links test-versions test-lowest test-fresh \
         test-repeat lint bench bench-columns bench-fuzz matrix selftest-doc clean
 
+# Status 3: something is inconclusive, as on a machine that is too busy; the command names it.
 demo: $(DEMO)
 	@echo "The suite now tests our own node over virtual Ethernet (UDP without root): about a minute."
-	@$(BIN)/dcp-conformance run --report-dir demo-report
+	@$(BIN)/dcp-conformance run --report-dir demo-report || [ $$? -eq 3 ]
 
 test: lint
 	$(PYTEST) --part=core

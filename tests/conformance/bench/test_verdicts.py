@@ -91,6 +91,22 @@ def test_faults_of_the_tester_alone_are_worth_another_execution():
     assert parts.verdicts.disturbed == "it acted late by 200 ms"
 
 
+@pytest.mark.parametrize(
+    ("held", "overload", "reason"),
+    [
+        (0, "", ""),
+        (0, "the machine was overloaded", "the machine was overloaded"),
+        (2 * PERIOD, "", "tester or implementation were held up for 200 ms"),
+    ],
+)
+def test_a_case_that_a_busy_machine_leaves_undecided_is_worth_another_execution(held: int, overload: str, reason: str):
+    parts = Parts()
+    parts.steps.held(held)
+    with pytest.raises(StopCase):
+        parts.verdicts.inconclusive("a full payload", "none in time", overload=overload)
+    assert parts.verdicts.disturbed == reason
+
+
 def test_assumptions_are_not_worth_another_execution():
     parts = Parts()
     parts.steps.late_ns = 2 * PERIOD

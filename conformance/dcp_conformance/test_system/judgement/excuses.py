@@ -49,8 +49,8 @@ class Excuse(NamedTuple):
     """A reason why a failed check does not count."""
 
     text: str
-    disturbed: bool = False
-    """Whether only faults of the tester are the reason, so that another execution may decide the check."""
+    disturbance: str = ""
+    """The faults of the tester, if they are the only reason, so that another execution may decide the check."""
 
 
 class Excuses:
@@ -108,7 +108,7 @@ class Excuses:
             return Excuse(fault)
         if text := self.disturbance(shown=shown and not self._disturbed, numbers=numbers, patience=patience):
             self._disturbed = True
-            return Excuse(text, self.only_disturbed(numbers=numbers))
+            return Excuse(text, self.only_disturbance(numbers=numbers))
         if not shown and (fault := self.out_of_reach(requirements)):
             return Excuse(fault)
         return None
@@ -126,13 +126,18 @@ class Excuses:
             return f"the tester has lost something: {lost}"
         return self._assumptions.text() or ("" if shown else "; ".join(self._assumptions.stimuli.values()))
 
-    def only_disturbed(self, *, numbers: bool = False) -> bool:
-        """Return whether only faults of the tester keep a check from being decided at this moment."""
-        return not self._assumptions.text_of_all() and self._losses.explain_all(numbers=numbers)
+    def only_disturbance(self, *, numbers: bool = False) -> str:
+        """Return the faults of the tester or its link if nothing else keeps a check from being decided at this moment.
 
-    def faults_of_tester(self) -> list[str]:
-        """Describe the faults of the tester or its link in this case."""
-        return self._losses.of_tester()
+        Otherwise empty.
+        """
+        if self._assumptions.text_of_all() or not self._losses.explain_all(numbers=numbers):
+            return ""
+        return ", ".join(self._losses.of_tester())
+
+    def held_up(self) -> str:
+        """Describe a delay of the tester or of an answer, after which a stimulus may have come too late; or empty."""
+        return self._losses.held_up()
 
     def lateness(self) -> str:
         """Describe delays of tester and implementation that are too short or too uncertain to be an excuse."""

@@ -106,10 +106,16 @@ class Losses:
 
     def lateness(self) -> str:
         """Describe delays after which a reaction may have come too late for a wait of the case; empty without any."""
-        held, silence, period = self._steps.held_ns, self._steps.silence_ns, self._sut.period
-        if held > _HELD * period:
-            return f"tester or implementation were held up for {held / MS:.0f} ms"
-        return f"the implementation sent nothing for {silence / MS:.0f} ms" if silence > _SILENT * period else ""
+        silence = self._steps.silence_ns
+        silent = f"the implementation sent nothing for {silence / MS:.0f} ms"
+        return self.held_up() or (silent if silence > _SILENT * self._sut.period else "")
+
+    def held_up(self) -> str:
+        """Describe the longest delay of a wait or a call; empty if none was long."""
+        held = self._steps.held_ns
+        if held <= _HELD * self._sut.period:
+            return ""
+        return f"tester or implementation were held up for {held / MS:.0f} ms"
 
     def explain_all(self, *, numbers: bool = False) -> bool:
         """Return whether faults of the tester explain everything that is missing, so that a repetition may succeed."""

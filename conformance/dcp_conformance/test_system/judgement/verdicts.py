@@ -54,8 +54,8 @@ class Verdicts:
         """All checks so far."""
         self.readings: dict[str, str] = {}
         """Observed readings of disputed text, by identifier in the catalogue."""
-        self._disturbed: set[int] = set()
-        """Indices of the checks that only faults of the tester have left undecided."""
+        self._disturbances: dict[int, str] = {}
+        """The faults of the tester by the index of the check that only they have left undecided."""
         self._proved = False
         """Whether received octets or sequence numbers prove a failure of this case."""
 
@@ -100,7 +100,7 @@ class Verdicts:
             self._add(Verdict.FAIL, expected, observed, requirements, frames, shown=bool(shown))
         else:
             text = f"{observed}; but {excuse.text}"
-            self._add(Verdict.INCONCLUSIVE, expected, text, requirements, frames, disturbed=excuse.disturbed)
+            self._add(Verdict.INCONCLUSIVE, expected, text, requirements, frames, disturbance=excuse.disturbance)
         return False
 
     def require(
@@ -135,12 +135,16 @@ class Verdicts:
         )
         raise StopCase
 
-    def inconclusive(self, expected: str, observed: str, /, *requirements: str) -> NoReturn:
-        """Stop the case because it cannot be decided."""
+    def inconclusive(self, expected: str, observed: str, /, *requirements: str, overload: str = "") -> NoReturn:
+        """Stop the case because it cannot be decided.
+
+        ``overload``: why the machine of the tester is the reason. For this reason, and after losses and delays of the
+        tester, the case is executed again.
+        """
+        disturbance = overload or self._excuses.only_disturbance() or self._excuses.held_up()
         if assumed := self._excuses.assumed():
-            observed = f"{observed}; {assumed}"
-        disturbed = self._excuses.only_disturbed()
-        self._add(Verdict.INCONCLUSIVE, expected, observed, requirements, (), disturbed=disturbed)
+            observed, disturbance = f"{observed}; {assumed}", ""
+        self._add(Verdict.INCONCLUSIVE, expected, observed, requirements, (), disturbance=disturbance)
         raise StopCase
 
     def used_up(self, expected: str, observed: str, /) -> NoReturn:
@@ -210,7 +214,8 @@ class Verdicts:
         Such a case is worth another execution.
         """
         undecided = {place for place, each in enumerate(self.checks) if each.verdict is Verdict.INCONCLUSIVE}
-        return ", ".join(self._excuses.faults_of_tester()) if undecided and undecided <= self._disturbed else ""
+        known = self._disturbances
+        return ", ".join({known[place]: None for place in sorted(undecided)}) if undecided <= known.keys() else ""
 
     def _add(
         self,
@@ -221,13 +226,13 @@ class Verdicts:
         frames: Iterable[ReceivedBeacon | Instruction | Mark],
         *,
         shown: bool = False,
-        disturbed: bool = False,
+        disturbance: str = "",
     ) -> None:
         table: Table = "robustness" if self._case.robustness else "conformance"
         marks = tuple(self._mark(each) for each in frames)
         decided = in_force(tuple(requirements) or self._case.requirements, self._codec.profile.spec_version)
-        if disturbed:
-            self._disturbed.add(len(self.checks))
+        if disturbance:
+            self._disturbances[len(self.checks)] = disturbance
         self.checks.append(Check(verdict, decided, expected, observed, marks, table, shown))
         text = f"{verdict}: {expected}" + (f": {observed}" if observed else "")
         self._traffic.note("note", self._clock.wall(), text)

@@ -113,7 +113,7 @@ def check_mean(bench: Bench, found: Estimate | None, period: float, *requirement
         bench.inconclusive(expected, observed, *requirements)
     if low > period + tolerance and isinstance(bench.lower, OnThisMachine) and (why := bench.lower.overload()):
         # An implementation on this machine has to wait for the processor in every period.
-        bench.inconclusive(expected, f"{found}; but {why}", *requirements)
+        bench.inconclusive(expected, f"{found}; but {why}", *requirements, overload=why)
     if low > period + tolerance or high < period - tolerance:
         bench.check(False, expected, str(found), *requirements)
     elif low < period - tolerance or high > period + tolerance:
