@@ -132,7 +132,7 @@ def strict(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.part("suite")
 @pytest.mark.usefixtures("strict")
-@pytest.mark.parametrize(("impair", "seed"), [("loss=0.1", 1), ("loss=0.25,burst=2", 2)])
+@pytest.mark.parametrize(("impair", "seed"), [("loss=0.1", 1), ("loss=0.25,burst=2", 2), ("loss=0.15", 3)])
 def test_losses_fail_no_node_but_received_frames_still_prove_failures(impair: str, seed: int) -> None:
     run = run_of(impair, seed=seed, cases=tuple(each.id for each in sampled_cases(seed)))
     assert [f"{each.id}: {each.reason}" for each in run.results if each.verdict in (Verdict.FAIL, Verdict.ERROR)] == []
