@@ -23,6 +23,7 @@ Rule = Callable[[Any], int | float | bytes]
 Variable = TypeVar("Variable", VarCreate, VarSpec, VarUpdate)
 #: Rules of this code base by record and field, for example ``"VarUpdate.ttl"``; add new ones here.
 FIELD_RULES: Final[Mapping[str, Rule]] = MappingProxyType({})
+NO_VALUES: Final[Mapping[str, Any]] = MappingProxyType({})
 
 
 class OwnFields:
@@ -52,7 +53,7 @@ class OwnFields:
         """Return the values ``extra`` of a record by name; ``record`` is the name of its type."""
         return dict(zip(self._rules[record], extra, strict=True))
 
-    def shown(self, spec: VarSpec, kept: Mapping[str, Extra] = MappingProxyType({})) -> dict[str, int | float | str]:
+    def shown(self, spec: VarSpec, kept: Mapping[str, Extra] = NO_VALUES) -> dict[str, int | float | str]:
         """Return the values of ``spec`` and of its stored records (:meth:`keep`) for the control interface.
 
         Octets are hexadecimal digits. Of several fields with the same name that of the VarSpec is shown.
@@ -77,10 +78,10 @@ class OwnFields:
     def filled(
         self,
         record: AnyRecord,
-        given: Mapping[str, Any] = MappingProxyType({}),
-        kept: Mapping[str, Extra] = MappingProxyType({}),
+        given: Mapping[str, Any] = NO_VALUES,
+        kept: Mapping[str, Extra] = NO_VALUES,
     ) -> AnyRecord:
-        """Return ``record``, with the records in it, as it is sent: with values for all fields of the profile.
+        """Return ``record``, with the records in it, with values for all fields that the profile adds.
 
         ``kept``: the values of a stored record (:meth:`keep`). ``given``: values by name, which replace others; a name
         that the VarSpec and the VarUpdate of a VarCreate have is set in both.

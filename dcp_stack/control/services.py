@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from types import MappingProxyType
 from typing import Any, Final, NamedTuple, TypeVar
 
 import msgspec
@@ -18,6 +17,7 @@ from dcp_stack.bp.entity import BeaconingProtocol
 from dcp_stack.bp.services import UnknownServiceError
 from dcp_stack.config import MS
 from dcp_stack.node import Node
+from dcp_stack.own_fields import NO_VALUES
 from dcp_stack.positions.geometry import Motion, distance
 from dcp_stack.srp.entity import NotInitializedError, StateReporting
 from dcp_stack.srp.neighbour_table import NeighbourTable, NeighbourTableEntry
@@ -304,7 +304,7 @@ def _describe_variable(node: Node, params: m.ForVariable, _times: Times) -> m.Re
     return m.DescribeVariableConfirm(status=confirm.status, variable=variable)
 
 
-def _spec(node: Node, spec: VarSpec, own: Mapping[str, Extra] = MappingProxyType({})) -> dict[str, Any]:
+def _spec(node: Node, spec: VarSpec, own: Mapping[str, Extra] = NO_VALUES) -> dict[str, Any]:
     """Return the members of a Variable that come from its VarSpec, and ``own``, the values of added fields."""
     shown: dict[str, Any] = {"var_id": spec.var_id, "prod_id": spec.prod_id.hex(":"), "rep_cnt": spec.rep_cnt}
     try:

@@ -11,6 +11,7 @@ from dcp_spec.status import VardisStatus
 
 from dcp_codec.values import VarCreate, VarSpec, VarUpdate
 from dcp_stack.bp_port import BPPort
+from dcp_stack.own_fields import NO_VALUES
 
 from .confirms import (
     Confirm,
@@ -52,7 +53,7 @@ class VariableServices:
         value: bytes,
         timeout_ms: int = 0,
         *,
-        own_fields: Mapping[str, Any] | None = None,
+        own_fields: Mapping[str, Any] = NO_VALUES,
         now: int,
         wall: int,
     ) -> Confirm:
@@ -96,7 +97,7 @@ class VariableServices:
             ##= VD-TYP-04
             timeout=timeout_ms if self._core.features.creation_time else None,
         )
-        record = self._own_fields.replaced(VarCreate(spec, VarUpdate(var_id, 0, value)), own_fields or {})
+        record = self._own_fields.replaced(VarCreate(spec, VarUpdate(var_id, 0, value)), own_fields)
         spec = record.spec
         ##= VD-CRE-04 | exception: a description is also too long if the VarCreate does not fit into a payload (X42)
         ##= VD-CRE-05 | exception: a value is also too long if the VarCreate does not fit into a payload (X42)
@@ -134,7 +135,7 @@ class VariableServices:
             return self._confirm(status)
         ##= VD-UPD-07
         self._core.database.store(entry, value, self._core.sequence.after(entry.seqno), now=now, wall=wall)
-        self._note_fields(entry, {})
+        self._note_fields(entry, NO_VALUES)
         self._core.delivery.updated(var_id, entry.seqno, now)
         self._core.changed("updated", entry)
         return self._confirm(VardisStatus.OK)

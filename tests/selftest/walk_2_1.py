@@ -41,7 +41,7 @@ ADDED = {
 }
 CHANGED = {
     "dcp_spec/constants.py": {'    V2_0 = "2.0"\n': '    V2_0 = "2.0"\n    V2_1 = "2.1"\n'},
-    "dcp_stack/own_fields.py": {"MappingProxyType({})\n\n\nclass": '{"VarUpdate.ttl": lambda _record: 200}\n\n\nclass'},
+    "dcp_stack/own_fields.py": {"Rule]] = MappingProxyType({})": 'Rule]] = {"VarUpdate.ttl": lambda _record: 200}'},
     "dcp_stack/vardis/known_instructions.py": {
         "from .instructions import Instruction\n": "from .instructions import Instruction\n"
         "from .set_priority import SetPriority\n",
