@@ -95,10 +95,10 @@ contradict each other are errors that name the file and the key.
 * `dcp-codec profiles FILE` checks a file and shows its layout.
 * `dcp-codec profiles new NAME --from RECORDING` writes a draft from a recording and checks it against the recording.
 
-Fields and containers of your own are decoded by all tools of `dcp-codec`. Nodes store and forward the fields of records;
-in records of their own they send what the application gives, or zeros. A node and the test suite refuse a profile with
-fields in the headers of beacons and payloads and blocks of octets in records, and name the key; they send octets without
-a meaning (`opaque`) as zeros.
+Fields and containers of your own are decoded by all tools of `dcp-codec`. Nodes store and forward the fields of
+records; in records of their own they send what the application gives, or zeros. A node and the test suite refuse a
+profile with fields in the headers of beacons and payloads and blocks of octets in records, and name the key; they send
+octets without a meaning (`opaque`) as zeros.
 
 Built-in profiles:
 """
