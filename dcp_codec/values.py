@@ -137,7 +137,7 @@ RECORD_CLASSES: Mapping[ICType, type[msgspec.Struct]] = MappingProxyType(
 )
 
 VardisRecord = VarCreate | VarDelete | VarUpdate | VarSumm | VarReqUpdate | VarReqCreate
-AnyRecord = TypeVar("AnyRecord", bound=VardisRecord | VarSpec | ExtendedSafetyData)
+AnyRecord = TypeVar("AnyRecord", bound=VardisRecord | VarSpec | ExtendedSafetyData | OwnRecord)
 
 
 class Container(msgspec.Struct, frozen=True, gc=False):

@@ -178,10 +178,7 @@ class Composer:
     def _take_filled(self, kind: ContainerType, var_id: int) -> VardisRecord | OwnRecord:
         """Return :meth:`_take` with the values of fields that the profile adds to records."""
         entry = self._database.lookup(var_id)
-        record = self._take(kind, var_id)
-        if isinstance(record, OwnRecord):
-            return record
-        return self._own_fields.filled(record, kept={} if entry is None else entry.own)
+        return self._own_fields.filled(self._take(kind, var_id), kept={} if entry is None else entry.own)
 
     @staticmethod
     def _take_own(instruction: Instruction, var_id: int) -> OwnRecord:
