@@ -70,4 +70,4 @@ def test_a_profile_with_containers_of_its_own_in_every_command(run, tmp_path):
     for kind in ("lua", "ksy", "jsonschema", "markdown", "scapy"):
         assert run("export", kind, "-p", profile).status == 0
     assert "a node and the test suite" not in run("profiles", "cpp-1.2").err
-    assert "vardis.records.VarSumm" in run("profiles", profile).err
+    assert "vardis.records.VarReqCreate" in run("profiles", profile).err
