@@ -17,11 +17,11 @@ from dcp_conformance.frames.received import Instruction, ReceivedBeacon
 from dcp_conformance.model.case import Case
 from dcp_conformance.model.results import Check, Mark, Table
 from dcp_conformance.model.verdict import Verdict, worst
+from dcp_conformance.test_system.known import Field as ReadField
 from dcp_conformance.test_system.steps import Clock
 from dcp_conformance.test_system.traffic import Traffic
 
 from .excuses import Excuses
-from .misreading import Field as Misread
 
 
 def in_force(requirements: Sequence[str], version: SpecVersion) -> tuple[str, ...]:
@@ -70,7 +70,7 @@ class Verdicts:
         shown: object = False,
         numbers: bool = False,
         patience: float = 1.0,
-        field: Misread | None = None,
+        field: ReadField | None = None,
     ) -> bool:
         """Record whether a condition holds, and return it. Does not stop the case.
 

@@ -3,21 +3,37 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Final
 
 from dcp_spec.profile.loading import profile_names
 
-from dcp_codec.codec import get_codec
+from dcp_codec.analysis.guess import SAMPLE, Guess, guess
+from dcp_codec.capture import Frame
+from dcp_codec.codec import Codec, get_codec
+from dcp_codec.errors import DecodeError
+from dcp_codec.values import VarSumm
+from dcp_conformance.frames.builder import FrameBuilder
 from dcp_conformance.frames.received import ReceivedBeacon
+from dcp_conformance.lower_tester import ListensToAllTypes, LowerTester
 from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.test_system.traffic import Event
 
-from .other_settings import network_ids, other_ether_type, question
-from .profile_ranking import EXPLAINED, doubtful, ranked_with
-
 #: Beacon periods to wait for an answer.
 PERIODS: Final = 8.0
+#: Source address and sender identifier of questions.
+ASKER = bytes.fromhex("02dc90000001")
+#: Network identifiers that are tried when nothing is heard, beside those of the built-in profiles.
+_NETWORKS: Final = (0, 1, 2, 3, 0x00FF, 0x0100, 0x1111, 0x1234, 0xFFFF)
+#: EtherTypes that are tried when nothing is heard, beside those of the built-in profiles: the local experimental ones.
+_ETHER_TYPES: Final = (0x88B5, 0x88B6)
+#: A profile in which no block can be read of more than this share of the frames explains nothing.
+EXPLAINED: Final = 0.3
+#: Maximum difference in score between the best and the chosen profile that raises no doubt about the choice.
+_CLOSE: Final = 0.05
+
+
+# -- which setting explains what was heard -----------------------------------------------------------------------------
 
 
 def misnamed(bench: Bench) -> ReceivedBeacon | None:
@@ -139,3 +155,95 @@ def first_suspects(bench: Bench) -> str:
         compared.append((f"the network identifier is {bench.sut.parameter('BPPAR_NETWORK_ID')}", told))
     listed = [f"{ours} (it says {theirs if theirs not in (None, '') else 'nothing'})" for ours, theirs in compared]
     return f"for the tester {', '.join(listed)}: is that so? ('dcp-conformance probe' finds them by trying)"
+
+
+# -- questions with other settings -------------------------------------------------------------------------------------
+
+
+def question(codec: Codec, number: int, network_id: int | None = None) -> bytes:
+    """A beacon with the summary of a variable that does not exist: VarDis requests it (VD-PS-01).
+
+    ``network_id``: by default that of the profile.
+    """
+    builder = FrameBuilder(codec)
+    layout = codec.profile.types.node_id
+    if layout.representation == "text":
+        sender = ASKER.hex(":").encode()
+    else:
+        sender = ASKER[-layout.width :].rjust(layout.width, b"\x02")
+    highest = (1 << (8 * codec.profile.types.var_id.width)) - 1
+    block = builder.vardis(VarSumm(number % (highest + 1), 1))
+    seqno = number + codec.profile.behaviour.first_beacon_seqno
+    return builder.beacon(sender, seqno, [block], network_id=network_id)
+
+
+def network_ids(codec: Codec, without: int | None) -> list[int]:
+    """Network identifiers to try, but for ``without``; none where the header of the profile has no such field."""
+    if not codec.profile.has_header_field("networkId"):
+        return []
+    top = 1 << (8 * codec.profile.types.network_id.width)
+    known = (get_codec(name).profile.bp.network_id for name in profile_names())
+    numbers = dict.fromkeys((*(each for each in known if each is not None), *_NETWORKS))
+    return [each for each in numbers if each < top and each != without]
+
+
+def other_ether_type(lower: LowerTester, codec: Codec, source: bytes, duration: int) -> str:
+    """Listen to other EtherTypes for ``duration`` ns, and ask in them. What to change if beacons come; else empty.
+
+    Raises ``LowerTesterError``.
+    """
+    if not isinstance(lower, ListensToAllTypes):
+        return ""
+    known = (get_codec(name).profile.link.ether_type for name in profile_names())
+    numbers = dict.fromkeys((*(each for each in known if each is not None), *_ETHER_TYPES))
+    octets = question(codec, 0)
+    asked = [b"\xff" * 6 + source + each.to_bytes(2, "big") + octets for each in numbers if each != lower.ether_type]
+    found: Counter[int] = Counter()
+    for frame in lower.exchange_all_types(asked, duration):
+        if _is_beacon(codec, frame[14:]):
+            found[int.from_bytes(frame[12:14], "big")] += 1
+    if not found:
+        return ""
+    number, count = found.most_common(1)[0]
+    return (
+        f"{count} beacons came in frames with EtherType {number:#06x}, the tester listens to {lower.ether_type:#06x}: "
+        f"give --ether-type {number:#06x}"
+    )
+
+
+def _is_beacon(codec: Codec, octets: bytes) -> bool:
+    """Whether octets are a beacon of the profile, or of another one."""
+    for each in (codec, *map(get_codec, profile_names())):
+        if each.profile.bp.header:
+            try:
+                each.decode(octets)
+            except DecodeError:
+                continue
+            return True
+    return False
+
+
+# -- the profile that frames speak for ---------------------------------------------------------------------------------
+
+
+def ranked_by(codecs: Sequence[Codec], frames: Iterable[tuple[int, bytes]]) -> Guess:
+    """The ranking of profiles by the first frames: when each came, in ns since 1970, and its bearer payload."""
+    sample = [Frame(number, *each, len(each[1])) for number, each in zip(range(1, SAMPLE + 1), frames, strict=False)]
+    return guess(sample, profiles=list(codecs), framed=False)
+
+
+def ranked_with(codec: Codec, frames: Iterable[tuple[int, bytes]]) -> Guess:
+    """As :func:`ranked_by`, of all built-in profiles and that of ``codec``."""
+    others = [get_codec(name) for name in profile_names() if name != codec.profile.name]
+    return ranked_by([codec, *others], frames)
+
+
+def score_of(ranked: Guess, name: str) -> float:
+    """The score of a profile, 0..1; 0 if it is not in the ranking."""
+    return max((each.score for each in ranked.candidates if each.profile.name == name), default=0.0)
+
+
+def doubtful(ranked: Guess, name: str) -> bool:
+    """Whether a ranking speaks against a profile; also if none explains anything."""
+    best = ranked.best
+    return best.score - score_of(ranked, name) > _CLOSE or best.explained < EXPLAINED

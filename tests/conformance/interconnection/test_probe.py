@@ -14,7 +14,7 @@ from dcp_conformance.execution.selection import ordered
 from dcp_conformance.execution.target import TargetOptions, describe
 from dcp_conformance.frames.builder import Block, FrameBuilder
 from dcp_conformance.interconnection.probe import Period, draft, measured_period, rounded, write_pics
-from dcp_conformance.interconnection.profile_ranking import doubtful, ranked_with
+from dcp_conformance.interconnection.settings import doubtful, ranked_with
 from dcp_conformance.lower_tester import Arrival, LinkHealth
 from dcp_conformance.model.case import DECLARED, DENIED, all_cases
 from dcp_conformance.model.declared import denied_by
