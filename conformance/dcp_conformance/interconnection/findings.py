@@ -9,7 +9,7 @@ from typing import Final
 from dcp_conformance.model.case import Case, Kind
 from dcp_conformance.model.pics import Testing
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.known import Cause, Failure, Field, Known, Question
+from dcp_conformance.test_system.known import Cause, Failure, Known, Misread, Question
 from dcp_conformance.test_system.session import FLOOR, Session
 
 from . import extraction, layouts
@@ -28,7 +28,7 @@ class Findings(Known):
 
     contact: Contact | None = None
     """Result of the basic interconnection test; None before it, and if it is omitted."""
-    misread: dict[Field, str] = field(default_factory=dict)
+    misread: dict[Misread, str] = field(default_factory=dict)
     """The fields that the implementation misreads, each with a text about the observation."""
 
     @classmethod

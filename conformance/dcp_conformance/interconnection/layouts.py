@@ -17,14 +17,14 @@ from dcp_spec.constants import ICType
 from dcp_codec.values import VarCreate
 from dcp_conformance.errors import UpperTesterError
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.known import Failure, Field
+from dcp_conformance.test_system.known import Failure, Misread
 from dcp_conformance.test_system.traffic import payloads, records
 
 OWNERS: Final = frozenset(
     {"DATA-01", "DATA-02", "DATA-03", "DATA-05", "SRP-FMT-01", "SRP-TYP-02", "SRP-TYP-03", "VD-TYP-05"}
 )
 """The requirements about layouts: a misread field never excuses their failures."""
-CREATION_OWNERS: Final = frozenset({"VD-PC-07", "VD-PC-09", "VD-CMP-06"})
+_CREATION_OWNERS: Final = frozenset({"VD-PC-07", "VD-PC-09", "VD-CMP-06"})
 """The requirements to forward a VarCreate: a misread VarCreate never excuses their failures."""
 _DAY: Final = 86_400 * 10**9
 _TABLE: Final = "SRP-NeighbourTable"
@@ -33,12 +33,12 @@ _UPDATE: Final = "SRP-UpdateSafetyData"
 _ATTEMPTS: Final = 2
 
 
-def misread_fields(bench: Bench) -> dict[Field, str]:
+def misread_fields(bench: Bench) -> dict[Misread, str]:
     """Return the fields that the implementation misreads, each with a text about the observation.
 
     Takes about six beacon periods and deletes its variables. Raises ``LowerTesterError``.
     """
-    found: dict[Field, str] = {}
+    found: dict[Misread, str] = {}
     if not _accepts_creations(bench):
         found["VarCreate"] = "it forwarded no VarCreate at the start of the run (VD-PC-09)"
     elif text := _creation_times(bench):
@@ -147,7 +147,7 @@ def _reports(bench: Bench) -> str:
 # -- consequences ------------------------------------------------------------------------------------------------------
 
 
-def cause(misread: Mapping[Field, str], failure: Failure) -> str:
+def cause(misread: Mapping[Misread, str], failure: Failure) -> str:
     """Return the text about the misread field that a failed check follows from; empty if there is none."""
     if OWNERS & failure.requirements:
         return ""
@@ -162,7 +162,7 @@ def cause(misread: Mapping[Field, str], failure: Failure) -> str:
         return ""
     sent = list(payloads(failure.codec, failure.events))
     created = any(isinstance(record, VarCreate) for payload in sent for record in records(payload))
-    if "VarCreate" in misread and created and not CREATION_OWNERS & failure.requirements:
+    if "VarCreate" in misread and created and not _CREATION_OWNERS & failure.requirements:
         return misread["VarCreate"]
     return misread["report"] if "report" in misread and any(each.srp is not None for each in sent) else ""
 

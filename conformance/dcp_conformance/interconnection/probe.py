@@ -24,14 +24,11 @@ from dcp_conformance.frames.header_rules import judge
 from dcp_conformance.lower_tester import Arrival, LowerTester
 from dcp_conformance.model.node_id import node_id_octets
 from dcp_conformance.model.pics import DEFAULT_PROFILE, UNKNOWN_PROFILE, Capabilities, Pics, Target, Testing
-from dcp_conformance.model.pics_file import write_pics
 from dcp_conformance.test_system.session import Session
 from dcp_conformance.upper_tester import Answer, UpperTester
 
 from .findings import prepare
 from .settings import ASKER, EXPLAINED, doubtful, network_ids, other_ether_type, question, ranked_by, score_of
-
-__all__ = ["Period", "draft", "measured_period", "question", "write_pics"]
 
 #: ns for which other EtherTypes are listened to.
 _OVERHEAR = 2_000_000_000

@@ -37,7 +37,7 @@ _CLOSE: Final = 0.05
 
 
 def misnamed(bench: Bench) -> ReceivedBeacon | None:
-    """A beacon of the implementation under another name: its own one backwards, or sent from its address."""
+    """Return a beacon of the implementation under another name: its own one backwards, or sent from its address."""
     own = bench.session.sut_id
     if own is None or bench.heard:
         return None
@@ -49,7 +49,7 @@ def misnamed(bench: Bench) -> ReceivedBeacon | None:
 
 
 def suspect(bench: Bench) -> str:
-    """Which setting of the tester explains the frames that were heard; empty if none does."""
+    """Return which setting of the tester explains the frames that were heard; empty if none does."""
     frames = [each for each in bench.traffic.events if each.direction in ("heard", "other")]
     if not frames:
         return ""
@@ -65,7 +65,7 @@ def _other_profile(bench: Bench, payloads: Sequence[tuple[int, bytes]]) -> str:
 
 
 def _other_network(bench: Bench) -> str:
-    """All beacons carry another network identifier than the tester's."""
+    """Explain that all beacons carry another network identifier than the tester's."""
     if not bench.profile.has_header_field("networkId"):
         return ""
     ours = bench.sut.parameter("BPPAR_NETWORK_ID")
@@ -94,8 +94,12 @@ def _other_node(bench: Bench, frames: Sequence[Event]) -> str:
 
 
 def look_elsewhere(bench: Bench) -> str:
-    """Nothing is heard: ask in other ways. Which setting of the tester explains the answer; empty if none comes."""
-    return _profile_of_hello(bench) or _asked_otherwise(bench) or _in_other_ether_type(bench)
+    """Ask in other ways, since nothing is heard; return which setting explains the answer, empty if none comes."""
+    return (
+        _profile_of_hello(bench)
+        or _asked_otherwise(bench)
+        or other_ether_type(bench.lower, bench.codec, bench.peer().address, round(PERIODS * bench.period))
+    )
 
 
 def _profile_of_hello(bench: Bench) -> str:
@@ -111,7 +115,7 @@ def _profile_of_hello(bench: Bench) -> str:
 
 
 def _other_version(bench: Bench, told: object) -> str:
-    """UT-Hello names a version of the specification for which there are other profiles."""
+    """Explain silence if UT-Hello names a version of the specification for which there are other profiles."""
     version = ".".join(told.split(".")[:2]) if isinstance(told, str) else ""
     fitting = [name for name in profile_names() if str(get_codec(name).profile.spec_version) == version]
     if not fitting or bench.profile.spec_version == version:
@@ -138,10 +142,6 @@ def _asked_otherwise(bench: Bench) -> str:
     return suspect(bench)
 
 
-def _in_other_ether_type(bench: Bench) -> str:
-    return other_ether_type(bench.lower, bench.codec, bench.peer().address, round(PERIODS * bench.period))
-
-
 def first_suspects(bench: Bench) -> str:
     """List the settings to compare first if an upper tester answers and no frame is received."""
     upper, profile = bench.session.upper, bench.profile
@@ -161,7 +161,7 @@ def first_suspects(bench: Bench) -> str:
 
 
 def question(codec: Codec, number: int, network_id: int | None = None) -> bytes:
-    """A beacon with the summary of a variable that does not exist: VarDis requests it (VD-PS-01).
+    """Return a beacon with the summary of a variable that does not exist: VarDis requests it (VD-PS-01).
 
     ``network_id``: by default that of the profile.
     """
@@ -178,7 +178,7 @@ def question(codec: Codec, number: int, network_id: int | None = None) -> bytes:
 
 
 def network_ids(codec: Codec, without: int | None) -> list[int]:
-    """Network identifiers to try, but for ``without``; none where the header of the profile has no such field."""
+    """Return network identifiers to try, but for ``without``; none if the header of the profile has no such field."""
     if not codec.profile.has_header_field("networkId"):
         return []
     top = 1 << (8 * codec.profile.types.network_id.width)
@@ -188,7 +188,7 @@ def network_ids(codec: Codec, without: int | None) -> list[int]:
 
 
 def other_ether_type(lower: LowerTester, codec: Codec, source: bytes, duration: int) -> str:
-    """Listen to other EtherTypes for ``duration`` ns, and ask in them. What to change if beacons come; else empty.
+    """Listen to other EtherTypes for ``duration`` ns, and ask in them; return what to change if beacons come.
 
     Raises ``LowerTesterError``.
     """
@@ -212,7 +212,7 @@ def other_ether_type(lower: LowerTester, codec: Codec, source: bytes, duration: 
 
 
 def _is_beacon(codec: Codec, octets: bytes) -> bool:
-    """Whether octets are a beacon of the profile, or of another one."""
+    """Return whether octets are a beacon of the profile, or of another one."""
     for each in (codec, *map(get_codec, profile_names())):
         if each.profile.bp.header:
             try:
@@ -227,23 +227,23 @@ def _is_beacon(codec: Codec, octets: bytes) -> bool:
 
 
 def ranked_by(codecs: Sequence[Codec], frames: Iterable[tuple[int, bytes]]) -> Guess:
-    """The ranking of profiles by the first frames: when each came, in ns since 1970, and its bearer payload."""
+    """Return the ranking of profiles by the first frames: when each came, in ns since 1970, and its bearer payload."""
     sample = [Frame(number, *each, len(each[1])) for number, each in zip(range(1, SAMPLE + 1), frames, strict=False)]
     return guess(sample, profiles=list(codecs), framed=False)
 
 
 def ranked_with(codec: Codec, frames: Iterable[tuple[int, bytes]]) -> Guess:
-    """As :func:`ranked_by`, of all built-in profiles and that of ``codec``."""
+    """Return the same as :func:`ranked_by`, of all built-in profiles and that of ``codec``."""
     others = [get_codec(name) for name in profile_names() if name != codec.profile.name]
     return ranked_by([codec, *others], frames)
 
 
 def score_of(ranked: Guess, name: str) -> float:
-    """The score of a profile, 0..1; 0 if it is not in the ranking."""
+    """Return the score of a profile, 0..1; 0 if it is not in the ranking."""
     return max((each.score for each in ranked.candidates if each.profile.name == name), default=0.0)
 
 
 def doubtful(ranked: Guess, name: str) -> bool:
-    """Whether a ranking speaks against a profile; also if none explains anything."""
+    """Return whether a ranking speaks against a profile; also if none explains anything."""
     best = ranked.best
     return best.score - score_of(ranked, name) > _CLOSE or best.explained < EXPLAINED

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, Protocol
 
 from dcp_codec.codec import Codec
 from dcp_conformance.frames.received import ReceivedBeacon
@@ -14,7 +14,7 @@ from .traffic import Event
 
 Question = Literal["summary", "create", "request"]
 """Kinds of stimulus that VarDis must answer with a beacon."""
-Field = Literal["creationTime", "report", "VarCreate"]
+Misread = Literal["creationTime", "report", "VarCreate"]
 """Something that can be misread: the creationTime of a VarSpecT, or a whole state report or VarCreate."""
 
 
@@ -43,7 +43,7 @@ class Failure(NamedTuple):
     requirements: frozenset[str]
     shown: bool
     """Whether received octets prove the failure; otherwise something is missing."""
-    relied: frozenset[Field]
+    relied: frozenset[Misread]
     """The fields that the check depends on."""
     codec: Codec
     events: Sequence[Event]
@@ -82,3 +82,11 @@ class Known:
     def cause(self, failure: Failure) -> Cause | None:  # noqa: ARG002 - nothing is known
         """Return the finding that a failed check follows from; None if the failure counts."""
         return None
+
+
+class RunFindings(Protocol):
+    """The findings of a run about the implementation."""
+
+    sut_id: bytes | None
+    """Its node identifier, once it is known."""
+    known: Known

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Collection
-from typing import Final, NoReturn, Protocol
+from typing import Final, NoReturn
 
 from dcp_spec.constants import ICType
 
@@ -15,7 +15,7 @@ from dcp_conformance.frames.received import ReceivedBeacon
 
 from .identifiers.allocation import Identifiers
 from .judgement.verdicts import Verdicts
-from .known import Known, Question
+from .known import Question, RunFindings
 from .reception.receiver import Receiver
 from .reception.waiting import Waiting
 from .sending.peers import Peer, Peers
@@ -26,18 +26,12 @@ from .sut_properties import SutProperties
 _NAMES: Final = 8
 
 
-class ProbedRun(Protocol):
-    """The findings of a run."""
-
-    known: Known
-
-
 class Probes:
     """Asks VarDis for a sign of life."""
 
     def __init__(
         self,
-        run: ProbedRun,
+        run: RunFindings,
         peers: Peers,
         identifiers: Identifiers,
         waiting: Waiting,

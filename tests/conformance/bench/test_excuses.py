@@ -108,6 +108,23 @@ def test_a_lost_container_excuses_cases_that_sent_two_except_about_extraction():
     assert parts.excuses.find(("VD-RX-04",)) is None
 
 
+def test_after_a_loss_only_a_misread_field_explains_a_failure_for_certain():
+    """Another execution may decide a check that a lost container explains, and none that a misread field explains."""
+    parts = Parts()
+    parts.run.known.lost_container = "second"
+    parts.run.known.misread["report"] = "reports are laid out otherwise"
+    several = parts.builder.vardis(*(parts.builder.container(VarSumm(each, 1)) for each in (1, 2)))
+    sent(parts, parts.builder.beacon(b"\x02\0\0\0\0\x09", 1, [several], network_id=0x1111))
+    parts.steps.late_ns = 2 * PERIOD
+    excuse = parts.excuses.find(REQUIREMENTS)
+    assert excuse is not None
+    assert excuse.disturbance == "it acted late by 200 ms"
+    report = parts.builder.srp(parts.records.report(b"\x02\0\0\0\0\x09", 1))
+    sent(parts, parts.builder.beacon(b"\x02\0\0\0\0\x09", 2, [report], network_id=0x1111))
+    excuse = parts.excuses.find(REQUIREMENTS)
+    assert excuse == ("this follows from another fault: reports are laid out otherwise", "")
+
+
 @pytest.mark.parametrize(("created", "excused"), [(set(), True), ({7}, False)])
 def test_a_stimulus_that_is_never_answered_excuses_other_requirements(created: set[int], excused: bool):
     """A summary of a variable that the case has created is another stimulus."""

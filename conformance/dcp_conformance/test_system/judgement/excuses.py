@@ -13,23 +13,16 @@ A failed check is one of two kinds:
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Sequence
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 from dcp_codec.codec import Codec
 from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.test_system.assumptions import Assumptions
-from dcp_conformance.test_system.known import Failure, Field, Known
+from dcp_conformance.test_system.known import Failure, Misread, RunFindings
 from dcp_conformance.test_system.steps import Clock
 from dcp_conformance.test_system.traffic import Traffic
 
 from .losses import Losses
-
-
-class RunFindings(Protocol):
-    """The findings of a run about the implementation."""
-
-    sut_id: bytes | None
-    known: Known
 
 
 class Excuse(NamedTuple):
@@ -63,11 +56,11 @@ class Excuses:
         self._run = run
         self._losses = losses
         self._assumptions = assumptions
-        self._relied: set[Field] = set()
+        self._relied: set[Misread] = set()
         self._disturbed = False
         """Whether a failure of this case was excused by losses or assumptions."""
 
-    def relies_on(self, field: Field) -> None:
+    def relies_on(self, field: Misread) -> None:
         """Record that the expectations of the case, from now on, depend on how the implementation reads this field.
 
         If it misreads the field, failures of these expectations follow from that.
@@ -81,14 +74,14 @@ class Excuses:
         shown: bool = False,
         numbers: bool = False,
         patience: float = 1.0,
-        field: Field | None = None,
+        field: Misread | None = None,
     ) -> Excuse | None:
         """Return an excuse for a failed check that decides these requirements; None if the failure counts.
 
         ``shown``, ``numbers``, ``patience``, ``field``: see :meth:`~.verdicts.Verdicts.check`. Once losses or
         assumptions have excused a failure, they excuse failures of both kinds: later ones may follow from it.
         """
-        relied = self._relied if field is None else {*self._relied, field}
+        relied = self._relied if field is None else self._relied | {field}
         failure = Failure(
             frozenset(requirements), shown, frozenset(relied), self._codec, self._traffic.events, self._heard,
             self._created, self._run.sut_id, self._clock.wall(),

@@ -17,7 +17,7 @@ from dcp_conformance.frames.received import Instruction, ReceivedBeacon
 from dcp_conformance.model.case import Case
 from dcp_conformance.model.results import Check, Mark, Table
 from dcp_conformance.model.verdict import Verdict, worst
-from dcp_conformance.test_system.known import Field as ReadField
+from dcp_conformance.test_system.known import Misread
 from dcp_conformance.test_system.steps import Clock
 from dcp_conformance.test_system.traffic import Traffic
 
@@ -70,7 +70,7 @@ class Verdicts:
         shown: object = False,
         numbers: bool = False,
         patience: float = 1.0,
-        field: ReadField | None = None,
+        field: Misread | None = None,
     ) -> bool:
         """Record whether a condition holds, and return it. Does not stop the case.
 
