@@ -18,7 +18,6 @@ from dcp_conformance.test_system.bench import MS, Bench
 from dcp_conformance.test_system.session import FLOOR
 
 if TYPE_CHECKING:
-    from dcp_conformance.test_system.known import Reaction
     from dcp_conformance.test_system.session import Session
 
 PERIOD: Final = "BPPAR_BEACON_PERIOD"
@@ -40,7 +39,7 @@ class ShortPeriod:
         self._session = session
         self._case = case
         self._configured: Any = None
-        self._reaction: Reaction
+        self._reaction = session.known.reaction
         self.milliseconds = 0
         """The short period in ms."""
 

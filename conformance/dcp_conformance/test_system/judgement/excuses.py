@@ -54,8 +54,8 @@ class Excuses:
         self._heard = heard
         self._created = created
         self._run = run
-        self._losses = losses
-        self._assumptions = assumptions
+        self.losses = losses
+        self.assumptions = assumptions
         self._relied: set[Misread] = set()
         self._disturbed = False
         """Whether a failure of this case was excused by losses or assumptions."""
@@ -104,36 +104,20 @@ class Excuses:
         lateness of the tester, and assumptions about stimuli, excuse only something missing. Effects of an impaired
         link on stimuli, and on the order and the times of beacons, excuse both kinds.
         """
-        if shown and (misled := self._losses.misleading()):
+        if shown and (misled := self.losses.misleading()):
             return misled
-        if not shown and (lost := self._losses.own(numbers=numbers, patience=patience)):
+        if not shown and (lost := self.losses.own(numbers=numbers, patience=patience)):
             return f"the tester has lost something: {lost}"
-        return self._assumptions.text() or ("" if shown else "; ".join(self._assumptions.stimuli.values()))
+        return self.assumptions.text() or ("" if shown else "; ".join(self.assumptions.stimuli.values()))
 
     def only_disturbance(self, *, numbers: bool = False) -> str:
         """Return the faults of the tester or its link if nothing else keeps a check from being decided at this moment.
 
         Otherwise empty.
         """
-        if self._assumptions.text_of_all() or not self._losses.explain_all(numbers=numbers):
+        if self.assumptions.text_of_all() or not self.losses.explain_all(numbers=numbers):
             return ""
-        return ", ".join(self._losses.of_tester())
-
-    def held_up(self) -> str:
-        """Describe a delay of the tester or of an answer, after which a stimulus may have come too late; or empty."""
-        return self._losses.held_up()
-
-    def lateness(self) -> str:
-        """Describe delays of tester and implementation that are too short or too uncertain to be an excuse."""
-        return self._losses.lateness()
-
-    def overtaken(self) -> str:
-        """Describe frames that were received after data that were sent later; empty without any."""
-        return self._losses.overtaken()
-
-    def assumed(self) -> str:
-        """Return the texts of all assumptions of the case; empty if there are none."""
-        return self._assumptions.text_of_all()
+        return ", ".join(self.losses.of_tester())
 
     def unreadable(self, requirements: Iterable[str]) -> str:
         """Describe beacons of this case that cannot be read to their end, so that something in them may be missing.
