@@ -12,7 +12,8 @@ from dcp_codec.codec import Codec
 from dcp_conformance.fuzz.steps import Effect
 from dcp_conformance.oracle import Version
 from dcp_conformance.oracle.knowledge import State
-from dcp_conformance.reference.inprocess import EPOCH, InProcess, MakeNode, plain_node, reference_config
+from dcp_conformance.reference.inprocess import InProcess, MakeNode, plain_node, reference_config
+from dcp_stack.virtual.world import EPOCH
 
 from .model_monitor import Observer
 from .stack import difference, observer_of
