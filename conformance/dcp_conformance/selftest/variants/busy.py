@@ -73,8 +73,8 @@ class Busy(Tested):
         """Start the node; ``seed`` also decides the delays."""
         self.load = load
         self._chance = random.Random(f"busy/{seed}")  # noqa: S311 - no secret
-        self._held_until = 0
-        """The node is not executed until this time, ns."""
+        self._held_until: int | None = None
+        """The node is not executed until this time, ns; None while it is."""
         self._next_hold = self._draw_hold(now)
         self._inbox: deque[bytes] = deque()
         """Frames that the node has not processed yet."""
@@ -110,20 +110,19 @@ class Busy(Tested):
 
     def await_node(self) -> None:
         """Let time pass until the node is executed."""
-        while self._held_until > self.now and not self.died:
+        while self._held_until is not None and not self.died:
             self.elapse(self._held_until - self.now)
 
     def deliver(self, octets: bytes) -> None:
         """Deliver a frame to the node, which processes it when it is executed the next time."""
-        if self._held_until > self.now:
-            if self.linked:
-                self._inbox.append(octets)
-        else:
+        if self._held_until is None:
             super().deliver(octets)
+        elif self.linked:
+            self._inbox.append(octets)
 
     def poll_timeout(self) -> int | None:
         """Return when the node is called or held up next, or when it is executed again."""
-        if self._held_until > self.now:
+        if self._held_until is not None:
             return self._held_until
         due = super().poll_timeout()
         return self._next_hold if due is None else min(due, self._next_hold)
@@ -131,7 +130,8 @@ class Busy(Tested):
     def wake(self) -> None:
         """Call the node, hold it up, or execute it again."""
         due = super().poll_timeout()
-        if self._held_until == self.now:
+        if self._held_until is not None:
+            self._held_until = None
             frames_first = self._chance.random() < 0.5
             if not frames_first:
                 self.guarded(self.node.handle_timeout, self.now, self.wall())
