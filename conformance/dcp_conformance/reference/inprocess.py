@@ -43,7 +43,7 @@ class InProcess(Station):
         now: int = 0,
         world: World | None = None,
     ) -> None:
-        """``now``: virtual time in ns at which the node starts. ``world``: one with several nodes; None: one of its own."""
+        """``now``: virtual time in ns at which the node starts. ``world``: None makes one."""
         # A restart does not take the numbers back: intervals between beacons differ from start to start.
         super().__init__(world or World(now=now), config, random.Random(seed))  # noqa: S311 - jitter, no secret
         self._make = make

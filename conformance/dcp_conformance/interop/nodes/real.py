@@ -20,8 +20,9 @@ from dcp_conformance.interop.implementations import Implementation, codec_of, co
 from dcp_conformance.interop.judge import address_of, ether_frame
 from dcp_conformance.interop.world import Place, Received, Sent
 from dcp_conformance.upper_tester import Answer
-from dcp_stack.relay import INTERFACE, RelayError, RelayFabric
+from dcp_stack.relay import RelayError, RelayFabric
 from dcp_stack.sim.testbed import namespaces
+from dcp_stack.sim.testbed.place import INTERFACE
 from dcp_stack.virtual.world import node_id
 
 from .processes import Station
