@@ -23,8 +23,8 @@ from .medium import Arrival, Flight, Medium
 EPOCH: Final = 1_767_225_600_000_000_000
 #: Maximum number of timeouts of a node at one moment. With more, virtual time would never advance again.
 MOST_TIMEOUTS: Final = 500
-#: Rank of events other than arrivals.
-_LATER: Final = 1
+#: Lowest rank of events other than arrivals.
+LATER: Final = 1
 
 
 def node_id(profile: Profile, index: int) -> bytes:
@@ -50,9 +50,9 @@ class World:
         """The wall clock in ns since 1970."""
         return EPOCH + self.now
 
-    def at(self, time: int, action: Callable[[], None]) -> None:
-        """Call ``action`` at a future time, after the arrivals of that time and in the order of these calls."""
-        self._queue.push(max(time, self.now), action, _LATER)
+    def at(self, time: int, action: Callable[[], None], rank: int = LATER) -> None:
+        """Call ``action`` at a future time: after its arrivals, by rank, and in the order of these calls."""
+        self._queue.push(max(time, self.now), action, rank)
 
     def run_until(self, end: int, *, stop: Callable[[], bool] | None = None) -> bool:
         """Let virtual time pass up to ``end``, and process all events until then.
@@ -79,6 +79,9 @@ class World:
 
 class Station(ABC):
     """A place with a node that runs in a world; it exists also while the node is switched off."""
+
+    rank = LATER
+    """Of simultaneous timeouts, those of stations with a lower rank come first."""
 
     def __init__(self, world: World, config: NodeConfig, rng: random.Random) -> None:
         self.world = world
@@ -156,7 +159,7 @@ class Station(ABC):
         if due != self._due:
             self._due = due
             if due is not None:
-                self.world.at(due, self._expire)
+                self.world.at(due, self._expire, self.rank)
 
     def _expire(self) -> None:
         """Process a timeout, unless another one has replaced it."""

@@ -19,7 +19,7 @@ from dcp_conformance.selftest.variants.surroundings import Tested
 from dcp_conformance.selftest.variants.variant import Setup
 from dcp_conformance.upper_tester import Answer
 from dcp_stack.virtual.medium import Arrival, ImpairedMedium
-from dcp_stack.virtual.world import EPOCH, World, node_id
+from dcp_stack.virtual.world import EPOCH, LATER, World, node_id
 
 #: How long a frame takes, in ns: a receiver never answers at the instant of the transmission.
 _FLIGHT: Final = 20_000
@@ -32,6 +32,7 @@ class _Station(Tested):
     def __init__(self, world: VirtualWorld, place: int, setup: Setup, seed: int) -> None:
         self._network = world
         self._place = place
+        self.rank = LATER + place
         super().__init__(setup, seed=seed, world=world)
 
     def wall(self) -> int:
