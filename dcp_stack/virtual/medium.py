@@ -31,24 +31,16 @@ from .topology import Full, Neighbours, Topology
 Q = TypeVar("Q", bound=Quality | Impairment)
 
 
-class Flight(NamedTuple):
-    """A frame in flight to stations that it reaches at the same time. Times are in ns."""
-
-    time: int
-    """When it arrives."""
-    sender: int
-    receivers: tuple[int, ...]
-    octets: bytes
-    sent: int
-
-
 class Arrival(NamedTuple):
-    """The simultaneous arrival of a frame at several stations. ``time`` and ``sent`` (its transmission) are in ns."""
+    """The simultaneous arrival of a frame at several stations, also while the frame is in flight.
+
+    ``time`` and ``sent`` (when it was transmitted) are in ns.
+    """
 
     time: int
     sender: int
     receivers: tuple[int, ...]
-    """Stations that are connected, ascending."""
+    """Stations in ascending order; after the flight those that are connected."""
     octets: bytes
     sent: int
 
@@ -97,7 +89,7 @@ class Medium(ABC, Generic[Q]):
     """A medium between the stations 0..``stations`` - 1. Times are ns since the start.
 
     ``observer`` is called with every arrival in order (:class:`TraceDigest` is one). Frames in flight wait in
-    ``queue``; a user that adds events of its own calls :meth:`land` for each :class:`Flight` in it. Methods raise
+    ``queue``; a user that adds events of its own calls :meth:`land` for each :class:`Arrival` in it. Methods raise
     ``ImpairmentError`` (a ``ValueError``) for stations that do not exist.
     """
 
@@ -206,27 +198,26 @@ class Medium(ABC, Generic[Q]):
             if (arrival := self.land(flight)) is not None:
                 yield arrival
 
-    def land(self, flight: Flight) -> Arrival | None:
+    def land(self, flight: Arrival) -> Arrival | None:
         """Return the arrival of a frame that was in flight; None if all of its receivers are disconnected."""
-        there = flight.receivers
-        if not self._off.isdisjoint(there):
-            there = tuple([each for each in there if each not in self._off])
-        self._count_arrival(flight, there)
-        if not there:
+        arrival = flight
+        if not self._off.isdisjoint(flight.receivers):
+            arrival = flight._replace(receivers=tuple([each for each in flight.receivers if each not in self._off]))
+        self._count_arrival(flight, arrival.receivers)
+        if not arrival.receivers:
             return None
-        arrival = Arrival(flight.time, flight.sender, there, flight.octets, flight.sent)
         if self._observer is not None:
             self._observer(arrival)
         return arrival
 
     @abstractmethod
-    def _count_arrival(self, flight: Flight, there: tuple[int, ...]) -> None:
+    def _count_arrival(self, flight: Arrival, there: tuple[int, ...]) -> None:
         """Count an arrival at the stations ``there``."""
 
     def _schedule(self, time: int, now: int, sender: int, receivers: tuple[int, ...], octets: bytes) -> None:
         """Add a frame in flight that was sent ``now`` and arrives at ``time``, but not before now."""
         time = max(time, now)
-        self.queue.push(time, Flight(time, sender, receivers, octets, now))
+        self.queue.push(time, Arrival(time, sender, receivers, octets, now))
 
     def _channel(self, sender: int, receiver: int, wanted: Impairment) -> Channel:
         """Return the channel of a direction, with this impairment from now on."""
@@ -263,7 +254,7 @@ class SimulatedMedium(Medium[Quality]):
 
     def oldest_in_flight(self) -> int:
         """Return when the oldest frame in flight was sent; the time of the last broadcast if there is none."""
-        return min((each.sent for each in self.queue if type(each) is Flight), default=self._last)
+        return min((each.sent for each in self.queue if type(each) is Arrival), default=self._last)
 
     def broadcast(self, sender: int, octets: bytes, now: int) -> None:
         """See :meth:`Medium.broadcast`. Raises ``ValueError`` if an earlier call had a later time."""
@@ -307,7 +298,7 @@ class SimulatedMedium(Medium[Quality]):
             self.counters.duplicated += 1
             self._schedule(now + quality.draw(generator), now, sender, (receiver,), octets)
 
-    def _count_arrival(self, flight: Flight, there: tuple[int, ...]) -> None:
+    def _count_arrival(self, flight: Arrival, there: tuple[int, ...]) -> None:
         self.counters.missed += len(flight.receivers) - len(there)
         self.counters.delivered += len(there)
 
@@ -361,7 +352,7 @@ class ImpairedMedium(Medium[Impairment]):
             for b in self.reach(a)
         }
 
-    def _count_arrival(self, flight: Flight, there: tuple[int, ...]) -> None:
+    def _count_arrival(self, flight: Arrival, there: tuple[int, ...]) -> None:
         for receiver in flight.receivers:
             counters = self._channels[flight.sender, receiver].counters
             if receiver in there:

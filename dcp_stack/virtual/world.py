@@ -17,7 +17,7 @@ from dcp_codec.common.events import EventQueue
 from dcp_stack.config import NodeConfig
 from dcp_stack.effects import Effect
 
-from .medium import Arrival, Flight, Medium
+from .medium import Arrival, Medium
 
 #: 2026-01-01T00:00:00Z in ns since 1970: the wall clock at virtual time 0.
 EPOCH: Final = 1_767_225_600_000_000_000
@@ -39,10 +39,17 @@ def node_id(profile: Profile, index: int) -> bytes:
 class World:
     """A clock and its events. All times are virtual ns from 0."""
 
-    def __init__(self, medium: Medium[Any] | None = None, *, now: int = 0) -> None:
-        """``medium``: that between the stations; None if there is none."""
+    def __init__(
+        self,
+        medium: Medium[Any] | None = None,
+        arrive: Callable[[Arrival], None] | None = None,
+        *,
+        now: int = 0,
+    ) -> None:
+        """``medium``: that between the stations, if there is one; ``arrive`` then processes its arrivals."""
         self.now = now
         self._medium = medium
+        self._arrive = arrive
         self._queue: EventQueue[Any] = EventQueue() if medium is None else medium.queue
 
     @property
@@ -59,22 +66,18 @@ class World:
 
         Calls ``stop`` after each event. Returns True as soon as it returns True, otherwise False at ``end``.
         """
-        queue, medium = self._queue, self._medium
+        queue, medium, arrive = self._queue, self._medium, self._arrive
         while (time := queue.next_time()) is not None and time <= end:
             event = queue.pop()
             self.now = time
-            if type(event) is not Flight:
+            if type(event) is not Arrival:
                 event()
-            elif medium is not None and (arrival := medium.land(event)) is not None:
-                self.arrive(arrival)
+            elif medium is not None and arrive is not None and (arrival := medium.land(event)) is not None:
+                arrive(arrival)
             if stop is not None and stop():
                 return True
         self.now = max(self.now, end)
         return False
-
-    def arrive(self, arrival: Arrival) -> None:
-        """Process the arrival of a frame; a world with a medium overrides this."""
-        raise NotImplementedError
 
 
 class Station(ABC):

@@ -185,7 +185,7 @@ class Network(World):
         """
         self.digest = TraceDigest()
         self.medium = SimulatedMedium(count, quality, seed=seed, topology=topology, observer=self.digest)
-        super().__init__(self.medium)
+        super().__init__(self.medium, self.arrive)
         self._places = topology if isinstance(topology, Positions) else None
         self._fields = SafetyFields(codec.profile)
         self.codec: Codec = SharedCodec(codec) if share_decoding else codec

@@ -85,7 +85,7 @@ class VirtualWorld(World):
             self.places.append(Place(number, name, codec, own, limits))
         everybody = [each for place in range(count) for each in ((place, count), (count, place))]
         self.medium = ImpairedMedium(count + 1, _PERFECT, seed=seed, pairs=[*shape.pairs, *everybody])
-        super().__init__(self.medium)
+        super().__init__(self.medium, self.arrive)
         self._pairs = shape.pairs
         self._sent: list[Sent] = []
         self._received: list[Received] = []
