@@ -102,7 +102,7 @@ class Station(ABC):
 
     def wall(self) -> int:
         """Return the node's clock in ns since 1970."""
-        return max(self.world.wall + self.offset, 0)
+        return EPOCH + self.world.now + self.offset
 
     @property
     def on(self) -> bool:

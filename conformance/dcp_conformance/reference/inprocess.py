@@ -160,14 +160,15 @@ class VirtualLowerTester:
 
     def __init__(self, sut: InProcess) -> None:
         self._sut = sut
+        self._world = sut.world
 
     def now(self) -> int:
         """Return virtual ns since the start."""
-        return self._sut.now
+        return self._world.now
 
     def wall(self) -> int:
         """Return virtual ns since 1970."""
-        return self._sut.world.wall
+        return self._world.wall
 
     def framed(self, octets: bytes, source: bytes) -> bytes:
         """Return the broadcast frame of a bearer payload."""
