@@ -26,7 +26,7 @@ from pathlib import Path
 from queue import Queue
 
 import pytest
-from dcp_conformance.selftest.generated import sites
+from dcp_selftest.generated import sites
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("spec/dcp_spec", "dcp_codec", "dcp_stack", "conformance/dcp_conformance")
@@ -171,7 +171,7 @@ class Clone:
         subprocess.run(["git", "clone", "--quiet", str(ROOT), str(folder)], check=True)
         uv = str(ROOT / ".venv" / "bin" / "uv")
         subprocess.run([uv, "venv", "--quiet", ".venv"], cwd=folder, check=True)
-        install = [uv, "pip", "install", "--quiet", "--python", ".venv/bin/python", "-e", ".[test]"]
+        install = [uv, "pip", "install", "--quiet", "--python", ".venv/bin/python", "-e", ".[test]", "-e", "./selftest"]
         subprocess.run(install, cwd=folder, check=True)
         if (ROOT / "node_modules").exists():
             (folder / "node_modules").symlink_to(ROOT / "node_modules")

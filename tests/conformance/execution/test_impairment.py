@@ -18,8 +18,8 @@ from dcp_conformance.model.pics import Pics
 from dcp_conformance.model.results import CaseResult
 from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, VirtualLowerTester, reference_config
-from dcp_conformance.selftest import runner as selftest
 from dcp_conformance.test_system.bench import Bench, Session
+from dcp_selftest import runner as selftest
 
 from ..rig import codec_of, sampled_cases
 

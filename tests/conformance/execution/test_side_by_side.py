@@ -24,10 +24,10 @@ from dcp_conformance.lower_tester import Arrival, LinkHealth
 from dcp_conformance.model.case import SANITY, Case, all_cases
 from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, reference_config
-from dcp_conformance.selftest.mutants import all_mutants
-from dcp_conformance.selftest.runner import cases
-from dcp_conformance.selftest.side_by_side import compare
 from dcp_conformance.upper_tester import Answer
+from dcp_selftest.mutants import all_mutants
+from dcp_selftest.runner import cases
+from dcp_selftest.side_by_side import compare
 
 from dcp_codec.codec import Codec
 

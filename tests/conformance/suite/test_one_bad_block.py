@@ -12,9 +12,9 @@ from typing import NamedTuple
 import pytest
 from dcp_conformance.model.results import CaseResult, Check
 from dcp_conformance.model.verdict import Verdict
-from dcp_conformance.selftest.mutants import all_mutants
-from dcp_conformance.selftest.runner import Suite
 from dcp_conformance.suite.bp.services.client_reception import broken_by
+from dcp_selftest.mutants import all_mutants
+from dcp_selftest.runner import Suite
 
 from ..rig import sampled_cases
 

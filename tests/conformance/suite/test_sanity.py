@@ -14,10 +14,10 @@ from dcp_conformance.model.pics import Capabilities, Pics, Testing
 from dcp_conformance.model.results import CaseResult
 from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, MakeNode, plain_node, reference_config
-from dcp_conformance.selftest.mutants import all_mutants
 from dcp_conformance.test_system.bench import Session
 from dcp_conformance.test_system.judgement.contact import Contact
 from dcp_conformance.test_system.steps import Steps
+from dcp_selftest.mutants import all_mutants
 
 from dcp_stack.node import Node
 

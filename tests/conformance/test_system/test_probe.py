@@ -22,10 +22,10 @@ from dcp_conformance.model.pics import UNKNOWN_PROFILE, Capabilities, Pics, Test
 from dcp_conformance.model.pics_file import QUESTIONS, pics_text
 from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, VirtualLowerTester, VirtualUpperTester, reference_config
-from dcp_conformance.selftest.mutants import all_mutants
-from dcp_conformance.selftest.runner import PROFILES
 from dcp_conformance.test_system.bench import Session
 from dcp_conformance.upper_tester import Answer
+from dcp_selftest.mutants import all_mutants
+from dcp_selftest.runner import PROFILES
 from dcp_spec.profile.loading import profile_names
 
 from dcp_codec import Codec
