@@ -33,7 +33,7 @@ class EventQueue(Generic[Event]):
         return heapq.heappop(self._heap)[3]
 
     def due(self, now: int) -> Iterator[Event]:
-        """Remove and yield the events up to ``now``, also those that are added meanwhile."""
+        """Remove and yield the events up to ``now``, also those that the caller adds while it iterates."""
         while self._heap and self._heap[0][0] <= now:
             yield self.pop()
 

@@ -28,7 +28,7 @@ class Heard(NamedTuple):
 
 
 def heard_by(medium: SimulatedMedium, now: int) -> list[Heard]:
-    """What arrives up to ``now``, by receiver."""
+    """Return the frames that arrive up to ``now``, by receiver."""
     return [
         Heard(each.time, each.sender, receiver, each.octets)
         for each in medium.arrivals(now)

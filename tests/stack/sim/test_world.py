@@ -17,7 +17,7 @@ def test_events_come_by_time_then_by_rank_then_in_the_order_of_addition() -> Non
     assert (queue.pop(), queue.next_time()) == ("last", None)
 
 
-def test_an_event_that_is_added_meanwhile_is_due_as_well() -> None:
+def test_an_event_that_is_added_during_the_iteration_is_due_as_well() -> None:
     queue: EventQueue[int] = EventQueue()
     queue.push(0, 0)
     found = []
