@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -233,7 +232,7 @@ def _recordings(patterns: tuple[str, ...], options: dict[str, Any]) -> int:
         if options[name]:
             raise UsageError(f"--{name} does not go with --recordings")
     picked = chosen(patterns)
-    jobs = options["jobs"] or os.cpu_count() or 1
+    jobs = options["jobs"]
     with progress_bar(quiet=options["quiet"]) as progress:
         task = progress.add_task("networks", total=2 * len(picked) + options["clean"])
         result = faulty(

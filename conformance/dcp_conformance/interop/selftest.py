@@ -16,8 +16,8 @@ from typing import Final, NamedTuple
 import msgspec
 
 from dcp_codec.common.atomic_write import write_whole
+from dcp_codec.common.signals import Stop
 from dcp_conformance.errors import UsageError
-from dcp_conformance.execution.signals import Stop
 from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.selftest.variants.variant import all_variants
 

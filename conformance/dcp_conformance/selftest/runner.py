@@ -9,13 +9,10 @@ from __future__ import annotations
 
 import itertools
 import logging
-import os
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from contextlib import contextmanager
 from fnmatch import fnmatchcase
-from functools import cache
+from functools import cache, partial
 from typing import Final
 
 import msgspec
@@ -24,6 +21,7 @@ from dcp_spec.profile.loading import ProfileError, load_profile
 from dcp_spec.version import __version__
 
 from dcp_codec.codec import Codec
+from dcp_codec.common.workers import Item, Result, WorkerLostError, completed
 from dcp_conformance.errors import ConformanceError, UsageError
 from dcp_conformance.execution.concurrent import execute
 from dcp_conformance.execution.runner import Runner
@@ -307,12 +305,16 @@ def chosen(patterns: Sequence[str]) -> list[Mutant]:
     return [each for each in mutants if each.id in found]
 
 
-def _baseline_task(profile: str) -> Baseline:
-    return baseline(profile)
+def _baseline_task(profile: str) -> list[Baseline]:
+    return [baseline(profile)]
 
 
 def _trials_task(mutant: str, profiles: tuple[str, ...] | None, full: bool, every: bool) -> list[Trial]:
     return trials(_mutants()[mutant], profiles, full=full, every=every)
+
+
+def _execute(task: Callable[[], Sequence[Baseline | Trial]]) -> Sequence[Baseline | Trial]:
+    return task()
 
 
 Progress = Callable[[Baseline | Trial], None]
@@ -349,21 +351,18 @@ def selftest(
         on_start(len(profiles or PROFILES) + sum(map(len, wanted.values())))
     # Load the cases and mutants before the processes are forked: all of them share these.
     cases(), _mutants()
-    with process_pool(jobs or os.cpu_count() or 1) as pool:
-        waiting = [pool.submit(_baseline_task, profile) for profile in profiles or PROFILES]
-        for done in as_completed(waiting):
-            result = done.result()
-            baselines[result.profile] = result
+    tasks: list[Callable[[], Sequence[Baseline | Trial]]] = [
+        *(partial(_baseline_task, profile) for profile in profiles or PROFILES),
+        *(partial(_trials_task, each, names if profiles else None, full, every) for each, names in wanted.items()),
+    ]
+    for _, results in in_processes(_execute, tasks, jobs):
+        for result in results:
+            if isinstance(result, Baseline):
+                baselines[result.profile] = result
+            else:
+                outcomes.setdefault(result.mutant, []).append(result)
             if on_result is not None:
                 on_result(result)
-        tried = [
-            pool.submit(_trials_task, each, names if profiles else None, full, every) for each, names in wanted.items()
-        ]
-        for each in as_completed(tried):
-            for outcome in each.result():
-                outcomes.setdefault(outcome.mutant, []).append(outcome)
-                if on_result is not None:
-                    on_result(outcome)
     return SelftestResult(
         started=started,
         duration=round(time.monotonic() - begun, 1),
@@ -386,12 +385,11 @@ def _without_tracebacks() -> None:
     logging.getLogger("dcp_stack.control.server").setLevel(logging.CRITICAL)
 
 
-@contextmanager
-def process_pool(jobs: int) -> Iterator[ProcessPoolExecutor]:
-    """Provide a pool of ``jobs`` processes; on exit, cancel the tasks that have not started."""
-    pool = ProcessPoolExecutor(jobs, initializer=_without_tracebacks)
+def in_processes(
+    work: Callable[[Item], Result], items: Iterable[Item], jobs: int | None
+) -> Iterator[tuple[int, Result]]:
+    """Yield places and results as :func:`completed` does. Raise ``ConformanceError`` if a process ends by itself."""
     try:
-        yield pool
-    finally:
-        # On Ctrl-C, do not wait for tasks that have not started.
-        pool.shutdown(cancel_futures=True)
+        yield from completed(work, items, jobs, begin=_without_tracebacks)
+    except WorkerLostError as error:
+        raise ConformanceError(str(error)) from None
