@@ -14,7 +14,7 @@ comma  := ,
 KAITAI := node_modules/kaitai-struct-compiler/package.json
 PYTEST := $(BIN)/pytest -q -n auto
 # uv installs in a tenth of the time of pip. It does not read pip's configuration: where it cannot install, pip does.
-INSTALL = $(BIN)/uv pip install --python $(BIN)/python -e $(1) || $(BIN)/pip install --disable-pip-version-check -e $(1)
+INSTALL = $(BIN)/uv pip install --python $(BIN)/python $(1) || $(BIN)/pip install --disable-pip-version-check $(1)
 
 # Tests see the same environment whoever runs them. tests/conftest.py removes more; these act before it is read.
 unexport PYTEST_ADDOPTS PYTEST_PLUGINS PYTHONPATH PYTHONHOME PYTHONOPTIMIZE PYTHONWARNINGS PYTHONSTARTUP
@@ -102,20 +102,20 @@ man: $(STAMP)
 
 # Regenerate docs/traceability.md and add new cases to the ledger of identifiers.
 matrix: $(STAMP)
-	$(BIN)/python -m dcp_conformance.traceability
+	$(BIN)/dcp-selftest matrix
 
 # Regenerate docs/selftest.md: all cases that name a requirement against its mutants, all permitted variants,
 # and three draws of random changes of the node.
 selftest-doc: $(STAMP)
-	$(BIN)/dcp-conformance selftest --document docs/selftest.md
-	$(BIN)/dcp-conformance selftest --variants --document docs/selftest.md
-	$(BIN)/dcp-conformance selftest --generated 200 --seed 501 --seed 502 --seed 503 --document docs/selftest.md
+	$(BIN)/dcp-selftest mutants --document docs/selftest.md
+	$(BIN)/dcp-selftest variants --document docs/selftest.md
+	$(BIN)/dcp-selftest generated 200 --seed 501 --seed 502 --seed 503 --document docs/selftest.md
 
-$(STAMP) $(DEMO): pyproject.toml
+$(STAMP) $(DEMO): pyproject.toml selftest/pyproject.toml
 	@echo "Installing into $(VENV) ..."
 	@test -x $(BIN)/pip || $(PYTHON) -m venv $(VENV)
 	@$(BIN)/pip install --quiet --disable-pip-version-check uv || true
-	@$(call INSTALL,'.[$(if $(findstring demo,$@),conformance$(comma)scapy,test)]')
+	@$(call INSTALL,$(if $(findstring demo,$@),-e '.[conformance$(comma)scapy]',-e '.[test]' -e ./selftest))
 	@touch $@
 
 clean:

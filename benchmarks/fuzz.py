@@ -33,15 +33,15 @@ from dcp_conformance.execution.target import Target
 from dcp_conformance.fuzz.campaign import read_state
 from dcp_conformance.fuzz.execute.live import LiveTarget
 from dcp_conformance.fuzz.execute.model_monitor import Observer
-from dcp_conformance.fuzz.execute.soak import Soak
 from dcp_conformance.fuzz.execute.stack import StackTarget
-from dcp_conformance.fuzz.generate.sequence_batches import Lifetimes
 from dcp_conformance.fuzz.generate.sequences import Sequences
 from dcp_conformance.fuzz.steps import Frame
 from dcp_conformance.model.pics import Pics, Testing
 from dcp_conformance.reference.inprocess import plain_node
 from dcp_conformance.reference.process import reference_process
 from dcp_conformance.test_system.bench import Session
+from dcp_selftest.fuzz.lifetimes import Lifetimes
+from dcp_selftest.fuzz.soak import Soak
 
 from dcp_codec.codec import Codec
 from dcp_codec.errors import DecodeError
@@ -216,7 +216,7 @@ class Campaigns:
     """Campaigns against the stack in process, each by a command of its own; ``copies`` at a time."""
 
     def __init__(self, profile: str, *, jobs: int = 1, copies: int = 1) -> None:
-        code = "from dcp_conformance.cli import main; main()"
+        code = "from dcp_selftest.cli import main; main()"
         words = ["fuzz", "stack", "--profile", profile, "--jobs", str(jobs), "--quiet", "--max-cases"]
         self._command = [sys.executable, "-c", code, *words]
         self._copies = copies

@@ -18,11 +18,11 @@ from typing import Any
 
 from dcp_conformance.fuzz.campaign import Campaign, Limits
 from dcp_conformance.fuzz.findings.artefact import SavedTarget
-from dcp_conformance.fuzz.findings.replaying import stack_target
-from dcp_conformance.fuzz.generate.sequence_batches import Lifetimes
 from dcp_conformance.fuzz.generate.sequences import Sequences
 from dcp_conformance.fuzz.generate.sweep import SweepFirst
-from dcp_conformance.selftest.mutants import Mutant, all_mutants
+from dcp_selftest.fuzz.lifetimes import Lifetimes
+from dcp_selftest.fuzz.targets import stack_target
+from dcp_selftest.mutants import Mutant, all_mutants
 
 from dcp_codec.codec import Codec
 from dcp_codec.testing.mutation import Mutator, drawn_pool

@@ -24,7 +24,6 @@ main = CommandLine(
         "encode": "Encode JSON as beacons: hex, or a recording.",
         "export": "Write the wire format for Wireshark, Kaitai, scapy, JSON Schema, or as Markdown.",
         "profiles": "List the wire profiles, show one, or draft one from a recording.",
-        "verify": "Verify recordings against their manifest.",
     },
     about="Decode recordings of DCP (Drone Coordination Protocol), and locate the octet that is wrong.",
     exit_status="0 all good; 1 malformed DCP frames were seen; 2 wrong usage, or input that could not be read "

@@ -20,7 +20,6 @@ EXTRAS: Mapping[str, str] = MappingProxyType(
         "mcap_ros2": "ros2",
         "distributed": "dask",
         **dict.fromkeys(("bokeh", "jinja2"), "report"),
-        "atheris": "atheris",
     }
 )
 

@@ -1,4 +1,4 @@
-"""``dcp-codec`` beside decode: stats, guess, convert, encode, export, profiles, verify; input that cannot be used."""
+"""``dcp-codec`` beside decode: stats, guess, convert, encode, export, profiles; input that cannot be used."""
 
 from __future__ import annotations
 
@@ -317,7 +317,7 @@ def test_encode_of_invalid_json(run, tmp_path, text):
     assert "a.json" in result.err
 
 
-# -- export, profiles, verify -----------------------------------------------------------------------------------
+# -- export, profiles -------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("kind", ["lua", "ksy", "jsonschema", "markdown", "scapy"])
@@ -377,15 +377,6 @@ def test_contradictory_profile_names_file_and_key(run, tmp_path, capture, text, 
     assert result.status == 2
     assert "mine.toml" in result.err
     assert message in result.err
-
-
-def test_verify_the_recordings_of_the_repository(run):
-    result = run("verify", Path(__file__).parents[2] / "captures" / "manifest.toml")
-    assert result.status == 0, result.out
-
-
-def test_verify_without_manifest(run, tmp_path):
-    assert run("verify", tmp_path / "none.toml").status == 2
 
 
 # -- input that cannot be used --------------------------------------------------------------------------------------

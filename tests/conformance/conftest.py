@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import pytest
+from dcp_conformance.cli import main
 from dcp_conformance.model.results import CaseResult
 
 from .command import Command
@@ -20,4 +21,4 @@ def run_case() -> Callable[..., CaseResult]:
 @pytest.fixture
 def dcp_conformance(capsys: pytest.CaptureFixture[str]) -> Command:
     """``dcp_conformance(*args)``: the command in this process; its status and what it printed."""
-    return Command(capsys)
+    return Command(capsys, main)

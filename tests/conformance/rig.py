@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import importlib
+from collections.abc import Callable, Iterable
 from functools import cache
+from typing import Any
 
 from dcp_conformance.execution.runner import Runner
-from dcp_conformance.model.case import CASES, Case, all_cases, cases_of
+from dcp_conformance.execution.selection import ordered
+from dcp_conformance.model.case import CASES, DECLARED, DENIED, SANITY, Case, all_cases, cases_of
 from dcp_conformance.model.pics import Pics
 from dcp_conformance.model.results import CaseResult
 from dcp_conformance.reference.inprocess import InProcess, MakeNode, plain_node, reference_config
 from dcp_conformance.test_system.bench import Session
+from dcp_conformance.upper_tester import UpperTester
 
 from dcp_codec import Codec
 
@@ -35,22 +39,47 @@ def ids_of(*modules: str) -> list[str]:
     return [each.id for name in modules for each in cases_of(importlib.import_module(f"{CASES}.{name}"))]
 
 
-def one_case(
-    case_id: str,
+def sampled_cases(seed: int, *requirements: str) -> list[Case]:
+    """Return a third of the suite: one variant of each third case function, in the order of execution.
+
+    Three consecutive ``seed`` values select all case functions. All cases that name one of ``requirements`` are added.
+    Cases about statements of a PICS or profile are left out: these are not behaviour of a node.
+    """
+    functions: dict[str, list[Case]] = {}
+    for case in known_cases().values():
+        if case.id not in (DECLARED, DENIED):
+            functions.setdefault(case.base, []).append(case)
+    drawn = {
+        variants[seed % len(variants)].id
+        for number, variants in enumerate(functions.values())
+        if number % 3 == seed % 3 or variants[0].id == SANITY
+    }
+    every = (each for variants in functions.values() for each in variants)
+    return ordered(each for each in every if each.id in drawn or set(each.requirements) & set(requirements))
+
+
+def in_session(
+    cases: Iterable[str],
     profile: str = "dcp-2.0",
     make: MakeNode | None = None,
     *,
-    upper: bool = True,
+    upper: bool | Callable[[InProcess], UpperTester] = True,
     pics: Pics | None = None,
     kind: type[InProcess] = InProcess,
-) -> CaseResult:
-    """Run one case against a fresh node; ``make`` builds another node, ``upper=False`` leaves only the wire.
+) -> list[CaseResult]:
+    """Run cases in succession against one node; ``make`` builds another node, ``kind`` is what holds it.
 
-    ``kind`` is what holds the node.
+    ``upper``: whether there is an upper tester besides the wire, or what opens it.
     """
     codec = codec_of(profile)
     sut = kind(reference_config(codec), make=make or plain_node)
-    session = Session(codec, sut.lower_tester(), sut.upper_tester() if upper else None, pics or Pics())
-    runner = Runner(session, sut)
+    told = upper(sut) if callable(upper) else sut.upper_tester() if upper else None
+    runner = Runner(Session(codec, sut.lower_tester(), told, pics or Pics()), sut)
     runner.prepare()
-    return runner.run(known_cases()[case_id])
+    return [runner.run(known_cases()[each]) for each in cases]
+
+
+def one_case(case_id: str, profile: str = "dcp-2.0", make: MakeNode | None = None, **how: Any) -> CaseResult:
+    """Run one case against a fresh node; the options are those of :func:`in_session`."""
+    (result,) = in_session([case_id], profile, make, **how)
+    return result

@@ -8,10 +8,11 @@ import msgspec
 from dcp_conformance.execution.runner import Runner
 from dcp_conformance.model.pics import Pics
 from dcp_conformance.reference.inprocess import InProcess, MakeNode, VirtualUpperTester, plain_node, reference_config
-from dcp_conformance.selftest.variants.surroundings import Upper, slow
-from dcp_conformance.selftest.variants.timing import polling
+from dcp_conformance.reference.surroundings import Upper
 from dcp_conformance.test_system.bench import MS, Session
 from dcp_conformance.upper_tester import Answer
+from dcp_selftest.variants.timing import polling
+from dcp_selftest.variants.variant import slow
 
 from dcp_stack.config import VardisConfig
 

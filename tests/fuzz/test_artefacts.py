@@ -6,16 +6,18 @@ import json
 import random
 
 import pytest
+from dcp_conformance.cli import main
 from dcp_conformance.errors import UsageError
 from dcp_conformance.fuzz import Call, Campaign, Effect, Frame, Wait, load, save
 from dcp_conformance.fuzz.findings.artefact import SavedTarget, codec_of, found_in, make_artefact
 from dcp_conformance.fuzz.findings.cases import artefact_cases
 from dcp_conformance.fuzz.findings.description import evidence_lines, headline, summary_lines
-from dcp_conformance.fuzz.findings.replaying import judged, replay, target_in_process
+from dcp_conformance.fuzz.findings.replaying import judged, replay
 from dcp_conformance.fuzz.generate.samples import Samples
 from dcp_conformance.fuzz.reduce.causes import explained
 from dcp_conformance.fuzz.reduce.reduction import Finding
 from dcp_conformance.fuzz.steps import ROBUSTNESS
+from dcp_selftest.fuzz.targets import target_in_process
 
 from dcp_codec import Beacon, BPHeader, Codec, Payload
 from dcp_codec.capture import open_capture
@@ -110,6 +112,13 @@ def test_replay_reports_failed_fixed_and_error(tmp_path):
     assert replay(tmp_path / "nothing.json", target_in_process).status == "error"
 
 
+def test_findings_in_our_own_code_are_replayed_by_another_command(tmp_path, capsys):
+    with pytest.raises(SystemExit) as stop:
+        main(["fuzz", "replay", str(saved(tmp_path))])
+    assert stop.value.code == 4
+    assert "use dcp-selftest fuzz replay" in capsys.readouterr().out
+
+
 def test_replay_reports_flaky_findings(tmp_path):
     artefact = load(saved(tmp_path))
     same = Effect("raised", "IndexError: other words", 3, "IndexError in repaired")
@@ -200,8 +209,8 @@ def test_artefacts_are_cases_of_the_runner(tmp_path, mutant, verdict):
     from dcp_conformance.execution.runner import Runner
     from dcp_conformance.model.pics import Pics
     from dcp_conformance.reference.inprocess import InProcess, plain_node, reference_config
-    from dcp_conformance.selftest.mutants import all_mutants
     from dcp_conformance.test_system.bench import Session
+    from dcp_selftest.mutants import all_mutants
 
     saved(tmp_path)
     [case] = artefact_cases(tmp_path)
@@ -235,8 +244,8 @@ def test_the_steps_of_a_wrong_state_are_compared_with_the_model(tmp_path):
     from dcp_conformance.fuzz.generate.sequences import Sequences
     from dcp_conformance.model.pics import Pics
     from dcp_conformance.reference.inprocess import InProcess, plain_node, reference_config
-    from dcp_conformance.selftest.mutants import all_mutants
     from dcp_conformance.test_system.bench import Session
+    from dcp_selftest.mutants import all_mutants
 
     from dcp_codec.testing.mutation import Mutator
     from dcp_codec.values import VarUpdate

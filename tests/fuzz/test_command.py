@@ -1,8 +1,7 @@
-"""The command: usage errors, output files, resuming, and exit status."""
+"""The command: usage errors, output files, and exit status."""
 
 from __future__ import annotations
 
-import json
 import subprocess
 import sys
 
@@ -24,30 +23,6 @@ def test_frames_are_sent_only_on_the_named_interface(mode):
     assert "Traceback" not in done.stderr
 
 
-@pytest.mark.part("tools")
-@pytest.mark.parametrize(
-    ("words", "says"),
-    [
-        (("codec", "nothing"), "unknown part 'nothing'"),
-        (("stack", "--mutant", "M-NOTHING"), "no mutant"),
-        (("stack", "--profile", "none-such"), "none-such"),
-        (("stack", "--dry-run"), "--out FILE"),
-        (("stack", "--out", "x.mcap"), "--dry-run"),
-        (("stack", "--resume"), "--artefacts DIR"),
-        (("stack", "--resume", "--artefacts", "/nonexistent"), "no campaign"),
-        (("stack", "--recording", "/nonexistent.mcap"), "/nonexistent.mcap"),
-        (("stack", "--artefacts", "/dev/null/x"), "/dev/null/x: cannot be written"),
-        (("codec", "--artefacts", "/dev/null"), "exists and is not a folder"),
-        (("replay", "/nonexistent"), "/nonexistent"),
-    ],
-)
-def test_invalid_options_are_refused_in_one_line(words, says):
-    done = fuzz(*words)
-    assert done.returncode in (2, 4)
-    assert says in done.stderr + done.stdout
-    assert "Traceback" not in done.stderr
-
-
 def test_a_dry_run_writes_the_frames(tmp_path):
     out = tmp_path / "frames.mcap"
     done = fuzz("live", "--dry-run", "--interface", "none0", "--max-cases", "3", "--out", str(out))
@@ -56,66 +31,6 @@ def test_a_dry_run_writes_the_frames(tmp_path):
         frames = list(reader)
     assert f"{len(frames)} frames written" in done.stdout
     assert len(frames) > 20
-
-
-@pytest.mark.part("tools")
-def test_findings_are_saved_and_replayed_and_campaigns_resumed(tmp_path):
-    folder = tmp_path / "findings"
-    options = ("--seed", "1", "--artefacts", str(folder), "--mutant", "M-BP-RX-15-dies")
-    done = fuzz("stack", "--max-cases", "60", *options)
-    assert done.returncode == 1
-    [artefact] = folder.glob("raised-*.json")
-    # Coverage is shown when it is asked for: what was found comes last, and is not scrolled away.
-    assert "pairs" not in done.stdout
-    told = done.stdout.splitlines()
-    assert told[-7].startswith("beacon-overrun at bp.length: raised: IndexError")
-    assert told[-6].startswith(f"  {artefact.stem}: IndexError")
-    assert told[-5].startswith("  sent      ")
-    assert told[-4] == "  cause     beacon-overrun at bp.length (without it nothing shows)"
-    assert told[-3].startswith("  decides   BP-RX-15 (dcp-bp.md")
-    assert told[-2] == f"  again     dcp-conformance fuzz replay {artefact}"
-    assert told[-1].startswith("60 cases, ")
-    again = fuzz("replay", str(folder))
-    assert again.returncode == 1
-    assert again.stdout.startswith("failed ")
-    content = json.loads(artefact.read_text())
-    del content["target"]["mutant"]
-    artefact.write_text(json.dumps(content))
-    fixed = fuzz("replay", str(artefact))
-    assert (fixed.returncode, fixed.stdout[:6]) == (0, "fixed ")
-
-    more = fuzz("stack", "--max-cases", "40", "--resume", *options)
-    assert more.returncode == 1
-    state = json.loads((folder / "campaign.json").read_text())
-    assert state["cases"] == 100
-    # Known findings are not minimised again.
-    assert len(state["findings"]) == 1
-
-
-@pytest.mark.part("tools")
-def test_coverage_is_written_with_missing_pairs(tmp_path):
-    path = tmp_path / "coverage.json"
-    done = fuzz("stack", "--max-cases", "5", "--coverage", str(path))
-    assert done.returncode == 0, done.stderr
-    coverage = json.loads(path.read_text())
-    assert len(coverage["missing_states"]) > 10
-    assert f"variable: {coverage['possible_states'] - len(coverage['missing_states'])} of" in done.stdout
-    shown = fuzz("stack", "--max-cases", "5", "--coverage")
-    assert shown.stdout.splitlines()[:-1] == done.stdout.splitlines()[:-1]
-    assert fuzz("codec", "--coverage", "beacon").returncode == 2
-    done = fuzz("stack", "--max-cases", "1", "--coverage", str(path / "x"))
-    assert done.returncode == 2
-    assert "1 cases" in done.stdout
-
-
-@pytest.mark.part("tools")
-def test_a_recording_and_lines_of_code_guide(tmp_path):
-    out = tmp_path / "frames.mcap"
-    assert fuzz("stack", "--dry-run", "--max-cases", "20", "--out", str(out)).returncode == 0
-    done = fuzz("stack", "--guided", "--recording", str(out), "--max-cases", "30", "--coverage")
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert "lines of the target: " in done.stdout
-    assert fuzz("codec", "beacon", "--guided", "--max-cases", "50", "-q").returncode == 0
 
 
 def test_a_live_campaign_in_process_ends_well():

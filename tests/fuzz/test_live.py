@@ -13,16 +13,16 @@ from dcp_conformance.fuzz import Call, Campaign, Frame, Limits, Wait
 from dcp_conformance.fuzz.execute.live import LiveTarget, NotAliveError
 from dcp_conformance.fuzz.execute.liveness import lifelessness
 from dcp_conformance.fuzz.findings.artefact import SavedTarget
-from dcp_conformance.fuzz.findings.replaying import stack_target
 from dcp_conformance.fuzz.generate.sequence_batches import Joined
 from dcp_conformance.fuzz.generate.sequences import Sequences
 from dcp_conformance.model.case import all_cases
 from dcp_conformance.model.pics import Pics
 from dcp_conformance.reference.inprocess import InProcess, plain_node, reference_config
-from dcp_conformance.selftest.mutants.mutant import all_mutants
-from dcp_conformance.selftest.variants.variant import node_of
 from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.test_system.session import Session
+from dcp_selftest.fuzz.targets import stack_target
+from dcp_selftest.mutants.mutant import all_mutants
+from dcp_selftest.variants.variant import node_of
 
 from dcp_codec import Codec
 from dcp_codec.testing.mutation import Mutator, drawn_pool

@@ -11,14 +11,14 @@ from typing import Any
 import pytest
 from dcp_conformance.frames.builder import FrameBuilder
 from dcp_conformance.fuzz import Frame, Wait
-from dcp_conformance.fuzz.execute.soak import Soak
 from dcp_conformance.fuzz.execute.stack import StackTarget
-from dcp_conformance.fuzz.findings.replaying import stack_target
-from dcp_conformance.fuzz.generate.sequence_batches import Lifetimes
 from dcp_conformance.fuzz.generate.sequences import Sequences
 from dcp_conformance.fuzz.steps import Call, Step
 from dcp_conformance.reference.inprocess import plain_node
-from dcp_conformance.selftest.mutants.mutant import all_mutants, node_with
+from dcp_selftest.fuzz.lifetimes import Lifetimes
+from dcp_selftest.fuzz.soak import Soak
+from dcp_selftest.fuzz.targets import stack_target
+from dcp_selftest.mutants.mutant import all_mutants, node_with
 
 from dcp_codec import Codec
 from dcp_codec.testing.mutation import Mutator, drawn_pool

@@ -12,12 +12,13 @@ from dcp_conformance.fuzz import Campaign, Frame, Limits, save
 from dcp_conformance.fuzz.execute.live import LiveTarget
 from dcp_conformance.fuzz.findings.artefact import SavedTarget
 from dcp_conformance.fuzz.findings.cases import artefact_cases
-from dcp_conformance.fuzz.findings.replaying import stack_target
 from dcp_conformance.fuzz.generate.samples import Samples
-from dcp_conformance.fuzz.generate.sequence_batches import Batches, Joined, Lifetimes
+from dcp_conformance.fuzz.generate.sequence_batches import Batches, Joined
 from dcp_conformance.fuzz.generate.sequences import Sequences
 from dcp_conformance.fuzz.generate.sweep import SweepFirst
-from dcp_conformance.selftest.mutants import all_mutants
+from dcp_selftest.fuzz.lifetimes import Lifetimes
+from dcp_selftest.fuzz.targets import stack_target
+from dcp_selftest.mutants import all_mutants
 
 from dcp_codec.testing.mutation import Mutator, drawn_pool
 

@@ -9,9 +9,9 @@ from dcp_conformance.errors import UsageError
 from dcp_conformance.fuzz import Call, Campaign, Frame, Limits, Wait
 from dcp_conformance.fuzz.execute.stack import StackTarget
 from dcp_conformance.fuzz.findings.artefact import SavedTarget
-from dcp_conformance.fuzz.findings.replaying import stack_target
 from dcp_conformance.fuzz.generate.sequence_batches import Joined
 from dcp_conformance.fuzz.generate.sequences import Sequences
+from dcp_selftest.fuzz.targets import stack_target
 
 from dcp_codec import Codec
 from dcp_codec.testing.mutation import Mutator, drawn_pool

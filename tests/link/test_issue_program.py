@@ -15,8 +15,8 @@ from dcp_conformance.model.results import RunResult, Sut
 from dcp_conformance.reference.namespace import SUT_INTERFACE, TESTER_INTERFACE, Namespace, NamespaceError
 from dcp_conformance.reporting.issues import write_issues
 from dcp_conformance.reporting.issues.stimulus import stimulus
-from dcp_conformance.selftest.mutants import all_mutants
-from dcp_conformance.selftest.runner import Suite, cases
+from dcp_selftest.mutants import all_mutants
+from dcp_selftest.runner import Suite, cases
 
 from dcp_codec.codec import Codec
 

@@ -16,7 +16,13 @@ import grimp
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "ARCHITECTURE.md"
-PACKAGES = {"dcp_spec": "spec", "dcp_codec": ".", "dcp_stack": ".", "dcp_conformance": "conformance"}
+PACKAGES = {
+    "dcp_spec": "spec",
+    "dcp_codec": ".",
+    "dcp_stack": ".",
+    "dcp_conformance": "conformance",
+    "dcp_selftest": "selftest",
+}
 _BEGIN, _END = "<!-- layers: made by tests/meta/layers.py -->", "<!-- end of layers -->"
 _WIDTH = 110
 

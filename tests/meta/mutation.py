@@ -1,13 +1,10 @@
 """Which random changes of the product does `make test` notice, and which of the rest `make test-all`?
 
-``python tests/meta/mutation.py --reached FOLDER --seed 1 -n 150`` draws changes of the four packages (comparisons,
-operators, constants, dropped statements, branches; never texts, which a reader judges). Each is made in a clone of the
-committed tree. The tests of the core that execute the changed function run until one fails, the cheapest first; if
-none fails, mypy; then the other parts in the same way. ``--reached`` is what ``reached.py`` has recorded::
-
-    DCP_REACHED=FOLDER PYTHONPATH=tests/meta pytest -q -n 2 -p reached
-
-Functions that no test executes in its own process are tried with the part ``links``, which starts processes.
+``python tests/meta/mutation.py FOLDER --seed 1 -n 150`` draws changes of the packages (comparisons, operators,
+constants, dropped statements, branches; never texts, which a reader judges). It first runs all tests in a clone in
+which each changed statement records the tests that execute it, also in processes that they start, and keeps the result
+in FOLDER for a next run. Then each change is made in a clone of the committed tree. The tests of the core that execute
+the statement run until one fails, the cheapest first; if none fails, mypy; then the other parts in the same way.
 """
 
 from __future__ import annotations
@@ -24,15 +21,29 @@ import time
 from collections import Counter
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from queue import Queue
 
 import pytest
-from dcp_conformance.selftest.generated import sites
+from dcp_selftest.generated import sites
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("spec/dcp_spec", "dcp_codec", "dcp_stack", "conformance/dcp_conformance")
+PARTS = ("core", "suite", "tools", "tables", "links")
+#: Module of a clone that appends the number of a change and the present test to a file, each pair once a process.
+HITS = """
+import os
+_seen = set()
+
+def hit(numbers):
+    test = os.environ.get("PYTEST_CURRENT_TEST", "")
+    if (numbers[0], test) not in _seen:
+        _seen.add((numbers[0], test))
+        file = os.open({path!r}, os.O_APPEND | os.O_CREAT | os.O_WRONLY, 0o666)
+        os.write(file, "".join(f"{{number}} {{test}}\\n" for number in numbers).encode())
+        os.close(file)
+"""
 #: Seconds of wall time for the tests of a part on one change.
 LONGEST = 1500.0
 
@@ -43,8 +54,6 @@ class Change:
 
     path: str
     line: int
-    function: tuple[int, ...]
-    """The first lines of the functions around it, the innermost first."""
     what: str
     start: int
     end: int
@@ -57,31 +66,39 @@ class Change:
 
 @dataclass
 class Reached:
-    """The functions that each test executes."""
+    """The tests that execute each change."""
 
-    costs: dict[str, float] = field(default_factory=dict)
-    tests: dict[str, set[str]] = field(default_factory=dict)
-    """By ``path:line`` of a function, the items that execute it."""
+    tests: dict[str, list[str]]
+    """Items by change, the cheapest first."""
+    costs: dict[str, float]
+    """CPU seconds of each item."""
 
-    def load(self, folder: Path) -> None:
-        """Add the files of a folder."""
-        for path in folder.glob("*.jsonl"):
-            names: dict[int, str] = {}
-            for line in path.read_text(encoding="utf-8").splitlines():
-                entry = json.loads(line)
-                if "new" in entry:
-                    names |= {int(number): place for number, place in entry["new"].items()}
-                    continue
-                self.costs[entry["id"]] = entry["cpu"]
-                for number in entry["functions"]:
-                    self.tests.setdefault(names[number], set()).add(entry["id"])
+    @classmethod
+    def record(cls, folder: Path, drawn: list[Change], name: str) -> Reached:
+        """Run all tests in a clone whose changed statements record them, unless ``folder`` has the result ``name``."""
+        stored = folder / f"{name}.json"
+        if not stored.exists():
+            folder.mkdir(parents=True, exist_ok=True)
+            hits, costs = folder / "hits", dict[str, float]()
+            with tempfile.TemporaryDirectory(prefix="mutation-") as temporary:
+                clone = Clone(Path(temporary) / "clone")
+                clone.mark(drawn, hits)
+                for part in PARTS:
+                    workers = ["-n", "4", "--dist", "loadfile"] if part == "links" else ["-n", "2"]
+                    command = [".venv/bin/pytest", "-q", *workers, f"--part={part}", f"--costs={folder / part}.json"]
+                    print(f"{part}: {clone.run(command)[1].splitlines()[-1]}", flush=True)
+                    costs |= json.loads((folder / f"{part}.json").read_text())
+            found: dict[str, set[str]] = {}
+            for line in hits.read_text().splitlines():
+                number, _, item = line.partition(" ")
+                found.setdefault(str(drawn[int(number)]), set()).add(item.rpartition(" ")[0])
+            tests = {name: sorted(items & costs.keys(), key=lambda each: costs[each]) for name, items in found.items()}
+            stored.write_text(json.dumps({"tests": tests, "costs": costs}))
+        return cls(**json.loads(stored.read_text()))
 
     def of(self, change: Change) -> list[str]:
-        """The items that execute the changed function, the cheapest first."""
-        found: set[str] = set()
-        for line in change.function[:1]:
-            found |= self.tests.get(f"{change.path}:{line}", set())
-        return sorted(found, key=lambda name: self.costs[name])
+        """The items that execute the change, the cheapest first."""
+        return self.tests.get(str(change), [])
 
 
 def changes_of(path: Path) -> Iterator[Change]:
@@ -91,7 +108,6 @@ def changes_of(path: Path) -> Iterator[Change]:
     offsets = [0]
     for row in source.splitlines(keepends=True):
         offsets.append(offsets[-1] + len(row))
-    functions = [each for each in ast.walk(tree) if isinstance(each, ast.FunctionDef | ast.AsyncFunctionDef)]
     for _, _, node in sites._candidates(tree):
         for change in sites._changes(node):
             place, after = node, "pass"
@@ -101,15 +117,50 @@ def changes_of(path: Path) -> Iterator[Change]:
             elif change.replacement is not None:
                 after = ast.unparse(change.replacement)
                 after = after if isinstance(change.replacement, ast.stmt) else f"({after})"
-            around = [each for each in functions if each.lineno <= place.lineno <= (each.end_lineno or 0)]
-            around.sort(key=lambda each: -each.lineno)
             start = offsets[place.lineno - 1] + place.col_offset
             end = offsets[place.end_lineno - 1] + place.end_col_offset
             before = source[start:end].decode()
-            # A function begins with its first decorator.
-            first = tuple(min([each.lineno, *(deco.lineno for deco in each.decorator_list)]) for each in around)
             what = f"{change.operator}: {sites._short(before)} -> {sites._short(after)}"
-            yield Change(str(path.relative_to(ROOT)), place.lineno, first, what, start, end, after)
+            yield Change(str(path.relative_to(ROOT)), place.lineno, what, start, end, after)
+
+
+def marked_lines(tree: ast.Module, line: int) -> set[int]:
+    """The lines before which a statement records that the change in ``line`` is executed.
+
+    That is the innermost statement in a function. A change outside of functions may have an effect in all functions of
+    the module. Functions that are compiled for another machine (Numba) record nothing: their callers do.
+    """
+    functions = [each for each in ast.walk(tree) if isinstance(each, ast.FunctionDef)]
+    plain = [
+        each
+        for each in functions
+        if not any("machine" in ast.dump(one) or "helper" in ast.dump(one) for one in each.decorator_list)
+    ]
+    around = [
+        each for each in functions if each.lineno <= line <= (each.end_lineno or 0) and each.body[0].lineno <= line
+    ]
+    if not around or around[-1] not in plain:
+        return {first for each in plain for first in _first_lines(each)}
+    lines = set[int]()
+    for node in ast.walk(max(around, key=lambda each: each.lineno)):
+        for block in ("body", "orelse", "finalbody"):
+            statements = getattr(node, block, [])
+            for each in statements if isinstance(statements, list) else []:
+                is_elif = isinstance(node, ast.If) and block == "orelse" and each.col_offset == node.col_offset
+                same = each.lineno == getattr(node, "lineno", 0)
+                if (
+                    isinstance(each, ast.stmt)
+                    and each.lineno <= line <= (each.end_lineno or 0)
+                    and not (is_elif or same)
+                ):
+                    lines.add(min([each.lineno, *(one.lineno for one in getattr(each, "decorator_list", []))]))
+    return {max(lines)} if lines else set()
+
+
+def _first_lines(function: ast.FunctionDef) -> list[int]:
+    """The line of the first statement after the documentation; none if it has no line of its own."""
+    body = function.body[1:] if isinstance(function.body[0], ast.Expr) and len(function.body) > 1 else function.body
+    return [body[0].lineno] if body[0].lineno > function.lineno and not isinstance(body[0], ast.FunctionDef) else []
 
 
 class Clone:
@@ -120,11 +171,27 @@ class Clone:
         subprocess.run(["git", "clone", "--quiet", str(ROOT), str(folder)], check=True)
         uv = str(ROOT / ".venv" / "bin" / "uv")
         subprocess.run([uv, "venv", "--quiet", ".venv"], cwd=folder, check=True)
-        install = [uv, "pip", "install", "--quiet", "--python", ".venv/bin/python", "-e", ".[test]"]
+        install = [uv, "pip", "install", "--quiet", "--python", ".venv/bin/python", "-e", ".[test]", "-e", "./selftest"]
         subprocess.run(install, cwd=folder, check=True)
         if (ROOT / "node_modules").exists():
             (folder / "node_modules").symlink_to(ROOT / "node_modules")
         self.run([".venv/bin/mypy"])
+
+    def mark(self, drawn: list[Change], hits: Path) -> None:
+        """Have the statements of the changes append ``NUMBER TEST`` to the file ``hits``."""
+        (self.folder / "spec/dcp_spec/mutation_hits.py").write_text(HITS.format(path=str(hits)))
+        marks: dict[str, dict[int, list[int]]] = {}
+        for number, change in enumerate(drawn):
+            for line in marked_lines(ast.parse((self.folder / change.path).read_text()), change.line):
+                marks.setdefault(change.path, {}).setdefault(line, []).append(number)
+        for name, lines in marks.items():
+            path = self.folder / name
+            source = path.read_text().splitlines(keepends=True)
+            for line, numbers in lines.items():
+                text = source[line - 1]
+                indent = text[: len(text) - len(text.lstrip())]
+                source[line - 1] = f"{indent}__import__('dcp_spec.mutation_hits').mutation_hits.hit({numbers})\n{text}"
+            path.write_text("".join(source))
 
     def run(self, command: list[str]) -> tuple[int, str]:
         """Exit status and output; 124 after ``LONGEST`` seconds."""
@@ -137,15 +204,13 @@ class Clone:
 
     def noticed_by(self, items: list[str], *parts: str) -> str:
         """The first of the items that fails; empty if none does."""
-        if not items and parts != ("links",):
+        if not items:
             return ""
         listed = self.folder / ".git" / "items"
         listed.write_text("\n".join(items))
         files = sorted({each.partition("::")[0] for each in items})
         command = [".venv/bin/pytest", "-q", "-x", "-p", "no:cacheprovider", "-p", "mutation", f"--only={listed}"]
         command += [f"--part={part}" for part in parts]
-        if parts == ("links",):
-            command = [".venv/bin/pytest", "-q", "-x", "-n", "4", "--dist", "loadfile", "--part=links"]
         status, output = self.run(["env", "PYTHONPATH=tests/meta", *command, *files])
         if status in (0, 5):
             return ""
@@ -164,11 +229,9 @@ class Clone:
             status, output = self.run([".venv/bin/mypy"])
             if status:
                 return "core", f"mypy: {output.splitlines()[0][:120]}"
-            if found := self.noticed_by(items, "suite", "tools", "tables"):
+            if found := self.noticed_by(items, *PARTS[1:]):
                 return "other", found
-            if not items and (found := self.noticed_by([], "links")):
-                return "other", found
-            return "-", f"{len(items)} items execute the function"
+            return "-", f"{len(items)} items execute the statement"
         finally:
             path.write_bytes(source)
 
@@ -188,7 +251,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--reached", type=Path, action="append", required=True, help="output of reached.py")
+    parser.add_argument("folder", type=Path, help="of the tests that execute each change; written if it is missing")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("-n", type=int, default=150, help="number of changes (default 150)")
     parser.add_argument("--jobs", type=int, default=2, help="changes that are tried at the same time (default 2)")
@@ -202,9 +265,7 @@ def main() -> int:
     if arguments.list:
         print(*drawn, sep="\n")
         return 0
-    reached = Reached()
-    for folder in arguments.reached:
-        reached.load(folder)
+    reached = Reached.record(arguments.folder, drawn, f"reached-{arguments.seed}-{arguments.n}")
     counted: Counter[str] = Counter()
     begun = time.monotonic()
     with tempfile.TemporaryDirectory(prefix="mutation-") as temporary:

@@ -24,6 +24,7 @@ FOLDERS = (
     "dcp_codec",
     "dcp_stack",
     "conformance/dcp_conformance",
+    "selftest/dcp_selftest",
     "tests",
     "tools",
     "benchmarks",

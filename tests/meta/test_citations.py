@@ -6,7 +6,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import pytest
-from dcp_conformance.traceability import CITATION, CODE, TESTS, cited, marked, sources
+from dcp_selftest.traceability import CITATION, CODE, TESTS, cited, marked, sources
 from dcp_spec.catalogue.requirements import requirements
 
 ROOT = Path(__file__).parents[2]

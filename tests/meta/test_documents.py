@@ -11,7 +11,8 @@ import click
 import pytest
 from dcp_conformance.cli import main as conformance
 from dcp_conformance.model.case import all_cases
-from dcp_conformance.selftest.mutants import all_mutants
+from dcp_selftest.cli import main as selftest
+from dcp_selftest.mutants import all_mutants
 
 from dcp_codec.cli import main as codec
 from dcp_stack.cli import main as node
@@ -28,9 +29,9 @@ DOCUMENTS = sorted(
     )
     if path.name not in ("traceability.md", "selftest.md")
 )
-GROUPS = {each.name: each.group() for each in (codec, node, conformance)}
+GROUPS = {each.name: each.group() for each in (codec, node, conformance, selftest)}
 #: A typed command, up to the end of the line, a comment or the next command.
-_COMMAND = re.compile(r"(?:^|[ `(])((?:dcp-codec|dcp-node|dcp-conformance) [^#|`\n]*)", re.MULTILINE)
+_COMMAND = re.compile(r"(?:^|[ `(])((?:dcp-codec|dcp-node|dcp-conformance|dcp-selftest) [^#|`\n]*)", re.MULTILINE)
 _LINK = re.compile(r"\]\(([^)\s]+)\)")
 _CASE = re.compile(r"\bTC_[A-Z][\w.*-]*")
 _MUTANT = re.compile(r"\bM-[A-Z]+-[A-Z]+-\d\d-[a-zA-Z*-]+")
@@ -84,7 +85,7 @@ def test_options_of_commands_exist(path: Path):
 @each_document
 def test_commands_in_documents_name_a_subcommand(path: Path):
     for line in path.read_text(encoding="utf-8").splitlines():
-        if match := re.match(r"(?:\$ )?((?:dcp-codec|dcp-node|dcp-conformance) [a-z].*)", line):
+        if match := re.match(r"(?:\$ )?((?:dcp-codec|dcp-node|dcp-conformance|dcp-selftest) [a-z].*)", line):
             command, _ = resolved(match[1].split())
             # The words after the name of a group are prose, not a command.
             assert not isinstance(command, click.Group), line

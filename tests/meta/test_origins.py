@@ -5,13 +5,13 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from dcp_conformance.provenance.anchors import PATH, read_anchors
+from dcp_selftest.provenance.anchors import PATH, read_anchors
 from dcp_spec.catalogue.origins import Origin, Section, link, newest_statements, origins, revisions
 from dcp_spec.catalogue.requirements import requirements
 from dcp_spec.constants import SpecVersion
 
 ROOT = Path(__file__).parents[2]
-HINT = f"add it to {PATH} and run python -m dcp_conformance.provenance REPOSITORY (docs/provenance.md)"
+HINT = f"add it to {PATH} and run dcp-selftest origins REPOSITORY (docs/provenance.md)"
 
 
 def anchors_above(section: Section) -> set[str]:

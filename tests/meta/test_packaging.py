@@ -12,19 +12,44 @@ import pytest
 ROOT = Path(__file__).parents[2]
 
 
-@pytest.fixture(scope="module")
-def wheel(tmp_path_factory) -> list[str]:
-    target = tmp_path_factory.mktemp("wheel")
+def built(project: Path, target: Path) -> dict[str, str]:
+    """The files of the wheel of a project: their names, and the entry points below their name."""
     command = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(target)]
-    subprocess.run(command, cwd=ROOT, check=True, capture_output=True)
+    subprocess.run(command, cwd=project, check=True, capture_output=True)
     (found,) = target.glob("*.whl")
     with zipfile.ZipFile(found) as archive:
-        return archive.namelist()
+        return {
+            name: archive.read(name).decode() if name.endswith("entry_points.txt") else ""
+            for name in archive.namelist()
+        }
+
+
+def packages(wheel: dict[str, str]) -> set[str]:
+    """The packages that a wheel installs."""
+    return {name.split("/")[0] for name in wheel if ".dist-info/" not in name}
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory) -> dict[str, str]:
+    return built(ROOT, tmp_path_factory.mktemp("wheel"))
 
 
 def test_the_wheel_holds_exactly_four_packages(wheel):
-    top = {name.split("/")[0] for name in wheel if ".dist-info/" not in name}
-    assert top == {"dcp_spec", "dcp_codec", "dcp_stack", "dcp_conformance"}
+    assert packages(wheel) == {"dcp_spec", "dcp_codec", "dcp_stack", "dcp_conformance"}
+    assert "dcp_selftest" not in "".join(wheel.values())
+
+
+def test_the_self_test_is_a_wheel_of_its_own(tmp_path):
+    wheel = built(ROOT / "selftest", tmp_path)
+    assert packages(wheel) == {"dcp_selftest"}
+    assert {"dcp_selftest/py.typed", "dcp_selftest/data/undecided.toml"} <= wheel.keys()
+    (points,) = filter(None, wheel.values())
+    for line in (
+        "dcp-selftest = dcp_selftest.cli:main",
+        "[dcp_conformance.nodes]",
+        "mutant = dcp_selftest.nodes:mutant",
+    ):
+        assert line in points
 
 
 def test_the_wheel_holds_the_data_that_the_tools_need(wheel):

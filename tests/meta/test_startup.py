@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 from dcp_conformance.cli import main as conformance
+from dcp_selftest.cli import main as selftest
 
 from dcp_codec.cli import main as codec
 from dcp_codec.common.commandline import CommandLine
@@ -20,7 +21,7 @@ from dcp_stack.cli import main as node
 pytestmark = pytest.mark.part("tools")
 
 RECORDING = str(Path(__file__).resolve().parents[2] / "captures" / "b_crud.mcap")
-COMMANDS: tuple[CommandLine, ...] = (codec, node, conformance)
+COMMANDS: tuple[CommandLine, ...] = (codec, node, conformance, selftest)
 #: Of extras, of the tests, or slow: for those who ask for what needs them.
 HEAVY = frozenset(
     (
@@ -58,7 +59,7 @@ def helps() -> Iterator[tuple[str, frozenset[str]]]:
 WORK = {
     "dcp-conformance list": HEAVY | SHOWING | {"dcp_stack.node"},
     "dcp-conformance run --dry-run": HEAVY | {"mcap", "dcp_stack.node"},
-    "dcp-conformance selftest --list": HEAVY | {"mcap"},
+    "dcp-selftest mutants --list": HEAVY | {"mcap"},
     f"dcp-conformance check {RECORDING} --quiet": HEAVY - {"jinja2"} | {"dcp_stack.node"},
     "dcp-node run --link udp --print-config": HEAVY | SHOWING,
     "dcp-node status --control /no-such-folder/node.sock": HEAVY | SHOWING | SCHEMAS | MACHINES,

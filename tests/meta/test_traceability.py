@@ -7,10 +7,12 @@ import shutil
 from pathlib import Path
 
 import pytest
-from dcp_conformance import traceability
+from click.testing import CliRunner
 from dcp_conformance.errors import UsageError
 from dcp_conformance.model.case import Case, Kind
-from dcp_conformance.traceability import DOCUMENT, LEDGER, UNDECIDED, matrix, outdated, render, write
+from dcp_selftest import traceability
+from dcp_selftest.cli.matrix import command as matrix_command
+from dcp_selftest.traceability import DOCUMENT, LEDGER, UNDECIDED, matrix, outdated, render, write
 from dcp_spec.catalogue.requirements import requirements
 
 ROOT = Path(__file__).parents[2]
@@ -55,7 +57,7 @@ EVERYTHING = {"TC_VD_PAY_BV_01-a": case_of("TC_VD_PAY_BV_01-a", *ALL)}
 @pytest.fixture
 def repository(tmp_path):
     """A repository in which nothing is wrong: one module cites all requirements, one case decides them."""
-    for folder in (*traceability.CODE, "tests/unit", "docs", str(Path(LEDGER).parent)):
+    for folder in (*traceability.CODE, "tests/unit", "docs", Path(LEDGER).parent, Path(UNDECIDED).parent):
         (tmp_path / folder).mkdir(parents=True, exist_ok=True)
     (tmp_path / "dcp_stack" / "all.py").write_text("".join(f"##= {name}\n" for name in ALL))
     (tmp_path / LEDGER).write_text("TC_VD_PAY_BV_01-a\n")
@@ -172,23 +174,24 @@ def test_invalid_files_are_named(repository, file, text, message):
     assert str(repository) in str(error.value)
 
 
-def test_another_folder_is_refused(tmp_path, capsys):
+def test_another_folder_is_refused(tmp_path):
     with pytest.raises(UsageError, match="not a checkout"):
         matrix(tmp_path)
-    assert traceability.main([str(tmp_path)]) == 2
-    assert "not a checkout" in capsys.readouterr().err
 
 
-def test_the_command_writes_both_files_and_checks_them(tmp_path, capsys):
+def test_the_command_writes_both_files_and_checks_them(tmp_path):
     for folder in (*traceability.CODE, "tests"):
         shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("__pycache__", "*.mcap"))
-    (tmp_path / "docs").mkdir()
-    (tmp_path / UNDECIDED).parent.mkdir(parents=True)
+    for folder in ("docs", Path(LEDGER).parent, Path(UNDECIDED).parent):
+        (tmp_path / folder).mkdir(parents=True)
     if (ROOT / UNDECIDED).exists():
         shutil.copy(ROOT / UNDECIDED, tmp_path / UNDECIDED)
-    assert traceability.main(["--check", str(tmp_path)]) == 1
-    assert "run make matrix" in capsys.readouterr().err
+    command = CliRunner().invoke
+    done = command(matrix_command, ["--check", str(tmp_path)], standalone_mode=False)
+    assert done.return_value == 1
+    assert "run make matrix" in done.output
     found = write(tmp_path)
     assert set(found.ledger) == {*found.case_ids, *found.rule_ids}
     assert not outdated(tmp_path, found)
-    assert traceability.main([str(tmp_path)]) == bool(found.problems())
+    done = command(matrix_command, [str(tmp_path)], standalone_mode=False)
+    assert done.return_value == bool(found.problems())

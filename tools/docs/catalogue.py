@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from dcp_conformance.traceability import Row, matrix
+from dcp_selftest.traceability import Row, matrix
 from dcp_spec.catalogue.readings import readings
 from dcp_spec.catalogue.requirements import requirements
 

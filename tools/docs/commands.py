@@ -1,4 +1,4 @@
-"""Generate the reference of the three commands from their click definitions."""
+"""Generate the reference of all commands from their click definitions."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from collections.abc import Iterator
 
 import click
 from dcp_conformance.cli import main as conformance
+from dcp_selftest.cli import main as selftest
 
 from dcp_codec.cli import main as codec
 from dcp_codec.common.commandline import CommandLine
@@ -15,7 +16,7 @@ from dcp_stack.cli import main as node
 
 from .markdown import page, table
 
-COMMANDS: tuple[CommandLine, ...] = (codec, node, conformance)
+COMMANDS: tuple[CommandLine, ...] = (codec, node, conformance, selftest)
 
 
 def command_page(line: CommandLine) -> str:

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import random
 import shlex
 import signal
 import sys
 from collections.abc import Callable, Iterator
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -21,8 +19,8 @@ from dcp_conformance.errors import UsageError
 if TYPE_CHECKING:
     from dcp_codec.codec import Codec
     from dcp_conformance.fuzz import Artefact, Campaign, Limits
+    from dcp_conformance.fuzz.findings.replaying import Replayed
     from dcp_conformance.fuzz.generate.coverage import Coverage
-    from dcp_conformance.fuzz.worker import Make
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -32,31 +30,6 @@ _DRY_RUN = 1000
 SHOWN = ""
 #: Exit status of a campaign that was stopped by a signal, as in shells.
 _STOPPED = 130
-
-
-class _Jobs(click.IntRange):
-    """Parse a number of processes; ``auto`` means one for each processor available to this process."""
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        return len(os.sched_getaffinity(0)) if value == "auto" else super().convert(value, param, ctx)
-
-
-jobs_option = click.option(
-    "--jobs",
-    "-j",
-    type=_Jobs(1, 256),
-    default=1,
-    metavar="N|auto",
-    help="Number of concurrent processes; auto: one for each processor.  [default: 1]",
-)
-
-
-def _reject_jobs(_context: click.Context, _parameter: click.Parameter, value: Any) -> None:
-    if value is not None:
-        raise UsageError("--jobs is for fuzz stack and fuzz codec: a live implementation exists only once")
-
-
-no_jobs = click.option("--jobs", "-j", hidden=True, expose_value=False, callback=_reject_jobs)
 
 
 def campaign_options(function: F) -> F:
@@ -109,8 +82,8 @@ def campaign_options(function: F) -> F:
 def material(options: dict[str, Any], seed: str | None = None) -> tuple[Codec, random.Random, Any, list[bytes]]:
     """Return codec, random generator, mutator, and the beacons of the recordings.
 
-    ``seed`` is that of a worker; the pool of messages to mutate is the same for all workers of a campaign. Raise
-    ``UsageError`` for an unusable profile or recording.
+    ``seed`` is that of one process of several; the pool of messages to mutate is the same for all processes of a
+    campaign. Raise ``UsageError`` for an unusable profile or recording.
     """
     from dcp_spec.profile.loading import ProfileError
     from dcp_spec.profile.usability import refusal
@@ -179,25 +152,13 @@ def _limits(options: dict[str, Any]) -> Limits:
     return Limits(seconds, options["max_cases"], options["max_findings"], options["rate"])
 
 
-def run_campaign(
-    campaign: Campaign,
-    options: dict[str, Any],
-    *,
-    run: Callable[[Limits], Any] | None = None,
-    make: Make | None = None,
-) -> int:
-    """Run a campaign with progress output; return the exit status.
-
-    ``run`` replaces ``campaign.run``. ``make`` creates another campaign in a worker; without it only one process runs.
-    """
+def run_campaign(campaign: Campaign, options: dict[str, Any], *, run: Callable[[Limits], Any] | None = None) -> int:
+    """Run a campaign with progress output; return the exit status. ``run`` replaces ``campaign.run``."""
     from dcp_conformance.errors import LowerTesterError, WorkerError
     from dcp_conformance.fuzz.execute.live import NotAliveError
     from dcp_conformance.fuzz.findings.description import headline
 
-    jobs = options["jobs"] if make is not None else 1
     if options["dry_run"]:
-        if jobs > 1:
-            raise UsageError("--dry-run writes the frames of one process: leave out --jobs")
         return write_tests(campaign, options)
     if options["out"] is not None:
         raise UsageError("--out is for --dry-run; findings go to --artefacts DIR")
@@ -208,16 +169,6 @@ def run_campaign(
         from dcp_conformance.reporting import make_folder
 
         make_folder(campaign.directory)
-    # Do not start workers without a test.
-    jobs = min(jobs, options["max_cases"] or jobs)
-    if make is not None and jobs > 1:
-        from dcp_conformance.fuzz.workers import run_in_workers
-
-        run = partial(run_in_workers, campaign, make, jobs, guided=options["guided"])
-    elif options.get("guided"):
-        from dcp_conformance.fuzz.generate.guidance import guide
-
-        guide(campaign)
     quiet = options["quiet"]
     terminal = sys.stderr.isatty()
 
@@ -326,3 +277,8 @@ def write_tests(campaign: Campaign, options: dict[str, Any]) -> int:
         raise UsageError(f"{options['out']}: {error}") from None
     click.echo(f"{frames} frames written to {options['out']}; nothing was sent")
     return 0
+
+
+def say_replayed(found: Replayed) -> None:
+    """Print the result of the replay of an artefact."""
+    say(f"{found.status:6} {found.path}: {found.detail}")

@@ -6,22 +6,21 @@ import contextlib
 import dataclasses
 import shlex
 from collections import Counter
-from collections.abc import Callable, Iterator
-from functools import partial
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from dcp_codec.common.commandline import PROFILE_HELP, say
+from dcp_codec.common.commandline import say
 from dcp_conformance.errors import UsageError
 
-from .campaigns import campaign_options, jobs_option, material, no_jobs, profile_text, run_campaign, swept, write_tests
+from .campaigns import campaign_options, material, profile_text, run_campaign, say_replayed, swept, write_tests
 from .options import target_of, target_options
 
 if TYPE_CHECKING:
     from dcp_conformance.execution.target import TargetOptions
-    from dcp_conformance.fuzz import Artefact, Campaign
+    from dcp_conformance.fuzz import Artefact
     from dcp_conformance.fuzz.steps import Target
 
 EXIT_STATUS = (
@@ -43,136 +42,13 @@ def command() -> None:
     """
 
 
-_PROFILE = click.option(
-    "-p", "--profile", default="dcp-2.0", metavar="NAME|FILE", help=PROFILE_HELP + "  [default: dcp-2.0]"
-)
-_SEED = click.option("--seed", type=int, default=1, metavar="N", help="Random seed.  [default: 1]")
-
-
-@command.command("codec", epilog=EXIT_STATUS)
-@click.argument("parts", nargs=-1)
-@_PROFILE
-@_SEED
-@click.option("--guided", is_flag=True, help="Keep inputs that reach new lines of the code (slower).")
-@click.option(
-    "--engine",
-    type=click.Choice(["own", "atheris"]),
-    default="own",
-    help="atheris: libFuzzer, guided by branches, for one part (extra atheris).  [default: own]",
-)
-@jobs_option
-@campaign_options
-def codec_command(parts: tuple[str, ...], **options: Any) -> int:
-    """Fuzz our own functions in process.
-
-    PARTS: beacon (decode, dissect, encode), capture (pcap, pcapng and MCAP readers), control (the control interface),
-    profile and pics (loaders); all of them by default.
-    """
-    from dcp_conformance.fuzz.execute.functions import PARTS, FunctionInputs
-
-    if options["coverage"] in PARTS:
-        raise UsageError(f"--coverage {options['coverage']}: this would be the name of a file; put --coverage last")
-    if unknown := [part for part in parts if part not in PARTS]:
-        raise UsageError(f"unknown part {unknown[0]!r}; the parts are {', '.join(PARTS)}")
-    if options["engine"] == "own":
-        make = partial(codec_campaign, parts or PARTS, options)
-        with make() as campaign:
-            return run_campaign(campaign, options, make=make)
-    if options["jobs"] > 1:
-        raise UsageError("--engine atheris uses one process: leave out --jobs")
-    from dcp_conformance.fuzz.execute.atheris_engine import run_engine
-
-    part = _only(parts)
-    with codec_campaign((part,), options) as campaign:
-        assert isinstance(campaign.generator, FunctionInputs)
-        seeds = campaign.generator.seeds(part)
-        return run_campaign(
-            campaign, options, run=lambda limits: run_engine(campaign, part, options["profile"], seeds, limits)
-        )
-
-
-@contextlib.contextmanager
-def codec_campaign(parts: tuple[str, ...], options: dict[str, Any], seed: str | None = None) -> Iterator[Campaign]:
-    """Return the campaign of ``fuzz codec``; ``seed`` is that of a worker."""
-    from dcp_conformance.fuzz.campaign import Campaign
-    from dcp_conformance.fuzz.execute.functions import FunctionInputs, FunctionTarget
-    from dcp_conformance.fuzz.findings.artefact import SavedTarget
-
-    codec, rng, mutator, _ = material(options, seed)
-    inputs = FunctionInputs(codec, rng, mutator, parts)
-    target = FunctionTarget(codec)
-    try:
-        saved = SavedTarget("codec", "functions in this process")
-        yield Campaign(
-            codec, target, inputs, saved, options["seed"], mutator=mutator, profile_text=profile_text(options)
-        )
-    finally:
-        target.close()
-
-
-def _only(parts: tuple[str, ...]) -> str:
-    """Return the only selected part, for an engine that processes octets without parts."""
-    if len(parts) > 1:
-        raise UsageError(f"--engine atheris fuzzes one part at a time, not {len(parts)}")
-    return parts[0] if parts else "beacon"
-
-
-@command.command("stack", epilog=EXIT_STATUS)
-@_PROFILE
-@_SEED
-@click.option("--mutant", metavar="ID", help="Fuzz a mutant of the reference node instead (see selftest).")
-@click.option("--guided", is_flag=True, help="Keep inputs that reach new lines of the code (slower).")
-@jobs_option
-@campaign_options
-def stack_command(**options: Any) -> int:
-    """Fuzz the reference node in process.
-
-    After every step the node is compared with an independent model.
-    """
-    make = partial(stack_campaign, options)
-    with make() as campaign:
-        return run_campaign(campaign, options, make=make)
-
-
-@contextlib.contextmanager
-def stack_campaign(options: dict[str, Any], seed: str | None = None) -> Iterator[Campaign]:
-    """Return the campaign of ``fuzz stack``; ``seed`` is that of a worker."""
-    from dcp_conformance.fuzz.campaign import Campaign
-    from dcp_conformance.fuzz.findings.artefact import SavedTarget
-    from dcp_conformance.fuzz.findings.replaying import stack_target
-    from dcp_conformance.fuzz.generate.directed import Directed
-    from dcp_conformance.fuzz.generate.sequence_batches import Lifetimes
-    from dcp_conformance.fuzz.generate.sequences import Sequences
-    from dcp_conformance.fuzz.generate.sweep import SweepFirst
-
-    codec, rng, mutator, recorded = material(options, seed)
-    target = stack_target(codec, options["mutant"] or "")
-    reached: Counter[tuple[str, str]] = Counter()
-    directed = Directed(Sequences(codec, rng, target.own_id, mutator, recorded), reached)
-    # Each worker executes the whole sweep, which takes a tenth of a second.
-    sequences = SweepFirst(directed, codec, done=swept(options))
-    saved = SavedTarget("stack", target.name, options["mutant"] or "")
-    yield Campaign(
-        codec,
-        target,
-        Lifetimes(sequences),
-        saved,
-        options["seed"],
-        mutator=mutator,
-        states=lambda: target.observer.reached,
-        reached_states=reached,
-        profile_text=profile_text(options),
-        own_id=target.own_id,
-    )
-
-
 def _live(options: dict[str, Any], *, differential: bool) -> int:
     """Run a campaign against an SUT that is opened as by ``dcp-conformance run``; return the exit status."""
     from dcp_conformance.execution.target import describe, open_target
     from dcp_conformance.fuzz.campaign import Campaign
     from dcp_conformance.fuzz.execute.live import RATE, LiveTarget, NotAliveError
+    from dcp_conformance.fuzz.execute.stack import StackTarget
     from dcp_conformance.fuzz.findings.artefact import SavedTarget
-    from dcp_conformance.fuzz.findings.replaying import stack_target
     from dcp_conformance.fuzz.generate.directed import Directed
     from dcp_conformance.fuzz.generate.sequence_batches import Batches
     from dcp_conformance.fuzz.generate.sequences import Sequences
@@ -192,7 +68,7 @@ def _live(options: dict[str, Any], *, differential: bool) -> int:
     if options["dry_run"]:
         drawn = SweepFirst(Sequences(codec, rng, NOBODY, mutator, recorded), codec)
         saved = SavedTarget(mode, "nothing")
-        return write_tests(Campaign(codec, stack_target(codec), Batches(drawn, size), saved, options["seed"]), options)
+        return write_tests(Campaign(codec, StackTarget(codec), Batches(drawn, size), saved, options["seed"]), options)
     with open_target(where) as opened:
         opened.runner.prepare()
         target = LiveTarget(opened, rate=options["rate"] or RATE, differential=differential)
@@ -218,7 +94,7 @@ def _live(options: dict[str, Any], *, differential: bool) -> int:
             options["seed"],
             mutator=mutator,
             reached_states=reached,
-            model=None if differential else stack_target(codec),
+            model=None if differential else StackTarget(codec),
             profile_text=profile_text(options),
             budget=200,
             seconds=_MINIMISING,
@@ -253,7 +129,6 @@ NOBODY = b"\x02\x00\x00\x00\x00\x01"
     metavar="N",
     help="Number of sequences between two checks.  [default: 20]",
 )
-@no_jobs
 @campaign_options
 def live_command(**options: Any) -> int:
     """Find inputs that crash or hang a live implementation.
@@ -269,7 +144,6 @@ def live_command(**options: Any) -> int:
 @command.command("differential", epilog=EXIT_STATUS)
 @target_options
 @_OWN_NODE
-@no_jobs
 @campaign_options
 def differential_command(**options: Any) -> int:
     """Compare an implementation with a model.
@@ -301,38 +175,34 @@ def replay_command(artefacts: tuple[Path, ...], attempts: int, **options: Any) -
 
     The result is fixed, failed, flaky or error.
 
-    ARTEFACTS are files or folders. For artefacts of a live implementation, give its link and upper tester.
+    ARTEFACTS are files or folders. Give the link and the upper tester of the implementation.
     """
     from dcp_conformance.fuzz.findings.artefact import found_in
-    from dcp_conformance.fuzz.findings.replaying import replay, target_in_process
+    from dcp_conformance.fuzz.findings.replaying import replay_all
 
-    statuses = []
     with contextlib.ExitStack() as stack:
-        live = _live_target(options, stack)
-        for path in found_in(list(artefacts)):
-            found = replay(path, live or target_in_process, attempts=attempts)
-            say(f"{found.status:6} {found.path}: {found.detail}")
-            statuses.append(found.status)
-    if "error" in statuses:
-        return 4
-    return 1 if {"failed", "flaky"} & set(statuses) else 0
+        target = _live_target(options, stack)
+        return replay_all(found_in(list(artefacts)), target, attempts=attempts, on_result=say_replayed)
 
 
-def _live_target(options: dict[str, Any], stack: Any) -> Callable[[Artefact], Target] | None:
-    """Return a function that opens the target of an artefact; None if no option names an SUT."""
-    target = target_of(options)
-    if not (target.foreign or target.in_process or options["own_node"]):
-        return None
+def _live_target(options: dict[str, Any], stack: contextlib.ExitStack) -> Callable[[Artefact], Target]:
+    """Return a function that opens the target of an artefact; it raises ``UsageError`` if no option names an SUT."""
     from dcp_conformance.execution.target import open_target
     from dcp_conformance.fuzz.execute.live import LiveTarget
-    from dcp_conformance.fuzz.findings.replaying import target_in_process
 
-    opened = stack.enter_context(open_target(target))
-    opened.runner.prepare()
+    target = target_of(options)
+    opened = None
+    if target.foreign or target.in_process or options["own_node"]:
+        opened = stack.enter_context(open_target(target))
+        opened.runner.prepare()
 
     def made(artefact: Artefact) -> Target:
         if artefact.target.mode in ("codec", "stack"):
-            return target_in_process(artefact)
+            raise UsageError(f"artefact {artefact.id} is of our own code in process: use dcp-selftest fuzz replay")
+        if opened is None:
+            raise UsageError(
+                f"artefact {artefact.id} is of a live implementation: say where it is (--interface IF or --link udp)"
+            )
         return LiveTarget(opened, differential=artefact.target.mode == "differential")
 
     return made

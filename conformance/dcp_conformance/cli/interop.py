@@ -19,8 +19,7 @@ if TYPE_CHECKING:
 
 EXIT_STATUS = (
     "Exit status: 0 every cell that applies passes; 1 a cell fails; 2 wrong usage, or no cell applies; 3 a cell is "
-    "inconclusive; 4 a fault of the tester; 130 interrupted. With --selftest, 0 means that every fault makes a cell "
-    "fail and no permitted variant does."
+    "inconclusive; 4 a fault of the tester; 130 interrupted."
 )
 
 
@@ -34,7 +33,7 @@ EXIT_STATUS = (
     "names",
     multiple=True,
     metavar="IMPL",
-    help="Add an implementation: node:PROFILE, mutant:ID or variant:ID.",
+    help="Add an implementation: node:PROFILE; mutant:ID or variant:ID (dcp-conformance-selftest).",
 )
 @click.option("--only", multiple=True, metavar="IMPL:IMPL:TEST", help="Only this cell.")
 @click.option(
@@ -61,13 +60,6 @@ EXIT_STATUS = (
     help="Run the cell of a failed/*.json again, with its seed.",
 )
 @click.option("--list", "show_list", is_flag=True, help="Only show the network tests.")
-@click.option("--selftest", is_flag=True, help="Put known faults and permitted variants into networks instead.")
-@click.option(
-    "--document",
-    type=click.Path(dir_okay=False, path_type=Path),
-    metavar="FILE",
-    help="With --selftest: write the table into its section of FILE (Markdown).",
-)
 @click.option("--quiet", "-q", is_flag=True, help="Show only cells that do not pass.")
 def command(
     file: Path | None,
@@ -80,12 +72,10 @@ def command(
     dask: str | None,
     report_dir: Path | None,
     replay: Path | None,
-    document: Path | None,
     *,
     virtual: bool,
     short: bool,
     show_list: bool,
-    selftest: bool,
     quiet: bool,
 ) -> int:
     """Test networks of several implementations: each pair, in both roles.
@@ -101,12 +91,8 @@ def command(
         for each in chosen:
             say(f"{each.id:<34} {each.purpose}")
         return 0
-    if (seeds > 1 or dask) and not (virtual or selftest or replay):
+    if (seeds > 1 or dask) and not (virtual or replay):
         raise UsageError("--seeds and --dask repeat cells in virtual time; add --virtual")
-    if document is not None and not selftest:
-        raise UsageError("--document writes the table of --selftest; add --selftest")
-    if selftest:
-        return _selftest(tests, names, jobs, document, seeds=seeds, quiet=quiet)
     if replay is not None:
         return _replay(replay, file, report_dir)
     described = load_description(file) if file is not None else None
@@ -219,20 +205,3 @@ def _replay(path: Path, file: Path | None, report_dir: Path | None) -> int:
                 if (each.verdict, each.reason) != (before.verdict, before.reason):
                     say(f"before: {before.verdict}  {before.reason}")
             return _finish(matrix, report_dir)
-
-
-def _selftest(
-    tests: tuple[str, ...], names: tuple[str, ...], jobs: int | None, document: Path | None, *, seeds: int, quiet: bool
-) -> int:
-    from dcp_codec.common.signals import ending_like_interrupts
-    from dcp_conformance.interop.selftest import run_selftest, write_document
-
-    with ending_like_interrupts():
-        result = run_selftest(
-            tests=tests, names=names, seeds=seeds, jobs=jobs, on_line=None if quiet else lambda line: say(line)
-        )
-    for line in result.lines():
-        say(line)
-    if document is not None:
-        write_document(result, document)
-    return 0 if result.good else 1

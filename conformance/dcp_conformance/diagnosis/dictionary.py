@@ -59,7 +59,7 @@ class _Stored(msgspec.Struct, frozen=True):
     faults: list[_Entry]
 
 
-_ABOUT: Final = "Made by `dcp-conformance selftest --dictionary`; do not edit."
+_ABOUT: Final = "Made by `dcp-selftest dictionary`; do not edit."
 
 
 def encode(dictionary: Dictionary) -> bytes:

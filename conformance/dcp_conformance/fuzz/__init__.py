@@ -1,9 +1,8 @@
 """Fuzzing: find and minimise inputs that make an implementation crash, hang, stop answering or hold a wrong state.
 
 Generating (``dcp_codec.testing.mutation``, :mod:`dcp_conformance.fuzz.generate.sequences`), executing
-(:mod:`dcp_conformance.fuzz.execute.functions`, :mod:`dcp_conformance.fuzz.execute.stack`,
-:mod:`dcp_conformance.fuzz.execute.live`) and minimising (:mod:`dcp_conformance.fuzz.reduce.minimise`) are independent
-of each other; :mod:`.campaign` connects them.
+(:mod:`dcp_conformance.fuzz.execute.live`, :mod:`dcp_conformance.fuzz.execute.stack`) and minimising
+(:mod:`dcp_conformance.fuzz.reduce.minimise`) are independent of each other; :mod:`.campaign` connects them.
 """
 
 from .campaign import Campaign, Limits

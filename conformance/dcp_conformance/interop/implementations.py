@@ -1,18 +1,20 @@
 """Implementations of a matrix: those of a file (TOML), and the built-in ones.
 
-Built in are ``node:PROFILE`` (our node), ``mutant:ID[@PROFILE]`` and ``variant:ID[@PROFILE]``. They run in virtual time
-and, except for variants, as processes.
+Built in is ``node:PROFILE`` (our node). Other packages offer further kinds by entry points: dcp-conformance-selftest
+offers ``mutant:ID[@PROFILE]`` and ``variant:ID[@PROFILE]``. All run in virtual time and, except for variants, as
+processes.
 """
 
 from __future__ import annotations
 
 import shlex
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache
+from importlib.metadata import entry_points
 from pathlib import Path
 from string import Formatter
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, NamedTuple
 
 import msgspec
 from dcp_spec.profile.loading import ProfileError
@@ -21,15 +23,15 @@ from dcp_spec.profile.types import Types
 from dcp_codec.codec import Codec
 from dcp_conformance.errors import UsageError
 from dcp_conformance.model.input_files import load_file
-from dcp_conformance.reference.inprocess import InProcess, VirtualUpperTester
-from dcp_conformance.selftest.mutants.mutant import all_mutants
-from dcp_conformance.selftest.variants.variant import Setup, all_variants, setup
-from dcp_stack.config import BPConfig
+from dcp_conformance.reference.inprocess import InProcess, VirtualUpperTester, reference_config
+from dcp_conformance.reference.surroundings import Setup
 
 from .world import Limits
 
 #: Placeholders of ``start`` and ``upper_tester``.
 PLACEHOLDERS: Final = ("interface", "node_id", "network_id", "profile", "control", "directory", "seed")
+#: Group of entry points for nodes of other packages; the name of an entry point is the kind.
+GROUP: Final = "dcp_conformance.nodes"
 BUILT_IN: Final = tuple(f"node:dcp-{version}" for version in ("2.0", "1.3", "1.2", "1.1", "1.0"))
 
 Ready = Literal["beacon", "upper-tester"]
@@ -124,33 +126,56 @@ def _check(each: Implementation) -> None:
         codec_of(profile)
 
 
+class OfferedNode(NamedTuple):
+    """A built-in implementation of another package, offered by an entry point in the group :data:`GROUP`."""
+
+    what: str
+    """A sentence whose subject is the node, for the reports."""
+    profile: str
+    """The profile on which the node runs if none is given."""
+    setup: Callable[[str], Setup]
+    """Function of the name of a profile that returns the node. Raises ``UsageError`` if it does not exist there."""
+    program: tuple[str, ...] = ()
+    """Arguments of ``python -m`` for the node as a process; empty: it runs in virtual time only."""
+
+
+@cache
+def _offered(name: str) -> OfferedNode:
+    """Return the built-in implementation ``KIND`` or ``KIND:ID`` without its profile.
+
+    The entry point of a kind is a function of the identifier. Raises ``UsageError`` for an unknown kind, or from the
+    entry point for an unknown identifier.
+    """
+    kind, _, identifier = name.partition(":")
+    if kind == "node":
+        program = ("dcp_stack.cli", "run", "--network-id", "{network_id}", "--seed", "{seed}")
+        return OfferedNode("our node", "dcp-2.0", lambda profile: Setup(reference_config(codec_of(profile))), program)
+    for entry in entry_points(group=GROUP, name=kind):
+        found: OfferedNode = entry.load()(identifier)
+        return found
+    if kind in ("mutant", "variant"):
+        raise UsageError(
+            f"{name!r}: the {kind}s are in the package dcp-conformance-selftest: "
+            "pip install ./selftest in a checkout of the kit"
+        )
+    raise UsageError(f"{name!r} is not a built-in implementation: node:PROFILE, mutant:ID or variant:ID")
+
+
 def built_in(name: str) -> Implementation:
     """Return a built-in implementation: ``node:dcp-2.0``, ``mutant:ID@PROFILE``, ``variant:ID@PROFILE``.
 
     Raises ``UsageError`` for another name.
     """
     kind, _, rest = name.partition(":")
-    identifier, _, profile = rest.partition("@")
-    if kind == "node":
-        found = Implementation(built_in="node", profile=rest or "dcp-2.0", what="our node")
-    elif kind == "mutant":
-        if identifier not in all_mutants():
-            raise UsageError(f"there is no mutant {identifier!r}; see dcp-conformance selftest --list")
-        mutant = all_mutants()[identifier]
-        found = Implementation(built_in=f"mutant:{identifier}", profile=profile or mutant.profile, what=mutant.what)
-    elif kind == "variant":
-        if identifier not in all_variants():
-            raise UsageError(f"there is no variant {identifier!r}; see dcp-conformance selftest --variants --list")
-        variant = all_variants()[identifier]
-        found = Implementation(built_in=f"variant:{identifier}", profile=profile or "dcp-2.0", what=variant.what)
-    else:
-        raise UsageError(f"{name!r} is not a built-in implementation: node:PROFILE, mutant:ID or variant:ID")
+    own_name, _, profile = ("node", "", rest) if kind == "node" else name.partition("@")
+    offered = _offered(own_name)
+    found = Implementation(built_in=own_name, profile=profile or offered.profile, what=offered.what)
     try:
         codec_of(found.profile)
     except ProfileError as error:
         raise UsageError(str(error)) from None
-    setup_, limits = virtual_setup(found, found.profile)
-    own = setup_.config
+    setup, limits = virtual_setup(found, found.profile)
+    own = setup.config
     return msgspec.structs.replace(found, limits=limits, srp=own.srp is not None, vardis=own.vardis is not None)
 
 
@@ -161,23 +186,11 @@ def codec_of(profile: str) -> Codec:
 
 
 @cache
-def _setup_of(built_in_name: str, profile: str, beacon_period_ms: int) -> tuple[Setup, Limits]:
-    kind, _, identifier = built_in_name.partition(":")
-    if kind == "node":
-        made = setup(codec_of(profile), bp=BPConfig(beacon_period_ms=beacon_period_ms))
-    elif kind == "mutant":
-        if identifier not in all_mutants():
-            raise UsageError(f"built_in: there is no mutant {identifier!r}")
-        made = setup(codec_of(profile), make=all_mutants()[identifier].make)
-    elif kind == "variant":
-        if identifier not in all_variants():
-            raise UsageError(f"built_in: there is no variant {identifier!r}")
-        variant = all_variants()[identifier]
-        if not variant.applies_to(profile):
-            raise UsageError(f"built_in: {identifier} does not exist in {profile}")
-        made = variant.build(profile)
-    else:
-        raise UsageError(f"built_in: {built_in_name!r} is not node, mutant:ID or variant:ID")
+def _setup_of(name: str, profile: str) -> tuple[Setup, Limits]:
+    try:
+        made = _offered(name).setup(profile)
+    except UsageError as error:
+        raise UsageError(f"built_in: {error}") from None
     return made, _limits(made)
 
 
@@ -185,7 +198,7 @@ def virtual_setup(each: Implementation, profile: str) -> tuple[Setup, Limits]:
     """Return the node of a built-in implementation in virtual time, and its limits. Raises ``UsageError``."""
     if not each.built_in:
         raise UsageError("an implementation that is a command does not run in virtual time; leave out --virtual")
-    return _setup_of(each.built_in, profile, 100)
+    return _setup_of(each.built_in, profile)
 
 
 def _limits(made: Setup) -> Limits:
@@ -222,17 +235,12 @@ _PARAMETERS: Final[Mapping[str, str]] = {
 def command_of(each: Implementation, profile: str, places: Mapping[str, str]) -> list[str]:
     """Return the command of a process, with its placeholders filled in."""
     if each.built_in:
-        kind, _, identifier = each.built_in.partition(":")
-        if kind == "variant":
+        program = _offered(each.built_in).program
+        if not program:
             raise UsageError(f"{each.built_in} runs in virtual time only (--virtual)")
-        program = (
-            ["dcp_stack.cli", "run", "--network-id", "{network_id}", "--seed", "{seed}"]
-            if kind == "node"
-            else ["dcp_conformance.selftest.mutants", identifier]
-        )
         words = [sys.executable, "-m", *program, "-i", "{interface}", "--node-id", "{node_id}", "-p", "{profile}"]
         words += ["--control", "{control}"]
-        if not codec_of(profile).profile.has_header_field("networkId") and kind == "node":
+        if "--network-id" in words and not codec_of(profile).profile.has_header_field("networkId"):
             words.remove("--network-id")
             words.remove("{network_id}")
     else:
@@ -265,9 +273,7 @@ def meeting_profile(a: Implementation, b: Implementation) -> str | None:
 
 def _layout(each: Implementation, profile: str) -> tuple[Types, Any]:
     """Return the types of the transmitted fields, and the safety data; variants can differ from their profile."""
-    found = codec_of(profile).profile
-    if each.built_in.startswith("variant:"):
-        found = virtual_setup(each, profile)[0].config.profile
+    found = virtual_setup(each, profile)[0].config.profile if each.built_in else codec_of(profile).profile
     return found.types, found.srp.safety_data
 
 
@@ -281,6 +287,7 @@ __all__: Sequence[str] = [
     "Description",
     "Implementation",
     "Matrix",
+    "OfferedNode",
     "built_in",
     "codec_of",
     "command_of",

@@ -9,7 +9,7 @@ from typing import Final
 import msgspec
 
 FILE: Final = "case-times.json"
-_ABOUT: Final = "Made by `dcp-conformance selftest --smoke-plan`; do not edit."
+_ABOUT: Final = "Made by `dcp-selftest smoke-plan`; do not edit."
 #: Seconds that a case takes which is too new to have been measured.
 _USUAL: Final = 1.0
 

@@ -302,9 +302,16 @@ def _ether_type(config: NodeConfig) -> int:
     return config.profile.link.ether_type or 0x4953
 
 
-def reference_config(codec: Codec, *, beacon_period_ms: int = 100, node_id: bytes = NODE_ID) -> NodeConfig:
-    """Return the default SUT of the suite: a reference node with all features and default settings."""
-    if codec.profile.types.node_id.representation == "text" and len(node_id) == len(NODE_ID):
+def reference_config(codec: Codec, *, beacon_period_ms: int = 100, node_id: bytes | None = None) -> NodeConfig:
+    """Return the default SUT of the suite: a reference node with all features and default settings.
+
+    Without ``node_id`` the node has :data:`NODE_ID`, or 1 if the identifiers of the profile have another width.
+    """
+    layout = codec.profile.types.node_id
+    if node_id is None:
+        standard = layout.length is not None or layout.width == len(NODE_ID)
+        node_id = NODE_ID if standard else (1).to_bytes(layout.width, "big")
+    if layout.representation == "text" and len(node_id) == len(NODE_ID):
         node_id = node_id.hex(":").encode()
     bp = BPConfig(beacon_period_ms=beacon_period_ms)
     return NodeConfig(node_id=node_id, codec=codec, bp=bp, srp=SRPConfig() if codec.profile.srp.is_report else None)

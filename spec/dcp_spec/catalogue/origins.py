@@ -1,6 +1,6 @@
 """Where in the specification each requirement stands, for every published version.
 
-``data/origins.json`` is generated (``python -m dcp_conformance.provenance``): places and fingerprints, no wording.
+``data/origins.json`` is generated (``dcp-selftest origins``): places and fingerprints, no wording.
 ``data/statements.json`` lists all statements of the newest version in the same way, so that another version can be
 compared with it. Nothing is read before the first look-up.
 """
@@ -52,7 +52,7 @@ class Origin(msgspec.Struct, frozen=True):
     step: str
     """Step of the pseudo-code ("3", "3.d"); empty for a sentence."""
     fingerprint: str
-    """Of the normalised wording; see ``dcp_conformance.provenance.statements``."""
+    """Of the normalised wording; see ``dcp_selftest.provenance.statements``."""
 
     def __str__(self) -> str:
         step = f", step {self.step}" if self.step else ""

@@ -24,9 +24,9 @@ from dcp_conformance.passive import PassiveTester, joined
 from dcp_conformance.reference.inprocess import InProcess, reference_config
 from dcp_conformance.reporting import load_results, write_report
 from dcp_conformance.reporting.merge import compare
-from dcp_conformance.selftest.mutants import all_mutants
 from dcp_conformance.test_steps.bp_clients import ONCE, BPClient
 from dcp_conformance.test_system.bench import Bench, Session
+from dcp_selftest.mutants import all_mutants
 
 from dcp_codec.values import VarSumm
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 from dcp_conformance.check.judge import RecorderClock
-from dcp_conformance.selftest.recordings.clean import _task
+from dcp_selftest.recordings.clean import _task
 from hypothesis import given
 from hypothesis import strategies as st
 

@@ -8,9 +8,9 @@ from dcp_conformance.execution.runner import Runner
 from dcp_conformance.model.pics import Pics
 from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, VirtualUpperTester, reference_config
-from dcp_conformance.selftest.mutants import all_mutants
 from dcp_conformance.test_system.bench import Session
 from dcp_conformance.upper_tester import Answer
+from dcp_selftest.mutants import all_mutants
 from dcp_spec.constants import BP_PROTID_VARDIS
 
 from ..rig import codec_of, known_cases

@@ -16,8 +16,8 @@ from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, plain_node, reference_config
 from dcp_conformance.reporting.issues import write_issues
 from dcp_conformance.reporting.issues.stimulus import only, stimulus
-from dcp_conformance.selftest.mutants import all_mutants
 from dcp_conformance.test_system.session import Session
+from dcp_selftest.mutants import all_mutants
 
 from ..command import Command
 from ..reporting.test_issue_reports import CODEC, run_of

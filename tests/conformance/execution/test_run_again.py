@@ -102,7 +102,7 @@ def test_a_case_that_fails_with_its_pics(tmp_path: Path):
 def test_a_finding_of_the_fuzzer_as_a_case(tmp_path: Path):
     folder = "finds of 'Monday'"
     mutant = "M-VD-RC-03-consumer-silent"
-    words = ["dcp-conformance", "fuzz", "stack", "--mutant", mutant, "--max-cases", "400", "--artefacts", folder, "-q"]
+    words = ["dcp-selftest", "fuzz", "stack", "--mutant", mutant, "--max-cases", "400", "--artefacts", folder, "-q"]
     status, _ = run(words, tmp_path)
     found = sorted((tmp_path / folder).glob("*.json"))
     found = [each for each in found if each.name != "campaign.json"]

@@ -13,11 +13,11 @@ from dcp_conformance.model.case import all_cases
 from dcp_conformance.model.pics import Pics
 from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, plain_node, reference_config
-from dcp_conformance.selftest.mutants import all_mutants
-from dcp_conformance.selftest.runner import Suite, cases
-from dcp_conformance.selftest.side_by_side import compare
 from dcp_conformance.test_system.reception.waiting import Waiting
 from dcp_conformance.test_system.session import Session
+from dcp_selftest.mutants import all_mutants
+from dcp_selftest.runner import Suite, cases
+from dcp_selftest.side_by_side import compare
 
 from dcp_codec.codec import Codec
 

@@ -11,8 +11,8 @@ from dcp_conformance.model.pics import Pics, Testing
 from dcp_conformance.model.results import CaseResult
 from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, reference_config
-from dcp_conformance.selftest.mutants import all_mutants
 from dcp_conformance.test_system.bench import Bench, Session
+from dcp_selftest.mutants import all_mutants
 
 from ..rig import codec_of, known_cases, one_case
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from dcp_conformance.model.pics import Capabilities, Pics
 from dcp_conformance.model.verdict import Verdict
-from dcp_conformance.selftest.mutants import all_mutants
+from dcp_selftest.mutants import all_mutants
 
 from ..rig import one_case
 

@@ -11,6 +11,7 @@ from pathlib import Path
 import msgspec
 import pytest
 from dcp_conformance.errors import UsageError
+from dcp_conformance.interop import implementations
 from dcp_conformance.interop.bounds import attempts
 from dcp_conformance.interop.cell import Cell, run_cell
 from dcp_conformance.interop.definition import GRID_8, LINE_5, PAIR, all_tests, network_test
@@ -20,9 +21,9 @@ from dcp_conformance.interop.nodes.virtual import VirtualWorld
 from dcp_conformance.interop.reports import load_matrix, write_reports
 from dcp_conformance.interop.results import CellResult
 from dcp_conformance.interop.scene import MS, SECOND, Scene
-from dcp_conformance.interop.selftest import FAULTS, variants_to_try
 from dcp_conformance.model.verdict import Verdict
-from dcp_conformance.selftest.variants.variant import all_variants
+from dcp_selftest.interop import FAULTS, variants_to_try
+from dcp_selftest.variants.variant import all_variants
 
 from ...parts import every
 from ..command import Command
@@ -239,6 +240,22 @@ def test_a_bad_description_is_refused_by_key(tmp_path: Path, text: str, complain
     with pytest.raises(UsageError, match=r"interop\.toml") as refusal:
         load_description(path)
     assert complaint in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "advice"),
+    [
+        ("mutant:M-ABSENT", "pip install ./selftest"),
+        ("variant:V-ABSENT", "dcp-conformance-selftest"),
+        ("drone:X", "is not a built-in implementation"),
+    ],
+)
+def test_nodes_that_no_installed_package_offers_are_refused(
+    name: str, advice: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(implementations, "entry_points", lambda **_: ())
+    with pytest.raises(UsageError, match=advice):
+        built_in(name)
 
 
 def test_a_description_is_played(tmp_path: Path, dcp_conformance: Command) -> None:

@@ -14,11 +14,11 @@ from dcp_conformance.model.survival import SURVIVAL
 from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reporting.exports import summary_markdown
 from dcp_conformance.reporting.overview import certainty, diagnosed, headline, sentence
-from dcp_conformance.selftest.diagnosis import measuring
-from dcp_conformance.selftest.diagnosis.dictionary_making import signature
-from dcp_conformance.selftest.diagnosis.measuring import draw, outcome
-from dcp_conformance.selftest.mutants import all_mutants
-from dcp_conformance.selftest.mutants.combination import combined
+from dcp_selftest.diagnosis import measuring
+from dcp_selftest.diagnosis.dictionary_making import signature
+from dcp_selftest.diagnosis.measuring import draw, outcome
+from dcp_selftest.mutants import all_mutants
+from dcp_selftest.mutants.combination import combined
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -192,7 +192,7 @@ def test_the_observations_of_a_fault_are_those_of_its_failed_cases() -> None:
     for each in load().faults:
         assert {case for case, _ in each.observed} <= each.fails
         if each.fails and not each.crashes and each.id not in SILENT:
-            assert each.observed, f"run: dcp-conformance selftest --dictionary FILE {each.id}"
+            assert each.observed, f"run: dcp-selftest dictionary FILE {each.id}"
 
 
 def test_nothing_failed() -> None:
@@ -234,11 +234,11 @@ def test_the_dictionary_survives_a_round_trip(known: list[Fault]) -> None:
 
 def test_the_dictionary_has_all_mutants_and_known_cases_only() -> None:
     known, every = {fault.id: fault for fault in load().faults}, all_mutants()
-    assert known.keys() == every.keys(), "run: dcp-conformance selftest --dictionary FILE"
+    assert known.keys() == every.keys(), "run: dcp-selftest dictionary FILE"
     cases = all_cases().keys()
     for name, each in known.items():
         assert each.fails <= cases
-        assert each.what == every[name].what, f"run: dcp-conformance selftest --dictionary FILE {name}"
+        assert each.what == every[name].what, f"run: dcp-selftest dictionary FILE {name}"
         assert each.requirements == every[name].requirements
 
 
@@ -254,9 +254,9 @@ def test_the_signatures_of_the_dictionary_are_those_of_the_present_cases(mutant:
     now = signature(all_mutants()[mutant]).fault
     changed = (now.fails ^ then.fails) | (now.undecided ^ then.undecided)
     assert len(changed) <= max(3, 0.1 * len(now.fails | now.undecided)), (
-        "the cases have changed: run `dcp-conformance selftest --dictionary "
+        "the cases have changed: run `dcp-selftest dictionary "
         "conformance/dcp_conformance/data/fault-dictionary.json` (about 20 minutes of processor time), then "
-        "`dcp-conformance selftest --smoke-plan conformance/dcp_conformance/data/case-times.json`"
+        "`dcp-selftest smoke-plan conformance/dcp_conformance/data/case-times.json`"
     )
 
 

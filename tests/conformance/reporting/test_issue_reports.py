@@ -15,8 +15,8 @@ from dcp_conformance.model.results import RunResult, Sut
 from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reporting.issues import write_issues
 from dcp_conformance.reporting.issues.stimulus import needs_calls, stimulus
-from dcp_conformance.selftest.mutants import all_mutants
-from dcp_conformance.selftest.runner import Suite, cases
+from dcp_selftest.mutants import all_mutants
+from dcp_selftest.runner import Suite, cases
 
 from dcp_codec.codec import Codec
 

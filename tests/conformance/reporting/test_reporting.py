@@ -27,8 +27,8 @@ from dcp_conformance.reporting import schema as schema_of_results
 from dcp_conformance.reporting.junit import junit_xml
 from dcp_conformance.reporting.merge import WORSE, compare, labels, matrix, render_matrix
 from dcp_conformance.reporting.page import render
-from dcp_conformance.selftest.mutants import all_mutants
 from dcp_conformance.test_system.bench import Session
+from dcp_selftest.mutants import all_mutants
 from dcp_spec.catalogue.origins import REPOSITORY
 
 from dcp_codec import Beacon, BPHeader, Payload

@@ -8,12 +8,13 @@ from typing import Any
 import pytest
 from dcp_conformance.errors import StopCase
 from dcp_conformance.model.verdict import Verdict
-from dcp_conformance.selftest.mutants import all_mutants
-from dcp_conformance.selftest.variants.surroundings import Upper, slow
+from dcp_conformance.reference.surroundings import Upper
 from dcp_conformance.test_steps.beacon_gaps import between_beacons, in_a_gap
 from dcp_conformance.test_steps.bp_clients import ACTIVATE, DEACTIVATE, ONCE, BPClient
 from dcp_conformance.test_system.bench import MS, Bench
 from dcp_conformance.upper_tester import Answer
+from dcp_selftest.mutants import all_mutants
+from dcp_selftest.variants.variant import slow
 
 from ..rig import known_cases
 from ..slow import SlowUpper, runner_for

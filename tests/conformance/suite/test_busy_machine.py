@@ -18,11 +18,11 @@ from dcp_conformance.reference.inprocess import (
     plain_node,
     reference_config,
 )
-from dcp_conformance.selftest.mutants import all_mutants
-from dcp_conformance.selftest.variants import all_variants
-from dcp_conformance.selftest.variants.busy import LOADS, Busy, Load, busy
 from dcp_conformance.test_system.bench import MS, Session
 from dcp_conformance.upper_tester import Answer
+from dcp_selftest.mutants import all_mutants
+from dcp_selftest.variants import all_variants
+from dcp_selftest.variants.busy import LOADS, Busy, Load, busy
 
 from ..rig import codec_of, known_cases
 

@@ -20,7 +20,7 @@ from dcp_conformance.model.results import Check
 from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reporting import write_report
 from dcp_conformance.reporting.page import render
-from dcp_conformance.selftest.runner import baseline
+from dcp_selftest.runner import baseline
 from dcp_spec.catalogue.requirements import requirements
 from dcp_spec.profile.loading import load_profile
 
@@ -81,9 +81,9 @@ def test_one_line_accepts_all_declared_requirements(tmp_path: Path):
 
 def test_a_baseline_accepts_declared_requirements_only(monkeypatch: pytest.MonkeyPatch):
     chosen = tuple(known_cases()[each] for each in (SANITY, DECLARED, "TC_DCP_DATA_BV_02"))
-    monkeypatch.setattr("dcp_conformance.selftest.runner.cases", lambda: chosen)
+    monkeypatch.setattr("dcp_selftest.runner.cases", lambda: chosen)
     assert baseline("cpp-2.0").good
-    monkeypatch.setattr("dcp_conformance.selftest.runner.declared_by", lambda _: {"DATA-01": "less than there is"})
+    monkeypatch.setattr("dcp_selftest.runner.declared_by", lambda _: {"DATA-01": "less than there is"})
     assert [each.case for each in baseline("cpp-2.0").findings] == [DECLARED]
 
 

@@ -14,8 +14,8 @@ from dcp_conformance.model.pics import Pics, load_pics
 from dcp_conformance.model.pics_file import pics_text
 from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import plain_node
-from dcp_conformance.selftest.generated.sites import sites
-from dcp_conformance.selftest.generated.trial import Step, cases, try_site
+from dcp_selftest.generated.sites import sites
+from dcp_selftest.generated.trial import Step, cases, try_site
 from dcp_spec.catalogue.readings import readings
 
 from ..rig import one_case

@@ -10,10 +10,11 @@ import pytest
 from dcp_conformance.interconnection.probe import PIXIT_OF
 from dcp_conformance.model.case import DECLARED, DENIED
 from dcp_conformance.model.pics import Pics, Testing
+from dcp_conformance.model.results import CaseResult
 from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, reference_config
 
-from ..rig import OTHER_PROFILES, PROFILES, codec_of, known_cases, one_case
+from ..rig import OTHER_PROFILES, PROFILES, codec_of, in_session, known_cases, one_case
 
 #: By case function, the identifiers of its variants. What a profile or a PICS declares is not behaviour of our node:
 #: tests/conformance/suite/test_declared.py.
@@ -59,22 +60,23 @@ def good(case_id: str) -> frozenset[Verdict]:
     return FINE | {Verdict.INFO} if known_cases()[case_id].base in OPEN else FINE
 
 
-def check(base: str, profiles: Iterable[str], *, upper: bool = True, any_verdict: bool = False) -> set[str]:
-    """Execute all variants of a case on these profiles, and return those that applied.
+def wrong(results: Iterable[CaseResult], profile: str) -> list[str]:
+    """Results that are not right for our node on a profile."""
+    return [
+        f"{each.id} on {profile}: {each.verdict}: {each.reason}\n{each.error_detail}"
+        for each in results
+        if each.verdict not in good(each.id)
+    ]
 
-    ``any_verdict``: every verdict is right, except an error.
-    """
-    applied, wrong = set(), []
-    for case_id in VARIANTS[base]:
-        wanted = frozenset(Verdict) - {Verdict.ERROR} if any_verdict else good(case_id)
-        for profile in profiles:
-            # Without an upper tester the PICS states the sizes: those of a profile are not those of every node.
-            result = one_case(case_id, profile, upper=upper, pics=None if upper else told_by(profile))
-            if result.verdict not in wanted:
-                wrong.append(f"{case_id} on {profile}: {result.verdict}: {result.reason}\n{result.error_detail}")
-            if result.verdict is not Verdict.NOT_APPLICABLE:
-                applied.add(case_id)
-    assert not wrong, "\n".join(wrong)
+
+def check(base: str, profiles: Iterable[str]) -> set[str]:
+    """Execute all variants of a case on these profiles, each against a new node, and return those that applied."""
+    applied, found = set(), []
+    for profile in profiles:
+        results = [one_case(case_id, profile) for case_id in VARIANTS[base]]
+        found += wrong(results, profile)
+        applied |= {each.id for each in results if each.verdict is not Verdict.NOT_APPLICABLE}
+    assert not found, "\n".join(found)
     return applied
 
 
@@ -85,19 +87,24 @@ def test_our_node_passes_and_each_case_applies_to_some_version(base: str):
     assert not missing or missing <= check(base, ["cpp-2.0"])
 
 
-@pytest.mark.part("suite")
-@pytest.mark.parametrize("base", VARIANTS)
-def test_our_node_passes_on_the_other_profiles(base: str):
-    check(base, [each for each in PROFILES if each not in VERSIONS])
+ALL = [case_id for variants in VARIANTS.values() for case_id in variants]
 
 
 @pytest.mark.part("suite")
-@pytest.mark.parametrize("base", VARIANTS)
-def test_our_node_passes_without_an_upper_tester(base: str):
-    check(base, WIRE_PROFILES, upper=False)
+@pytest.mark.parametrize("profile", [each for each in PROFILES if each not in VERSIONS])
+def test_our_node_passes_on_the_other_profiles(profile: str):
+    assert not wrong(in_session(ALL, profile), profile)
 
 
 @pytest.mark.part("suite")
-@pytest.mark.parametrize("base", VARIANTS)
-def test_no_case_ends_with_an_error_on_a_foreign_profile(base: str):
-    check(base, OTHER_PROFILES, any_verdict=True)
+@pytest.mark.parametrize("profile", WIRE_PROFILES)
+def test_our_node_passes_without_an_upper_tester(profile: str):
+    # The PICS states the sizes: those of a profile are not those of every node.
+    assert not wrong(in_session(ALL, profile, upper=False, pics=told_by(profile)), profile)
+
+
+@pytest.mark.part("suite")
+@pytest.mark.parametrize("profile", OTHER_PROFILES)
+def test_no_case_ends_with_an_error_on_a_foreign_profile(profile: str):
+    results = in_session(ALL, profile)
+    assert not [(each.id, each.reason, each.error_detail) for each in results if each.verdict is Verdict.ERROR]

@@ -13,8 +13,8 @@ from dcp_conformance.model.pics import Pics, Testing
 from dcp_conformance.model.results import CaseResult
 from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import MakeNode
-from dcp_conformance.selftest.mutants import all_mutants, node_with
-from dcp_conformance.selftest.mutants.vardis.compose import Stops
+from dcp_selftest.mutants import all_mutants, node_with
+from dcp_selftest.mutants.vardis.compose import Stops
 
 from dcp_codec.values import Container
 from dcp_stack.config import BPConfig, NodeConfig

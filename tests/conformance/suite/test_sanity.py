@@ -11,13 +11,13 @@ import pytest
 from dcp_conformance.execution.runner import Runner
 from dcp_conformance.model.case import SANITY
 from dcp_conformance.model.pics import Capabilities, Pics, Testing
-from dcp_conformance.model.results import CaseResult, Check
+from dcp_conformance.model.results import CaseResult
 from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, MakeNode, plain_node, reference_config
-from dcp_conformance.selftest.mutants import all_mutants
 from dcp_conformance.test_system.bench import Session
 from dcp_conformance.test_system.judgement.contact import Contact
 from dcp_conformance.test_system.steps import Steps
+from dcp_selftest.mutants import all_mutants
 
 from dcp_stack.node import Node
 
@@ -263,32 +263,6 @@ def test_a_reversed_node_identifier_is_a_wrong_header():
     result, contact = sanity(node(make=mutant("M-BP-HDR-03-reversed")), upper=True)
     assert failed(result) == {"BP-HDR-03"}
     assert not contact.mistaken
-
-
-def others_blamed(name: str) -> list[tuple[str, Check]]:
-    """Failed checks of the whole suite that do not name what the mutant breaks, with their cases."""
-    runner = runner_for(node(make=mutant(name)), upper=True)
-    about = {*HEADER_FAULTS[name], *all_mutants()[name].requirements}
-    cases = sorted(known_cases().values(), key=lambda case: case.id != SANITY)
-    return [
-        (case.id, check)
-        for case in cases
-        for check in runner.run(case).checks
-        if check.verdict is Verdict.FAIL and not set(check.requirements) & about
-    ]
-
-
-@pytest.mark.part("suite")
-@pytest.mark.parametrize("name", list(HEADER_FAULTS)[:4])
-def test_a_wrong_header_fails_no_other_requirement(name: str):
-    assert others_blamed(name) == []
-
-
-@pytest.mark.part("suite")
-@pytest.mark.parametrize("name", list(HEADER_FAULTS)[4:])
-def test_an_unreadable_answer_does_not_count_as_missing(name: str):
-    """Checks of received octets may find another fault; an unreadable answer does not count as an answer."""
-    assert all(check.shown for _, check in others_blamed(name))
 
 
 # -- what follows for other cases --------------------------------------------------------------------------------------

@@ -5,15 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from dcp_conformance.execution.runner import Runner
 from dcp_conformance.model.pics import Capabilities, Pics
-from dcp_conformance.model.results import CaseResult
 from dcp_conformance.model.verdict import Verdict
-from dcp_conformance.reference.inprocess import InProcess, VirtualUpperTester, reference_config
-from dcp_conformance.test_system.bench import Session
+from dcp_conformance.reference.inprocess import VirtualUpperTester
 from dcp_conformance.upper_tester import Answer
 
-from ..rig import codec_of, ids_of, known_cases, one_case
+from ..rig import ids_of, in_session, one_case
 
 MODULES = (
     "srp.record",
@@ -73,23 +70,15 @@ class SlowUpperTester(VirtualUpperTester):
         sut.now = max(sut.now, end)
 
 
-def case_over(upper: type[VirtualUpperTester], case_id: str, profile: str) -> CaseResult:
-    codec = codec_of(profile)
-    sut = InProcess(reference_config(codec))
-    session = Session(codec, sut.lower_tester(), upper(sut), Pics())
-    runner = Runner(session, sut)
-    runner.prepare()
-    return runner.run(known_cases()[case_id])
-
-
 @pytest.mark.part("suite")
 @pytest.mark.parametrize("profile", ["dcp-1.1", "dcp-1.3", "dcp-2.0"])
-@pytest.mark.parametrize("case_id", CASES)
-def test_slow_services_pass_too(case_id, profile):
-    result = case_over(SlowUpperTester, case_id, profile)
+def test_slow_services_pass_too(profile):
+    wrong = [each for each in in_session(CASES, profile, upper=SlowUpperTester) if each.verdict not in GOOD]
     # If BP cannot be deactivated, two calls may not fit between two beacons; then they are not judged.
-    not_judged = result.verdict is Verdict.INCONCLUSIVE and "between two beacons" in result.reason
-    assert result.verdict in GOOD or not_judged, f"{result.reason}\n{result.error_detail}"
+    judged = [
+        each for each in wrong if each.verdict is not Verdict.INCONCLUSIVE or "between two beacons" not in each.reason
+    ]
+    assert [f"{each.id}: {each.reason}\n{each.error_detail}" for each in judged] == []
 
 
 # -- upper testers that break the contract -----------------------------------------------------------------------------
@@ -117,6 +106,6 @@ class NumbersForLists(VirtualUpperTester):
     ],
 )
 def test_malformed_answers_of_the_adapter_are_not_failures(case_id):
-    result = case_over(NumbersForLists, case_id, "dcp-2.0")
+    result = one_case(case_id, upper=NumbersForLists)
     assert result.verdict is Verdict.INCONCLUSIVE, f"{result.verdict} {result.reason}\n{result.error_detail}"
     assert "must be a" in result.reason

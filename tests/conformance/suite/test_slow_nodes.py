@@ -8,15 +8,14 @@ from typing import Any
 import pytest
 from dcp_conformance.execution.runner import Runner
 from dcp_conformance.execution.selection import ordered
-from dcp_conformance.model.case import DECLARED, DENIED
 from dcp_conformance.model.pics import Pics
 from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, reference_config
-from dcp_conformance.selftest.mutants import all_mutants
 from dcp_conformance.test_system.bench import MS, Session
+from dcp_selftest.mutants import all_mutants
 
-from ...parts import also, every
-from ..rig import codec_of, known_cases
+from ...parts import also
+from ..rig import codec_of, known_cases, sampled_cases
 from ..slow import LateAnswers, polling, runner_for
 
 SLOW: Mapping[str, dict[str, Any]] = {
@@ -27,35 +26,30 @@ SLOW: Mapping[str, dict[str, Any]] = {
     "buffer check period of 2 s": {"buffer_check_period_ms": 2000},
     "500 ms for each call": {"call_ms": 500},
 }
+TRIALS = [
+    *((each, "dcp-2.0") for each in SLOW),
+    ("one payload per 25 ms, room for 10", "cpp-1.2"),
+    ("500 ms for each call", "dcp-1.1"),
+]
 #: Variables whose timeout is over before a slow implementation first speaks, and what slow calls come too late for.
-MOST_UNDECIDED = 8
+MOST_UNDECIDED = 3
 #: Up to 1.1 BP cannot be deactivated while stimuli are made that must fall between two beacons.
 TOO_SLOW_FOR_A_GAP = "between two beacons: a beacon in between in each attempt; calls take up to 500 ms"
 
 
 @pytest.mark.part("suite")
-@pytest.mark.parametrize(
-    ("how", "profile"),
-    every(
-        9,
-        [
-            *((each, "dcp-2.0") for each in SLOW),
-            ("one payload per 25 ms, room for 10", "cpp-1.2"),
-            ("500 ms for each call", "dcp-1.1"),
-        ],
-    ),
-)
+@pytest.mark.parametrize(("how", "profile"), TRIALS)
 def test_a_slow_node_does_not_fail(how: str, profile: str):
     runner = runner_for(profile, **SLOW[how])
-    # Declarations of a profile are not behaviour of a node.
-    results = [runner.run(each) for each in ordered(known_cases().values()) if each.id not in (DECLARED, DENIED)]
+    cases = sampled_cases(TRIALS.index((how, profile)))
+    results = [runner.run(each) for each in cases]
     wrong = [(each.id, each.reason) for each in results if each.verdict in (Verdict.FAIL, Verdict.ERROR)]
     assert wrong == []
     undecided = [(each.id, each.reason) for each in results if each.verdict is Verdict.INCONCLUSIVE]
     if profile == "dcp-1.1":
         undecided = [(case_id, reason) for case_id, reason in undecided if TOO_SLOW_FOR_A_GAP not in reason]
     assert len(undecided) <= MOST_UNDECIDED, undecided
-    assert sum(each.verdict is Verdict.PASS for each in results) > 650
+    assert sum(each.verdict is Verdict.PASS for each in results) > 0.63 * len(results)
 
 
 @pytest.mark.parametrize("profile", ["dcp-1.3", "dcp-2.0"])

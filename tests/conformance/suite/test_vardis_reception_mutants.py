@@ -9,7 +9,7 @@ from typing import Any
 import msgspec
 import pytest
 from dcp_conformance.model.verdict import Verdict
-from dcp_conformance.selftest.mutants import node_with
+from dcp_selftest.mutants import node_with
 from dcp_spec.constants import ICType
 
 from dcp_codec.values import VarCreate, VarSpec

@@ -114,7 +114,8 @@ def make_artefact(
     saved = tuple(_saved(step) for step in found.steps)
     digest = hashlib.sha256(codec.profile.name.encode() + effect.signature.encode() + msgspec.json.encode(saved))
     identifier = f"{effect.kind}-{digest.hexdigest()[:8]}"
-    again = f"dcp-conformance fuzz replay {shlex.quote(f'{directory / identifier}.json')} {target.options}"
+    program = "dcp-selftest" if target.mode in ("codec", "stack") else "dcp-conformance"
+    again = f"{program} fuzz replay {shlex.quote(f'{directory / identifier}.json')} {target.options}"
     decides = cause.requirements if cause is not None else decided_by(effect)
     return Artefact(
         id=identifier,

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Literal, NamedTuple
 
-from dcp_codec.codec import Codec
-from dcp_conformance.errors import ConformanceError, UsageError
-from dcp_conformance.fuzz.execute.functions import FunctionTarget
-from dcp_conformance.fuzz.execute.stack import StackTarget
+from dcp_conformance.errors import ConformanceError
 from dcp_conformance.fuzz.steps import Effect, Target
 
-from .artefact import Artefact, codec_of, load
+from .artefact import Artefact, load
 
 Status = Literal["fixed", "failed", "flaky", "error"]
 #: Default number of executions of an artefact.
@@ -55,29 +52,17 @@ def judged(artefact: Artefact, effects: list[Effect | None]) -> tuple[Status, st
     return "flaky", f"the effect in {len(same)} of {len(effects)} attempts{others}"
 
 
-def target_in_process(artefact: Artefact) -> Target:
-    """Return the target of an artefact of the codec or of a stack in process.
-
-    Raises :class:`UsageError` for other artefacts: they need the address of an implementation.
-    """
-    codec = codec_of(artefact)
-    if artefact.target.mode == "codec":
-        return FunctionTarget(codec)
-    if artefact.target.mode == "stack":
-        return stack_target(codec, artefact.target.mutant)
-    raise UsageError(
-        f"artefact {artefact.id} is of a live implementation: say where it is (--interface IF or --link udp)"
-    )
-
-
-def stack_target(codec: Codec, mutant: str = "") -> StackTarget:
-    """Return the reference node in process, or a mutant of it. Raises :class:`UsageError` for an unknown mutant."""
-    if not mutant:
-        return StackTarget(codec)
-    from dcp_conformance.selftest.mutants import all_mutants
-
-    known = all_mutants()
-    if mutant not in known:
-        near = ", ".join(name for name in known if name.startswith(mutant[:8])) or "see dcp-conformance selftest --list"
-        raise UsageError(f"there is no mutant {mutant!r}: {near}")
-    return StackTarget(codec, make=known[mutant].make, name=f"the mutant {mutant}")
+def replay_all(
+    paths: Iterable[Path],
+    target_of: Callable[[Artefact], Target],
+    *,
+    attempts: int,
+    on_result: Callable[[Replayed], None],
+) -> int:
+    """Replay artefacts in succession. Return the exit status: 4 after an error, 1 if a finding is not fixed, else 0."""
+    statuses = set()
+    for path in paths:
+        found = replay(path, target_of, attempts=attempts)
+        on_result(found)
+        statuses.add(found.status)
+    return 4 if "error" in statuses else 1 if statuses & {"failed", "flaky"} else 0

@@ -16,8 +16,7 @@ from dcp_conformance.errors import UpperTesterError
 from dcp_conformance.interop.definition import Shape
 from dcp_conformance.interop.world import Limits, Place, Received, Sent
 from dcp_conformance.reference.inprocess import EPOCH
-from dcp_conformance.selftest.variants.surroundings import Tested
-from dcp_conformance.selftest.variants.variant import Setup
+from dcp_conformance.reference.surroundings import Setup, Tested
 from dcp_conformance.upper_tester import Answer
 from dcp_stack.sim.virtual.network import node_id
 

@@ -1,0 +1,59 @@
+"""``dcp-selftest diagnose``."""
+
+from __future__ import annotations
+
+import click
+
+from dcp_codec.common.commandline import say
+
+from .common import jobs_option, quiet_option, seed_option, verbose_option
+
+#: Required minimum share of named faults, and maximum share of false faults among the named ones.
+_RECALL, _FALSE = 0.9, 0.1
+#: Number of single faults that are held back, for each pair.
+_HELD_BACK = 4
+
+
+@click.command(
+    "diagnose",
+    epilog=f"Exit status: 0 at least {_RECALL:.0%} of the faults are named, and fewer than {_FALSE:.0%} of the named "
+    "ones are false; 1 otherwise; 2 wrong usage.",
+)
+@click.argument("number", type=click.IntRange(1))
+@seed_option
+@jobs_option
+@verbose_option
+@quiet_option
+def command(number: int, seed: int, jobs: int | None, *, verbose: bool, quiet: bool) -> int:
+    """Diagnose NUMBER nodes with two faults and NUMBER nodes with three faults at once, drawn at random."""
+    from dcp_conformance.cli.display import progress_bar
+    from dcp_conformance.diagnosis import load
+
+    from dcp_selftest.diagnosis.measuring import Outcome, draw, hold_back, measure
+
+    good = True
+    with progress_bar(quiet=quiet) as progress:
+        task = progress.add_task("nodes", total=2 * number)
+
+        def done(outcome: Outcome) -> None:
+            progress.update(task, advance=1, description=" + ".join(outcome.faults))
+
+        for size, name in ((2, "pairs"), (3, "triples")):
+            found = measure(draw(number, size, seed), jobs=jobs, on_result=done)
+            hidden = sum(len(each.hidden) for each in found.outcomes)
+            say(
+                f"{len(found.outcomes)} {name} of faults: {found.recall:.1%} of the faults are named, "
+                f"{found.false_share:.1%} of the named ones are false ({hidden} faults are hidden by others)"
+            )
+            good = good and found.recall >= _RECALL and found.false_share < _FALSE
+            for each in found.outcomes if verbose else ():
+                missed = [fault for fault in each.faults if fault not in (*each.found, *each.hidden)]
+                if missed or each.false:
+                    say(f"  {' + '.join(each.faults)}: missed {missed}, false {list(each.false)}")
+    held = hold_back(number * _HELD_BACK, seed, load())
+    say(
+        f"{held.faults} single faults, each removed from the dictionary: {held.same} are explained by another fault of "
+        f"the same requirement, {held.other} by faults of other requirements, {held.none} not at all; of "
+        f'{held.statements} sentences without "probably" {held.true} name the requirement'
+    )
+    return 0 if good else 1

@@ -1,0 +1,1 @@
+"""Fuzzing our own code in this process: the reference node, its mutants, and functions."""

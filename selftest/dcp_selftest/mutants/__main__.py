@@ -1,0 +1,47 @@
+"""A mutant as a process, to try external test tools on it: ``python -m dcp_selftest.mutants ID``."""
+
+from __future__ import annotations
+
+import random
+from typing import Any
+
+import click
+
+from dcp_stack.config import NodeConfig
+from dcp_stack.node import Node
+from dcp_stack.runtime.opening import NodeError, open_node
+from dcp_stack.runtime.settings import SettingsError, load_settings
+
+from .mutant import Mutant, all_mutants
+
+
+@click.command()
+@click.argument("mutant")
+@click.option("-i", "--interface", metavar="IF")
+@click.option("--link", metavar="LINK")
+@click.option("--node-id", metavar="ID")
+@click.option("-p", "--profile", metavar="NAME|FILE", help="[default: the newest in which the mutant is a fault]")
+@click.option("--control", metavar="PATH")
+@click.option("--beacon-period", type=int, metavar="MS")
+def command(mutant: str, **flags: Any) -> None:
+    """Run a MUTANT (M-...) of our node until SIGTERM; options are those of dcp-node run."""
+    known = all_mutants()
+    if mutant not in known:
+        raise click.UsageError(f"there is no mutant {mutant!r}; see dcp-selftest mutants --list")
+    faulty: Mutant = known[mutant]
+    flags["bp.beacon_period_ms"] = flags.pop("beacon_period")
+    flags["profile"] = flags["profile"] or faulty.profile
+
+    def make(config: NodeConfig, *, rng: random.Random, now: int, wall: int) -> Node:
+        made: Node = faulty.make(config, rng, now, wall)
+        return made
+
+    try:
+        with open_node(load_settings(None, flags), make) as driver:
+            driver.run(lambda: None)
+    except (NodeError, SettingsError) as error:
+        raise click.ClickException(str(error)) from None
+
+
+if __name__ == "__main__":
+    command(prog_name="python -m dcp_selftest.mutants")

@@ -1,0 +1,181 @@
+"""Faults of BP in state that must not change, and in lists, confirms and indications."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+from dcp_spec.constants import SpecVersion
+from dcp_spec.status import BPStatus
+
+from dcp_selftest.mutants.mutant import mutant
+from dcp_selftest.mutants.unseen import BP_ALWAYS_ACTIVE
+from dcp_stack.bp.clients import ClientList
+from dcp_stack.bp.entity import BeaconingProtocol
+from dcp_stack.bp.queue import Client
+from dcp_stack.bp.receive import Receiver
+from dcp_stack.bp.services import ListConfirm, RegisterConfirm, Registration, StatusConfirm
+from dcp_stack.bp.wire import Block, BPWire, Reception
+
+
+def _others(clients: ClientList) -> list[Client]:
+    """Return the clients other than the node's own protocols."""
+    return [client for client in clients if client.protocol_id > 2]
+
+
+def _empty(clients: ClientList) -> None:
+    for client in _others(clients):
+        if client.queue is not None:
+            client.queue.clear()
+
+
+@mutant("others-too", "BP-DRG-02 BP-QM-05", "clears all buffers when a client is deregistered")
+class DeregistrationEmpties(BeaconingProtocol):
+    def deregister(self, prot_id: int) -> StatusConfirm:
+        _empty(self._clients)
+        return super().deregister(prot_id)
+
+
+@mutant("unknown-empties", "BP-DRG-01 BP-QM-05", "clears all buffers when an unknown client is deregistered")
+class UnknownEmpties(BeaconingProtocol):
+    def deregister(self, prot_id: int) -> StatusConfirm:
+        confirm = super().deregister(prot_id)
+        if confirm.status is not BPStatus.OK:
+            _empty(self._clients)
+        return confirm
+
+
+@mutant("all", "BP-CLR-03 BP-QM-05", "clears the buffers of all clients")
+class ClearsAll(BeaconingProtocol):
+    def clear_buffer(self, prot_id: int) -> StatusConfirm:
+        _empty(self._clients)
+        return super().clear_buffer(prot_id)
+
+
+@mutant("refused-empties", "BP-TXP-02 BP-QM-05", "clears the buffer of a client whose payload is too large")
+class RefusedEmpties(BeaconingProtocol):
+    def _submit(self, client: Client | None, payload: bytes, now: int) -> BPStatus:
+        status = super()._submit(client, payload, now)
+        if status is BPStatus.PAYLOAD_TOO_LARGE and client is not None and client.queue is not None:
+            client.queue.clear()
+        return status
+
+
+@mutant("received-empties", "BP-QM-05", "clears the buffer of a client that receives a payload")
+class ReceivedEmpties(Receiver):
+    def _deliver(self, block: Block, sender: bytes) -> None:
+        client = self._clients.get(block.protocol_id)
+        if client is not None and client.queue is not None and block.protocol_id > 2:
+            client.queue.clear()
+        super()._deliver(block, sender)
+
+
+class _Lists(BeaconingProtocol):
+    """Changes the list of clients."""
+
+    def listed(self, each: Registration) -> Registration:
+        """Return the entry to be listed."""
+        return each
+
+    def list_registered(self) -> ListConfirm:
+        confirm = super().list_registered()
+        return ListConfirm(confirm.status, tuple(map(self.listed, confirm.protocols)))
+
+
+@mutant("entries", "BP-LST-01", "lists maxEntries as 4 for every client", since=SpecVersion.V1_1)
+class ListsFour(_Lists):
+    def listed(self, each: Registration) -> Registration:
+        return msgspec.structs.replace(each, max_entries=4)
+
+
+@mutant("several", "BP-LST-01", "lists allowMultiplePayloads as false for every client", since=SpecVersion.V1_1)
+class ListsFalse(_Lists):
+    def listed(self, each: Registration) -> Registration:
+        return msgspec.structs.replace(each, allow_multiple_payloads=False)
+
+
+@mutant("names", "BP-LST-01", "lists only the first three characters of a name", since=SpecVersion.V1_1)
+class CutsNames(_Lists):
+    def listed(self, each: Registration) -> Registration:
+        return msgspec.structs.replace(each, protocol_name=each.protocol_name[:3])
+
+
+@mutant("one-time", "BP-LST-01 BP-REG-06", "lists the time of the first registration for every client")
+class OneTime(_Lists):
+    def list_registered(self) -> ListConfirm:
+        confirm = super().list_registered()
+        first = min((each.time_stamp_registration for each in confirm.protocols), default=0)
+        same = (msgspec.structs.replace(each, time_stamp_registration=first) for each in confirm.protocols)
+        return ListConfirm(confirm.status, tuple(same))
+
+
+@mutant(
+    "refused-without-id", "BP-REG-13", "returns its node identifier only in the confirms of successful registrations"
+)
+class RefusedWithoutId(BeaconingProtocol):
+    def register(self, prot_id: int, *rest: Any, now: int, wall: int) -> RegisterConfirm:
+        confirm = super().register(prot_id, *rest, now=now, wall=wall)
+        return confirm if confirm.status is BPStatus.OK else RegisterConfirm(confirm.status, None)
+
+
+@mutant("one-place", "BP-QM-01", "keeps no payload in a DROPTAIL queue of one entry", since=SpecVersion.V1_1)
+class NothingInOnePlace(BeaconingProtocol):
+    def _submit(self, client: Client | None, payload: bytes, now: int) -> BPStatus:
+        if (
+            client is not None
+            and client.registration.max_entries == 1
+            and client.protocol_id > 2
+            and client.several is False
+        ):
+            mode = str(client.registration.queue_mode)
+            if mode.endswith("DROPTAIL") and client.queue is not None and len(client.queue):
+                client.queue.clear()
+        return super()._submit(client, payload, now)
+
+
+@mutant(
+    "arrears",
+    "BP-TX-01 BP-MGT-05",
+    "sends the beacons omitted while it was inactive when it is activated",
+    unseen=BP_ALWAYS_ACTIVE,
+)
+class Arrears(BeaconingProtocol):
+    debt = 0
+
+    def deactivate(self) -> StatusConfirm:
+        self.debt = 30
+        return super().deactivate()
+
+    def poll_timeout(self) -> int | None:
+        due = super().poll_timeout()
+        return due if due is None or not self.debt else due - self._parameters.period * 3 // 4
+
+    def handle_timeout(self, now: int, wall: int) -> None:
+        due = self.poll_timeout()
+        if self.debt and due is not None and now >= due:
+            self.debt -= 1
+            super().handle_timeout(max(now, self._schedule.due), wall)
+            self._schedule.restart(now - self._parameters.period // 8)
+            return
+        super().handle_timeout(now, wall)
+
+
+@mutant("thirty", "BP-RX-07", "processes at most 30 blocks of a beacon")
+class ThirtyBlocks(BPWire):
+    def parse(self, octets: bytes) -> Reception:
+        found = super().parse(octets)
+        return Reception(found.header, found.blocks[:30], found.fault, found.refused, count_agrees=found.count_agrees)
+
+
+@mutant("limited-1000", "BP-RXP-01 UWB-06", "delivers no payload of more than 900 octets")
+class SmallPayloads(Receiver):
+    def _deliver(self, block: Block, sender: bytes) -> None:
+        if len(block.payload) <= 900:
+            super()._deliver(block, sender)
+
+
+@mutant("paused-empties", "BP-MGT-05 BP-QM-03", "clears queues when it is activated")
+class ActivationEmpties(BeaconingProtocol):
+    def activate(self, now: int) -> StatusConfirm:
+        _empty(self._clients)
+        return super().activate(now)

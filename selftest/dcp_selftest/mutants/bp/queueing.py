@@ -1,0 +1,321 @@
+"""Faults in the payloads that BP buffers for its clients, and in their selection for a beacon."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import ClassVar
+
+import msgspec
+from dcp_spec.constants import QueueingMode, SpecVersion
+from dcp_spec.status import BPStatus
+
+from dcp_selftest.mutants.mutant import mutant
+from dcp_selftest.mutants.unseen import NO_MODE, NO_QUEUE
+from dcp_stack.bp.clients import Chosen, ClientList
+from dcp_stack.bp.entity import BeaconingProtocol
+from dcp_stack.bp.queue import QUEUEING, Client, ModeRule, PayloadQueue, Places, Submission
+from dcp_stack.bp.services import NumberConfirm, RegisterConfirm
+from dcp_stack.bp.timing import BeaconSchedule
+
+DROPTAIL, DROPHEAD = QueueingMode.QUEUE_DROPTAIL, QueueingMode.QUEUE_DROPHEAD
+ONCE, REPEAT = QueueingMode.ONCE, QueueingMode.REPEAT
+
+
+def rule(mode: QueueingMode, **changes: object) -> dict[QueueingMode, ModeRule]:
+    """Return the table of modes with a changed row."""
+    return {**QUEUEING, mode: msgspec.structs.replace(QUEUEING[mode], **changes)}
+
+
+class OtherRules(ClientList):
+    """Keeps the payloads of clients by a changed table of queueing modes."""
+
+    rules: ClassVar[dict[QueueingMode, ModeRule]]
+
+    def insert(self, client: Client) -> None:
+        if client.queue is not None:
+            mode = client.registration.queue_mode
+            assert isinstance(mode, QueueingMode)
+            client.queue = PayloadQueue(self.rules[mode], client.registration.max_entries)
+        super().insert(client)
+
+
+# -- modes -------------------------------------------------------------------------------------------------------------
+
+
+@mutant("drops-head", "BP-QM-01 BP-TXP-04", "drops the oldest payload of a full DROPTAIL queue")
+class TailDropsHead(OtherRules):
+    rules = rule(DROPTAIL, when_full="displace-oldest")
+
+
+@mutant("discards-new", "BP-QM-02 BP-TXP-05", "discards a new payload for a full DROPHEAD queue")
+class HeadDiscardsNew(OtherRules):
+    rules = rule(DROPHEAD, when_full="discard-new")
+
+
+@mutant("repeats", "BP-QM-03 BP-TX-06", "sends the head of a DROPTAIL queue repeatedly", unseen=NO_MODE)
+class QueueRepeats(OtherRules):
+    rules = rule(DROPTAIL, when_sent="keep")
+
+
+@mutant("drophead-repeats", "BP-QM-03 BP-TX-06", "sends the head of a DROPHEAD queue repeatedly", unseen=NO_MODE)
+class HeadQueueRepeats(OtherRules):
+    rules = rule(DROPHEAD, when_sent="keep")
+
+
+@mutant(
+    "bounded", "BP-QM-03", "keeps only one payload in a queue of mode QUEUE", until=SpecVersion.V1_0, unseen=NO_QUEUE
+)
+class QueueBounded(OtherRules):
+    rules = rule(QueueingMode.QUEUE, places=QUEUEING[ONCE].places, when_full="displace-oldest")
+
+
+@mutant(
+    "queue-repeats",
+    "BP-QM-03",
+    "sends the head of a queue of mode QUEUE repeatedly",
+    until=SpecVersion.V1_0,
+    unseen=NO_QUEUE,
+)
+class OldQueueRepeats(OtherRules):
+    rules = rule(QueueingMode.QUEUE, when_sent="keep")
+
+
+@mutant(
+    "bounded-by-entries",
+    "BP-QM-03",
+    "drops payloads in excess of maxEntries, which 1.0 does not have",
+    until=SpecVersion.V1_0,
+    unseen=NO_QUEUE,
+)
+class QueueBoundedByEntries(OtherRules):
+    rules = rule(QueueingMode.QUEUE, places=Places.MAX_ENTRIES, when_full="discard-new")
+
+
+@mutant("keeps-oldest", "BP-QM-04 BP-TXP-06", "keeps the first payload in a ONCE buffer until it is sent")
+class OnceKeepsOldest(OtherRules):
+    rules = rule(ONCE, when_full="discard-new")
+
+
+@mutant("repeats", "BP-QM-04 BP-TX-05 BP-QRY-03", "keeps the payload of a ONCE buffer after it was sent")
+class OnceRepeats(OtherRules):
+    rules = rule(ONCE, when_sent="keep")
+
+
+@mutant("forgets", "BP-QM-05 BP-TX-05 BP-QRY-03", "clears a REPEAT buffer after its payload was sent")
+class RepeatForgets(OtherRules):
+    rules = rule(REPEAT, when_sent="remove")
+
+
+@mutant("keeps-oldest", "BP-QM-05 BP-TXP-06", "never replaces the payload of a REPEAT buffer")
+class RepeatKeepsOldest(OtherRules):
+    rules = rule(REPEAT, when_full="discard-new")
+
+
+class OwnQueue(ClientList):
+    """Gives clients a changed queue."""
+
+    queue: ClassVar[type[PayloadQueue]] = PayloadQueue
+
+    def insert(self, client: Client) -> None:
+        if client.queue is not None:
+            client.queue = self.queue(client.queue.rule, client.registration.max_entries)
+        super().insert(client)
+
+
+@mutant("newest-first", "BP-QM-03 BP-QM-02", "sends the newest payload of a queue first")
+class NewestFirst(OwnQueue):
+    class queue(PayloadQueue):  # noqa: N801 - takes the place of an attribute
+        def head(self) -> bytes | None:
+            return self._payloads[-1] if self._payloads else None
+
+        def sent(self) -> None:
+            if self.rule.when_sent == "remove":
+                self._payloads.pop()
+
+
+@mutant(
+    "one-place-more", "BP-QM-01 BP-QM-02 BP-QRY-02", "keeps one payload more than maxEntries", since=SpecVersion.V1_1
+)
+class OnePlaceMore(OwnQueue):
+    class queue(PayloadQueue):  # noqa: N801 - as above
+        def __init__(self, rule: ModeRule, max_entries: int) -> None:
+            super().__init__(rule, max_entries + 1)
+
+
+@mutant("at-most-16", "BP-QM-01 BP-QM-02 BP-QM-03", "keeps 16 payloads of a longer queue", since=SpecVersion.V1_1)
+class SixteenPlaces(OwnQueue):
+    class queue(PayloadQueue):  # noqa: N801 - as above
+        def __init__(self, rule: ModeRule, max_entries: int) -> None:
+            super().__init__(rule, min(max_entries, 16))
+
+
+@mutant("six-bits", "BP-QM-02 BP-QM-01 BP-QM-03", "uses the length of a queue modulo 64", since=SpecVersion.V1_1)
+class SixBitsOfPlaces(OwnQueue):
+    class queue(PayloadQueue):  # noqa: N801 - as above
+        def __init__(self, rule: ModeRule, max_entries: int) -> None:
+            super().__init__(rule, max_entries % 64 or 1)
+
+
+@mutant("wraps-at-32", "BP-QM-03", "sends the 33rd and later payloads of a queue first")
+class WrapsAt32(OwnQueue):
+    class queue(PayloadQueue):  # noqa: N801 - as above
+        def submit(self, payload: bytes) -> Submission:
+            outcome = super().submit(payload)
+            if outcome != "discarded" and len(self) > 32:
+                self._payloads.rotate(1)
+            return outcome
+
+
+@mutant("one-place-less", "BP-QM-02 BP-QM-01 BP-QRY-02", "keeps one payload less than maxEntries")
+class OnePlaceLess(OwnQueue):
+    class queue(PayloadQueue):  # noqa: N801 - as above
+        def __init__(self, rule: ModeRule, max_entries: int) -> None:
+            super().__init__(rule, max(max_entries - 1, 1))
+
+
+@mutant("forgets-all", "BP-TXP-05 BP-QM-02", "clears a full DROPHEAD queue when a new payload is submitted")
+class ForgetsAll(OwnQueue):
+    class queue(PayloadQueue):  # noqa: N801 - as above
+        def submit(self, payload: bytes) -> Submission:
+            outcome = super().submit(payload)
+            if outcome == "displaced":
+                self._payloads.clear()
+                self._payloads.append(payload)
+            return outcome
+
+
+@mutant("several", "BP-QM-07", "sends several payloads of a client in one beacon although the client allows one")
+class AlwaysSeveral(ClientList):
+    def insert(self, client: Client) -> None:
+        client.several = client.queue is not None and client.queue.rule.several
+        super().insert(client)
+
+
+@mutant("entries-for-buffers", "BP-QM-09", "rejects registrations of modes without a queue if maxEntries is 0")
+class EntriesForBuffers(BeaconingProtocol):
+    def register(self, prot_id: int, *rest: object, now: int, wall: int) -> RegisterConfirm:
+        confirm = super().register(prot_id, *rest, now=now, wall=wall)  # type: ignore[arg-type]
+        client = self.client(prot_id)
+        if confirm.status.is_ok and client is not None and client.registration.max_entries <= 0:
+            self.deregister(prot_id)
+            return RegisterConfirm(BPStatus.ILLEGAL_DROPPING_QUEUE_SIZE, confirm.own_node_identifier)
+        return confirm
+
+
+@mutant("any", "BP-QM-06", "accepts registrations with an unknown mode, and treats them as ONCE")
+class AnyMode(BeaconingProtocol):
+    def register(self, prot_id: int, *rest: object, now: int, wall: int) -> RegisterConfirm:
+        name, size, mode, entries, several = rest
+        known = mode if mode in set(QUEUEING) else ONCE
+        return super().register(prot_id, name, size, known, entries, several, now=now, wall=wall)  # type: ignore[arg-type]
+
+
+# -- taking payloads ---------------------------------------------------------------------------------------------------
+
+
+@mutant("loses", "BP-TX-04", "loses a payload that does not fit into the next beacon")
+class Loses(ClientList):
+    def take(self, room: int, size: Callable[[bytes], int], most: int) -> Chosen:
+        waiting = [client for client in self if client.queue is not None and client.queue.head() is not None]
+        chosen = super().take(room, size, most)
+        served = {protocol_id for protocol_id, _ in chosen}
+        for client in waiting:
+            if chosen and client.queue is not None and client.protocol_id not in served:
+                client.queue.clear()
+        return chosen
+
+
+@mutant("cuts", "BP-TX-04 BP-FMT-01", "truncates a payload to the room in the beacon")
+class Cuts(ClientList):
+    def take(self, room: int, size: Callable[[bytes], int], most: int) -> Chosen:
+        chosen: Chosen = []
+        for client in [*self][:most]:
+            payload = None if client.queue is None else client.queue.head()
+            if client.queue is None or payload is None or room < size(b"\0"):
+                continue
+            part = payload[: room - size(b"")]
+            chosen.append((client.protocol_id, part))
+            room -= size(part)
+            client.queue.sent()
+        return chosen
+
+
+@mutant("overtakes", "BP-TX-06", "sends a later payload of a queue if the head does not fit")
+class Overtakes(OwnQueue):
+    def take(self, room: int, size: Callable[[bytes], int], most: int) -> Chosen:
+        used = 0
+        for client in self:
+            queue = client.queue
+            head = None if queue is None else queue.head()
+            if queue is None or head is None:
+                continue
+            if used + size(head) > room:
+                fitting = [each for each in queue._payloads if used + size(each) <= room]
+                if fitting:
+                    queue._payloads.remove(fitting[0])
+                    queue._payloads.appendleft(fitting[0])
+            used += size(queue.head() or b"")
+        return super().take(room, size, most)
+
+
+# -- the number of payloads --------------------------------------------------------------------------------------------
+
+
+class Query(BeaconingProtocol):
+    """Changes answers to queries for the number of payloads."""
+
+    def query_number_buffered(self, prot_id: int) -> NumberConfirm:
+        confirm = super().query_number_buffered(prot_id)
+        client = self.client(prot_id)
+        if confirm.number is None or client is None or client.queue is None:
+            return confirm
+        return NumberConfirm(confirm.status, self.number(confirm.number, client.queue))
+
+    def number(self, number: int, queue: PayloadQueue) -> int:  # noqa: ARG002 - used by overrides
+        """Return the number to be returned."""
+        return number
+
+
+@mutant("one-at-most", "BP-QRY-02", "answers 1 for a queue with several payloads")
+class OneAtMost(Query):
+    def number(self, number: int, queue: PayloadQueue) -> int:  # noqa: ARG002 - as above
+        return min(number, 1)
+
+
+@mutant("one-more", "BP-QRY-02 BP-QRY-03", "counts the payload that was sent last as buffered")
+class OneMore(Query):
+    def number(self, number: int, queue: PayloadQueue) -> int:
+        return number + (queue.rule not in (QUEUEING[ONCE], QUEUEING[REPEAT]) and number > 0)
+
+
+@mutant("repeat-empty", "BP-QRY-03", "answers 0 for a REPEAT buffer that is occupied")
+class RepeatEmpty(Query):
+    def number(self, number: int, queue: PayloadQueue) -> int:
+        return 0 if queue.rule == QUEUEING[REPEAT] else number
+
+
+# -- timing ------------------------------------------------------------------------------------------------------------
+
+
+@mutant("slow", "BP-TX-01", "sends beacons with a period one tenth longer than the parameter")
+class Slow(BeaconSchedule):
+    def _place(self) -> None:
+        period, self._period = self._period, self._period * 11 // 10
+        super()._place()
+        self._period = period
+
+
+@mutant("jitter-added", "BP-TX-01", "adds its jitter to the period instead of varying around it")
+class JitterAdded(BeaconSchedule):
+    def _plan(self) -> None:
+        self._factor = self._rng.uniform(1, 1 + 2 * self._jitter)
+        self._place()
+
+
+@mutant("bursts", "BP-TX-01", "prepares the next beacon soon after each one that it sends")
+class Bursts(BeaconSchedule):
+    def passed(self, now: int, *, sent: bool) -> int:
+        left_out = super().passed(now, sent=sent)
+        if sent:
+            self.due = min(self.due, now + self._gap)
+        return left_out

@@ -1,0 +1,355 @@
+"""Faults in the processing of received beacons by BP."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+from dcp_codec.values import BPHeader
+from dcp_selftest.mutants.air import Air
+from dcp_selftest.mutants.mutant import mutant
+from dcp_stack.bp.receive import Receiver
+from dcp_stack.bp.wire import Block, BPWire, Reception
+from dcp_stack.effects import PayloadReceived
+
+
+class Lenient(BPWire):
+    """Repairs beacons that BP should reject."""
+
+    def parse(self, octets: bytes) -> Reception:
+        if len(octets) < self.header_size:
+            return super().parse(octets)
+        return super().parse(bytes(self.repaired(bytearray(octets))))
+
+    def repaired(self, octets: bytearray) -> bytearray:
+        """Return the octets to be processed."""
+        return octets
+
+    def number(self, octets: bytearray, field: str) -> int:
+        """Return an integer of the header."""
+        return int.from_bytes(octets[self._places[field]], "big")
+
+    def put(self, octets: bytearray, field: str, value: int) -> None:
+        """Set an integer of the header."""
+        place = self._places[field]
+        octets[place] = value.to_bytes(place.stop - place.start, "big")
+
+
+@mutant("any", "BP-RX-01", "accepts beacons of any version")
+class AnyVersion(Lenient):
+    def repaired(self, octets: bytearray) -> bytearray:
+        self.put(octets, "version", 1)
+        return octets
+
+
+@mutant("newer", "BP-RX-01", "accepts beacons of newer versions")
+class NewerVersion(Lenient):
+    def repaired(self, octets: bytearray) -> bytearray:
+        self.put(octets, "version", min(self.number(octets, "version"), 1))
+        return octets
+
+
+@mutant("any", "BP-RX-02", "accepts beacons with any magicNo")
+class AnyMagic(Lenient):
+    def repaired(self, octets: bytearray) -> bytearray:
+        self.put(octets, "magicNo", 0x497E)
+        return octets
+
+
+@mutant("swapped", "BP-RX-02", "also accepts beacons with a little-endian magicNo")
+class EitherMagic(Lenient):
+    def repaired(self, octets: bytearray) -> bytearray:
+        if self.number(octets, "magicNo") == 0x7E49:
+            self.put(octets, "magicNo", 0x497E)
+        return octets
+
+
+@mutant("first-octet", "BP-RX-02", "checks only the first octet of magicNo")
+class HalfMagic(Lenient):
+    def repaired(self, octets: bytearray) -> bytearray:
+        if self.number(octets, "magicNo") >> 8 == 0x49:
+            self.put(octets, "magicNo", 0x497E)
+        return octets
+
+
+@mutant("whole-frame", "BP-RX-03", "treats length 0 as the length of the frame")
+class ZeroIsAll(Lenient):
+    def repaired(self, octets: bytearray) -> bytearray:
+        if not self.number(octets, "length"):
+            self.put(octets, "length", len(octets) - self.header_size)
+        return octets
+
+
+@mutant("processed", "BP-RX-04", "accepts beacons with numPayloads 0")
+class NonePayloads(Lenient):
+    def repaired(self, octets: bytearray) -> bytearray:
+        if not self.number(octets, "numPayloads"):
+            self.put(octets, "numPayloads", 1)
+        return octets
+
+
+@mutant("any", "BP-RX-05", "accepts beacons of any network")
+class AnyNetwork(Receiver):
+    def _for_this_node(self, header: BPHeader) -> bool:
+        return super()._for_this_node(BPHeader(header.sender_id, header.seqno, self._parameters.network_id))
+
+
+@mutant("zero", "BP-RX-05", "treats network 0 as any network")
+class ZeroIsAnyNetwork(Receiver):
+    def _for_this_node(self, header: BPHeader) -> bool:
+        network = header.network_id or self._parameters.network_id
+        return super()._for_this_node(BPHeader(header.sender_id, header.seqno, network))
+
+
+@mutant("low-octet", "BP-RX-05", "compares only the low octet of network identifiers")
+class LowOctet(Receiver):
+    def _for_this_node(self, header: BPHeader) -> bool:
+        own = self._parameters.network_id
+        network = header.network_id
+        if own is not None and network is not None and network & 0xFF == own & 0xFF:
+            network = own
+        return super()._for_this_node(BPHeader(header.sender_id, header.seqno, network))
+
+
+@mutant("first-network", "BP-RX-05 BP-PAR-05 BP-PAR-02", "keeps accepting beacons of its initial network")
+class FirstNetwork(Receiver):
+    def __init__(self, *parts: Any, **more: Any) -> None:
+        super().__init__(*parts, **more)
+        self._first = self._parameters.network_id
+
+    def _for_this_node(self, header: BPHeader) -> bool:
+        network = header.network_id
+        if network == self._first:
+            network = self._parameters.network_id
+        return super()._for_this_node(BPHeader(header.sender_id, header.seqno, network))
+
+
+@mutant("processed", "BP-RX-06", "accepts beacons with its own senderId")
+class OwnBeacons(Receiver):
+    def _for_this_node(self, header: BPHeader) -> bool:
+        return super()._for_this_node(BPHeader(b"", header.seqno, header.network_id))
+
+
+@mutant("reserved-senders", "DATA-04", "ignores senders whose identifier has the group bit or is all zero")
+class ReservedSenders(Receiver):
+    def _for_this_node(self, header: BPHeader) -> bool:
+        plain = any(header.sender_id) and not header.sender_id[0] & 1
+        return plain and super()._for_this_node(header)
+
+
+@mutant(
+    "sender-prefix", "BP-RX-06 DATA-04", "treats senders with the same first octets as its own identifier as itself"
+)
+class SenderPrefix(Receiver):
+    def _for_this_node(self, header: BPHeader) -> bool:
+        return header.sender_id[:3] != self._node_id[:3] and super()._for_this_node(header)
+
+
+# -- blocks ------------------------------------------------------------------------------------------------------------
+
+
+class Blocks(BPWire):
+    """Changes the blocks that are processed."""
+
+    def parse(self, octets: bytes) -> Reception:
+        found = super().parse(octets)
+        return Reception(found.header, self.chosen(found.blocks), found.fault, found.refused, found.count_agrees)
+
+    def chosen(self, blocks: tuple[Block, ...]) -> tuple[Block, ...]:
+        """Return the blocks to be processed."""
+        return blocks
+
+
+@mutant("first-only", "BP-RX-07", "processes only the first block of a beacon")
+class FirstBlock(Blocks):
+    def chosen(self, blocks: tuple[Block, ...]) -> tuple[Block, ...]:
+        return blocks[:1]
+
+
+@mutant("not-the-last", "BP-RX-07", "does not process the last of several blocks")
+class NotTheLast(Blocks):
+    def chosen(self, blocks: tuple[Block, ...]) -> tuple[Block, ...]:
+        return blocks[:-1] if len(blocks) > 1 else blocks
+
+
+@mutant("one-of-each", "BP-RX-07", "processes one block of each protocol")
+class OneOfEach(Blocks):
+    def chosen(self, blocks: tuple[Block, ...]) -> tuple[Block, ...]:
+        return tuple({block.protocol_id: block for block in reversed(blocks)}.values())
+
+
+@mutant("twice", "BP-RXP-02", "delivers every payload twice")
+class Twice(Blocks):
+    def chosen(self, blocks: tuple[Block, ...]) -> tuple[Block, ...]:
+        return tuple(block for each in blocks for block in (each, each))
+
+
+@mutant("unknown-ends", "BP-RX-08", "stops at a block of an unregistered protocol")
+class UnknownEnds(Receiver):
+    stopped = False
+
+    def receive(self, octets: bytes, now: int) -> None:
+        self.stopped = False
+        super().receive(octets, now)
+
+    def _deliver(self, block: Block, sender: bytes) -> None:
+        self.stopped = self.stopped or block.protocol_id not in self._clients
+        if not self.stopped:
+            super()._deliver(block, sender)
+
+
+@mutant("unknown-drops", "BP-RX-08", "ignores beacons with a block of an unregistered protocol")
+class UnknownDrops(BPWire):
+    def parse(self, octets: bytes) -> Reception:
+        found = super().parse(octets)
+        foreign = any(block.protocol_id > 0x1000 for block in found.blocks)
+        return Reception(found.header, () if foreign else found.blocks, found.fault, found.refused, found.count_agrees)
+
+
+@mutant("cut-delivered", "BP-RX-09", "delivers the available part of a block that extends past the end")
+class CutDelivered(BPWire):
+    def parse(self, octets: bytes) -> Reception:
+        found = super().parse(octets)
+        if found.fault is None or found.refused or found.header is None or found.fault.reason == "beacon-overrun":
+            return found
+        start = (
+            found.blocks[-1].offset + self.block_size(found.blocks[-1].payload) if found.blocks else self.header_size
+        )
+        rest = octets[start:]
+        if len(rest) <= 4:
+            return found
+        block = Block(int.from_bytes(rest[:2], "big"), rest[4:], start)
+        return Reception(found.header, (*found.blocks, block), None, count_agrees=found.count_agrees)
+
+
+@mutant("all-dropped", "BP-RX-09", "ignores all blocks before one that extends past the end")
+class AllDropped(BPWire):
+    def parse(self, octets: bytes) -> Reception:
+        found = super().parse(octets)
+        return found if found.fault is None else Reception(found.header, (), found.fault, found.refused)
+
+
+@mutant("repeated-dropped", "BP-RX-10", "ignores beacons with the same sequence number as the one before")
+class RepeatedDropped(Receiver):
+    last: tuple[bytes, int] = (b"", 0)
+
+    def _for_this_node(self, header: BPHeader) -> bool:
+        last, self.last = self.last, (header.sender_id, header.seqno)
+        return last != self.last and super()._for_this_node(header)
+
+
+@mutant("older-dropped", "BP-RX-10", "ignores beacons with a lower sequence number than the one before")
+class OlderDropped(Receiver):
+    last: tuple[bytes, int] = (b"", 0)
+
+    def _for_this_node(self, header: BPHeader) -> bool:
+        last, self.last = self.last, (header.sender_id, header.seqno)
+        older = last[0] == header.sender_id and header.seqno < last[1]
+        return not older and super()._for_this_node(header)
+
+
+@mutant("padding-refused", "BP-RX-14", "ignores frames with padding after the beacon")
+class PaddingRefused(Lenient):
+    def repaired(self, octets: bytearray) -> bytearray:
+        exact = self.number(octets, "length") == len(octets) - self.header_size
+        return octets if exact else octets[:4]
+
+
+@mutant("dies", "BP-RX-15", "crashes on a length past the end of the frame")
+class CrashesOnLength(Lenient):
+    def repaired(self, octets: bytearray) -> bytearray:
+        if self.number(octets, "length") > len(octets) - self.header_size:
+            raise IndexError("a read past the end of the frame")
+        return octets
+
+
+@mutant("dies-of-short", "BP-RX-16", "crashes on a frame shorter than the header")
+class CrashesOnShort(BPWire):
+    def parse(self, octets: bytes) -> Reception:
+        if len(octets) < self.header_size:
+            raise IndexError("a read past the end of the frame")
+        return super().parse(octets)
+
+
+@mutant("dies-of-empty", "BP-RX-16", "crashes on a block without a payload")
+class CrashesOnEmpty(Blocks):
+    def chosen(self, blocks: tuple[Block, ...]) -> tuple[Block, ...]:
+        return tuple(block for block in blocks if block.payload[0] >= 0)
+
+
+@mutant("dies-of-nothing", "BP-RX-16", "crashes on an empty frame")
+class CrashesOnNothing(BPWire):
+    def parse(self, octets: bytes) -> Reception:
+        if not octets:
+            raise IndexError("a read of an empty frame")
+        return super().parse(octets)
+
+
+@mutant("mute", "BP-RX-16", "receives nothing after 20 frames that are not beacons")
+class Mute(BPWire):
+    wrong = 0
+
+    def parse(self, octets: bytes) -> Reception:
+        found = super().parse(octets)
+        self.wrong += found.refused
+        return super().parse(b"") if self.wrong > 20 else found
+
+
+# -- indications -------------------------------------------------------------------------------------------------------
+
+
+class Deliveries(Receiver):
+    """Changes the octets delivered to clients outside of the node."""
+
+    def _deliver(self, block: Block, sender: bytes) -> None:
+        payload = self.payload(block.payload) if block.protocol_id > 2 else block.payload
+        super()._deliver(Block(block.protocol_id, payload, block.offset), sender)
+
+    def payload(self, payload: bytes) -> bytes:
+        """Return the octets to be delivered."""
+        return payload
+
+
+@mutant("nul-cut", "BP-RXP-01", "delivers payloads up to the first octet that is zero")
+class NulCut(Deliveries):
+    def payload(self, payload: bytes) -> bytes:
+        return payload.partition(b"\0")[0] or payload
+
+
+@mutant("limited", "BP-RXP-01", "delivers at most 255 octets of a payload")
+class Limited(Deliveries):
+    def payload(self, payload: bytes) -> bytes:
+        return payload[:255]
+
+
+@mutant("aligned", "BP-RXP-01", "delivers payloads padded to a multiple of four octets")
+class FilledUp(Deliveries):
+    def payload(self, payload: bytes) -> bytes:
+        return payload + bytes(-len(payload) % 4)
+
+
+@mutant("everybody", "BP-RXP-03", "delivers payloads to all clients")
+class DeliversToAllClients(Receiver):
+    def _deliver(self, block: Block, sender: bytes) -> None:
+        super()._deliver(block, sender)
+        if block.protocol_id > 2 and block.protocol_id in self._clients:
+            for client in self._clients:
+                if client.protocol_id not in (1, 2, block.protocol_id):
+                    self._emit(PayloadReceived(client.protocol_id, block.payload, sender))
+
+
+@mutant("low-octet", "BP-RXP-03 BP-RX-08 BP-HDR-11", "checks only the low octet of protocol identifiers")
+class LowOctetOfProtocol(Blocks):
+    def chosen(self, blocks: tuple[Block, ...]) -> tuple[Block, ...]:
+        return tuple(Block(block.protocol_id & 0xFF, block.payload, block.offset) for block in blocks)
+
+
+@mutant("late", "BP-RXP-02", "delivers the last payload again with the next beacon")
+class Again(Air):
+    last = b""
+
+    def hears(self, octets: bytes) -> Iterable[bytes]:
+        if self.last:
+            yield self.last
+        self.last = octets
+        yield octets

@@ -1,0 +1,84 @@
+"""Faults of BP that show only with many payloads, without payloads, or when BP is activated and deactivated."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from dcp_selftest.mutants.mutant import mutant
+from dcp_selftest.mutants.unseen import BP_ALWAYS_ACTIVE, ONE_PAYLOAD
+from dcp_stack.bp.clients import Chosen, ClientList
+from dcp_stack.bp.entity import BeaconingProtocol
+from dcp_stack.bp.receive import Receiver
+from dcp_stack.bp.services import StatusConfirm
+from dcp_stack.bp.wire import Block, BPWire, Reception
+
+
+class _Dummy(ClientList):
+    dummy = b"\0"
+
+    def take(self, room: int, size: Callable[[bytes], int], most: int) -> Chosen:
+        return super().take(room, size, most) or [(0xFFFF, self.dummy)]
+
+
+@mutant("heartbeat", "BP-FMT-03", "sends a block of an unregistered protocol when no client has a payload")
+class Heartbeat(_Dummy):
+    dummy = b"\0"
+
+
+@mutant("empty-heartbeat", "BP-FMT-03", "sends an empty block of an unregistered protocol when no client has a payload")
+class EmptyHeartbeat(_Dummy):
+    dummy = b""
+
+
+@mutant(
+    "several",
+    "BP-FMT-02 BP-TX-04",
+    "puts a whole queue into a beacon if allowMultiplePayloads is true",
+    unseen=ONE_PAYLOAD,
+)
+class SeveralIgnoresRoom(ClientList):
+    def take(self, room: int, size: Callable[[bytes], int], most: int) -> Chosen:
+        chosen = super().take(room, size, most)
+        for client in self:
+            if client.several and client.queue is not None:
+                while (payload := client.queue.head()) is not None and client.queue.rule.when_sent == "remove":
+                    chosen.append((client.protocol_id, payload))
+                    client.queue.sent()
+        return chosen
+
+
+@mutant("activated", "BP-HDR-08", "restarts sequence numbers when it is activated", unseen=BP_ALWAYS_ACTIVE)
+class SeqnoRestarts(BeaconingProtocol):
+    def activate(self, now: int) -> StatusConfirm:
+        self._seqno = 0
+        return super().activate(now)
+
+
+@mutant("clears", "BP-MGT-05", "clears all buffers when it is activated although it is active")
+class ReactivateClears(BeaconingProtocol):
+    def activate(self, now: int) -> StatusConfirm:
+        for client in self._clients if self._active else ():
+            if client.queue is not None:
+                client.queue.clear()
+        return super().activate(now)
+
+
+@mutant("eight", "BP-RX-07", "processes at most eight blocks of a beacon")
+class EightBlocks(BPWire):
+    def parse(self, octets: bytes) -> Reception:
+        found = super().parse(octets)
+        return Reception(found.header, found.blocks[:8], found.fault, found.refused, count_agrees=found.count_agrees)
+
+
+@mutant("empty-ends", "BP-RX-08", "stops at a block of length 0 of an unregistered protocol")
+class StopsAtEmptyBlock(Receiver):
+    stopped = False
+
+    def receive(self, octets: bytes, now: int) -> None:
+        self.stopped = False
+        super().receive(octets, now)
+
+    def _deliver(self, block: Block, sender: bytes) -> None:
+        self.stopped = self.stopped or (not block.payload and block.protocol_id not in self._clients)
+        if not self.stopped:
+            super()._deliver(block, sender)

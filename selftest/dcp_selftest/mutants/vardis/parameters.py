@@ -1,0 +1,204 @@
+"""Faults in the parameters of VarDis."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import msgspec
+from dcp_spec.constants import SpecVersion
+from dcp_spec.parameters import Violation
+
+from dcp_selftest.mutants.mutant import mutant
+from dcp_stack.config import NodeConfig
+from dcp_stack.vardis.entity import Vardis
+from dcp_stack.vardis.parameters import (
+    BUFFER_CHECK_PERIOD,
+    DESCRIPTION_LENGTH,
+    PAYLOAD_SIZE,
+    REPETITIONS,
+    SCRUBBING_PERIOD,
+    SUMMARIES,
+    VALUE_LENGTH,
+    VardisParameters,
+)
+
+V2 = SpecVersion.V2_0
+V1_2 = SpecVersion.V1_2
+
+
+class Unbound(VardisParameters):
+    """Accepts some values beyond the limits."""
+
+    name: ClassVar[str] = ""
+    wrong: ClassVar[range] = range(1, 1 << 31)
+
+    def set(self, name: str, value: object) -> Violation | None:
+        violation = super().set(name, value)
+        if violation is not None and name == self.name and isinstance(value, int) and value in self.wrong:
+            self._values[name] = value
+            return None
+        return violation
+
+
+@mutant("zero", "VD-PAR-02", "accepts 0 as the maximum length of values")
+class ValueZero(Unbound):
+    name = VALUE_LENGTH
+    wrong = range(1)
+
+
+@mutant("no-bound", "VD-PAR-02", "accepts a maximum length of values that does not fit into a payload")
+class ValueUnbound(Unbound):
+    name = VALUE_LENGTH
+
+
+@mutant("zero", "VD-PAR-03", "accepts 0 as the maximum length of descriptions")
+class DescriptionZero(Unbound):
+    name = DESCRIPTION_LENGTH
+    wrong = range(1)
+
+
+@mutant("no-bound", "VD-PAR-03", "accepts a maximum length of descriptions that does not fit into a payload")
+class DescriptionUnbound(Unbound):
+    name = DESCRIPTION_LENGTH
+
+
+@mutant("zero", "VD-PAR-04", "accepts 0 as the maximum repetition count", unseen={"1.1": "in 1.1 this is VD-PAR-10"})
+class RepetitionsZero(Unbound):
+    name = REPETITIONS
+    wrong = range(1)
+
+
+@mutant("sixteen", "VD-PAR-04", "accepts maximum repetition counts up to 255", unseen={"1.1": "1.1 has no upper limit"})
+class RepetitionsUnbound(Unbound):
+    name = REPETITIONS
+    wrong = range(16, 256)
+
+
+@mutant("fifteen", "VD-PAR-10", "accepts no maximum repetition count above 15, as in all other versions")
+class RepetitionsBound(VardisParameters):
+    def set(self, name: str, value: object) -> Violation | None:
+        if name == REPETITIONS and isinstance(value, int) and value > 15:
+            return super().set(name, 0)
+        return super().set(name, value)
+
+
+@mutant("zero", "VD-PAR-10", "accepts 0 as the maximum repetition count")
+class RepetitionsZeroToo(RepetitionsZero):
+    """In 1.1, the inherited fault violates this requirement."""
+
+
+@mutant("zero", "VD-PAR-05", "accepts 0 as the maximum payload size")
+class PayloadZero(Unbound):
+    name = PAYLOAD_SIZE
+    wrong = range(1)
+
+    @property
+    def max_payload_size(self) -> int:
+        return super().max_payload_size or 1000
+
+
+@mutant("no-bound", "VD-PAR-05", "accepts a maximum payload size that does not fit into a beacon")
+class PayloadUnbound(Unbound):
+    name = PAYLOAD_SIZE
+
+    @property
+    def max_payload_size(self) -> int:
+        return min(super().max_payload_size, 1000)
+
+
+@mutant("no-bound", "VD-PAR-06", "accepts a maximum number of summaries that does not fit into a payload")
+class SummariesUnbound(Unbound):
+    name = SUMMARIES
+
+
+@mutant("no-zero", "VD-PAR-06", "rejects 0 as the maximum number of summaries")
+class SummariesNoZero(VardisParameters):
+    def set(self, name: str, value: object) -> Violation | None:
+        if name == SUMMARIES and value == 0:
+            return Violation(parameter=name, value=value, bound="at least 1", requirement="VD-PAR-06")
+        return super().set(name, value)
+
+
+@mutant("zero", "VD-PAR-07", "accepts a scrubbing period of 0 ms", since=V2)
+class ScrubbingZero(Unbound):
+    name = SCRUBBING_PERIOD
+    wrong = range(1)
+
+    @property
+    def scrubbing_period_ms(self) -> int:
+        return super().scrubbing_period_ms or 1000
+
+
+@mutant("no-bound", "VD-PAR-07", "accepts a scrubbing period above 65000 ms", since=V2)
+class ScrubbingUnbound(Unbound):
+    name = SCRUBBING_PERIOD
+
+
+@mutant("no-bound", "VD-PAR-08", "accepts a buffer check period above 65000 ms")
+class CheckUnbound(Unbound):
+    name = BUFFER_CHECK_PERIOD
+
+
+@mutant("zero", "VD-PAR-08", "accepts a buffer check period of 0 ms")
+class CheckZero(Unbound):
+    name = BUFFER_CHECK_PERIOD
+    wrong = range(1)
+
+    @property
+    def buffer_check_period_ms(self) -> int:
+        return super().buffer_check_period_ms or 50
+
+
+@mutant("forgets", "VD-PAR-01", "keeps using the initial values of parameters")
+class Forgets(VardisParameters):
+    def __init__(self, config: NodeConfig) -> None:
+        super().__init__(config)
+        self._used = dict(self._values)
+
+    @property
+    def max_value_length(self) -> int:
+        return self._used[VALUE_LENGTH]
+
+    @property
+    def longest_description(self) -> int:
+        return self._used[DESCRIPTION_LENGTH] - self._terminator
+
+    @property
+    def max_repetitions(self) -> int:
+        return self._used[REPETITIONS]
+
+    @property
+    def max_summaries(self) -> int:
+        return self._used[SUMMARIES]
+
+
+@mutant("retroactive", "VD-PAR-01", "deletes variables whose value is longer than a reduced maximum")
+class Retroactive(Vardis):
+    def set_parameter(self, name: str, value: object) -> Violation | None:
+        violation = super().set_parameter(name, value)
+        if violation is None and name in (VALUE_LENGTH, DESCRIPTION_LENGTH):
+            for entry in list(self._database.entries.values()):
+                long = len(entry.value) > self._parameters.max_value_length
+                if (long or len(entry.spec.descr) > self._parameters.longest_description) and not entry.is_deleted:
+                    self._database.mark_deleted(entry)
+        return violation
+
+
+@mutant("check-period-fixed", "VD-PAR-09 VD-PAR-08", "has no VARDISPAR_BUFFER_CHECK_PERIOD that can be read or set")
+class NoCheckPeriod(VardisParameters):
+    def as_dict(self) -> dict[str, int]:
+        return {name: value for name, value in super().as_dict().items() if name != "VARDISPAR_BUFFER_CHECK_PERIOD"}
+
+
+@mutant(
+    "beside-the-first-value-length",
+    "VD-PAR-03",
+    "uses the initial maximum value length in the limit of the description length",
+    unseen={"1.0": "in 1.0 the limit of the sum of both lengths does not depend on parameters"},
+)
+class FormerValueLength(VardisParameters):
+    def set(self, name: str, value: object) -> Violation | None:
+        before = self._sizes.max_value_length
+        violation = super().set(name, value)
+        self._sizes = msgspec.structs.replace(self._sizes, max_value_length=before)
+        return violation

@@ -1,0 +1,180 @@
+"""Faults in the effect of a timeout, in continuing after a deactivation, and in limits with equal defaults."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+from dcp_spec.constants import SpecVersion
+
+from dcp_selftest.mutants.mutant import mutant
+from dcp_selftest.mutants.unseen import ALWAYS_ACTIVE
+from dcp_stack.config import MS
+from dcp_stack.vardis.confirms import Confirm
+from dcp_stack.vardis.entity import Vardis
+from dcp_stack.vardis.parameters import VardisParameters
+from dcp_stack.vardis.receive import Receiver
+
+V2 = SpecVersion.V2_0
+V1_2 = SpecVersion.V1_2
+HALF = 32_768
+
+
+# -- what a timeout removes --------------------------------------------------------------------------------------------
+
+
+class LeavesQueue(Vardis):
+    """Leaves the variable in one queue, with its counter, when it is scrubbed."""
+
+    queue: ClassVar[str]
+    counter: ClassVar[str] = ""
+
+    def _scrub(self, now: int) -> None:
+        queue = self._database.queues[self.queue]
+        held = {
+            var_id: getattr(entry, self.counter, 0)
+            for var_id, entry in self._database.entries.items()
+            if not entry.is_deleted and var_id in queue
+        }
+        super()._scrub(now)
+        for var_id, count in held.items():
+            entry = self._database.lookup(var_id)
+            if entry is not None and entry.is_deleted:
+                queue.append(var_id)
+                if self.counter:
+                    setattr(entry, self.counter, count)
+
+
+@mutant("updateQ", "VD-SCR-04", "continues to repeat the VarUpdate of a variable after its timeout", since=V2)
+class ScrubLeavesUpdate(LeavesQueue):
+    queue, counter = "updateQ", "count_update"
+
+
+@mutant("createQ", "VD-SCR-04", "continues to repeat the VarCreate of a variable after its timeout", since=V2)
+class ScrubLeavesCreate(LeavesQueue):
+    queue, counter = "createQ", "count_create"
+
+
+@mutant("summaryQ", "VD-SCR-04 VD-CMP-05", "continues to summarise a variable after its timeout", since=V2)
+class ScrubLeavesSummary(LeavesQueue):
+    queue = "summaryQ"
+
+
+@mutant("reqUpdQ", "VD-SCR-04", "requests an update of a variable after its timeout", since=V2)
+class ScrubLeavesRequest(LeavesQueue):
+    queue = "reqUpdQ"
+
+
+@mutant("counts-left", "VD-SCR-04", "does not reset the counters of a variable after its timeout", since=V2)
+class ScrubLeavesCounts(Vardis):
+    def _scrub(self, now: int) -> None:
+        held = {
+            var_id: (entry.count_create, entry.count_update)
+            for var_id, entry in self._database.entries.items()
+            if not entry.is_deleted
+        }
+        super()._scrub(now)
+        for var_id, counts in held.items():
+            entry = self._database.lookup(var_id)
+            if entry is not None and entry.is_deleted:
+                entry.count_create, entry.count_update = counts
+
+
+@mutant(
+    "signed-at-once",
+    "VD-TYP-04 VD-SCR-03",
+    "immediately deletes variables with timeouts of 32,768 ms and more",
+    since=V2,
+)
+class SignedTimeouts(Vardis):
+    def _scrub(self, now: int) -> None:
+        super()._scrub(now)
+        for entry in list(self._database.entries.values()):
+            if (entry.spec.timeout or 0) >= HALF and not entry.is_deleted:
+                self._database.mark_deleted(entry)
+
+
+@mutant("one-octet", "VD-TYP-04 VD-SCR-03", "uses timeouts modulo 256", since=V2)
+class OneOctetTimeouts(Vardis):
+    def _scrub(self, now: int) -> None:
+        super()._scrub(now)
+        for entry in list(self._database.entries.values()):
+            timeout = (entry.spec.timeout or 0) % 256 * MS
+            if timeout and not entry.is_deleted and now - entry.refreshed > timeout:
+                self._database.mark_deleted(entry)
+
+
+# -- deactivation ------------------------------------------------------------------------------------------------------
+
+
+@mutant("once-deactivated", "VD-SCR-01 VD-MGT-05", "never scrubs again after it was deactivated", since=V2)
+class ScrubbingEnds(Vardis):
+    _ended = False
+
+    def deactivate(self) -> Confirm:
+        self._ended = True
+        return super().deactivate()
+
+    def _scrub(self, now: int) -> None:
+        if not self._ended:
+            super()._scrub(now)
+
+
+@mutant(
+    "no-check-after",
+    "VD-RUN-02 VD-MGT-05",
+    "no longer checks the buffer after it was deactivated",
+    unseen=ALWAYS_ACTIVE,
+)
+class CheckingEnds(Vardis):
+    _ended = False
+
+    def deactivate(self) -> Confirm:
+        self._ended = True
+        return super().deactivate()
+
+    def handle_timeout(self, now: int, wall: int) -> None:
+        if self._ended:
+            self._last_check = now
+        super().handle_timeout(now, wall)
+
+
+# -- limits that are equal by default ----------------------------------------------------------------------------------
+
+
+@mutant(
+    "value-by-description",
+    "VD-PC-04 VD-PU-04 VD-CRE-05 VD-UPD-05",
+    "compares the length of values with the maximum of descriptions",
+)
+class ValueByDescription(VardisParameters):
+    @property
+    def max_value_length(self) -> int:
+        return self.longest_description
+
+
+@mutant("description-by-value", "VD-PC-05 VD-CRE-04", "compares the length of descriptions with the maximum of values")
+class DescriptionByValue(VardisParameters):
+    @property
+    def longest_description(self) -> int:
+        return self.max_value_length
+
+
+@mutant(
+    "received-by-description",
+    "VD-PC-04 VD-PU-04",
+    "compares the length of received values with the maximum of descriptions",
+)
+class ReceivedByDescription(Receiver):
+    def _is_bad_value(self, value: bytes) -> bool:
+        too_long = self._check_too_long and len(value) > self._parameters.longest_description
+        return too_long or (self._check_empty_and_repcnt and not value)
+
+
+@mutant("left-in-reqCreateQ", "VD-CRE-11", "continues to request a variable that its application has created")
+class RequestsItsOwn(Vardis):
+    def create(self, var_id: int, *args: Any, **more: Any) -> Confirm:
+        wanted = var_id in self._database.req_create_q
+        confirm = super().create(var_id, *args, **more)
+        if wanted and confirm.status.is_ok:
+            self._database.req_create_q.append(var_id)
+        return confirm

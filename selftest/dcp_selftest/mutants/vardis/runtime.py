@@ -1,0 +1,336 @@
+"""Faults in initialization, running and scrubbing of VarDis, and in its reset."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, ClassVar
+
+from dcp_spec.constants import QueueingMode, SpecVersion
+from dcp_spec.status import VardisStatus
+
+from dcp_codec.values import VarUpdate
+from dcp_selftest.mutants.air import Air
+from dcp_selftest.mutants.cells import Cells
+from dcp_selftest.mutants.mutant import mutant
+from dcp_selftest.mutants.port import Port, registration
+from dcp_selftest.mutants.unseen import ALWAYS_ACTIVE
+from dcp_stack.bp_port import BPPort
+from dcp_stack.config import MS, NodeConfig
+from dcp_stack.effects import Effect
+from dcp_stack.vardis.confirms import Confirm
+from dcp_stack.vardis.entity import Vardis
+from dcp_stack.vardis.parameters import (
+    VardisParameters,
+)
+from dcp_stack.vardis.receive import Receiver
+from dcp_stack.vardis.state_table import Action, Cell, Event, State
+from dcp_stack.vardis.wire import Extracted
+
+V2 = SpecVersion.V2_0
+V1_2 = SpecVersion.V1_2
+
+
+# -- initialization ----------------------------------------------------------------------------------------------------
+
+
+class Ported(Vardis):
+    """Changes calls to BP."""
+
+    port: ClassVar[type[Port]] = Port
+
+    def __init__(self, config: NodeConfig, bp: BPPort, *, emit: Callable[[Effect], None], now: int, wall: int) -> None:
+        port: Any = self.port(bp)
+        super().__init__(config, port, emit=emit, now=now, wall=wall)
+
+
+@mutant("mode", "VD-INI-02", "registers with mode REPEAT")
+class OtherMode(Ported):
+    class port(Port):  # noqa: N801 - takes the place of an attribute
+        def register(self, *args: Any, **times: int) -> Any:
+            return self.bp.register(*registration(args, mode=QueueingMode.REPEAT), **times)
+
+
+@mutant("droptail", "VD-INI-02", "registers with mode DROPTAIL, as in 1.1", since=V1_2)
+class OldMode(Ported):
+    class port(Port):  # noqa: N801 - as above
+        def register(self, *args: Any, **times: int) -> Any:
+            return self.bp.register(*registration(args, mode=QueueingMode.QUEUE_DROPTAIL), **times)
+
+
+@mutant("repeat", "VD-INI-07", "registers with mode REPEAT")
+class RepeatMode(OtherMode):
+    """In 1.0, the inherited fault violates this requirement."""
+
+
+@mutant("drophead", "VD-INI-08", "registers with mode DROPHEAD, as in later versions")
+class LaterMode(Ported):
+    class port(Port):  # noqa: N801 - as above
+        def register(self, *args: Any, **times: int) -> Any:
+            return self.bp.register(*registration(args, mode=QueueingMode.QUEUE_DROPHEAD), **times)
+
+
+@mutant("several", "VD-INI-02 VD-INI-08", "registers with allowMultiplePayloads true", since=SpecVersion.V1_1)
+class OtherSeveral(Ported):
+    class port(Port):  # noqa: N801 - as above
+        def register(self, *args: Any, **times: int) -> Any:
+            return self.bp.register(*registration(args, several=True), **times)
+
+
+@mutant("name", "VD-INI-02", "registers without a name")
+class OtherName(Ported):
+    class port(Port):  # noqa: N801 - as above
+        def register(self, *args: Any, **times: int) -> Any:
+            return self.bp.register(*registration(args, name=""), **times)
+
+
+@mutant("size", "VD-INI-02", "registers with half of VARDISPAR_MAX_PAYLOAD_SIZE")
+class OtherSize(Vardis):
+    def _register(self, size: int, now: int, wall: int) -> Any:
+        return super()._register(size // 2, now, wall)
+
+
+@mutant(
+    "other-id",
+    "VD-INI-05 VD-CRE-08",
+    "creates variables with another node identifier than the one that BP returned",
+    unseen={"1.1": "the application sets the producer up to 1.1"},
+)
+class OtherIdentifier(Vardis):
+    def _register(self, size: int, now: int, wall: int) -> Any:
+        status = super()._register(size, now, wall)
+        self._core.own_id = self._core.own_id[:-1] + b"\x78"
+        return status
+
+
+@mutant("survives", "VD-INI-04", "keeps its variables across a reset")
+class Survives(Air):
+    def reset(self, now: int, wall: int) -> None:
+        entries = {} if self.vardis is None else dict(self.vardis._database.entries)
+        super().reset(now, wall)
+        if self.vardis is not None:
+            self.vardis._database.entries.update(entries)
+
+
+@mutant("queue-survives", "VD-INI-04", "sends requests from before a reset after it")
+class QueueSurvives(Air):
+    def reset(self, now: int, wall: int) -> None:
+        wanted = [] if self.vardis is None else list(self.vardis._database.req_create_q)
+        super().reset(now, wall)
+        if self.vardis is not None:
+            for var_id in wanted:
+                self.vardis._database.req_create_q.append(var_id)
+
+
+# -- activation --------------------------------------------------------------------------------------------------------
+
+
+@mutant("sends", "VD-MGT-02 VD-RUN-03", "continues to compose payloads while it is inactive", unseen=ALWAYS_ACTIVE)
+class SendsInactive(Vardis):
+    def handle_timeout(self, now: int, wall: int) -> None:
+        active, self._core.active = self._core.active, self.registered
+        super().handle_timeout(now, wall)
+        self._core.active = active
+
+
+@mutant(
+    "ignored", "VD-MGT-01 VD-MGT-02 VD-MGT-04", "confirms the deactivation of VarDis, which stays active", since=V1_2
+)
+class NeverInactive(Vardis):
+    def deactivate(self) -> Confirm:
+        return Confirm(VardisStatus.OK)
+
+
+@mutant("forgets", "VD-MGT-05", "clears the database when it is activated", since=V1_2)
+class ActivationForgets(Vardis):
+    def activate(self) -> Confirm:
+        self._database.clear()
+        return super().activate()
+
+
+@mutant("stays", "VD-MGT-05", "confirms the activation of VarDis, which stays inactive", since=V1_2)
+class NeverActive(Vardis):
+    def activate(self) -> Confirm:
+        return Confirm(VardisStatus.OK)
+
+
+# -- running -----------------------------------------------------------------------------------------------------------
+
+
+@mutant("ignored", "VD-RUN-01", "composes payloads only at buffer checks")
+class IndicationIgnored(Vardis):
+    def payload_transmitted(self, now: int, wall: int) -> None:
+        pass
+
+
+@mutant("ignored", "VD-RUN-02", "composes payloads only after BP has sent one")
+class NeverChecks(Vardis):
+    def handle_timeout(self, now: int, wall: int) -> None:
+        self._last_check = now
+        super().handle_timeout(now, wall)
+
+
+# A payload composed too early replaces the answer to a probe, so VarDis may seem to have stopped.
+@mutant("always", "VD-RUN-02 VD-ROB-01", "composes a payload at every buffer check, even if the buffer is not empty")
+class AlwaysComposes(Ported):
+    def __init__(self, *args: Any, **more: Any) -> None:
+        super().__init__(*args, **more)
+        # Just before a beacon the buffer is empty anyway (X54).
+        self._composes_ahead = False
+
+    class port(Port):  # noqa: N801 - as above
+        def query_number_buffered(self, prot_id: int) -> Any:
+            confirm = self.bp.query_number_buffered(prot_id)
+            return type(confirm)(confirm.status, 0 if confirm.status.is_ok else None)
+
+
+@mutant("slow", "VD-RUN-02 VD-PAR-08", "checks the buffer ten times less often than the parameter requires")
+class ChecksSlowly(VardisParameters):
+    @property
+    def buffer_check_period_ms(self) -> int:
+        return super().buffer_check_period_ms * 10
+
+
+# -- scrubbing ---------------------------------------------------------------------------------------------------------
+
+
+@mutant("never", "VD-INI-06 VD-SCR-01", "never scrubs", since=V2)
+class NeverScrubs(Vardis):
+    def _scrub(self, now: int) -> None:
+        pass
+
+
+@mutant("slow", "VD-SCR-01", "scrubs only in every third period", since=V2)
+class ScrubsSlowly(Vardis):
+    runs = 0
+
+    def _scrub(self, now: int) -> None:
+        self.runs += 1
+        if self.runs % 3 == 0:
+            super()._scrub(now)
+
+
+@mutant("zero", "VD-SCR-02", "deletes variables with timeout 0", since=V2)
+class ScrubsZero(Vardis):
+    def _scrub(self, now: int) -> None:
+        super()._scrub(now)
+        for entry in list(self._database.entries.values()):
+            if not entry.spec.timeout and not entry.is_deleted and now > entry.refreshed:
+                self._database.mark_deleted(entry)
+
+
+@mutant("deleted", "VD-SCR-02", "repeats the VarDelete of deleted variables after their timeout", since=V2)
+class ScrubsDeleted(Cells):
+    cells: ClassVar = {
+        (Event.TIMED_OUT, State.DELETED_PRODUCER): Cell(Action.DELETE),
+        (Event.TIMED_OUT, State.DELETED_CONSUMER): Cell(Action.DELETE),
+    }
+
+
+@mutant("half", "VD-SCR-03", "deletes variables after half of their timeout", since=V2)
+class ScrubsEarly(Vardis):
+    def _scrub(self, now: int) -> None:
+        for entry in list(self._database.entries.values()):
+            timeout = (entry.spec.timeout or 0) * MS // 2
+            if timeout and now - entry.refreshed > timeout and not entry.is_deleted:
+                self._database.mark_deleted(entry)
+
+
+@mutant("double", "VD-SCR-01 VD-SCR-03", "deletes variables after twice their timeout", since=V2)
+class ScrubsLate(Vardis):
+    def _scrub(self, now: int) -> None:
+        for entry in list(self._database.entries.values()):
+            timeout = (entry.spec.timeout or 0) * MS * 2
+            if timeout and now - entry.refreshed > timeout and not entry.is_deleted:
+                self._database.mark_deleted(entry)
+
+
+@mutant("silent", "VD-SCR-04", "deletes variables after their timeout without sending VarDeletes", since=V2)
+class ScrubsSilently(Vardis):
+    def _scrub(self, now: int) -> None:
+        before = {var_id for var_id, entry in self._database.entries.items() if not entry.is_deleted}
+        super()._scrub(now)
+        for var_id in before:
+            entry = self._database.lookup(var_id)
+            if entry is not None and entry.is_deleted:
+                entry.count_delete = 0
+                self._database.delete_q.remove(var_id)
+
+
+@mutant("removed", "VD-SCR-04 VD-DB-02", "removes variables from the database after their timeout", since=V2)
+class ScrubsAway(Vardis):
+    def _scrub(self, now: int) -> None:
+        before = {var_id for var_id, entry in self._database.entries.items() if not entry.is_deleted}
+        super()._scrub(now)
+        for var_id in before:
+            entry = self._database.lookup(var_id)
+            if entry is not None and entry.is_deleted:
+                self._database.delete_q.remove(var_id)
+                del self._database.entries[var_id]
+
+
+@mutant("foreign-only", "VD-SCR-05", "scrubs only variables of other nodes", since=V2)
+class ScrubsForeign(Cells):
+    cells: ClassVar = {(Event.TIMED_OUT, State.ALIVE_PRODUCER): Cell(Action.NONE)}
+
+
+@mutant(
+    "not-refreshed",
+    "VD-SCR-06",
+    "does not restart the timeout of a variable when it receives an update of it",
+    since=V2,
+)
+class NotRefreshed(Receiver):
+    def _update(self, record: VarUpdate, offset: int, now: int, wall: int) -> None:
+        entry = self._database.lookup(record.var_id)
+        before = None if entry is None else entry.refreshed
+        super()._update(record, offset, now, wall)
+        if entry is not None and before is not None:
+            entry.refreshed = before
+
+
+@mutant(
+    "own-not-refreshed",
+    "VD-SCR-03 VD-UPD-08",
+    "does not restart the timeout of its own variable when it is updated",
+    since=V2,
+)
+class OwnNotRefreshed(Vardis):
+    def update(self, var_id: int, value: bytes, *, now: int, wall: int) -> Confirm:
+        entry = self._database.lookup(var_id)
+        before = None if entry is None else entry.refreshed
+        confirm = super().update(var_id, value, now=now, wall=wall)
+        if entry is not None and before is not None:
+            entry.refreshed = before
+        return confirm
+
+
+@mutant(
+    "summaries-refresh", "VD-SCR-06", "restarts the timeout of a variable when it receives a summary of it", since=V2
+)
+class SummariesRefresh(Receiver):
+    now = 0
+
+    def process(self, extracted: Extracted, *, now: int, wall: int) -> None:
+        self.now = now
+        super().process(extracted, now=now, wall=wall)
+
+    def _summary(self, record: Any, offset: int) -> None:
+        super()._summary(record, offset)
+        entry = self._database.lookup(record.var_id)
+        if entry is not None and entry.seqno == record.seqno:
+            entry.refreshed = self.now
+
+
+@mutant("by-creation-time", "VD-SCR-03", "computes the age of a variable from its creationTime", since=V2)
+class ByCreationTime(Vardis):
+    wall = 0
+
+    def handle_timeout(self, now: int, wall: int) -> None:
+        self.wall = wall
+        super().handle_timeout(now, wall)
+
+    def _scrub(self, now: int) -> None:
+        for entry in list(self._database.entries.values()):
+            made = self._core.clock.wall(entry.spec.creation_time or 0, near=self.wall)
+            entry.refreshed = now - (self.wall - made)
+        super()._scrub(now)

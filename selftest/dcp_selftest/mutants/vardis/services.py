@@ -1,0 +1,362 @@
+"""Faults in the services of VarDis for applications, except RTDB-Create."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import msgspec
+from dcp_spec.constants import SpecVersion
+from dcp_spec.status import VardisStatus
+
+from dcp_selftest.mutants.cells import Cells
+from dcp_selftest.mutants.mutant import mutant
+from dcp_selftest.mutants.unseen import ALWAYS_ACTIVE
+from dcp_stack.vardis.confirms import (
+    Confirm,
+    DescribeDatabaseConfirm,
+    DescribeVariableConfirm,
+    NoResponseError,
+    ReadConfirm,
+)
+from dcp_stack.vardis.core import Sequence
+from dcp_stack.vardis.entity import Vardis
+from dcp_stack.vardis.state_table import Action, Cell, Event, State
+
+V2 = SpecVersion.V2_0
+CONSUMED = State.ALIVE_CONSUMER
+DELETED_OWN, DELETED = State.DELETED_PRODUCER, State.DELETED_CONSUMER
+IS_DELETED, DOES_NOT_EXIST = VardisStatus.VARIABLE_IS_DELETED, VardisStatus.VARIABLE_DOES_NOT_EXIST
+OK = VardisStatus.OK
+
+
+def _refused(event: Event, status: VardisStatus, *states: State) -> dict[tuple[Event, State], Cell]:
+    return {(event, state): Cell(Action.REFUSE, status=status) for state in states}
+
+
+def _later(confirm: Confirm) -> Confirm:
+    """Return the confirm with the status that 2.0 has for deleted variables."""
+    return Confirm(IS_DELETED) if confirm.status is VardisStatus.VARIABLE_BEING_DELETED else confirm
+
+
+# -- RTDB-Delete, RTDB-Update, RTDB-Read -------------------------------------------------------------------------------
+
+
+@mutant("ok", "VD-DEL-02", "confirms the deletion of an unknown variable with OK")
+class DeletesUnknown(Vardis):
+    def delete(self, var_id: int, *, now: int, wall: int) -> Confirm:
+        confirm = super().delete(var_id, now=now, wall=wall)
+        return Confirm(OK) if confirm.status is DOES_NOT_EXIST else confirm
+
+
+@mutant("foreign", "VD-DEL-03", "deletes variables of other nodes")
+class DeletesForeign(Cells):
+    cells: ClassVar = {(Event.APP_DELETE, CONSUMED): Cell(Action.DELETE)}
+
+
+@mutant("status", "VD-DEL-03", "answers IS-DELETED for a deleted variable of another node")
+class DeleteStatus(Cells):
+    cells: ClassVar = _refused(Event.APP_DELETE, IS_DELETED, DELETED)
+
+
+@mutant("again", "VD-DEL-04", "deletes a deleted variable again", since=V2)
+class DeletesAgain(Cells):
+    cells: ClassVar = {(Event.APP_DELETE, DELETED_OWN): Cell(Action.DELETE)}
+
+
+@mutant("does-not-exist", "VD-DEL-04", "answers DOES-NOT-EXIST for its own deleted variable", since=V2)
+class DeletedDoesNotExist(Cells):
+    cells: ClassVar = _refused(Event.APP_DELETE, DOES_NOT_EXIST, DELETED_OWN)
+
+
+@mutant("silent", "VD-DEL-05", "deletes its own variables without sending VarDeletes")
+class DeletesSilently(Vardis):
+    def delete(self, var_id: int, *, now: int, wall: int) -> Confirm:
+        confirm = super().delete(var_id, now=now, wall=wall)
+        entry = self._database.lookup(var_id)
+        if confirm.status is OK and entry is not None:
+            self._database.delete_q.remove(var_id)
+            entry.count_delete = 0
+        return confirm
+
+
+@mutant("creates", "VD-UPD-02", "creates a variable that does not exist when it is to be updated")
+class UpdateCreates(Vardis):
+    def update(self, var_id: int, value: bytes, *, now: int, wall: int) -> Confirm:
+        confirm = super().update(var_id, value, now=now, wall=wall)
+        if confirm.status is DOES_NOT_EXIST:
+            return self.create(var_id, None, 1, b"updated", value, now=now, wall=wall)
+        return confirm
+
+
+@mutant("foreign", "VD-UPD-03", "updates variables of other nodes")
+class UpdatesForeign(Cells):
+    cells: ClassVar = {(Event.APP_UPDATE, CONSUMED): Cell(Action.UPDATE)}
+
+
+@mutant("status", "VD-UPD-03", "answers IS-DELETED for a deleted variable of another node")
+class UpdateStatus(Cells):
+    cells: ClassVar = _refused(Event.APP_UPDATE, IS_DELETED, DELETED)
+
+
+@mutant("later-status", "VD-UPD-12", "answers IS-DELETED for a variable that is being deleted, as in 2.0")
+class UpdateLaterStatus(Vardis):
+    def update(self, var_id: int, value: bytes, *, now: int, wall: int) -> Confirm:
+        return _later(super().update(var_id, value, now=now, wall=wall))
+
+
+@mutant("later-status", "VD-DEL-09", "answers IS-DELETED for a variable that is being deleted, as in 2.0")
+class DeleteLaterStatus(Vardis):
+    def delete(self, var_id: int, *, now: int, wall: int) -> Confirm:
+        return _later(super().delete(var_id, now=now, wall=wall))
+
+
+@mutant("later-status", "VD-REA-06", "answers IS-DELETED for a variable that is being deleted, as in 2.0")
+class ReadLaterStatus(Vardis):
+    def read(self, var_id: int) -> ReadConfirm:
+        confirm = super().read(var_id)
+        return ReadConfirm(IS_DELETED) if confirm.status is VardisStatus.VARIABLE_BEING_DELETED else confirm
+
+
+@mutant("ok", "VD-UPD-04", "confirms updates of its own deleted variables with OK", since=V2)
+class UpdatesDeleted(Vardis):
+    def update(self, var_id: int, value: bytes, *, now: int, wall: int) -> Confirm:
+        confirm = super().update(var_id, value, now=now, wall=wall)
+        return Confirm(OK) if confirm.status is IS_DELETED else confirm
+
+
+@mutant("revives", "VD-UPD-04", "restores its own deleted variable when it is updated", since=V2)
+class UpdateRevives(Vardis):
+    def update(self, var_id: int, value: bytes, *, now: int, wall: int) -> Confirm:
+        confirm = super().update(var_id, value, now=now, wall=wall)
+        entry = self._database.lookup(var_id)
+        if confirm.status is IS_DELETED and entry is not None:
+            self._database.insert(entry.spec, value, self._core.sequence.after(entry.seqno), now=now, wall=wall)
+            return Confirm(OK)
+        return confirm
+
+
+@mutant("cut", "VD-UPD-05", "truncates values of updates that are too long, and answers OK")
+class UpdateCut(Vardis):
+    def update(self, var_id: int, value: bytes, *, now: int, wall: int) -> Confirm:
+        return super().update(var_id, value[: self._parameters.max_value_length], now=now, wall=wall)
+
+
+@mutant("ok", "VD-UPD-06", "confirms an update with an empty value with OK")
+class UpdateEmpty(Vardis):
+    def update(self, var_id: int, value: bytes, *, now: int, wall: int) -> Confirm:
+        confirm = super().update(var_id, value, now=now, wall=wall)
+        empty = (VardisStatus.EMPTY_VALUE, VardisStatus.INVALID_VALUE)
+        return Confirm(OK) if confirm.status in empty else confirm
+
+
+@mutant("constant", "VD-UPD-07", "does not increase the sequence number with updates")
+class NumberStays(Sequence):
+    def after(self, seqno: int) -> int:
+        return seqno
+
+
+@mutant("by-two", "VD-UPD-07", "increases the sequence number by two with each update")
+class ByTwo(Sequence):
+    def after(self, seqno: int) -> int:
+        return (seqno + 2) % self._modulus
+
+
+@mutant("wraps-early", "VD-UPD-07 VD-TYP-03", "wraps sequence numbers to 0 after 254")
+class WrapsEarly(Sequence):
+    def after(self, seqno: int) -> int:
+        return (seqno + 1) % (self._modulus - 1)
+
+
+@mutant("wraps-to-one", "VD-UPD-07 VD-TYP-03", "wraps sequence numbers to 1 instead of 0")
+class WrapsToOne(Sequence):
+    def after(self, seqno: int) -> int:
+        return (seqno + 1) % self._modulus or 1
+
+
+@mutant("shared", "VD-TYP-03 VD-UPD-07", "uses one sequence of numbers for the updates of all variables")
+class SharedCounter(Vardis):
+    counter = 0
+
+    def update(self, var_id: int, value: bytes, *, now: int, wall: int) -> Confirm:
+        confirm = super().update(var_id, value, now=now, wall=wall)
+        entry = self._database.lookup(var_id)
+        if confirm.status is OK and entry is not None:
+            self.counter = (self.counter + 1) % 256
+            entry.seqno = self.counter
+        return confirm
+
+
+@mutant("once", "VD-UPD-08", "sends a VarUpdate once, whatever the repCnt")
+class UpdatedOnce(Vardis):
+    def update(self, var_id: int, value: bytes, *, now: int, wall: int) -> Confirm:
+        confirm = super().update(var_id, value, now=now, wall=wall)
+        entry = self._database.lookup(var_id)
+        if confirm.status is OK and entry is not None:
+            entry.count_update = 1
+        return confirm
+
+
+@mutant("stamp", "VD-UPD-08 VD-DB-03", "keeps the time stamp of the creation when a variable is updated")
+class UpdateStamp(Vardis):
+    def update(self, var_id: int, value: bytes, *, now: int, wall: int) -> Confirm:
+        entry = self._database.lookup(var_id)
+        stamp = None if entry is None else entry.t_stamp
+        confirm = super().update(var_id, value, now=now, wall=wall)
+        if entry is not None and stamp is not None:
+            entry.t_stamp = stamp
+        return confirm
+
+
+@mutant("unknown-empty", "VD-REA-02", "returns an empty value for a variable that does not exist")
+class ReadsUnknown(Vardis):
+    def read(self, var_id: int) -> ReadConfirm:
+        confirm = super().read(var_id)
+        return ReadConfirm(OK, b"", 0) if confirm.status is DOES_NOT_EXIST else confirm
+
+
+@mutant("deleted", "VD-REA-03", "returns the last value of a deleted variable", since=V2)
+class ReadsDeleted(Cells):
+    cells: ClassVar = {(Event.APP_READ, state): Cell(Action.READ) for state in (DELETED, DELETED_OWN)}
+
+
+@mutant("does-not-exist", "VD-REA-03", "answers DOES-NOT-EXIST for a deleted variable", since=V2)
+class ReadDoesNotExist(Cells):
+    cells: ClassVar = _refused(Event.APP_READ, DOES_NOT_EXIST, DELETED, DELETED_OWN)
+
+
+@mutant("with-value", "VD-REA-03", "returns the last value together with IS-DELETED", since=V2)
+class ReadsWithValue(Vardis):
+    def read(self, var_id: int) -> ReadConfirm:
+        confirm = super().read(var_id)
+        entry = self._database.lookup(var_id)
+        if confirm.status is IS_DELETED and entry is not None:
+            return ReadConfirm(confirm.status, entry.value, entry.t_stamp)
+        return confirm
+
+
+@mutant("first-value", "VD-REA-04", "always returns the value of the first RTDB-Read of a variable")
+class ReadsFirst(Vardis):
+    def __init__(self, *args: Any, **times: Any) -> None:
+        super().__init__(*args, **times)
+        self._first: dict[tuple[int, int | None], ReadConfirm] = {}
+
+    def read(self, var_id: int) -> ReadConfirm:
+        confirm = super().read(var_id)
+        entry = self._database.lookup(var_id)
+        if confirm.status is not OK or entry is None:
+            return confirm
+        return self._first.setdefault((var_id, entry.spec.creation_time), confirm)
+
+
+@mutant("no-stamp", "VD-REA-04 VD-DB-03", "returns the value without a time stamp")
+class ReadsNoStamp(Vardis):
+    def read(self, var_id: int) -> ReadConfirm:
+        return msgspec.structs.replace(super().read(var_id), t_stamp=None)
+
+
+# -- descriptions ------------------------------------------------------------------------------------------------------
+
+
+@mutant("hides-deleted", "VD-DDB-02 VD-DB-02", "omits deleted variables from RTDB-DescribeDatabase")
+class HidesDeleted(Vardis):
+    def describe_database(self) -> DescribeDatabaseConfirm:
+        confirm = super().describe_database()
+        return msgspec.structs.replace(
+            confirm, variables=tuple(each for each in confirm.variables if not each.is_deleted)
+        )
+
+
+@mutant("own-only", "VD-DDB-02", "describes only its own variables")
+class OwnOnly(Vardis):
+    def describe_database(self) -> DescribeDatabaseConfirm:
+        confirm = super().describe_database()
+        own = tuple(each for each in confirm.variables if each.spec.prod_id == self.own_node_identifier)
+        return msgspec.structs.replace(confirm, variables=own)
+
+
+@mutant("unknown-ok", "VD-DVA-02", "answers OK when a variable to be described does not exist")
+class DescribesUnknown(Vardis):
+    def describe_variable(self, var_id: int) -> DescribeVariableConfirm:
+        confirm = super().describe_variable(var_id)
+        return DescribeVariableConfirm(OK) if confirm.status is DOES_NOT_EXIST else confirm
+
+
+@mutant("deleted", "VD-DVA-03", "rejects RTDB-DescribeVariable for a deleted variable")
+class HidesEntry(Vardis):
+    def describe_variable(self, var_id: int) -> DescribeVariableConfirm:
+        confirm = super().describe_variable(var_id)
+        deleted = confirm.entry is not None and confirm.entry.is_deleted
+        return DescribeVariableConfirm(IS_DELETED) if deleted else confirm
+
+
+@mutant("no-answer", "DATA-10", "does not answer if a variable to be deleted does not exist")
+class NoAnswer(Vardis):
+    def delete(self, var_id: int, *, now: int, wall: int) -> Confirm:
+        confirm = super().delete(var_id, now=now, wall=wall)
+        if confirm.status is DOES_NOT_EXIST:
+            raise NoResponseError("nothing to say")
+        return confirm
+
+
+# -- inactive ----------------------------------------------------------------------------------------------------------
+
+
+class Inactive(Vardis):
+    """Executes some requests while it is inactive."""
+
+    serves: ClassVar[str] = ""
+
+    def __getattribute__(self, name: str) -> Any:
+        found = super().__getattribute__(name)
+        if name != type(self).serves:
+            return found
+
+        def served(*args: Any, **times: int) -> Any:
+            active, self._core.active = self._core.active, self.registered
+            try:
+                return found(*args, **times)
+            finally:
+                self._core.active = active
+
+        return served
+
+
+@mutant("served", "VD-DDB-01 VD-MGT-04", "executes RTDB-DescribeDatabase while it is inactive", unseen=ALWAYS_ACTIVE)
+class InactiveDatabase(Inactive):
+    serves = "describe_database"
+
+
+@mutant("served", "VD-DVA-01 VD-MGT-04", "executes RTDB-DescribeVariable while it is inactive", unseen=ALWAYS_ACTIVE)
+class InactiveVariable(Inactive):
+    serves = "describe_variable"
+
+
+@mutant("served", "VD-CRE-01 VD-MGT-04", "creates variables while it is inactive", unseen=ALWAYS_ACTIVE)
+class InactiveCreate(Inactive):
+    serves = "create"
+
+
+@mutant("served", "VD-DEL-01 VD-MGT-04", "deletes variables while it is inactive", unseen=ALWAYS_ACTIVE)
+class InactiveDelete(Inactive):
+    serves = "delete"
+
+
+@mutant("served", "VD-UPD-01 VD-MGT-04", "updates variables while it is inactive", unseen=ALWAYS_ACTIVE)
+class InactiveUpdate(Inactive):
+    serves = "update"
+
+
+@mutant("served", "VD-REA-01 VD-MGT-04", "reads variables while it is inactive", unseen=ALWAYS_ACTIVE)
+class InactiveRead(Inactive):
+    serves = "read"
+
+
+@mutant("silently", "VD-MGT-04 VD-CRE-01", "answers INACTIVE, but creates the variable", unseen=ALWAYS_ACTIVE)
+class InactiveSilently(Inactive):
+    def create(self, *args: Any, **times: Any) -> Confirm:
+        if self.active or not self.registered:
+            return super().create(*args, **times)
+        self._core.active = True
+        super().create(*args, **times)
+        self._core.active = False
+        return Confirm(VardisStatus.INACTIVE)

@@ -1,0 +1,35 @@
+"""Mutants and variants as implementations of ``dcp-conformance interop``: entry points ``dcp_conformance.nodes``."""
+
+from __future__ import annotations
+
+from dcp_conformance.errors import UsageError
+from dcp_conformance.interop.implementations import OfferedNode
+from dcp_conformance.reference.surroundings import Setup
+
+from .mutants.mutant import all_mutants
+from .variants.variant import all_variants, setup
+
+
+def mutant(identifier: str) -> OfferedNode:
+    """Return a mutant. Raises ``UsageError`` for an unknown identifier."""
+    found = all_mutants().get(identifier)
+    if found is None:
+        raise UsageError(f"there is no mutant {identifier!r}; see dcp-selftest mutants --list")
+    made = found.make
+    return OfferedNode(
+        found.what, found.profile, lambda profile: setup(profile, make=made), ("dcp_selftest.mutants", identifier)
+    )
+
+
+def variant(identifier: str) -> OfferedNode:
+    """Return a permitted variant. Raises ``UsageError`` for an unknown identifier."""
+    found = all_variants().get(identifier)
+    if found is None:
+        raise UsageError(f"there is no variant {identifier!r}; see dcp-selftest variants --list")
+
+    def build(profile: str) -> Setup:
+        if not found.applies_to(profile):
+            raise UsageError(f"{identifier} does not exist in {profile}")
+        return found.build(profile)
+
+    return OfferedNode(found.what, "dcp-2.0", build)
