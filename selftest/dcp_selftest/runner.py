@@ -11,7 +11,6 @@ import itertools
 import logging
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from fnmatch import fnmatchcase
 from functools import cache, partial
 from typing import Final
 
@@ -35,7 +34,7 @@ from dcp_spec.version import __version__
 from dcp_codec.codec import Codec
 from dcp_codec.common.workers import Item, Result, WorkerLostError, completed
 
-from .mutants import Mutant, all_mutants
+from .mutants import ALL_MUTANTS, Mutant, all_mutants
 
 SCHEMA: Final = "dcp-conformance-selftest/1"
 PROFILES: Final = ("dcp-1.0", "dcp-1.1", "dcp-1.2", "dcp-1.3", "dcp-2.0", "cpp-1.2", "cpp-1.3", "cpp-2.0")
@@ -135,11 +134,6 @@ def cases() -> tuple[Case, ...]:
 
 def _sanity() -> Case:
     return next(case for case in cases() if case.id == SANITY)
-
-
-@cache
-def _mutants() -> dict[str, Mutant]:
-    return all_mutants()
 
 
 @cache
@@ -288,21 +282,8 @@ def finding_of(result: CaseResult) -> Finding:
     return Finding(result.id, result.verdict, tuple(named), result.reason)
 
 
-def chosen(patterns: Sequence[str]) -> list[Mutant]:
-    """Return the mutants that match identifiers, requirements or globs of either; all mutants without a pattern.
-
-    Raise :class:`UsageError` for a pattern that matches no mutant.
-    """
-    mutants = list(_mutants().values())
-    if not patterns:
-        return mutants
-    found: dict[str, None] = {}
-    for pattern in patterns:
-        meant = [each.id for each in mutants if any(fnmatchcase(name, pattern) for name in (each.id, each.requirement))]
-        if not meant:
-            raise UsageError(f"no mutant is called {pattern!r}; 'dcp-selftest mutants --list' shows the mutants")
-        found.update(dict.fromkeys(meant))
-    return [each for each in mutants if each.id in found]
+chosen = ALL_MUTANTS.select
+"""Function that returns the mutants that identifiers, requirements or globs of either denote."""
 
 
 def _baseline_task(profile: str) -> list[Baseline]:
@@ -310,7 +291,7 @@ def _baseline_task(profile: str) -> list[Baseline]:
 
 
 def _trials_task(mutant: str, profiles: tuple[str, ...] | None, full: bool, every: bool) -> list[Trial]:
-    return trials(_mutants()[mutant], profiles, full=full, every=every)
+    return trials(all_mutants()[mutant], profiles, full=full, every=every)
 
 
 def _execute(task: Callable[[], Sequence[Baseline | Trial]]) -> Sequence[Baseline | Trial]:
@@ -350,7 +331,7 @@ def selftest(
     if on_start is not None:
         on_start(len(profiles or PROFILES) + sum(map(len, wanted.values())))
     # Load the cases and mutants before the processes are forked: all of them share these.
-    cases(), _mutants()
+    cases(), all_mutants()
     tasks: list[Callable[[], Sequence[Baseline | Trial]]] = [
         *(partial(_baseline_task, profile) for profile in profiles or PROFILES),
         *(partial(_trials_task, each, names if profiles else None, full, every) for each, names in wanted.items()),

@@ -15,7 +15,7 @@ def cell(text: str) -> str:
 
 def table(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """Return a table; the cells may hold Markdown, and are put on one line."""
-    return markdown.table(columns, (map(cell, row) for row in rows))
+    return markdown.table(columns, ([cell(each) for each in row] for row in rows))
 
 
 def code(text: str) -> str:

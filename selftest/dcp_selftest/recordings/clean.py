@@ -105,9 +105,12 @@ def _task(number: int) -> tuple[int, list[FalseFinding], bool, float]:
 
 
 def clean(
-    numbers: Sequence[int], *, jobs: int = 1, on_result: Callable[[int, list[FalseFinding]], None] | None = None
+    numbers: Sequence[int],
+    *,
+    jobs: int | None = None,
+    on_result: Callable[[int, list[FalseFinding]], None] | None = None,
 ) -> CleanResult:
-    """Judge the networks ``numbers`` in ``jobs`` processes.
+    """Judge the networks ``numbers`` in ``jobs`` processes (default: one for each processor).
 
     ``on_result`` is called with the number and the false findings of each network when it is complete.
     """

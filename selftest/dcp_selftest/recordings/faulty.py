@@ -124,10 +124,10 @@ def faulty(
     mutants: Sequence[Mutant],
     *,
     shapes: Sequence[Literal["bus", "line"]] = SHAPES,
-    jobs: int = 1,
+    jobs: int | None = None,
     on_result: Callable[[Outcome], None] | None = None,
 ) -> FaultyResult:
-    """Judge a network for each mutant and topology in ``jobs`` processes.
+    """Judge a network for each mutant and topology in ``jobs`` processes (default: one for each processor).
 
     ``on_result`` is called with each outcome when it is known.
     """

@@ -48,7 +48,7 @@ def document(result: FaultyResult, clean: CleanResult | None) -> str:
     ]
     counts = {shape: Counter(each.fate for each in result.outcomes if each.shape == shape) for shape in SHAPES}
     either = Counter(min((each.fate for each in row.values()), key=_ORDER.index) for row in by_mutant.values())
-    numbers = [(name, *(each[fate] for fate in _ORDER)) for name, each in {**counts, "either": either}.items()]
+    numbers = [(name, *(each[fate] for fate in _ORDER)) for name, each in (*counts.items(), ("either", either))]
     lines.append(table(("network", *(TITLES[each] for each in _ORDER)), numbers, "l" + "r" * len(_ORDER)))
     if clean is not None:
         lines += [
