@@ -202,7 +202,7 @@ def write_document(result: SelftestResult, path: Path) -> None:
         test = each.red.rpartition(":")[2]
         role = "" if not each.red else "A" if each.red.startswith(each.name) else "B"
         rows.append((each.name.partition(":")[2], each.what, test or "**none**", role, each.reason[:160]))
-    columns = ("fault", "what the node does", "first red cell", "role", "reason")
+    columns = ("fault", "the node ...", "first red cell", "role", "reason")
     seen, wrong = sum(bool(each.red) for each in result.faults), sum(bool(each.red) for each in result.variants)
     lines = [
         "",

@@ -27,7 +27,7 @@ def markdown(result: SelftestResult) -> str:
         "Made by `dcp-selftest mutants --document docs/selftest.md`.",
         "",
         "The suite runs against the reference node, which must pass, and against *mutants*: the same node with one",
-        "small fault each (`conformance/dcp_selftest/mutants/`). A case kills a mutant if one of its",
+        "small fault each (`selftest/dcp_selftest/mutants/`). A case kills a mutant if one of its",
         "failed checks names a requirement that the mutant violates. `4 of 7` means that 7 cases name such a",
         "requirement and that 4 cases and passive rules kill the mutant. The column *also* counts the cases whose",
         "failed checks name other requirements only: these are consequences of the fault, but do not identify it.",

@@ -18,7 +18,7 @@ _NEAR: Final = 3
 
 
 class Identified(Protocol):
-    """What a registry holds."""
+    """An entry of a registry."""
 
     @property
     def id(self) -> str:

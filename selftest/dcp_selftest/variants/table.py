@@ -25,7 +25,7 @@ def section(result: VariantsResult) -> str:
         "Made by `dcp-selftest variants --document docs/selftest.md`.",
         "",
         "Each variant is a node that follows the specification and uses one of its freedoms",
-        "(`conformance/dcp_selftest/variants/`). The whole suite runs against it on every version that has",
+        "(`selftest/dcp_selftest/variants/`). The whole suite runs against it on every version that has",
         "the freedom. No case may fail, and only verdicts that the variant makes unavoidable may be inconclusive.",
         "",
         f"{fair} of {total} variants, on {len(result.trials)} pairs of variant and profile, have no fail, error or",
