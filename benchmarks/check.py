@@ -7,10 +7,10 @@
 from __future__ import annotations
 
 import argparse
-import multiprocessing
 import resource
 import time
 from collections.abc import Iterator
+from functools import partial
 
 from dcp_conformance.check.judge import Judge
 from dcp_conformance.model.pics import Pics
@@ -21,6 +21,7 @@ from rich.table import Table
 from dcp_codec.capture import Frame
 from dcp_codec.codec import Codec
 from dcp_codec.common.garbage import few_collections
+from dcp_codec.common.workers import completed
 from dcp_codec.framing.locate import OtherTraffic, locate
 
 PROFILE = "dcp-2.0"
@@ -78,8 +79,9 @@ def main() -> None:
     for heading in ("beacons", "decode/s", "check/s", "check : decode", "memory MB", "findings"):
         table.add_column(heading, justify="right")
     for beacons in options.beacons:
-        with multiprocessing.get_context("spawn").Pool(1) as pool:
-            decoding, judging, memory, found = pool.apply(measure, (beacons, options.attack))
+        # In a process of its own, whose memory is measured.
+        measured = completed(partial(measure, beacons), [options.attack], 1, start="spawn")
+        _, (decoding, judging, memory, found) = next(measured)
         rates = (f"{beacons / decoding:,.0f}", f"{beacons / judging:,.0f}", f"{judging / decoding:.1f}")
         table.add_row(f"{beacons:,}", *rates, f"{memory:.0f}", str(found))
     Console().print(table)

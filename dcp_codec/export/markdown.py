@@ -6,12 +6,13 @@ The document is also readable in a terminal: the columns are padded.
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterator, Sequence
-from typing import Any
+from collections.abc import Iterator
+from functools import partial
 
 import msgspec
 from dcp_spec.catalogue.requirements import requirements
 from dcp_spec.constants import BP_MAGIC_NO, BP_PROTID_SRP, BP_PROTID_VARDIS, BP_VERSION
+from dcp_spec.markdown import table
 from dcp_spec.profile.definition import Profile
 
 from dcp_codec.codec import Codec
@@ -123,10 +124,10 @@ def _containers(codec: Codec) -> Iterator[tuple[str, ...]]:
 
 
 def _settings(profile: Profile) -> Iterator[tuple[str, ...]]:
-    for table in ("limits", "behaviour"):
-        for key, value in msgspec.to_builtins(getattr(profile, table)).items():
+    for section in ("limits", "behaviour"):
+        for key, value in msgspec.to_builtins(getattr(profile, section)).items():
             if value is not None:
-                yield f"`{table}.{key}`", str(value).lower() if isinstance(value, bool) else str(value)
+                yield f"`{section}.{key}`", str(value).lower() if isinstance(value, bool) else str(value)
 
 
 def _opaque(records: list[Group]) -> Iterator[tuple[str, ...]]:
@@ -294,18 +295,8 @@ def _meaning(node: Node) -> str:
 # -- Markdown -----------------------------------------------------------------------------------------------------
 
 
+_table = partial(table, padded=True)
+
+
 def _link(type_name: str) -> str:
     return f"[{type_name}](#{type_name.lower()})"
-
-
-def _table(columns: Sequence[str], rows: Any) -> str:
-    """Return a table with padded columns; a last column that is much longer than the others is not padded."""
-    cells = [[cell.replace("|", "\\|") for cell in row] for row in (columns, *rows)]
-    widths = [max(len(row[index]) for row in cells) for index in range(len(columns))]
-    if widths[-1] > 60:
-        widths[-1] = len(columns[-1])
-    lines = [
-        "| " + " | ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) + " |" for row in cells
-    ]
-    rule = "|" + "|".join("-" * (width + 2) for width in widths) + "|"
-    return "\n".join([lines[0], rule, *lines[1:]])

@@ -29,7 +29,8 @@ from bokeh.models import (
 from bokeh.plotting import figure
 from bokeh.themes import Theme
 
-from .colours import DASHES, SYMBOLS, light, series_colour
+from dcp_codec.common.pages.colours import DASHES, SYMBOLS, light, series_colour
+
 from .recorded import Column
 
 _FONT = "system-ui, -apple-system, 'Segoe UI', Roboto, 'Noto Sans', sans-serif"

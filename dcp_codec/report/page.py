@@ -9,10 +9,11 @@ from itertools import zip_longest
 from typing import Any
 
 from bokeh.resources import Resources
-from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from dcp_codec.common import pages
+from dcp_codec.common.pages.colours import SCHEMES, SYMBOLS
 
 from .chart import Plot, scale
-from .colours import SCHEMES, SYMBOLS
 
 
 @dataclass
@@ -82,13 +83,6 @@ def table(caption: str, heads: Sequence[str], rows: list[list[Cell]], *, matrix:
 
 def render(chapters: Sequence[Chapter]) -> str:
     """Render the page; text from recordings is escaped. Two recordings are shown side by side."""
-    environment = Environment(
-        loader=PackageLoader("dcp_codec.report"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
     pair = len(chapters) == 2
     if pair:
         _one_scale(chapters)
@@ -101,24 +95,25 @@ def render(chapters: Sequence[Chapter]) -> str:
         for chapter in chapters
         for plot in chapter.plots
     }
-    return environment.get_template("report.html").render(
+    scripts = [_library()] if items else []
+    return pages.render(
+        __package__,
+        "report.html",
+        *scripts,
+        pages.text(__package__, "report.js"),
         chapters=chapters,
         pair=pair,
         side_by_side=list(zip_longest(*(chapter.sections for chapter in chapters))) if pair else [],
         comparison=_comparison(chapters) if len(chapters) > 1 else None,
-        schemes=SCHEMES,
         data=_script_json(items),
         swap=_script_json([list(pair) for pair in SCHEMES.values()]),
-        bokeh=_library(),
         any_plots=bool(items),
     )
 
 
 def _library() -> str:
-    """Return BokehJS without widgets, tables and TeX, for a script element."""
-    # "</" would end the script element.
-    found = Resources(mode="inline", components=["bokeh"], minified=True).js_raw
-    return "\n".join(found).replace("</", "<\\/")
+    """Return BokehJS without widgets, tables and TeX."""
+    return "\n".join(Resources(mode="inline", components=["bokeh"], minified=True).js_raw)
 
 
 def _script_json(value: Any) -> str:

@@ -6,11 +6,10 @@ import glob
 import multiprocessing
 import os
 import shutil
-import signal
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, ProcessPoolExecutor, wait
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any, Literal
@@ -21,6 +20,7 @@ from dcp_codec.capture import SUFFIXES
 from dcp_codec.capture.compressed import without_compression
 from dcp_codec.codec import get_codec
 from dcp_codec.common.atomic_write import rename_durably, sync_tree
+from dcp_codec.common.workers import WorkerLostError, completed
 
 from .job import Advance, Job, Outcome, TableError, run
 from .kernel.jit import COMPILING, LOG, announce
@@ -28,9 +28,6 @@ from .kernel.shape import ERRORS, Shape
 from .writing import Format, write_database
 
 Engine = Literal["local", "dask"]
-
-#: Interval in seconds at which the progress of the workers is read.
-_LOOK = 0.2
 
 
 class Order(msgspec.Struct, frozen=True):
@@ -169,24 +166,27 @@ def _run(order: Order, jobs: Sequence[Job], advance: Advance) -> list[Outcome]:
     context = multiprocessing.get_context("spawn")
     done: Any = context.Value("q", 0)
     compiling: Any = context.Value("b", 0)
-    others = set(multiprocessing.active_children())
-    with ProcessPoolExecutor(workers, context, initializer=_Worker.prepare, initargs=(done, compiling)) as pool:
-        # Start with the largest recording: started last, it would occupy one worker alone.
-        order_of_work = sorted(range(len(jobs)), key=lambda index: -_size(jobs[index].path))
-        futures: dict[int, Future[Outcome]] = {index: pool.submit(_Worker.work, jobs[index]) for index in order_of_work}
-        try:
-            _watch(list(futures.values()), lambda: int(done.value), lambda: bool(compiling.value), advance)
-            return [futures[index].result() for index in range(len(jobs))]
-        except BrokenExecutor:
-            raise TableError(
-                "a worker process died: too little memory, or a file that was truncated while it was read"
-            ) from None
-        except BaseException:
-            # Interrupted, or no space left: without terminate() the executor would wait for its running jobs.
-            pool.shutdown(wait=False, cancel_futures=True)
-            for process in set(multiprocessing.active_children()) - others:
-                process.terminate()
-            raise
+    seen, logged = 0, False
+
+    def look() -> None:
+        nonlocal seen, logged
+        if compiling.value and not logged:
+            logged = True
+            LOG.info(COMPILING)
+        before, seen = seen, int(done.value)
+        advance(seen - before)
+
+    # Start with the largest recording: started last, it would occupy one worker alone.
+    places = sorted(range(len(jobs)), key=lambda index: -_size(jobs[index].path))
+    begin = partial(_Worker.prepare, done, compiling)
+    try:
+        results = completed(
+            _Worker.work, [jobs[each] for each in places], workers, start="spawn", begin=begin, tick=look
+        )
+        outcomes = {places[number]: outcome for number, outcome in results}
+    except WorkerLostError as error:
+        raise TableError(f"{error} Or was a file truncated while it was read?") from None
+    return [outcomes[index] for index in range(len(jobs))]
 
 
 def _threads(workers: int) -> int:
@@ -203,8 +203,6 @@ class _Worker:
     @classmethod
     def prepare(cls, done: Any, compiling: Any) -> None:
         """Initialise a process; ``compiling`` is set to 1 if it has to compile the decoder."""
-        # Ctrl-C is sent to all processes of a terminal; the parent handles it.
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
         cls.done = done
         announce(lambda _: setattr(compiling, "value", 1))
 
@@ -217,21 +215,6 @@ class _Worker:
                 cls.done.value += octets
 
         return run(job, count)
-
-
-def _watch(
-    futures: Sequence[Future[Outcome]], done: Callable[[], int], compiling: Callable[[], bool], advance: Advance
-) -> None:
-    """Wait for all futures; report progress, and log once that a process compiles."""
-    seen, pending, logged = 0, set(futures), False
-    while pending:
-        _, pending = wait(pending, timeout=_LOOK, return_when=FIRST_COMPLETED)
-        if compiling() and not logged:
-            logged = True
-            LOG.info(COMPILING)
-        now = done()
-        advance(now - seen)
-        seen = now
 
 
 def _size(path: str) -> int:

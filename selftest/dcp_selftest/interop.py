@@ -15,15 +15,16 @@ from typing import Final, NamedTuple
 
 import msgspec
 from dcp_conformance.errors import UsageError
-from dcp_conformance.execution.signals import Stop
 from dcp_conformance.interop.cell import Cell, obstacle, run_cell
 from dcp_conformance.interop.definition import all_tests, select_tests
 from dcp_conformance.interop.implementations import built_in, meeting_profile
 from dcp_conformance.interop.matrix import default_jobs
 from dcp_conformance.interop.workers.pool import run_in_workers
 from dcp_conformance.model.verdict import Verdict
+from dcp_spec.markdown import table
 
 from dcp_codec.common.atomic_write import write_whole
+from dcp_codec.common.signals import Stop
 from dcp_selftest.variants.variant import all_variants
 
 #: Faults that show between nodes: what spreads, what is asked for and answered, what is kept, what harms others.
@@ -196,13 +197,18 @@ def write_document(result: SelftestResult, path: Path) -> None:
     _, end, after = rest.partition(_END)
     if not (begin and end):
         raise UsageError(f"{path}: there is no section between the lines '{_BEGIN}' and '{_END}'")
-    rows = ["", "| fault | what the node does | first red cell | role | reason |", "|---|---|---|---|---|"]
+    rows = []
     for each in result.faults:
         test = each.red.rpartition(":")[2]
         role = "" if not each.red else "A" if each.red.startswith(each.name) else "B"
-        reason = each.reason.replace("|", "\\|").replace("\n", " ")[:160]
-        rows.append(f"| {each.name.partition(':')[2]} | {each.what} | {test or '**none**'} | {role} | {reason} |")
+        rows.append((each.name.partition(":")[2], each.what, test or "**none**", role, each.reason[:160]))
+    columns = ("fault", "the node ...", "first red cell", "role", "reason")
     seen, wrong = sum(bool(each.red) for each in result.faults), sum(bool(each.red) for each in result.variants)
-    rows += ["", f"{seen} of {len(result.faults)} faults turn a cell red. Of {len(result.variants)} permitted variants"]
-    rows += [f"(short selection, both roles) {wrong or 'none'} does.", ""]
-    write_whole(path, (before + begin + "\n".join(rows) + end + after).encode())
+    lines = [
+        "",
+        table(columns, rows),
+        "",
+        f"{seen} of {len(result.faults)} faults turn a cell red. Of {len(result.variants)} permitted variants",
+    ]
+    lines += [f"(short selection, both roles) {wrong or 'none'} does.", ""]
+    write_whole(path, (before + begin + "\n".join(lines) + end + after).encode())

@@ -6,10 +6,12 @@ from collections.abc import Iterator, Sequence
 from itertools import groupby
 
 from dcp_spec.catalogue.requirements import requirements
+from dcp_spec.markdown import table
 
 from .mutants import all_mutants
 from .runner import Finding, SelftestResult, Trial
 
+_COLUMNS = ("mutant", "the node ...", "violates", "on", "killed by", "also")
 _SHOWN = 4
 #: Groups of requirements with their headings.
 _PROTOCOLS = {"DATA": "Data types", "UWB": "Bearer", "BP": "BP", "SRP": "SRP", "VD": "VarDis"}
@@ -25,7 +27,7 @@ def markdown(result: SelftestResult) -> str:
         "Made by `dcp-selftest mutants --document docs/selftest.md`.",
         "",
         "The suite runs against the reference node, which must pass, and against *mutants*: the same node with one",
-        "small fault each (`conformance/dcp_selftest/mutants/`). A case kills a mutant if one of its",
+        "small fault each (`selftest/dcp_selftest/mutants/`). A case kills a mutant if one of its",
         "failed checks names a requirement that the mutant violates. `4 of 7` means that 7 cases name such a",
         "requirement and that 4 cases and passive rules kill the mutant. The column *also* counts the cases whose",
         "failed checks name other requirements only: these are consequences of the fault, but do not identify it.",
@@ -36,12 +38,14 @@ def markdown(result: SelftestResult) -> str:
         "",
         "### The reference node",
         "",
-        "| profile | cases | neither pass, info nor not applicable |",
-        "|---|---:|---|",
-        *(f"| {each.profile} | {each.cases} | {_names(each.findings) or '-'} |" for each in result.baselines),
+        table(
+            ("profile", "cases", "neither pass, info nor not applicable"),
+            ((each.profile, each.cases, _names(each.findings) or "-") for each in result.baselines),
+            "lrl",
+        ),
     ]
     for heading, trials in _grouped(result.mutants):
-        lines += ["", f"### {heading}", "", *_table(trials, result)]
+        lines += ["", f"### {heading}", "", table(_COLUMNS, _rows(trials, result), "lllllr")]
     return "\n".join(lines) + "\n"
 
 
@@ -53,9 +57,7 @@ def _grouped(trials: Sequence[Trial]) -> Iterator[tuple[str, list[Trial]]]:
         yield _PROTOCOLS[protocol], list(group)
 
 
-def _table(trials: Sequence[Trial], result: SelftestResult) -> Iterator[str]:
-    yield "| mutant | the node ... | violates | on | killed by | also |"
-    yield "|---|---|---|---|---|---:|"
+def _rows(trials: Sequence[Trial], result: SelftestResult) -> Iterator[tuple[object, ...]]:
     known = all_mutants()
     for name, group in groupby(trials, key=lambda each: each.mutant):
         tried = list(group)
@@ -63,9 +65,8 @@ def _table(trials: Sequence[Trial], result: SelftestResult) -> Iterator[str]:
         on = [one.profile.removeprefix("dcp-") for one in reversed(tried)]
         unseen = known[name].unseen if name in known else {}
         where = ", ".join([*on, *(f"({version})" for version in sorted(unseen))])
-        cells = [f"`{name}`", each.what, ", ".join(each.requirements), where, _killers(tried, counted=result.every)]
-        cells.append(str(len(each.also)) if each.also else "-")
-        yield f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |"
+        killers = _killers(tried, counted=result.every)
+        yield f"`{name}`", each.what, ", ".join(each.requirements), where, killers, len(each.also) or "-"
 
 
 def _killers(tried: Sequence[Trial], *, counted: bool) -> str:

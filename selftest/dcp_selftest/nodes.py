@@ -6,15 +6,13 @@ from dcp_conformance.errors import UsageError
 from dcp_conformance.interop.implementations import OfferedNode
 from dcp_conformance.reference.surroundings import Setup
 
-from .mutants.mutant import all_mutants
-from .variants.variant import all_variants, setup
+from .mutants.mutant import ALL_MUTANTS
+from .variants.variant import ALL_VARIANTS, setup
 
 
 def mutant(identifier: str) -> OfferedNode:
     """Return a mutant. Raises ``UsageError`` for an unknown identifier."""
-    found = all_mutants().get(identifier)
-    if found is None:
-        raise UsageError(f"there is no mutant {identifier!r}; see dcp-selftest mutants --list")
+    found = ALL_MUTANTS.get(identifier)
     made = found.make
     return OfferedNode(
         found.what, found.profile, lambda profile: setup(profile, make=made), ("dcp_selftest.mutants", identifier)
@@ -23,9 +21,7 @@ def mutant(identifier: str) -> OfferedNode:
 
 def variant(identifier: str) -> OfferedNode:
     """Return a permitted variant. Raises ``UsageError`` for an unknown identifier."""
-    found = all_variants().get(identifier)
-    if found is None:
-        raise UsageError(f"there is no variant {identifier!r}; see dcp-selftest variants --list")
+    found = ALL_VARIANTS.get(identifier)
 
     def build(profile: str) -> Setup:
         if not found.applies_to(profile):

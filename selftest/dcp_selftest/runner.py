@@ -9,13 +9,9 @@ from __future__ import annotations
 
 import itertools
 import logging
-import os
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from contextlib import contextmanager
-from fnmatch import fnmatchcase
-from functools import cache
+from functools import cache, partial
 from typing import Final
 
 import msgspec
@@ -36,8 +32,9 @@ from dcp_spec.profile.loading import ProfileError, load_profile
 from dcp_spec.version import __version__
 
 from dcp_codec.codec import Codec
+from dcp_codec.common.workers import Item, Result, WorkerLostError, completed
 
-from .mutants import Mutant, all_mutants
+from .mutants import ALL_MUTANTS, Mutant, all_mutants
 
 SCHEMA: Final = "dcp-conformance-selftest/1"
 PROFILES: Final = ("dcp-1.0", "dcp-1.1", "dcp-1.2", "dcp-1.3", "dcp-2.0", "cpp-1.2", "cpp-1.3", "cpp-2.0")
@@ -137,11 +134,6 @@ def cases() -> tuple[Case, ...]:
 
 def _sanity() -> Case:
     return next(case for case in cases() if case.id == SANITY)
-
-
-@cache
-def _mutants() -> dict[str, Mutant]:
-    return all_mutants()
 
 
 @cache
@@ -290,29 +282,20 @@ def finding_of(result: CaseResult) -> Finding:
     return Finding(result.id, result.verdict, tuple(named), result.reason)
 
 
-def chosen(patterns: Sequence[str]) -> list[Mutant]:
-    """Return the mutants that match identifiers, requirements or globs of either; all mutants without a pattern.
-
-    Raise :class:`UsageError` for a pattern that matches no mutant.
-    """
-    mutants = list(_mutants().values())
-    if not patterns:
-        return mutants
-    found: dict[str, None] = {}
-    for pattern in patterns:
-        meant = [each.id for each in mutants if any(fnmatchcase(name, pattern) for name in (each.id, each.requirement))]
-        if not meant:
-            raise UsageError(f"no mutant is called {pattern!r}; 'dcp-selftest mutants --list' shows the mutants")
-        found.update(dict.fromkeys(meant))
-    return [each for each in mutants if each.id in found]
+chosen = ALL_MUTANTS.select
+"""Function that returns the mutants that identifiers, requirements or globs of either denote."""
 
 
-def _baseline_task(profile: str) -> Baseline:
-    return baseline(profile)
+def _baseline_task(profile: str) -> list[Baseline]:
+    return [baseline(profile)]
 
 
 def _trials_task(mutant: str, profiles: tuple[str, ...] | None, full: bool, every: bool) -> list[Trial]:
-    return trials(_mutants()[mutant], profiles, full=full, every=every)
+    return trials(all_mutants()[mutant], profiles, full=full, every=every)
+
+
+def _execute(task: Callable[[], Sequence[Baseline | Trial]]) -> Sequence[Baseline | Trial]:
+    return task()
 
 
 Progress = Callable[[Baseline | Trial], None]
@@ -348,22 +331,19 @@ def selftest(
     if on_start is not None:
         on_start(len(profiles or PROFILES) + sum(map(len, wanted.values())))
     # Load the cases and mutants before the processes are forked: all of them share these.
-    cases(), _mutants()
-    with process_pool(jobs or os.cpu_count() or 1) as pool:
-        waiting = [pool.submit(_baseline_task, profile) for profile in profiles or PROFILES]
-        for done in as_completed(waiting):
-            result = done.result()
-            baselines[result.profile] = result
+    cases(), all_mutants()
+    tasks: list[Callable[[], Sequence[Baseline | Trial]]] = [
+        *(partial(_baseline_task, profile) for profile in profiles or PROFILES),
+        *(partial(_trials_task, each, names if profiles else None, full, every) for each, names in wanted.items()),
+    ]
+    for _, results in in_processes(_execute, tasks, jobs):
+        for result in results:
+            if isinstance(result, Baseline):
+                baselines[result.profile] = result
+            else:
+                outcomes.setdefault(result.mutant, []).append(result)
             if on_result is not None:
                 on_result(result)
-        tried = [
-            pool.submit(_trials_task, each, names if profiles else None, full, every) for each, names in wanted.items()
-        ]
-        for each in as_completed(tried):
-            for outcome in each.result():
-                outcomes.setdefault(outcome.mutant, []).append(outcome)
-                if on_result is not None:
-                    on_result(outcome)
     return SelftestResult(
         started=started,
         duration=round(time.monotonic() - begun, 1),
@@ -386,12 +366,11 @@ def _without_tracebacks() -> None:
     logging.getLogger("dcp_stack.control.server").setLevel(logging.CRITICAL)
 
 
-@contextmanager
-def process_pool(jobs: int) -> Iterator[ProcessPoolExecutor]:
-    """Provide a pool of ``jobs`` processes; on exit, cancel the tasks that have not started."""
-    pool = ProcessPoolExecutor(jobs, initializer=_without_tracebacks)
+def in_processes(
+    work: Callable[[Item], Result], items: Iterable[Item], jobs: int | None
+) -> Iterator[tuple[int, Result]]:
+    """Yield places and results as :func:`completed` does. Raise ``ConformanceError`` if a process ends by itself."""
     try:
-        yield pool
-    finally:
-        # On Ctrl-C, do not wait for tasks that have not started.
-        pool.shutdown(cancel_futures=True)
+        yield from completed(work, items, jobs, begin=_without_tracebacks)
+    except WorkerLostError as error:
+        raise ConformanceError(str(error)) from None

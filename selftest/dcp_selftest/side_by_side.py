@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import os
 import random
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import as_completed
+from functools import partial
 from typing import Final
 
 import msgspec
@@ -16,7 +15,7 @@ from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import plain_node
 
 from .mutants import Mutant, all_mutants
-from .runner import PROFILES, Suite, cases, process_pool
+from .runner import PROFILES, Suite, cases, in_processes
 
 #: Number of further cases that are executed concurrently with the cases that name a requirement of the mutant.
 COMPANIONS: Final = 40
@@ -129,14 +128,14 @@ def compare_all(
     tasks += [(each.id, each.profile) for each in mutants]
     on_start(len(tasks))
     found = []
-    with process_pool(jobs or os.cpu_count() or 1) as pool:
-        for future in as_completed([pool.submit(_task, mutant, profile, seed) for mutant, profile in tasks]):
-            found.append(future.result())
-            on_result(found[-1])
+    for _, comparison in in_processes(partial(_task, seed), tasks, jobs):
+        found.append(comparison)
+        on_result(comparison)
     return Comparisons(tuple(sorted(found, key=lambda each: (not each.our_node, each.mutant, each.profile))))
 
 
-def _task(mutant: str, profile: str, seed: int) -> Comparison:
+def _task(seed: int, task: tuple[str, str]) -> Comparison:
+    mutant, profile = task
     return compare(all_mutants()[mutant] if mutant else None, profile, cases(), seed=seed)
 
 

@@ -23,6 +23,7 @@ from dcp_conformance.model.case import Case, all_cases
 from dcp_spec.catalogue.origins import origins
 from dcp_spec.catalogue.requirements import Requirement, requirements
 from dcp_spec.constants import SpecVersion
+from dcp_spec.markdown import table
 
 CODE: Final = ("spec/dcp_spec", "dcp_codec", "dcp_stack")
 """Folders with code that fulfils requirements."""
@@ -262,52 +263,46 @@ wire, at the upper interface, or only inside. *Specification* is where the newes
 `dcp-selftest provenance --requirement ID`). *Derived* means that no sentence of its own states it.
 """
 
+_COLUMNS: Final = ("requirement", "level", "seen", "specification", "code", "tests", "cases", "recordings")
+
 
 def render(matrix: Matrix) -> str:
     """Return the matrix as Markdown; it depends on the repository only."""
     parts = [_INTRODUCTION, _summary(matrix)]
     for protocol, group in groupby(matrix.rows, lambda row: row.requirement.protocol):
         parts.append(f"## {protocol}\n")
-        lines = [
-            "| requirement | level | seen | specification | code | tests | cases | recordings |",
-            "|---|---|---|---|---|---|---|---|",
-        ]
-        lines += [_line(row) for row in group]
-        parts.append("\n".join(lines) + "\n")
+        parts.append(table(_COLUMNS, map(_cells, group)) + "\n")
     return "\n".join(parts)
 
 
 def _summary(matrix: Matrix) -> str:
-    lines = [
-        "| | requirements | cited in code | with a test | with a case | with a reason |",
-        "|---|---:|---:|---:|---:|---:|",
-    ]
+    columns = ("", "requirements", "cited in code", "with a test", "with a case", "with a reason")
+    numbers = []
     groups: list[tuple[str, list[Row]]] = [
         (protocol, list(group)) for protocol, group in groupby(matrix.rows, lambda row: row.requirement.protocol)
     ]
     for name, rows in [*groups, ("all", list(matrix.rows))]:
         counts = (
+            name,
             len(rows),
             sum(bool(row.code) for row in rows),
             sum(bool(row.tests) for row in rows),
             sum(bool(row.cases) for row in rows),
             sum(bool(row.why) for row in rows),
         )
-        lines.append(f"| {name} | " + " | ".join(map(str, counts)) + " |")
+        numbers.append(counts)
     bases = {name.partition("-")[0] for name in matrix.case_ids}
-    lines.append("")
     judged = sum(bool(row.rules) for row in matrix.rows)
-    lines.append(
-        f"{len(bases)} cases, {len(matrix.case_ids)} with their variants. {len(matrix.rule_ids)} rules judge {judged} "
-        "requirements in recordings."
+    return (
+        f"{table(columns, numbers, 'lrrrrr')}\n\n{len(bases)} cases, {len(matrix.case_ids)} with their variants. "
+        f"{len(matrix.rule_ids)} rules judge {judged} requirements in recordings.\n"
     )
-    return "\n".join(lines) + "\n"
 
 
-def _line(row: Row) -> str:
+def _cells(row: Row) -> tuple[str, ...]:
     needed = row.requirement
-    cases = ", ".join(each.removeprefix("TC_") for each in row.cases) or f"*{_cell(row.why)}*"
-    cells = (
+    cases = ", ".join(each.removeprefix("TC_") for each in row.cases) or f"*{' '.join(row.why.split())}*"
+    return (
         needed.id,
         needed.level[0].upper(),
         ", ".join(each[0].upper() for each in needed.observable),
@@ -317,7 +312,6 @@ def _line(row: Row) -> str:
         cases if cases != "**" else "",
         ", ".join(each.removeprefix("CK_") for each in row.rules),
     )
-    return "| " + " | ".join(cells) + " |"
 
 
 def _stated(requirement: str) -> str:
@@ -335,10 +329,6 @@ def _stated(requirement: str) -> str:
 def _short(paths: Sequence[str]) -> list[str]:
     """Return the paths without their package, without duplicates."""
     return list(dict.fromkeys(path.removeprefix("spec/").partition("/")[2] or path for path in paths))
-
-
-def _cell(text: str) -> str:
-    return " ".join(text.replace("|", r"\|").split())
 
 
 def write(repo_root: Path) -> Matrix:

@@ -86,7 +86,7 @@ class Reached:
                 for part in PARTS:
                     workers = ["-n", "4", "--dist", "loadfile"] if part == "links" else ["-n", "2"]
                     command = [".venv/bin/pytest", "-q", *workers, f"--part={part}", f"--costs={folder / part}.json"]
-                    print(f"{part}: {clone.run(command)[1].splitlines()[-1]}", flush=True)
+                    print(f"{part}: {clone.run(command, 10 * LONGEST)[1].splitlines()[-1]}", flush=True)
                     costs |= json.loads((folder / f"{part}.json").read_text())
             found: dict[str, set[str]] = {}
             for line in hits.read_text().splitlines():
@@ -193,10 +193,10 @@ class Clone:
                 source[line - 1] = f"{indent}__import__('dcp_spec.mutation_hits').mutation_hits.hit({numbers})\n{text}"
             path.write_text("".join(source))
 
-    def run(self, command: list[str]) -> tuple[int, str]:
-        """Exit status and output; 124 after ``LONGEST`` seconds."""
+    def run(self, command: list[str], longest: float = LONGEST) -> tuple[int, str]:
+        """Exit status and output; 124 after ``longest`` seconds."""
         done = subprocess.run(
-            ["timeout", "--kill-after=5", str(LONGEST), *command], cwd=self.folder, stdin=subprocess.DEVNULL,
+            ["timeout", "--kill-after=5", str(longest), *command], cwd=self.folder, stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace", check=False,
             env={**os.environ, "PYTHONHASHSEED": "0"},
         )  # fmt: skip

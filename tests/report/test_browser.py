@@ -138,7 +138,7 @@ def test_the_page_on_a_small_screen(browser, page):
     assert wider == []
     scrolling = browser.run(
         "[...document.querySelectorAll('.wide')].map((each) => [each.scrollWidth > each.clientWidth + 1,"
-        " getComputedStyle(each.querySelector('.hint')).display !== 'none'])"
+        " getComputedStyle(each, '::before').content !== 'none'])"
     )
     assert all(wide == hinted for wide, hinted in scrolling)
     assert any(wide for wide, _ in scrolling)

@@ -20,11 +20,11 @@ from bokeh.plotting import figure
 from dcp_codec import get_codec
 from dcp_codec.capture import Frame, create_capture
 from dcp_codec.cli import main
+from dcp_codec.common.pages.colours import BACKGROUNDS, FOREGROUNDS, SCHEMES, SYMBOLS
 from dcp_codec.framing.envelope import Envelope
 from dcp_codec.report import analysis, variables
 from dcp_codec.report.chapter import chapter
 from dcp_codec.report.chart import Plot, scale
-from dcp_codec.report.colours import BACKGROUNDS, FOREGROUNDS, SCHEMES, SYMBOLS
 from dcp_codec.report.page import Chapter, render
 from dcp_codec.report.recorded import gather
 from dcp_codec.values import Beacon, BPHeader
@@ -137,7 +137,8 @@ class TestAccess:
 
     @pytest.mark.part("tables")
     def test_structure(self):
-        page = Page(render([chapter(gather(str(CAPTURES / "c_latejoin.mcap"), "cpp-2.0", None))]))
+        text = render([chapter(gather(str(CAPTURES / "c_latejoin.mcap"), "cpp-2.0", None))])
+        page = Page(text)
         links = [attrs["href"] for tag, attrs in page.elements if tag == "a"]
         assert links == ["#main", *(f"#{section}-0" for section in SECTIONS)]
         assert page.many("caption") == page.many("table") > 5
@@ -145,7 +146,7 @@ class TestAccess:
         assert all("scope" in attrs for tag, attrs in page.elements if tag == "th")
         scrolling = [attrs for tag, attrs in page.elements if attrs.get("class") == "wide"]
         assert all(attrs["tabindex"] == "0" and attrs["aria-label"] for attrs in scrolling)
-        assert "scroll sideways for more" in page.text
+        assert "scroll sideways for more" in text
         # Each plot says in words what it shows.
         assert page.text.count("In words") >= 8
 

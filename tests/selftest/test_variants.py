@@ -12,7 +12,7 @@ from dcp_conformance.model.case import SANITY
 from dcp_conformance.reference.surroundings import Setup
 from dcp_selftest import variants
 from dcp_selftest.mutants.mutant import all_mutants
-from dcp_selftest.variants import Variant, all_variants, chosen
+from dcp_selftest.variants import ALL_VARIANTS, Variant, all_variants
 from dcp_selftest.variants.campaign import VariantsResult, judge, trials_of
 from dcp_selftest.variants.table import section
 from dcp_selftest.variants.variant import setup
@@ -135,10 +135,10 @@ def test_a_variant_that_cannot_be_tested_is_an_error():
 
 
 def test_the_command_runs_a_variant_on_each_profile_that_has_its_freedom():
-    picked = chosen(["V-X27-*"])
+    picked = ALL_VARIANTS.select(["V-X27-*"])
     assert [profile for _, profile in trials_of(picked)] == ["dcp-2.0", "cpp-2.0"]
     with pytest.raises(UsageError, match="no variant is called"):
-        chosen(["V-X99-*"])
+        ALL_VARIANTS.select(["V-X99-*"])
 
 
 def test_the_section_of_the_document_shows_a_variant_that_fails():

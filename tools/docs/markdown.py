@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Sequence
 
+from dcp_spec import markdown
+
 
 def cell(text: str) -> str:
     """Return text on one line that does not end a table cell and holds no HTML."""
@@ -13,8 +15,7 @@ def cell(text: str) -> str:
 
 def table(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """Return a table; the cells may hold Markdown, and are put on one line."""
-    lines = [columns, ["---"] * len(columns), *rows]
-    return "\n".join("| " + " | ".join(map(cell, row)) + " |" for row in lines)
+    return markdown.table(columns, ([cell(each) for each in row] for row in rows))
 
 
 def code(text: str) -> str:

@@ -121,7 +121,7 @@ def command(
         if not quiet or result.verdict not in ("pass", "not-applicable"):
             _say_cell(result, f"{done}/{many} ")
 
-    from dcp_conformance.execution.signals import deferred, ending_like_interrupts
+    from dcp_codec.common.signals import deferred, ending_like_interrupts
 
     if report_dir is not None:
         report_dir.mkdir(parents=True, exist_ok=True)
@@ -193,7 +193,7 @@ def _replay(path: Path, file: Path | None, report_dir: Path | None) -> int:
         a=before.a, b=before.b, test=before.test, implementations=(found[before.a], found[before.b]), world=kind,
         seed=before.seed,
     )  # fmt: skip
-    from dcp_conformance.execution.signals import deferred, ending_like_interrupts
+    from dcp_codec.common.signals import deferred, ending_like_interrupts
 
     if report_dir is not None:
         report_dir.mkdir(parents=True, exist_ok=True)

@@ -70,8 +70,8 @@ def command(**options: Any) -> int:
     --interface, --link or --in-process, the reference node is started and tested: over a virtual Ethernet in a separate
     network namespace, or over UDP if that is not possible.
     """
+    from dcp_codec.common.signals import deferred, ending_like_interrupts
     from dcp_conformance.execution.run import ConformanceRun
-    from dcp_conformance.execution.signals import deferred, ending_like_interrupts
     from dcp_conformance.execution.workers.parallel import run_in_workers, workers_for
 
     from .display import Display

@@ -18,6 +18,7 @@ from typing import NamedTuple
 
 import msgspec
 
+from dcp_codec.common.signals import deferred
 from dcp_conformance.errors import ConformanceError, LowerTesterError, UpperTesterError, UsageError
 from dcp_conformance.model.case import ARTEFACT_CASES, SANITY, Case, all_cases
 from dcp_conformance.model.moment import timestamp
@@ -30,7 +31,6 @@ from dcp_conformance.passive import joined
 from .expected import ExpectedResults
 from .runner import Runner
 from .selection import Selection, left_out, matches, select
-from .signals import deferred
 from .target import TargetOptions, describe, open_target
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import fnmatch
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib import resources
@@ -13,6 +13,7 @@ from dcp_spec.catalogue.requirements import UnknownRequirementError, requirement
 
 from dcp_conformance.errors import UsageError
 from dcp_conformance.model.case import SANITY, Case
+from dcp_conformance.model.registry import unknown
 
 PLANS = ("full", "smoke", "long")
 """``full``: all cases except those that take long; ``long``: all cases; ``smoke``: the cases that detect most of the
@@ -114,10 +115,8 @@ def _matching(cases: Mapping[str, Case], pattern: str) -> list[Case]:
     if not found:
         if pattern in retired():
             raise UsageError(f"the case {pattern} is retired: CHANGELOG.md names its replacement")
-        names: Sequence[str] = list(dict.fromkeys((*cases, *(case.base for case in cases.values()), *requirements())))
-        near = difflib.get_close_matches(pattern, names, n=3)
-        hint = f"; did you mean {', '.join(near)}?" if near else "; 'dcp-conformance list' shows the cases"
-        raise UsageError(f"no case is called {pattern!r}{hint}")
+        names = (*cases, *(case.base for case in cases.values()), *requirements())
+        raise unknown("case", pattern, names, "dcp-conformance list")
     return found
 
 

@@ -13,10 +13,10 @@ import msgspec
 from dcp_spec.profile.definition import Profile
 
 from dcp_codec.common.commandline import say
+from dcp_codec.common.signals import Stop
 from dcp_conformance.errors import ConformanceError
 from dcp_conformance.execution.case_results import doubted
 from dcp_conformance.execution.runner import CONFIRMATIONS
-from dcp_conformance.execution.signals import Stop
 from dcp_conformance.model.results import Check
 from dcp_conformance.model.verdict import Verdict, worst
 

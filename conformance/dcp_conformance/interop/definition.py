@@ -8,27 +8,21 @@ existed, and none is used twice.
 
 from __future__ import annotations
 
-import importlib
 import inspect
-import pkgutil
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from fnmatch import fnmatchcase
-from functools import cache
-from types import ModuleType
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 from dcp_spec.catalogue.requirements import requirement
 from dcp_spec.constants import SpecVersion
 
-from dcp_conformance.errors import UsageError
+from dcp_conformance.model.registry import Registry, define
 
 if TYPE_CHECKING:
     from .scene import Scene
 
 PACKAGE: Final = "dcp_conformance.interop.network_tests"
-_ATTRIBUTE: Final = "__dcp_network_tests__"
 _ID: Final = re.compile(r"IT_(?:BP|SRP|VD|NET)_[A-Z0-9]+(?:_[A-Z0-9]+)*")
 _VARIANT: Final = re.compile(r"[a-z0-9][a-z0-9.+-]*")
 
@@ -125,11 +119,6 @@ class NetworkTest:
         return self.id.partition("-")[0]
 
 
-@dataclass(slots=True)
-class _Definition:
-    tests: list[NetworkTest] = field(default_factory=list)
-
-
 def network_test(
     identifier: str,
     purpose: str,
@@ -163,7 +152,7 @@ def network_test(
     called = {role: tuple(names.split()) for role, names in (services or {}).items()}
 
     def decorate(body: Callable[..., None]) -> Callable[..., None]:
-        definition = _Definition()
+        tests = []
         for shape in shapes:
             for name, value in (variants or {"": None}).items():
                 if name and not _VARIANT.fullmatch(name):
@@ -172,7 +161,7 @@ def network_test(
                 def run(scene: Scene, value: Any = value, name: str = name) -> None:
                     body(scene, value) if name else body(scene)
 
-                definition.tests.append(
+                tests.append(
                     NetworkTest(
                         id="-".join(filter(None, (identifier, shape.name, name))),
                         purpose=purpose.replace("{variant}", name),
@@ -191,47 +180,20 @@ def network_test(
                         module=inspect.getmodule(body).__name__,  # type: ignore[union-attr]
                     )
                 )
-        setattr(body, _ATTRIBUTE, definition)
-        return body
+        return define(body, tests)
 
     return decorate
 
 
-def tests_of(module: ModuleType) -> Iterator[NetworkTest]:
-    """Yield the network tests of a module in the order of their definition."""
-    for value in vars(module).values():
-        definition = getattr(value, _ATTRIBUTE, None)
-        if isinstance(definition, _Definition) and value.__module__ == module.__name__:
-            yield from definition.tests
-
-
-@cache
-def all_tests() -> dict[str, NetworkTest]:
-    """Return all network tests by identifier. Raises ``ValueError`` for an identifier that is used twice."""
-    found: dict[str, NetworkTest] = {}
-    package = importlib.import_module(PACKAGE)
-    for name in sorted(info.name for info in pkgutil.iter_modules(package.__path__)):
-        for each in tests_of(importlib.import_module(f"{PACKAGE}.{name}")):
-            if each.id in found:
-                raise ValueError(f"{each.id} is defined in {found[each.id].module} and in {each.module}")
-            found[each.id] = each
-    return found
+_REGISTRY: Final = Registry[NetworkTest](
+    "network test", PACKAGE, "dcp-conformance interop --list", names_of=lambda each: (each.id, each.base)
+)
+all_tests = _REGISTRY.all
 
 
 def select_tests(patterns: tuple[str, ...], *, short: bool = False) -> list[NetworkTest]:
-    """Return the tests that identifiers, beginnings of identifiers or globs name; all without any.
+    """Return the tests that identifiers, beginnings of identifiers or globs name; without any, all or the short ones.
 
     Raises ``UsageError`` for a pattern that matches no test.
     """
-    tests = [each for each in all_tests().values() if each.short or not short]
-    if not patterns:
-        return tests
-    chosen: set[str] = set()
-    for pattern in patterns:
-        matching = {t.id for t in all_tests().values() if fnmatchcase(t.id, pattern) or t.base == pattern}
-        if not matching:
-            raise UsageError(
-                f"no network test matches {pattern!r}; 'dcp-conformance interop --list' shows their identifiers"
-            )
-        chosen |= matching
-    return [each for each in all_tests().values() if each.id in chosen]
+    return [each for each in _REGISTRY.select(patterns) if patterns or each.short or not short]

@@ -12,8 +12,8 @@ from pathlib import Path
 import msgspec
 from dcp_spec.version import __version__
 
+from dcp_codec.common.signals import Stop
 from dcp_conformance.errors import ConformanceError, UsageError
-from dcp_conformance.execution.signals import Stop
 from dcp_conformance.model.declared import declared_by
 from dcp_conformance.model.moment import timestamp
 from dcp_conformance.model.verdict import Verdict

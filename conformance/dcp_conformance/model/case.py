@@ -11,13 +11,11 @@ never reused: ``data/case-ids.txt`` remembers those that ever were.
 
 from __future__ import annotations
 
-import importlib
 import inspect
-import pkgutil
 import re
 import sys
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import StrEnum
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, Final
@@ -26,6 +24,8 @@ from dcp_spec.catalogue.requirements import requirement
 from dcp_spec.constants import SpecVersion
 
 from dcp_conformance.errors import UsageError
+
+from .registry import Registry, define, defined_in
 
 if TYPE_CHECKING:
     from dcp_conformance.test_system.bench import Bench
@@ -136,15 +136,7 @@ class Variant:
     needs: Needs | None = None
 
 
-@dataclass(slots=True)
-class _Definition:
-    """A decorated function: its variants become cases when the module is collected."""
-
-    cases: list[Case] = field(default_factory=list)
-
-
 _Body = Callable[..., None]
-_ATTRIBUTE = "__dcp_cases__"
 
 
 def case(
@@ -197,9 +189,7 @@ def case(
                 line=body.__code__.co_firstlineno,
             )
 
-        definition = _Definition()
-        if variants is None:
-            definition.cases.append(build("", body))
+        cases = [build("", body)] if variants is None else []
         for name, value in (variants or {}).items():
             if not _VARIANT.fullmatch(name):
                 raise ValueError(f"{identifier}: {name!r} cannot be the name of a variant")
@@ -208,9 +198,8 @@ def case(
             def bound(bench: Bench, value: Any = own.value) -> None:
                 body(bench, value)
 
-            definition.cases.append(build(f"-{name}", bound, own))
-        setattr(body, _ATTRIBUTE, definition)
-        return body
+            cases.append(build(f"-{name}", bound, own))
+        return define(body, cases)
 
     return decorate
 
@@ -226,32 +215,8 @@ def _ids(identifier: str, requirements: str) -> tuple[str, ...]:
 
 def cases_of(module: ModuleType) -> Iterator[Case]:
     """Return the cases of a module, in the order of their definition."""
-    for value in vars(module).values():
-        definition = getattr(value, _ATTRIBUTE, None)
-        if isinstance(definition, _Definition) and value.__module__ == module.__name__:
-            yield from definition.cases
+    return defined_in(module)
 
 
-def modules() -> Iterator[str]:
-    """Return the names of the modules with cases, sorted."""
-    yield from modules_of(CASES)
-
-
-def modules_of(package: str) -> list[str]:
-    """Return the names of all modules of a package and of its packages, sorted."""
-    found = []
-    for info in pkgutil.iter_modules(importlib.import_module(package).__path__):
-        name = f"{package}.{info.name}"
-        found += modules_of(name) if info.ispkg else [name]
-    return sorted(found)
-
-
-def all_cases() -> dict[str, Case]:
-    """All cases by identifier, by module and line. Raises ``ValueError`` for an identifier that is there twice."""
-    found: dict[str, Case] = {}
-    for name in modules():
-        for each in cases_of(importlib.import_module(name)):
-            if each.id in found:
-                raise ValueError(f"{each.id} is defined in {found[each.id].module} and in {each.module}")
-            found[each.id] = each
-    return found
+_REGISTRY: Final = Registry[Case]("case", CASES, "dcp-conformance list")
+all_cases = _REGISTRY.all

@@ -11,6 +11,7 @@ from typing import Final, NamedTuple
 from xml.sax.saxutils import escape
 
 from dcp_spec.catalogue.requirements import requirements
+from dcp_spec.markdown import table
 
 from dcp_codec.common.printable import plain
 from dcp_conformance.model.results import CaseResult, RunResult
@@ -106,13 +107,13 @@ def requirements_csv(run: RunResult) -> str:
 
 def requirements_markdown(run: RunResult) -> str:
     """Return the requirements as a Markdown table."""
-    lines = ["| requirement | verdict | statement | section | cases |", "|---|---|---|---|---:|"]
+    found: list[tuple[object, ...]] = []
     for row in rows(run):
         section = f"{row.document}: {row.section}" + (f", step {row.step}" if row.step else "")
         count = len(row.cases.split())
         why = f"<br>{_cell(row.why)}" if row.why else ""
-        lines.append(f"| {row.requirement} | {row.verdict} | {_cell(row.statement)}{why} | {section} | {count} |")
-    return "\n".join(lines) + "\n"
+        found.append((row.requirement, row.verdict, f"{_cell(row.statement)}{why}", section, count))
+    return table(("requirement", "verdict", "statement", "section", "cases"), found, "llllr") + "\n"
 
 
 def summary_markdown(run: RunResult) -> str:
@@ -124,9 +125,8 @@ def summary_markdown(run: RunResult) -> str:
         if case.counted:
             counts.setdefault(case.section.partition(":")[0], Counter())[str(case.verdict)] += 1
     order = ("pass", "fail", "inconclusive", "error", "info", "not-applicable")
-    lines += ["| cases | " + " | ".join(order) + " |", "|---|" + "---:|" * len(order)]
-    for section, count in sorted(counts.items()):
-        lines.append(f"| {_cell(section)} | " + " | ".join(str(count[each] or "-") for each in order) + " |")
+    numbers = ((_cell(section), *(count[each] or "-" for each in order)) for section, count in sorted(counts.items()))
+    lines.append(table(("cases", *order), numbers, "l" + "r" * len(order)))
     if run.diagnosis is not None and run.diagnosis.faults:
         lines += ["", "## Diagnosis", "", f"{_cell(diagnosed(run))}.", ""]
         for number, fault in enumerate(run.diagnosis.faults, 1):

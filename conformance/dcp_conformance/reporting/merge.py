@@ -117,7 +117,7 @@ def matrix(runs: Sequence[RunResult]) -> list[tuple[str, list[Verdict | None]]]:
 
 def render_matrix(runs: Sequence[RunResult]) -> str:
     """Return the HTML page that compares several runs by requirement."""
-    from .page import environment
+    from .page import page
 
     known = requirements()
     rows = [
@@ -130,4 +130,4 @@ def render_matrix(runs: Sequence[RunResult]) -> str:
         }
         for identifier, verdicts in matrix(runs)
     ]
-    return environment().get_template("matrix.html").render(runs=list(zip(labels(runs), runs, strict=True)), rows=rows)
+    return page("matrix.html", runs=list(zip(labels(runs), runs, strict=True)), rows=rows)

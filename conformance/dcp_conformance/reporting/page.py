@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-import base64
-import hashlib
 import re
-from collections.abc import Iterator
-from importlib import resources
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import msgspec
 from dcp_spec.catalogue.readings import readings
 from dcp_spec.catalogue.requirements import requirements
-from jinja2 import Environment, PackageLoader, StrictUndefined
-from markupsafe import Markup
 
 from dcp_codec.codec import Codec
-from dcp_codec.common.printable import plain
+from dcp_codec.common import pages
 from dcp_conformance.check.wording import moment
 from dcp_conformance.model.pics_file import QUESTIONS
 from dcp_conformance.model.results import CaseResult, Check, EventRecord, Mark, RunResult, summarise
@@ -47,37 +42,6 @@ _ORDER = (
 _RECORDING = re.compile(rf"{FOLDER}/[A-Za-z0-9_+=-][A-Za-z0-9._+=-]*")
 
 
-def environment() -> Environment:
-    """Return the Jinja environment for the templates of this package.
-
-    Values are escaped. The content security policy permits only the script of the package, by its hash.
-    """
-    script = resources.files(__package__).joinpath("templates", "page.js").read_text(encoding="utf-8")
-    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
-    made = Environment(
-        loader=PackageLoader("dcp_conformance.reporting"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        finalize=_shown,
-    )
-    # The script is a file of this package, so it needs no escaping.
-    made.globals["script"] = Markup(script)  # noqa: S704
-    made.globals["policy"] = (
-        f"default-src 'none'; script-src 'sha256-{digest}'; style-src 'unsafe-inline'; base-uri 'none'; "
-        "form-action 'none'"
-    )
-    made.globals["glossary"] = terms()
-    made.globals["terms_of"] = terms_of
-    return made
-
-
-def _shown(value: Any) -> Any:
-    """Make control characters in a text visible: a browser would hide them, or reorder the line."""
-    return plain(value, keep="\n\t") if type(value) is str else value
-
-
 def render(run: RunResult, codec: Codec | None) -> str:
     """Return the HTML page of one run. Without a codec, frames are shown as octets only."""
     apart = Frames(codec)
@@ -89,39 +53,48 @@ def render(run: RunResult, codec: Codec | None) -> str:
         in_group = any(case is each for group in alike for each in group["cases"])
         case["shown_above"] = case["verdict"] in ("fail", "error") and not in_group
     summary = summarise(run.cases)
-    return (
-        environment()
-        .get_template("report.html")
-        .render(
-            run=run,
-            title=" ".join(filter(None, (run.sut.name, run.sut.version))) or "An implementation of DCP",
-            headline=headline(run),
-            diagnosed=diagnosed(run),
-            certainty=certainty,
-            sentence=sentence,
-            keys={case["id"]: ("f-" if case["shown_above"] else "") + case["key"] for case in cases},
-            summary=summary,
-            number=sum(case.counted for case in run.cases),
-            tables=[table for table in ("conformance", "robustness") if any(summary[table].values())],
-            order=[str(verdict) for verdict in _ORDER],
-            sections=_sections(run),
-            open_findings=_OPEN,
-            deaths=alike,
-            findings=[case for case in cases if case["shown_above"]],
-            cases=cases,
-            matrix=list(_matrix(run, cases)),
-            failing=_failing(cases),
-            to_declare=to_declare(run.cases),
-            places=requirement_links(str(run.spec_version)),
-            section_link=section_link,
-            readings_known=readings(),
-            requirement_counts=_counts(run),
-            readings=list(observed_readings(run)),
-            known=known,
-            holdings=msgspec.json.encode(run.holdings).decode() if run.holdings.get("changes") else "",
-            links=_links(run),
-        )
+    return page(
+        "report.html",
+        run=run,
+        title=" ".join(filter(None, (run.sut.name, run.sut.version))) or "An implementation of DCP",
+        headline=headline(run),
+        diagnosed=diagnosed(run),
+        certainty=certainty,
+        sentence=sentence,
+        keys={case["id"]: ("f-" if case["shown_above"] else "") + case["key"] for case in cases},
+        summary=summary,
+        number=sum(case.counted for case in run.cases),
+        tables=[table for table in ("conformance", "robustness") if any(summary[table].values())],
+        order=[str(verdict) for verdict in _ORDER],
+        counts_of={table: _tiles(summary[table]) for table in summary},
+        sections=_sections(run),
+        open_findings=_OPEN,
+        deaths=alike,
+        findings=[case for case in cases if case["shown_above"]],
+        cases=cases,
+        matrix=list(_matrix(run, cases)),
+        failing=_failing(cases),
+        to_declare=to_declare(run.cases),
+        places=requirement_links(str(run.spec_version)),
+        section_link=section_link,
+        readings_known=readings(),
+        requirement_counts=_counts(run),
+        readings=list(observed_readings(run)),
+        known=known,
+        holdings=msgspec.json.encode(run.holdings).decode() if run.holdings.get("changes") else "",
+        links=_links(run),
     )
+
+
+def page(template: str, **values: Any) -> str:
+    """Return the page of a template of this package."""
+    own = pages.text(__package__, "page.js")
+    return pages.render(__package__, template, own, glossary=terms(), terms_of=terms_of, **values)
+
+
+def _tiles(counts: Mapping[str, int]) -> list[tuple[int, str, str]]:
+    """Return number, name and kind of the verdicts that occur."""
+    return [(counts[each], each.replace("-", " "), each) for each in map(str, _ORDER) if counts[each]]
 
 
 def _links(run: RunResult) -> dict[str, Any] | None:

@@ -64,8 +64,5 @@
 
   const repaint = () => views.forEach((model) => model && paint(model));
   scheme.addEventListener("change", repaint);
-  document.querySelector(".theme").addEventListener("click", () => { root.dataset.theme = dark() ? "light" : "dark"; repaint(); });
-
-  const wide = new ResizeObserver((entries) => entries.forEach(({ target }) => target.classList.toggle("scrolls", target.scrollWidth > target.clientWidth + 1)));
-  document.querySelectorAll(".wide").forEach((each) => wide.observe(each));
+  document.querySelector(".theme").addEventListener("click", repaint);
 })();

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import ast
+import contextlib
 import time
 from collections.abc import Callable, Iterable, Sequence
 from fnmatch import fnmatchcase
+from functools import partial
 from multiprocessing.context import ForkServerContext
 from pathlib import Path
 from typing import Final, Literal
@@ -14,7 +16,8 @@ import msgspec
 from dcp_conformance.errors import UsageError
 from dcp_spec.version import __version__
 
-from dcp_selftest.generated.isolation import ask, concurrently, process_context
+from dcp_codec.common.workers import completed
+from dcp_selftest.generated.isolation import ask, process_context
 from dcp_selftest.generated.trial import limit
 
 from .changes import CodeChange, changes_under
@@ -115,18 +118,18 @@ def run(
     context = process_context()
     verdicts: list[Verdict] = []
 
-    def done(group: list[Verdict]) -> None:
-        for verdict in group:
-            verdicts.append(verdict)
-            if on_result is not None:
-                on_result(verdict)
-
-    concurrently(lambda cited: _check(context, cited, root), places.values(), jobs, done)
+    with contextlib.suppress(KeyboardInterrupt):
+        check = partial(_check, context, root)
+        for _, group in completed(check, places.values(), jobs, start="thread"):
+            for verdict in group:
+                verdicts.append(verdict)
+                if on_result is not None:
+                    on_result(verdict)
     verdicts.sort(key=lambda each: order[each.citation])
     return CitationsResult(duration=round(time.monotonic() - began, 1), verdicts=tuple(verdicts))
 
 
-def _check(context: ForkServerContext, group: list[Citation], root: Path | None) -> list[Verdict]:
+def _check(context: ForkServerContext, root: Path | None, group: list[Citation]) -> list[Verdict]:
     """Return the verdicts of citations of the same code."""
     changes = changes_under(group[0])[:_TRIED]
     found: dict[str, Verdict] = {}

@@ -37,8 +37,7 @@ def command(
     NAMES are mutant:ID, variant:ID, or globs of them; by default the faults that show between nodes, and all variants
     that are nodes of their own.
     """
-    from dcp_conformance.execution.signals import ending_like_interrupts
-
+    from dcp_codec.common.signals import ending_like_interrupts
     from dcp_selftest.interop import run_selftest, write_document
 
     with ending_like_interrupts():

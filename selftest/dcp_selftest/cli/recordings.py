@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import click
@@ -54,7 +53,6 @@ def command(
     from .display import print_recordings
 
     picked = chosen(mutants)
-    jobs = jobs or os.cpu_count() or 1
     with progress_bar(quiet=quiet) as progress:
         task = progress.add_task("networks", total=2 * len(picked) + networks)
         result = faulty(

@@ -52,12 +52,12 @@ def command(
     """
     from dcp_conformance.cli.display import progress_bar
 
-    from dcp_selftest.variants import chosen
+    from dcp_selftest.variants import ALL_VARIANTS
     from dcp_selftest.variants.campaign import Judged, run
 
     from .display import print_variants, versions
 
-    picked = chosen(variants)
+    picked = ALL_VARIANTS.select(variants)
     if listing:
         for each in picked:
             say(f"{each.id:<36}  {each.what}  [{each.why}; {versions(each)}]")

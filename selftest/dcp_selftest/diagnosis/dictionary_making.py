@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import os
 import signal
 from collections.abc import Callable, Sequence
-from concurrent.futures import as_completed
 from typing import Final, NamedTuple, NoReturn
 
 from dcp_conformance.diagnosis.dictionary import Dictionary, Fault
@@ -14,7 +12,7 @@ from dcp_conformance.model.case import SANITY
 from dcp_conformance.model.verdict import Verdict
 
 from dcp_selftest.mutants import Mutant, all_mutants
-from dcp_selftest.runner import Suite, cases, process_pool
+from dcp_selftest.runner import Suite, cases, in_processes
 
 #: Limit of the processor time for each mutant, in seconds. A mutant that crashes in every case would take minutes; its
 #: signature is then the set of cases that failed until the limit.
@@ -41,11 +39,9 @@ def make(
     ``jobs`` is the number of processes, by default one for each processor. ``on_result`` is called with each outcome.
     """
     found: list[Fault] = []
-    with process_pool(jobs or os.cpu_count() or 1) as pool:
-        for future in as_completed([pool.submit(_task, each.id) for each in mutants]):
-            outcome = future.result()
-            found.append(outcome.fault)
-            on_result(outcome)
+    for _, outcome in in_processes(_task, [each.id for each in mutants], jobs):
+        found.append(outcome.fault)
+        on_result(outcome)
     return Dictionary(tuple(sorted(found, key=lambda fault: fault.id)))
 
 

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import os
 import random
 from collections.abc import Callable, Sequence
-from concurrent.futures import as_completed
 from typing import Final
 
 import msgspec
@@ -18,7 +16,7 @@ from dcp_conformance.model.verdict import Verdict
 
 from dcp_selftest.mutants import Mutant, all_mutants
 from dcp_selftest.mutants.combination import combined
-from dcp_selftest.runner import Suite, cases, process_pool
+from dcp_selftest.runner import Suite, cases, in_processes
 
 PROFILE: Final = "dcp-2.0"
 
@@ -88,10 +86,9 @@ def measure(
 ) -> Measurement:
     """Diagnose a node for each group of mutants in ``jobs`` processes; call ``on_result`` with each outcome."""
     found: list[Outcome] = []
-    with process_pool(jobs or os.cpu_count() or 1) as pool:
-        for future in as_completed([pool.submit(_task, group) for group in groups]):
-            found.append(future.result())
-            on_result(found[-1])
+    for _, each in in_processes(_task, groups, jobs):
+        found.append(each)
+        on_result(each)
     return Measurement(tuple(found))
 
 

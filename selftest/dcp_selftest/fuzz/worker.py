@@ -22,13 +22,13 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from dcp_conformance.errors import ConformanceError
-from dcp_conformance.execution.signals import Stop
 from dcp_conformance.fuzz.campaign import Campaign, Limits, State
 from dcp_conformance.fuzz.generate.coverage import counter_of
 from dcp_conformance.fuzz.reduce.reduction import Finding
 from dcp_conformance.fuzz.steps import Effect, Step, Target
 
 from dcp_codec.common.child import ending_with_parent
+from dcp_codec.common.signals import Stop
 from dcp_codec.testing.mutation import Touch
 
 from .guidance import Guide, guide
@@ -218,7 +218,7 @@ class Worker:
             self._findings.append(reduction.outcome(shown.steps, shown.effect))
 
 
-def work(make: Make, settings: Settings, connection: Connection, memory: Any) -> None:
+def work(connection: Connection, make: Make, settings: Settings, memory: Any) -> None:
     """Run a worker process until it receives None or its campaign ends. SIGTERM ends it after a last report."""
     ending_with_parent()()
     if os.getppid() != settings.parent:

@@ -32,13 +32,15 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
-from typing import Any, Final
+from typing import Final
 
 from dcp_conformance.errors import WorkerError
-from dcp_conformance.execution.signals import Stop
 from dcp_conformance.fuzz.campaign import Campaign, Limits, Progress, State
 from dcp_conformance.fuzz.reduce.reduction import Finding, not_minimised
 from dcp_conformance.fuzz.steps import Effect, Step
+
+from dcp_codec.common.signals import Stop
+from dcp_codec.common.workers import Worker
 
 from .worker import SLOT_SIZE, Failure, FirstEffect, Make, Order, Report, Settings, Slot, Totals, work
 
@@ -57,11 +59,10 @@ _CRASHES: Final = (signal.SIGSEGV, signal.SIGBUS, signal.SIGILL, signal.SIGFPE, 
 
 @dataclass(slots=True)
 class _Member:
-    """The connection of the campaign to one worker: process, messages, shared memory, and work to order."""
+    """The connection of the campaign to one worker: messages, shared memory, and work to order."""
 
     name: str
-    process: Any
-    connection: Connection
+    worker: Worker
     slot: Slot
     left: int | None
     """Number of tests that may still be ordered; None for no limit."""
@@ -74,7 +75,7 @@ class _Member:
     def send(self, order: Order | None) -> None:
         # A worker that has ended is detected when its reports are read.
         with contextlib.suppress(OSError):
-            self.connection.send(order)
+            self.worker.connection.send(order)
 
 
 def run_in_workers(campaign: Campaign, make: Make, jobs: int, limits: Limits, *, guided: bool = False) -> State:
@@ -138,26 +139,23 @@ class _Workers:
                 seed = f"{campaign.seed}/{self._first}/{number}"
                 settings = Settings(seed, campaign.state, self._guided, rate, os.getpid())
                 memory = context.RawArray("B", SLOT_SIZE)
-                ours, theirs = context.Pipe()
                 name = f"worker {number + 1} of {jobs} (seed {seed!r})"
-                process = context.Process(target=work, args=(make, settings, theirs, memory), daemon=True)
                 try:
-                    process.start()
+                    worker = Worker(context, work, make, settings, memory, duplex=True)
                 except OSError as error:
                     raise WorkerError(f"{name} cannot be started: {error.strerror or error}") from None
-                theirs.close()
                 share = None if cases is None else cases // jobs + (number < cases % jobs)
-                self._members.append(_Member(name, process, ours, Slot(memory), share))
+                self._members.append(_Member(name, worker, Slot(memory), share))
 
     def _ready(self, seconds: float) -> list[_Member]:
         """Wait at most ``seconds``; return the workers that have sent a message or closed their connection."""
-        there = {member.connection: member for member in self._members if member.open}
+        there = {member.worker.connection: member for member in self._members if member.open}
         return [there[connection] for connection in wait(list(there), seconds) if isinstance(connection, Connection)]
 
     def _listen(self, member: _Member) -> None:
         """Receive one message of a worker. Raises :class:`WorkerError` if the worker has ended."""
         try:
-            message = member.connection.recv()
+            message = member.worker.connection.recv()
         except (EOFError, OSError):
             self._gone(member)
             return
@@ -169,8 +167,7 @@ class _Workers:
     def _gone(self, member: _Member) -> None:
         """Process the end of a worker that was not ordered. Raises :class:`WorkerError`."""
         member.open = False
-        member.process.join(_PATIENCE)
-        status = member.process.exitcode
+        status = member.worker.status(_PATIENCE)
         if self._stop.wanted:
             return
         how = f"has ended with status {status}"
@@ -193,7 +190,7 @@ class _Workers:
         """Terminate all workers and receive their last reports."""
         self._stop.wanted = True
         for member in self._members:
-            member.process.terminate()
+            member.worker.process.terminate()
         deadline = time.monotonic() + _PATIENCE
         while any(member.open for member in self._members) and (left := deadline - time.monotonic()) > 0:
             for member in self._ready(left):
@@ -206,10 +203,7 @@ class _Workers:
             member.send(None)
         for member in self._members:
             # Terminated workers had time to end in _gather.
-            member.process.join(0 if self._stop.wanted else _PATIENCE)
-            if member.process.is_alive():
-                member.process.kill()
-                member.process.join()
+            member.worker.end(0 if self._stop.wanted else _PATIENCE)
 
     # -- the campaign ------------------------------------------------------------------------------------------
 

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import os
+import contextlib
 import random
 import time
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from multiprocessing.context import ForkServerContext
 from typing import Final
@@ -15,7 +14,9 @@ import msgspec
 from dcp_conformance.errors import ConformanceError
 from dcp_spec.version import __version__
 
-from .isolation import ask, concurrently, process_context
+from dcp_codec.common.workers import completed
+
+from .isolation import ask, process_context
 from .ledger import Entry, ledger
 from .reach import Reach
 from .sites import Site, sites
@@ -88,8 +89,8 @@ def draw(count: int, seed: int, *, patterns: Sequence[str] = ()) -> list[Site]:
 
 def reach(*, jobs: int | None = None) -> tuple[Reach, ...]:
     """Measure the lines that the cases execute on each node. Takes about as long as ten runs of the suite per node."""
-    with ThreadPoolExecutor(jobs or os.cpu_count() or 1) as pool:
-        return tuple(pool.map(partial(_measured, process_context()), NODES))
+    measured = dict(completed(partial(_measured, process_context()), NODES, jobs, start="thread"))
+    return tuple(measured[place] for place in range(len(NODES)))
 
 
 def run(
@@ -127,12 +128,11 @@ def run(
         reached = reach(jobs=jobs) if len(chosen) >= _MANY else ()
     known = tuple(reached)
 
-    def done(trial: Trial) -> None:
-        trials.append(trial)
-        if on_result is not None:
-            on_result(trial)
-
-    concurrently(attempt, chosen, jobs, done)
+    with contextlib.suppress(KeyboardInterrupt):
+        for _, trial in completed(attempt, chosen, jobs, start="thread"):
+            trials.append(trial)
+            if on_result is not None:
+                on_result(trial)
     order = {site.key: number for number, site in enumerate(sites())}
     return GeneratedResult(
         seed=seed,

@@ -13,16 +13,15 @@ import multiprocessing
 import os
 import signal
 import sys
-from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
+from collections.abc import Callable, Sequence
 from multiprocessing.connection import Connection
 from multiprocessing.context import ForkServerContext
 from pathlib import Path
 from types import CodeType, ModuleType
-from typing import Final, TypeVar
+from typing import Final
 
-T = TypeVar("T")
-R = TypeVar("R")
+from dcp_codec.common.workers import Worker
+
 #: Timeout of a process in seconds of real time; long, because the processors may be busy with other work.
 _PATIENCE: Final = 600.0
 
@@ -60,21 +59,15 @@ def process_context() -> ForkServerContext:
 
 def ask(context: ForkServerContext, work: Callable[..., bytes], *arguments: object) -> tuple[bytes, str]:
     """Call ``work`` in a new process; return its result and an empty text, or no octets and how the process ended."""
-    ours, theirs = context.Pipe(duplex=False)
-    process = context.Process(target=_child, args=(theirs, work, *arguments), daemon=True)
-    process.start()
-    theirs.close()
+    worker = Worker(context, _child, work, *arguments)
     try:
-        if ours.poll(_PATIENCE):
-            return ours.recv_bytes(), ""
+        if worker.connection.poll(_PATIENCE):
+            return worker.connection.recv_bytes(), ""
         return b"", f"did not end within {_PATIENCE:g} s"
     except (EOFError, OSError):
-        process.join(5)
-        return b"", f"its process ended with status {process.exitcode}"
+        return b"", f"its process ended with status {worker.status()}"
     finally:
-        process.kill()
-        process.join()
-        ours.close()
+        worker.end(0)
 
 
 def _child(to: Connection, work: Callable[..., bytes], *arguments: object) -> None:
@@ -85,19 +78,3 @@ def _child(to: Connection, work: Callable[..., bytes], *arguments: object) -> No
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     to.send_bytes(work(*arguments))
     to.close()
-
-
-def concurrently(work: Callable[[T], R], items: Iterable[T], jobs: int | None, on_result: Callable[[R], None]) -> None:
-    """Call ``work`` for each item in ``jobs`` threads, and ``on_result`` with each result in the order of completion.
-
-    ``jobs``: None means one thread for each processor. The function is meant for work that waits for processes. A
-    KeyboardInterrupt, also one during ``on_result``, ends it early without an exception; items that have not been
-    started are left out.
-    """
-    with ThreadPoolExecutor(jobs or os.cpu_count() or 1) as pool:
-        waiting = [pool.submit(work, each) for each in items]
-        try:
-            for done in as_completed(waiting):
-                on_result(done.result())
-        except KeyboardInterrupt:
-            pool.shutdown(cancel_futures=True)

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Sequence
 
+from dcp_spec.markdown import table
+
 from .campaign import GeneratedResult, Trial
 from .ledger import CLASSES, entries
 from .sites import sites
@@ -28,43 +30,35 @@ def section(results: Sequence[GeneratedResult]) -> str:
         "all. Changes in the ledger (`selftest/dcp_selftest/data/invisible-changes/`) cannot be observed from",
         "outside, or are permitted; they do not count.",
         "",
-        "| seed | drawn | in the ledger | judged | killed | survived | score |",
-        "|---:|---:|---:|---:|---:|---:|---:|",
-        *(_row(result) for result in results),
+        table(("seed", "drawn", "in the ledger", "judged", "killed", "survived", "score"), map(_row, results), "r" * 7),
         "",
         *_survivors(results),
         f"The ledger holds {excused:,} of {count:,} changes ({excused / count:.1%}):",
         "",
-        "| kind | changes | meaning |",
-        "|---|---:|---|",
-        *_kinds(),
+        table(("kind", "changes", "meaning"), _kinds(), "lrl"),
     ]
     return "\n".join(lines) + "\n"
 
 
-def _row(result: GeneratedResult) -> str:
+def _row(result: GeneratedResult) -> tuple[object, ...]:
     judged, lost = len(result.judged), len(result.survivors)
-    numbers = (result.seed, result.drawn, len(result.trials) - judged, judged, judged - lost, lost)
-    return f"| {' | '.join(map(str, numbers))} | {result.score:.1%} |"
+    return result.seed, result.drawn, len(result.trials) - judged, judged, judged - lost, lost, f"{result.score:.1%}"
 
 
-def _survivors(results: Sequence[GeneratedResult]) -> Iterator[str]:
+def _survivors(results: Sequence[GeneratedResult]) -> list[str]:
     found: dict[str, Trial] = {trial.site.key: trial for result in results for trial in result.survivors}
-    if not found:
-        return
-    yield "| survivor | change | noticed by |"
-    yield "|---|---|---|"
+    rows = []
     for trial in sorted(found.values(), key=lambda each: (each.site.module, each.site.function, each.site.key)):
         site = trial.site
-        change = f"{site.operator}: `{site.before}` -> `{site.after}`".replace("|", "\\|")
+        change = f"{site.operator}: `{site.before}` -> `{site.after}`"
         noticed = trial.outcome.by.partition(":")[0] if trial.outcome.fate == "noticed" else "-"
-        yield f"| `{site.module}.{site.function}` | {change} | {noticed} |"
-    yield ""
+        rows.append((f"`{site.module}.{site.function}`", change, noticed))
+    return [table(("survivor", "change", "noticed by"), rows), ""] if rows else []
 
 
-def _kinds() -> Iterator[str]:
+def _kinds() -> Iterator[tuple[str, int, str]]:
     counts = Counter[str]()
     for entry in entries():
         counts[entry.kind] += len(entry.changes)
     for kind, number in counts.most_common():
-        yield f"| {kind} | {number} | {CLASSES[kind]} |"
+        yield kind, number, CLASSES[kind]

@@ -6,7 +6,6 @@ the node is made (:func:`replaced`). Mutants do not depend on each other.
 
 from __future__ import annotations
 
-import importlib
 import random
 import sys
 from collections.abc import Callable, Iterator, Mapping
@@ -15,7 +14,7 @@ from dataclasses import dataclass, field
 from types import ModuleType
 from typing import Any, Final, TypeVar
 
-from dcp_conformance.model.case import modules_of
+from dcp_conformance.model.registry import Registry
 from dcp_conformance.reference.inprocess import MakeNode
 from dcp_spec.catalogue.requirements import requirement
 from dcp_spec.constants import SpecVersion
@@ -38,7 +37,6 @@ from dcp_stack.vardis.parameters import VardisParameters
 from dcp_stack.vardis.receive import Receiver as VardisReceiver
 from dcp_stack.vardis.wire import Extractor
 
-MUTANTS: Final = "dcp_selftest.mutants"
 _ATTRIBUTE: Final = "__dcp_mutant__"
 
 #: Parts of the node, and the class in whose module each is made.
@@ -204,15 +202,13 @@ def mutants_of(module: ModuleType) -> Iterator[Mutant]:
             yield made
 
 
-def all_mutants() -> dict[str, Mutant]:
-    """Return all mutants by identifier, by module and line. Raises ``ValueError`` for a duplicate identifier."""
-    found: dict[str, Mutant] = {}
-    for name in modules_of(MUTANTS):
-        for each in mutants_of(importlib.import_module(name)):
-            if each.id in found:
-                raise ValueError(f"{each.id} exists twice, the second time in {name}")
-            found[each.id] = each
-    return found
+ALL_MUTANTS: Final = Registry[Mutant](
+    "mutant",
+    "dcp_selftest.mutants",
+    "dcp-selftest mutants --list",
+    entries_of=mutants_of,
+    names_of=lambda each: (each.id, each.requirement),
+)
+all_mutants = ALL_MUTANTS.all
 
-
-__all__ = ["Mutant", "all_mutants", "maker", "mutant", "mutants_of", "node_with", "part_of", "replaced"]
+__all__ = ["ALL_MUTANTS", "Mutant", "all_mutants", "maker", "mutant", "mutants_of", "node_with", "part_of", "replaced"]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import random
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import as_completed
 from typing import Final
 
 import msgspec
@@ -13,7 +12,7 @@ from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.networks import NetworkSituation, Other, record
 
 from dcp_codec.codec import Codec
-from dcp_selftest.runner import process_pool
+from dcp_selftest.runner import in_processes
 from dcp_selftest.variants import all_variants
 from dcp_selftest.variants.variant import Variant
 from dcp_stack.config import NodeConfig
@@ -106,22 +105,22 @@ def _task(number: int) -> tuple[int, list[FalseFinding], bool, float]:
 
 
 def clean(
-    numbers: Sequence[int], *, jobs: int = 1, on_result: Callable[[int, list[FalseFinding]], None] | None = None
+    numbers: Sequence[int],
+    *,
+    jobs: int | None = None,
+    on_result: Callable[[int, list[FalseFinding]], None] | None = None,
 ) -> CleanResult:
-    """Judge the networks ``numbers`` in ``jobs`` processes.
+    """Judge the networks ``numbers`` in ``jobs`` processes (default: one for each processor).
 
     ``on_result`` is called with the number and the false findings of each network when it is complete.
     """
     beacons = doubts = 0
     seconds = 0.0
     false: dict[int, list[FalseFinding]] = {}
-    with process_pool(jobs) as processes:
-        tasks = {processes.submit(_task, number): number for number in numbers}
-        for task in as_completed(tasks):
-            count, findings, doubt, spent = task.result()
-            beacons, doubts, seconds = beacons + count, doubts + doubt, seconds + spent
-            false[tasks[task]] = findings
-            if on_result is not None:
-                on_result(tasks[task], findings)
+    for place, (count, findings, doubt, spent) in in_processes(_task, numbers, jobs):
+        beacons, doubts, seconds = beacons + count, doubts + doubt, seconds + spent
+        false[numbers[place]] = findings
+        if on_result is not None:
+            on_result(numbers[place], findings)
     every = tuple(each for number in sorted(false) for each in false[number])
     return CleanResult(networks=len(numbers), beacons=beacons, false=every, doubts=doubts, seconds=round(seconds, 1))

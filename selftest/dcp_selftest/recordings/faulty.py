@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import as_completed
 from functools import cache
 from typing import Final, Literal
 
@@ -15,7 +14,7 @@ from dcp_conformance.reference.networks import NetworkSituation, Other, record
 from dcp_codec.capture.frame import Frame
 from dcp_codec.codec import Codec
 from dcp_selftest.mutants import Mutant, all_mutants
-from dcp_selftest.runner import process_pool
+from dcp_selftest.runner import in_processes
 
 from .judging import found, judged
 from .reasons import reason
@@ -83,7 +82,8 @@ def _plain(text: str) -> str:
     return "".join(each for each in text if not each.isdigit())
 
 
-def _task(name: str, shape: Literal["bus", "line"]) -> tuple[Outcome, float]:
+def _task(task: tuple[str, Literal["bus", "line"]]) -> tuple[Outcome, float]:
+    name, shape = task
     began = time.process_time()
     mutant = all_mutants()[name]
     profile = mutant.profile
@@ -124,22 +124,19 @@ def faulty(
     mutants: Sequence[Mutant],
     *,
     shapes: Sequence[Literal["bus", "line"]] = SHAPES,
-    jobs: int = 1,
+    jobs: int | None = None,
     on_result: Callable[[Outcome], None] | None = None,
 ) -> FaultyResult:
-    """Judge a network for each mutant and topology in ``jobs`` processes.
+    """Judge a network for each mutant and topology in ``jobs`` processes (default: one for each processor).
 
     ``on_result`` is called with each outcome when it is known.
     """
     outcomes: dict[tuple[str, str], Outcome] = {}
     seconds = 0.0
-    with process_pool(jobs) as processes:
-        tasks = [processes.submit(_task, each.id, shape) for each in mutants for shape in shapes]
-        for task in as_completed(tasks):
-            outcome, spent = task.result()
-            seconds += spent
-            outcomes[outcome.mutant, outcome.shape] = outcome
-            if on_result is not None:
-                on_result(outcome)
+    for _, (outcome, spent) in in_processes(_task, [(each.id, shape) for each in mutants for shape in shapes], jobs):
+        seconds += spent
+        outcomes[outcome.mutant, outcome.shape] = outcome
+        if on_result is not None:
+            on_result(outcome)
     ordered = tuple(outcomes[each.id, shape] for each in mutants for shape in shapes)
     return FaultyResult(outcomes=ordered, seconds=round(seconds, 1))

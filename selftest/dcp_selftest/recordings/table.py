@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections import Counter
 from typing import Final
 
+from dcp_spec.markdown import table
+
 from dcp_selftest.mutants import all_mutants
 
 from .clean import CleanResult
@@ -31,7 +33,7 @@ TITLES: Final = {
 
 def document(result: FaultyResult, clean: CleanResult | None) -> str:
     """Return the document in Markdown: numbers, networks without a fault, and a row for each visible mutant."""
-    table = result.by_mutant()
+    by_mutant = result.by_mutant()
     lines = [
         "# Tests of check with simulated recordings",
         "",
@@ -41,16 +43,13 @@ def document(result: FaultyResult, clean: CleanResult | None) -> str:
         "nodes, on a bus and in a line, with restarts, a node that joins late, and applications that create, update",
         "and delete. `check` judges the recording. A mutant cannot be found if it sends the same octets as the",
         "reference node in this traffic.",
-        f"{len(table)} of {len(all_mutants())} mutants were tried for this page.",
+        f"{len(by_mutant)} of {len(all_mutants())} mutants were tried for this page.",
         "",
-        "| network | " + " | ".join(TITLES[each] for each in _ORDER) + " |",
-        "|---|" + "---:|" * len(_ORDER),
     ]
-    for shape in SHAPES:
-        counts = Counter(each.fate for each in result.outcomes if each.shape == shape)
-        lines.append(f"| {shape} | " + " | ".join(str(counts[each]) for each in _ORDER) + " |")
-    best = Counter(min((o.fate for o in row.values()), key=_ORDER.index) for row in table.values())
-    lines.append("| either | " + " | ".join(str(best[each]) for each in _ORDER) + " |")
+    counts = {shape: Counter(each.fate for each in result.outcomes if each.shape == shape) for shape in SHAPES}
+    either = Counter(min((each.fate for each in row.values()), key=_ORDER.index) for row in by_mutant.values())
+    numbers = [(name, *(each[fate] for fate in _ORDER)) for name, each in (*counts.items(), ("either", either))]
+    lines.append(table(("network", *(TITLES[each] for each in _ORDER)), numbers, "l" + "r" * len(_ORDER)))
     if clean is not None:
         lines += [
             "",
@@ -61,17 +60,13 @@ def document(result: FaultyResult, clean: CleanResult | None) -> str:
             f"{len(clean.false)} findings, inconclusive verdicts in {clean.doubts}.",
         ]
         lines += [f"* {each.situation}: {each.rule}: {each.text}" for each in clean.false]
-    lines += [
-        "",
-        "## Mutants that are visible in the beacons",
-        "",
-        "| mutant | bus | line | rules, or the reason |",
-        "|---|---|---|---|",
+    visible = [
+        (mutant, *(TITLES[row[shape].fate] if shape in row else "" for shape in SHAPES), _reason(row))
+        for mutant, row in sorted(by_mutant.items())
+        if any(each.fate != "same" for each in row.values())
     ]
-    for mutant, row in sorted(table.items()):
-        if any(each.fate != "same" for each in row.values()):
-            cells = " | ".join(TITLES[row[shape].fate] if shape in row else "" for shape in SHAPES)
-            lines.append(f"| {mutant} | {cells} | {_reason(row)} |")
+    columns = ("mutant", *SHAPES, "rules, or the reason")
+    lines += ["", "## Mutants that are visible in the beacons", "", table(columns, visible)]
     return "\n".join(lines) + "\n"
 
 
@@ -81,5 +76,4 @@ def _reason(row: dict[str, Outcome]) -> str:
     if best.fate in ("found", "otherwise"):
         return ", ".join(rules)
     # For mutants without a failed rule, show the reason from the network with the best outcome.
-    why = best.text.replace("|", "\\|")
-    return f"{', '.join(rules)}: {REASONS[best.fate]}: {why}" if rules else f"{REASONS[best.fate]}: {why}"
+    return ": ".join(filter(None, (", ".join(rules), REASONS[best.fate], best.text)))

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import gc
-import os
 import time
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import as_completed
 from typing import Final
 
 import msgspec
@@ -20,7 +18,7 @@ from dcp_conformance.reference.surroundings import Tested
 from dcp_conformance.test_system.bench import Session
 from dcp_spec.version import __version__
 
-from dcp_selftest.runner import PROFILES, Finding, finding_of, is_declared, process_pool
+from dcp_selftest.runner import PROFILES, Finding, finding_of, in_processes, is_declared
 
 from .variant import Variant, all_variants, codec_of
 
@@ -152,7 +150,8 @@ def _results(variant: Variant, profile: str, cases: Sequence[Case] | None) -> li
     return [*found.values(), *(each for each in invariants if each.verdict is Verdict.FAIL)]
 
 
-def _task(variant: str, profile: str) -> Judged:
+def _task(task: tuple[str, str]) -> Judged:
+    variant, profile = task
     # Without garbage collection a run is faster by a twelfth, and hardly any of its objects are in cycles.
     gc.disable()
     try:
@@ -186,12 +185,10 @@ def run(
     # Load the cases and variants before the processes are forked: all of them share these.
     all_cases(), all_variants()
     judged: dict[tuple[str, str], Judged] = {}
-    with process_pool(jobs or os.cpu_count() or 1) as processes:
-        for done in as_completed([processes.submit(_task, each.id, profile) for each, profile in pairs]):
-            outcome = done.result()
-            judged[outcome.variant, outcome.profile] = outcome
-            if on_result is not None:
-                on_result(outcome)
+    for _, outcome in in_processes(_task, [(each.id, profile) for each, profile in pairs], jobs):
+        judged[outcome.variant, outcome.profile] = outcome
+        if on_result is not None:
+            on_result(outcome)
     return VariantsResult(
         started=started,
         duration=round(time.monotonic() - began, 1),

@@ -5,7 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 from itertools import groupby
 
+from dcp_spec.markdown import table
+
 from .campaign import Judged, VariantsResult
+
+_COLUMNS = (
+    "variant", "the node ...", "permitted by", "profiles", "cases", "fails", "unexplained", "explained", "errors",
+)  # fmt: skip
 
 
 def section(result: VariantsResult) -> str:
@@ -19,15 +25,13 @@ def section(result: VariantsResult) -> str:
         "Made by `dcp-selftest variants --document docs/selftest.md`.",
         "",
         "Each variant is a node that follows the specification and uses one of its freedoms",
-        "(`conformance/dcp_selftest/variants/`). The whole suite runs against it on every version that has",
+        "(`selftest/dcp_selftest/variants/`). The whole suite runs against it on every version that has",
         "the freedom. No case may fail, and only verdicts that the variant makes unavoidable may be inconclusive.",
         "",
         f"{fair} of {total} variants, on {len(result.trials)} pairs of variant and profile, have no fail, error or",
         f"unexplained inconclusive verdict. Profiles: {', '.join(profiles)}.",
         "",
-        "| variant | the node ... | permitted by | profiles | cases | fails | unexplained | explained | errors |",
-        "|---|---|---|---:|---:|---:|---:|---:|---:|",
-        *(_row(name, trials) for name, trials in _grouped(result)),
+        table(_COLUMNS, (_row(name, trials) for name, trials in _grouped(result)), "lllrrrrrr"),
     ]
     return "\n".join(lines) + "\n"
 
@@ -37,8 +41,11 @@ def _grouped(result: VariantsResult) -> Iterator[tuple[str, list[Judged]]]:
         yield name, list(trials)
 
 
-def _row(name: str, trials: list[Judged]) -> str:
-    numbers = (
+def _row(name: str, trials: list[Judged]) -> tuple[object, ...]:
+    return (
+        f"`{name}`",
+        trials[0].what,
+        trials[0].why,
         len(trials),
         sum(each.cases for each in trials),
         sum(len(each.fails) for each in trials),
@@ -46,5 +53,3 @@ def _row(name: str, trials: list[Judged]) -> str:
         sum(each.explained for each in trials),
         sum(len(each.errors) for each in trials),
     )
-    cells = [f"`{name}`", trials[0].what, trials[0].why, *(str(each) for each in numbers)]
-    return f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |"

@@ -7,19 +7,16 @@ contract of the upper tester and these files leave freedoms, too.
 
 from __future__ import annotations
 
-import importlib
-import pkgutil
 import re
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass, field
-from fnmatch import fnmatchcase
 from functools import cache
 from types import ModuleType
 from typing import Any, Final
 
 import msgspec
-from dcp_conformance.errors import UsageError
 from dcp_conformance.model.pics import Capabilities, Pics, Testing
+from dcp_conformance.model.registry import Registry
 from dcp_conformance.reference.inprocess import MakeNode, plain_node, reference_config
 from dcp_conformance.reference.surroundings import Setup, UpperTesting
 from dcp_spec.constants import SpecVersion
@@ -160,43 +157,14 @@ def variants_of(module: ModuleType) -> Iterable[Variant]:
     return found
 
 
-@cache
-def all_variants() -> dict[str, Variant]:
-    """Return all variants by identifier. Raise ``ValueError`` for a duplicate identifier."""
-    found: dict[str, Variant] = {}
-    package = importlib.import_module(PACKAGE)
-    for name in sorted(info.name for info in pkgutil.iter_modules(package.__path__)):
-        if name == __name__.rpartition(".")[2]:
-            continue
-        for each in variants_of(importlib.import_module(f"{PACKAGE}.{name}")):
-            if each.id in found:
-                raise ValueError(f"duplicate identifier {each.id}, the second time in {name}")
-            found[each.id] = each
-    return found
-
-
-def chosen(patterns: Sequence[str]) -> list[Variant]:
-    """Return the variants that match identifiers or globs; all variants without a pattern.
-
-    Raise :class:`UsageError` for a pattern that matches no variant.
-    """
-    variants = list(all_variants().values())
-    if not patterns:
-        return variants
-    found: set[str] = set()
-    for pattern in patterns:
-        meant = {each.id for each in variants if fnmatchcase(each.id, pattern)}
-        if not meant:
-            raise UsageError(f"no variant is called {pattern!r}; 'dcp-selftest variants --list' shows the variants")
-        found |= meant
-    return [each for each in variants if each.id in found]
-
+ALL_VARIANTS: Final = Registry[Variant]("variant", PACKAGE, "dcp-selftest variants --list", entries_of=variants_of)
+all_variants = ALL_VARIANTS.all
 
 __all__ = [
+    "ALL_VARIANTS",
     "Variant",
     "all_variants",
     "by_letter",
-    "chosen",
     "codec_of",
     "derived",
     "has_srp",

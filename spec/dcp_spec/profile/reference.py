@@ -15,6 +15,8 @@ from typing import Any
 import msgspec
 from msgspec import inspect as ms
 
+from dcp_spec.markdown import table
+
 from .definition import Profile
 from .loading import load_profile, profile_names
 
@@ -144,17 +146,16 @@ def _about(struct: ms.StructType) -> str:
 
 
 def _table(struct: ms.StructType, shared: dict[str, ms.StructType], path: str = "-") -> str:
-    rows = ["| key | type | default | meaning |", "|---|---|---|---|"]
+    rows: list[tuple[str, ...]] = []
     if path == "":
-        rows.append("| `extends` | text | | Profile or file (relative to this one) that this one is based on. |")
+        rows.append(("`extends`", "text", "", "Profile or file (relative to this one) that this one is based on."))
     for field in struct.fields:
         section = isinstance(_plain(field.type), ms.StructType) and _is_section(path, field)
         anchor = f"{path}.{field.encode_name}".lstrip(".")
         kind = f"table [`[{anchor}]`](#{anchor.replace('.', '')})" if section else _kind(field.type, shared)
         default = "see there" if section and not field.required else _default(field)
-        cells = (f"`{field.encode_name}`", kind, default, _meaning(field.type))
-        rows.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
-    return "\n".join(rows)
+        rows.append((f"`{field.encode_name}`", kind, default, _meaning(field.type)))
+    return table(("key", "type", "default", "meaning"), rows)
 
 
 def _plain(kind: ms.Type) -> ms.Type:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import os
+import signal
 import struct
 from collections import Counter
 from collections.abc import Callable
-from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 
 import pytest
@@ -25,6 +26,8 @@ from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, VirtualUpperTester, reference_config
 from dcp_conformance.test_system.bench import Bench, Session
 from dcp_conformance.upper_tester import Answer
+
+from dcp_codec.common.workers import Worker
 
 from ..rig import codec_of
 from .test_attribution import Frail, case_of, failed_in, says
@@ -143,25 +146,18 @@ def failing(case: Case, attempt: int) -> CaseResult:
 # -- workers --------------------------------------------------------------------------------------------------------
 
 
-class Ended:
-    """A process that was killed."""
-
-    exitcode = -9
-
-    def join(self, _seconds: float) -> None:
-        return
-
-
 @pytest.mark.parametrize("octets", [b"", struct.pack("!i", 1000) + b"half of a message", b"\0\0"])
 def test_a_lane_that_is_killed_in_the_middle_of_a_message(octets: bytes):
-    ours, theirs = Pipe(duplex=False)
-    os.write(theirs.fileno(), octets)
-    theirs.close()
-    waiting: dict[Connection, object] = {ours: Ended()}
-    [end] = list(messages(waiting))
+    worker = Worker(multiprocessing.get_context("fork"), killed_after, octets)
+    [end] = list(messages({worker.connection: worker}))
     assert isinstance(end, WorkerEnd)
     assert "a worker of the tester has ended with status -9" in end.trouble
-    ours.close()
+    worker.end()
+
+
+def killed_after(connection: Connection, octets: bytes) -> None:
+    os.write(connection.fileno(), octets)
+    os.kill(os.getpid(), signal.SIGKILL)
 
 
 # -- the runner --------------------------------------------------------------------------------------------------------

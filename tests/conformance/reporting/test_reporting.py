@@ -34,6 +34,7 @@ from dcp_spec.catalogue.origins import REPOSITORY
 from dcp_codec import Beacon, BPHeader, Payload
 from dcp_codec.capture import open_capture
 
+from ...browser import Browser
 from ..air import Script, judged
 from ..check.test_check import deleted
 from ..command import Command
@@ -364,6 +365,13 @@ CHROMIUM = (
 )  # fmt: skip
 
 
+#: Elements that end right of the screen, and are in no box that scrolls.
+WIDER = (
+    "[...document.querySelectorAll('main *')].filter((each) => each.getBoundingClientRect().right > innerWidth + 1"
+    " && !each.closest('.wide, .tree, pre')).map((each) => each.outerHTML.slice(0, 100))"
+)
+
+
 @pytest.mark.tool("chromium")
 class TestInABrowser:
     def show(self, page: Path, tmp_path: Path, *options: str, fragment: str = "") -> subprocess.CompletedProcess[str]:
@@ -401,6 +409,20 @@ class TestInABrowser:
         page = write_report(run, tmp_path / "report")
         dom = self.show(page, tmp_path, "--dump-dom").stdout
         assert "<title>DCP conformance: &lt;script&gt;" in dom
+
+    def test_a_small_screen_shows_all_of_the_page(self, failed: RunResult, passed: RunResult, tmp_path: Path):
+        """Nothing is wider than the screen, with all details open; only tables of numbers and frames scroll."""
+        report = write_report(failed, tmp_path / "report")
+        (tmp_path / "matrix.html").write_text(render_matrix([failed, passed]))
+        with Browser(tmp_path / "profile") as browser:
+            browser.look(390, 900, touch=True)
+            for page in (report, tmp_path / "matrix.html"):
+                browser.open(page)
+                browser.run(
+                    "document.querySelectorAll('details').forEach((each) => { each.hidden = false; each.open = true; })"
+                )
+                assert browser.run("document.documentElement.scrollWidth") == 390
+                assert browser.run(WIDER) == []
 
     def test_the_page_can_be_printed(self, failed: RunResult, tmp_path: Path):
         page = write_report(failed, tmp_path / "report")

@@ -16,7 +16,6 @@ from pathlib import Path
 
 import pytest
 from dcp_conformance.errors import WorkerError
-from dcp_conformance.execution.signals import Stop
 from dcp_conformance.fuzz import Campaign, Effect, Frame, Limits
 from dcp_conformance.fuzz.campaign import State, read_state
 from dcp_conformance.fuzz.findings.artefact import SavedTarget
@@ -26,6 +25,7 @@ from dcp_selftest.fuzz.worker import SLOT_SIZE, Order, Settings, Slot, Worker
 from dcp_selftest.fuzz.workers import run_in_workers
 
 from dcp_codec import Codec
+from dcp_codec.common.signals import Stop
 
 from ...waiting import PATIENCE
 

@@ -18,9 +18,10 @@ from typing import Any, NamedTuple
 
 import msgspec
 
+from dcp_codec.common.signals import deferred
+from dcp_codec.common.workers import Worker
 from dcp_conformance.execution.run import ConformanceRun, WorkerEnd
 from dcp_conformance.execution.selection import Selection
-from dcp_conformance.execution.signals import deferred
 from dcp_conformance.execution.target import TargetOptions
 from dcp_conformance.model.case import SANITY, Case
 from dcp_conformance.model.results import CaseResult
@@ -57,15 +58,12 @@ def run_in_workers(run: ConformanceRun, workers: int) -> None:
     if run.on_start is not None:
         run.on_start(len(cases))
     with contextlib.ExitStack() as stack:
-        connections: dict[Connection, Any] = {}
+        connections: dict[Connection, Worker] = {}
         for share in shares:
-            ours, theirs = context.Pipe(duplex=False)
             options = (run.options, _selection(run, share), run.repeat, run.until_fail, run.artefacts)
-            process = context.Process(target=_execute_share, args=(theirs, *options), daemon=True)
-            process.start()
-            theirs.close()
-            stack.callback(_end, process)
-            connections[ours] = process
+            worker = Worker(context, _execute_share, *options)
+            stack.callback(worker.end, terminate=True)
+            connections[worker.connection] = worker
         ends: list[WorkerEnd] = []
         try:
             for message in messages(connections):
@@ -91,8 +89,8 @@ def _selection(run: ConformanceRun, cases: Sequence[str]) -> Selection:
     return Selection(patterns=tuple(cases), exclude=() if run.with_sanity else (SANITY,), first=run.first)
 
 
-def messages(connections: dict[Connection, Any]) -> Iterator[Any]:
-    """Yield the messages of all workers until all have ended. ``connections`` maps their connections to processes.
+def messages(connections: dict[Connection, Worker]) -> Iterator[Any]:
+    """Yield the messages of all workers until all have ended. ``connections`` maps their connections to them.
 
     If a worker ends without a :class:`WorkerEnd`, yield one with the reason.
     """
@@ -105,12 +103,10 @@ def messages(connections: dict[Connection, Any]) -> Iterator[Any]:
                 message = ready.recv()
             except (EOFError, OSError):
                 # OSError: the worker was killed while it sent a message.
-                process = open_ones.pop(ready)
-                process.join(5)
-                if process.exitcode or ready not in done:
+                status = open_ones.pop(ready).status()
+                if status or ready not in done:
                     # The worker ended without its last message.
-                    status = f"with status {process.exitcode}"
-                    text = f"a worker of the tester has ended {status}, before all its cases were run"
+                    text = f"a worker of the tester has ended with status {status}, before all its cases were run"
                     yield WorkerEnd(None, (), text, usage=False)
                 continue
             if isinstance(message, WorkerEnd):
@@ -157,11 +153,3 @@ def _execute_share(
         return
     finally:
         to.close()
-
-
-def _end(process: Any) -> None:
-    if process.is_alive():
-        process.terminate()
-        process.join(10)
-    if process.is_alive():
-        process.kill()

@@ -12,8 +12,8 @@ from dcp_conformance.errors import UsageError
 from dcp_conformance.interop.results import SCHEMA, MatrixResult
 from dcp_conformance.model.input_files import load_file
 from dcp_conformance.model.verdict import Verdict
+from dcp_conformance.reporting.junit import Entry, file_of
 
-from .junit import junit_xml
 from .markdown import markdown
 
 NAME = "interop.json"
@@ -46,3 +46,12 @@ def write_reports(matrix: MatrixResult, folder: Path) -> Path:
     page = folder / "interop.html"
     write_whole(page, render(matrix).encode())
     return page
+
+
+def junit_xml(matrix: MatrixResult) -> bytes:
+    """Return the results as JUnit XML: one suite for each pair of implementations, one test case for each cell."""
+    suites: dict[str, list[Entry]] = {}
+    for cell in matrix.cells:
+        entry = Entry(cell.test, f"dcp.interop.{cell.a}.{cell.b}", cell.elapsed_s, cell)
+        suites.setdefault(f"{cell.a} with {cell.b}", []).append(entry)
+    return file_of("dcp-conformance interop", suites)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections import Counter
 
+from dcp_spec.markdown import table
+
 from dcp_conformance.interop.results import MatrixResult
 from dcp_conformance.model.verdict import Verdict
 
@@ -17,19 +19,17 @@ def markdown(matrix: MatrixResult) -> str:
         counts.setdefault((cell.a, cell.b), Counter())[cell.verdict] += 1
     lines = ["# Interoperability of DCP implementations", "", f"{_total(matrix)}.", ""]
     if matrix.incomplete:
-        lines += [f"**{_text(matrix.incomplete)}.**", ""]
-    lines += [f"| A \\ B | {' | '.join(map(_text, columns))} |", f"|---|{'---|' * len(columns)}"]
-    for a in rows:
-        lines.append(f"| **{_text(a)}** | {' | '.join(_summary(counts.get((a, b))) for b in columns)} |")
+        lines += [f"**{' '.join(matrix.incomplete.split())}.**", ""]
+    pairs = ([f"**{a}**", *(_summary(counts.get((a, b))) for b in columns)] for a in rows)
+    lines.append(table(("A \\ B", *columns), pairs))
     declared = [(each.name, *item) for each in matrix.implementations for item in each.declared.items()]
     if declared:
         lines += ["", "Profiles declare these deviations from the specification; no cell fails because of them.", ""]
-        lines += ["| implementation | requirement | deviation |", "|---|---|---|"]
-        lines += [f"| {_text(name)} | {identifier} | {_text(text)} |" for name, identifier, text in declared]
+        lines.append(table(("implementation", "requirement", "deviation"), declared))
     bad = [cell for cell in matrix.cells if cell.verdict not in (Verdict.PASS, Verdict.NOT_APPLICABLE)]
     if bad:
-        lines += ["", "| A | B | test | verdict | reason |", "|---|---|---|---|---|"]
-        lines += [f"| {_text(c.a)} | {_text(c.b)} | {c.test} | {c.verdict} | {_text(c.reason)[:400]} |" for c in bad]
+        cells = ((each.a, each.b, each.test, each.verdict, each.reason[:400]) for each in bad)
+        lines += ["", table(("A", "B", "test", "verdict", "reason"), cells)]
     return "\n".join(lines) + "\n"
 
 
@@ -47,7 +47,3 @@ def _summary(counts: Counter[Verdict] | None) -> str:
         return "n/a"
     text = f"{counts[Verdict.PASS]} of {applied} pass"
     return text if counts[Verdict.PASS] == applied else f"**{text}**"
-
-
-def _text(text: str) -> str:
-    return text.replace("|", "\\|").replace("\n", " ")

@@ -6,12 +6,11 @@ import re
 from collections import Counter
 from typing import Any, Final
 
-from jinja2 import ChoiceLoader, PackageLoader
 from markupsafe import Markup
 
+from dcp_codec.common import pages
 from dcp_conformance.interop.results import CellResult, MatrixResult
 from dcp_conformance.model.verdict import Verdict
-from dcp_conformance.reporting.page import environment
 
 from .chart import chart
 
@@ -24,9 +23,6 @@ _ORDER: Final = (Verdict.FAIL, Verdict.ERROR, Verdict.INCONCLUSIVE, Verdict.PASS
 
 def render(matrix: MatrixResult) -> str:
     """The page of a matrix."""
-    made = environment()
-    own = PackageLoader("dcp_conformance.interop.reports")
-    made.loader = ChoiceLoader([own, *([made.loader] if made.loader is not None else [])])
     rows = list(dict.fromkeys(cell.a for cell in matrix.cells))
     columns = list(dict.fromkeys(cell.b for cell in matrix.cells))
     cells = [_cell(cell, number, len(matrix.cells)) for number, cell in enumerate(matrix.cells)]
@@ -34,13 +30,16 @@ def render(matrix: MatrixResult) -> str:
     for each in cells:
         by_pair.setdefault((each["of"].a, each["of"].b), []).append(each)
     counts = Counter(str(cell.verdict) for cell in matrix.cells)
-    return made.get_template("interop.html").render(
+    return pages.render(
+        __package__,
+        "interop.html",
+        pages.text("dcp_conformance.reporting", "page.js"),
         matrix=matrix,
         rows=rows,
         columns=columns,
         by_pair=by_pair,
         summaries={pair: _summary(found) for pair, found in by_pair.items()},
-        tiles=[(str(each), counts[str(each)]) for each in _ORDER if counts[str(each)]],
+        counted=[(counts[each], each.replace("-", " "), each) for each in map(str, _ORDER) if counts[each]],
         headline=_headline(counts),
         tests=list(dict.fromkeys(cell.test for cell in matrix.cells)),
         declared=[(each.name, *item) for each in matrix.implementations for item in each.declared.items()],

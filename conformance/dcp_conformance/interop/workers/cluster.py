@@ -7,8 +7,8 @@ from contextlib import ExitStack
 from importlib import import_module
 from typing import Any, Final
 
+from dcp_codec.common.signals import Stop
 from dcp_conformance.errors import ConformanceError, UsageError
-from dcp_conformance.execution.signals import Stop
 from dcp_conformance.interop.cell import Cell
 from dcp_conformance.interop.results import CellResult
 

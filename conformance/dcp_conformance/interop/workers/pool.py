@@ -13,24 +13,21 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Callable, Generator, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
+from collections.abc import Callable, Generator, Sequence
+from functools import partial
 from multiprocessing.connection import Connection
-from typing import Final, TypeVar
+from typing import Final
 
+from dcp_codec.common.signals import Stop, deferred
+from dcp_codec.common.workers import Item, Result, WorkerLostError, completed
 from dcp_codec.network.namespaces import NamespaceError
 from dcp_conformance.errors import ConformanceError
-from dcp_conformance.execution.signals import Stop, deferred
 from dcp_stack.sim.testbed import namespaces
 
 #: Seconds that workers have to remove their networks: a relay and an upper tester may each take a minute to answer.
 _END: Final = 150.0
 #: Seconds in which a signal to the whole process group reaches this process as well.
 _GROUP: Final = 1.0
-
-Item = TypeVar("Item")
-Result = TypeVar("Result")
 
 
 class _Worker:
@@ -70,7 +67,7 @@ class _Worker:
 
 
 _worker: _Worker | None = None
-"""Set once at the start of a worker process; ``ProcessPoolExecutor`` has no other place for it."""
+"""Set once at the start of a worker process; the pool has no other place for it."""
 
 
 def _begin(command: Connection, life: Connection) -> None:
@@ -92,44 +89,25 @@ def run_in_workers(
     until they have removed what they had built. Raises ``ConformanceError`` if a worker ends by itself.
     """
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload([f"{__package__}.preload"])
     command, our_command = context.Pipe(duplex=False)
     our_life, life = context.Pipe(duplex=False)
-    pool = ProcessPoolExecutor(jobs, mp_context=context, initializer=_begin, initargs=(command, life))
     finished = False
     try:
-        yield from _results(pool, job, items, jobs)
+        begin, preload = partial(_begin, command, life), f"{__package__}.preload"
+        yield from completed(partial(_run, job), items, jobs, start="forkserver", preload=preload, begin=begin)
         finished = True
-    except BrokenProcessPool:
+    except WorkerLostError as error:
         # A signal to the process group also ends the server that forks workers. It means an interruption then.
         time.sleep(_GROUP)
-        raise ConformanceError("a worker process ended by itself; was it killed, or is memory short?") from None
+        raise ConformanceError(str(error)) from None
     finally:
         with deferred():
-            if not finished:
-                our_command.close()
-            pool.shutdown(cancel_futures=True)
             command.close()
             life.close()
+            our_command.close()
             # Without that server the pool cannot wait for its workers; they hold the other end of this pipe.
             our_life.poll(_END + 5)
             our_life.close()
-            our_command.close()
             if not finished:
                 with contextlib.suppress(NamespaceError):
                     namespaces.sweep()
-
-
-def _results(
-    pool: ProcessPoolExecutor, job: Callable[[Item, Stop], Result], items: Sequence[Item], jobs: int
-) -> Iterator[tuple[int, Result]]:
-    running: dict[Future[Result], int] = {}
-    left = iter(enumerate(items))
-    while True:
-        # As many again as there are workers: one that is ready has its next item at hand.
-        while len(running) < 2 * jobs and (following := next(left, None)) is not None:
-            running[pool.submit(_run, job, following[1])] = following[0]
-        if not running:
-            return
-        for each in wait(running, return_when=FIRST_COMPLETED).done:
-            yield running.pop(each), each.result()

@@ -1,9 +1,4 @@
 (() => {
-  const root = document.documentElement, button = document.querySelector(".theme");
-  if (button) button.addEventListener("click", () => {
-    const dark = root.dataset.theme ? root.dataset.theme === "dark" : matchMedia("(prefers-color-scheme: dark)").matches;
-    root.dataset.theme = dark ? "light" : "dark";
-  });
   const search = document.querySelector("#search"), boxes = [...document.querySelectorAll(".filters input[type=checkbox]")];
   const rows = [...document.querySelectorAll("[data-search]")], none = document.querySelector("#none");
   const apply = () => {

@@ -1,4 +1,4 @@
-"""The colours of a page in the light and dark schemes, and symbols that are equivalent to the colours of series.
+"""The colours of pages in the light and dark schemes, and symbols that are equivalent to the colours of series.
 
 Text and lines have a contrast of at least 4.5 to 1 with their background in both schemes.
 """
@@ -16,6 +16,8 @@ SCHEMES: dict[str, tuple[str, str]] = {
     "code": ("#f3f4f5", "#23282e"),
     "fail": ("#c0272d", "#ff7b73"),
     "good": ("#a9c8e8", "#2f5478"),
+    "bad": ("#ffd9d6", "#5a2220"),
+    "bad-ink": ("#8c1414", "#ffc9c4"),
     "accent": ("#2b5fa9", "#8fb8f0"),
     "s0": ("#1f6cae", "#62aee8"),
     "s1": ("#b84a06", "#ff9a52"),
