@@ -39,7 +39,10 @@ lint: $(STAMP)
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-logo
 
-test-all: test-suite test-tools test-tables test-links
+# Three parts in one run: importing the tests for each part takes long.
+test-all: $(STAMP) $(KAITAI)
+	$(PYTEST) --part=suite --part=tools --part=tables
+	$(MAKE) test-links
 
 test-tools: $(KAITAI)
 
