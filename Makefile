@@ -39,9 +39,9 @@ lint: $(STAMP)
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-logo
 
-# Three parts in one run: importing the tests for each part takes long.
+# Three parts in one run: importing the tests for each part takes long. A worker has neighbouring tests: it keeps fixtures.
 test-all: $(STAMP) $(KAITAI)
-	$(PYTEST) --part=suite --part=tools --part=tables
+	$(PYTEST) --dist worksteal --part=suite --part=tools --part=tables
 	$(MAKE) test-links
 
 test-tools: $(KAITAI)
@@ -49,9 +49,9 @@ test-tools: $(KAITAI)
 test-suite test-tools test-tables: $(STAMP)
 	$(PYTEST) --part=$(@:test-%=%)
 
-# Tests in real time wait more than they compute, hence more of them at a time.
+# Tests in real time wait more than they compute, hence more of them at a time. Those of a testbed share running nodes.
 test-links: $(STAMP)
-	$(PYTEST) -n 4 --dist loadfile --part=links
+	$(PYTEST) -n 6 --dist loadgroup --part=links
 
 FOR  ?= 3600
 N    ?= 10
