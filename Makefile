@@ -39,7 +39,7 @@ lint: $(STAMP)
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-logo
 
-# Three parts in one run: importing the tests for each part takes long. A worker has neighbouring tests: it keeps fixtures.
+# Three parts in one run: importing the tests for each part takes long. Neighbouring tests share fixtures of a worker.
 test-all: $(STAMP) $(KAITAI)
 	$(PYTEST) --dist worksteal --part=suite --part=tools --part=tables
 	$(MAKE) test-links
