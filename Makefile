@@ -49,9 +49,9 @@ test-tools: $(KAITAI)
 test-suite test-tools test-tables: $(STAMP)
 	$(PYTEST) --part=$(@:test-%=%)
 
-# Tests in real time wait more than they compute, hence more of them at a time. Those of a testbed share running nodes.
+# Tests in real time wait more than they compute, hence more of them at a time.
 test-links: $(STAMP)
-	$(PYTEST) -n 6 --dist loadgroup --part=links
+	$(PYTEST) -n 6 --dist loadfile --part=links
 
 FOR  ?= 3600
 N    ?= 10

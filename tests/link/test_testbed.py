@@ -30,7 +30,7 @@ from dcp_stack.sim.testbed.fabric import chance, netem_options
 from ..waiting import PATIENCE, eventually
 
 pytest.importorskip("scapy", reason="scapy is not installed (pip install 'dcp-conformance-kit[scapy]')")
-pytestmark = [pytest.mark.tool("ip"), pytest.mark.xdist_group("testbed")]
+pytestmark = pytest.mark.tool("ip")
 
 ROOT = Path(__file__).parents[2]
 LINE = ROOT / "examples" / "line.toml"
