@@ -39,7 +39,10 @@ lint: $(STAMP)
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-logo
 
-test-all: test-suite test-tools test-tables test-links
+# Three parts in one run: importing the tests for each part takes long. Neighbouring tests share fixtures of a worker.
+test-all: $(STAMP) $(KAITAI)
+	$(PYTEST) --dist worksteal --part=suite --part=tools --part=tables
+	$(MAKE) test-links
 
 test-tools: $(KAITAI)
 
@@ -48,7 +51,7 @@ test-suite test-tools test-tables: $(STAMP)
 
 # Tests in real time wait more than they compute, hence more of them at a time.
 test-links: $(STAMP)
-	$(PYTEST) -n 4 --dist loadfile --part=links
+	$(PYTEST) -n 6 --dist loadfile --part=links
 
 FOR  ?= 3600
 N    ?= 10

@@ -14,6 +14,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterable, Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -92,6 +93,8 @@ def part_of(item: pytest.Item) -> str:
     (part,) = mark.args
     if part not in PARTS:
         raise pytest.UsageError(f"{item.nodeid}: {part!r} is not one of the parts {', '.join(PARTS)}")
+    if part == "links" and not may_be_in_links(item.path):
+        raise pytest.UsageError(f"{item.nodeid}: the mark of part links must be in the file of the test")
     return part
 
 
@@ -113,10 +116,20 @@ def pytest_runtest_call(item: pytest.Item) -> Iterator[None]:
         return (yield)
 
 
+@cache
+def may_be_in_links(path: Path) -> bool:
+    """Return whether the path of a file of tests, or a literal mark in it, makes tests part of links."""
+    return path.parent.name in PART_OF_FOLDER or 'part("links")' in path.read_text(encoding="utf-8")
+
+
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
-    """Skip folders without a test of the core, if only the core is selected."""
-    core = config.getoption("--part") == [PARTS[0]]
-    return True if core and collection_path.is_dir() and collection_path.name in PART_OF_FOLDER else None
+    """Skip what has no selected test, without importing it, if only the core or only links is selected."""
+    selected = config.getoption("--part")
+    if selected == ["core"]:
+        skipped = collection_path.is_dir() and collection_path.name in PART_OF_FOLDER
+    else:
+        skipped = selected == ["links"] and collection_path.is_file() and not may_be_in_links(collection_path)
+    return True if skipped else None
 
 
 @pytest.hookimpl(tryfirst=True)

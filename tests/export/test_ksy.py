@@ -180,7 +180,9 @@ def test_every_field_of_every_layout_agrees(codec: Codec, root_type: Any) -> Non
 def test_octets_that_the_codec_refuses_are_refused(codec: Codec, root_type: Any) -> None:
     beacons = strategies.beacons(codec).map(codec.encode)
     octets = codec.encode(everything(codec))
-    wrong = [*malformed(codec, octets), *drawn(strategies.mutations(beacons, codec.dissect), 150)]
+    # Profiles take turns with the changes, as in test_lua.py.
+    changes = list(malformed(codec, octets))[NAMES.index(codec.profile.name) % 3 :: 3]
+    wrong = [*changes, *drawn(strategies.mutations(beacons, codec.dissect), 150)]
     refused = 0
     for candidate in wrong:
         reason = refusal(codec, candidate)

@@ -37,25 +37,19 @@ def beacon(codec: Codec) -> bytes:
 
 
 @needs_tshark
-@pytest.mark.parametrize(
-    ("line", "wrong"),
-    [
+def test_the_comparison_notices_errors_by_one(codec: Codec, beacon: bytes, tmp_path: Path) -> None:
+    script = wireshark_dissector(codec)
+    capture = write(tmp_path / "c.pcap", codec.profile.link, [beacon + bytes(9), beacon[:-1]])
+    assert compare(codec, script, capture)[1] == []
+    for line, wrong in (
         ("local range = s.buf(start, node.size)", "local range = s.buf(start + 1, node.size)"),
         ("local range = s.buf(start, #octets)", "local range = s.buf(start - 1, #octets)"),
         ("item:set_len(s.pos - start)", "item:set_len(s.pos - start + 1)"),
         ("range, s.base + found.offset", "range, found.offset"),
         ('node.order == "little" and tree.add_le or tree.add', "tree.add"),
-    ],
-)
-def test_the_comparison_notices_errors_by_one(
-    codec: Codec, beacon: bytes, tmp_path: Path, line: str, wrong: str
-) -> None:
-    script = wireshark_dissector(codec)
-    assert line in script
-    payloads = [beacon + bytes(9), beacon[:-1]]
-    capture = write(tmp_path / "c.pcap", codec.profile.link, payloads)
-    assert compare(codec, script, capture)[1] == []
-    assert compare(codec, script.replace(line, wrong), capture)[1] != []
+    ):
+        assert line in script
+        assert compare(codec, script.replace(line, wrong), capture)[1] != [], wrong
 
 
 @needs_tshark
@@ -68,9 +62,8 @@ def test_the_info_column_summarises_the_beacon(codec: Codec, beacon: bytes, tmp_
 
 
 @needs_tshark
-@pytest.mark.parametrize(
-    "display_filter",
-    [
+def test_fields_can_be_filtered(codec: Codec, beacon: bytes, tmp_path: Path) -> None:
+    filters = (
         "dcp.bp.seqno == 41",
         "dcp.bp.senderId == 02:00:00:00:00:bb",
         "dcp.payloads.protocolId == 99",
@@ -83,19 +76,17 @@ def test_the_info_column_summarises_the_beacon(codec: Codec, beacon: bytes, tmp_
         "dcp.payloads.data == 00:ff:3f",
         "dcp.padding == 5",
         "!dcp.errors",
-    ],
-)
-def test_fields_can_be_filtered(codec: Codec, beacon: bytes, tmp_path: Path, display_filter: str) -> None:
-    assert show(codec, beacon + bytes(5), tmp_path, "-Y", display_filter) != ""
-    assert show(codec, beacon + bytes(5), tmp_path, "-Y", f"!({display_filter})") == ""
+    )
+    assert show(codec, beacon + bytes(5), tmp_path, "-Y", " && ".join(filters)) != ""
+    inverted = " || ".join(f"!({each})" for each in filters)
+    assert show(codec, beacon + bytes(5), tmp_path, "-Y", inverted) == ""
 
 
 @needs_tshark
 def test_errors_can_be_filtered(codec: Codec, beacon: bytes, tmp_path: Path) -> None:
-    wrong = b"\x02" + beacon[1:]
-    for condition in ('dcp.errors.reason == "bad-version"', "dcp.errors.offset == 14", "dcp.expert.bad-version"):
-        assert show(codec, wrong, tmp_path, "-Y", condition) != ""
-        assert show(codec, beacon, tmp_path, "-Y", condition) == ""
+    filters = ('dcp.errors.reason == "bad-version"', "dcp.errors.offset == 14", "dcp.expert.bad-version")
+    assert show(codec, b"\x02" + beacon[1:], tmp_path, "-Y", " && ".join(filters)) != ""
+    assert show(codec, beacon, tmp_path, "-Y", " || ".join(filters)) == ""
 
 
 @needs_tshark

