@@ -204,13 +204,13 @@ def port_is_free(port: int) -> bool:
 
 @pytest.mark.parametrize("stubborn", [False, True])
 def test_nothing_of_a_large_detached_process_is_left_after_its_end(tmp_path, control, monkeypatch, stubborn):
-    """40 ends by SIGTERM, 40 by SIGKILL: the kernel removes the environment of a process before it closes sockets."""
+    """100 ends by SIGTERM, 100 by SIGKILL: the kernel removes the environment of a process before it closes sockets."""
     monkeypatch.setattr(keeper, "END_PATIENCE", 0.1 if stubborn else PATIENCE)
     ignore = "signal.signal(signal.SIGTERM, signal.SIG_IGN)\n" if stubborn else ""
     port = own_port()
     it = control(start=f"setsid {program(tmp_path, ignore + LARGE)} {port} & true", settle=PATIENCE)
     left: list[str] = []
-    for turn in range(40):
+    for turn in range(100):
         it.start()
         descriptor = os.pidfd_open(pid_in(tmp_path))
         (tmp_path / "pid").unlink()
@@ -220,7 +220,7 @@ def test_nothing_of_a_large_detached_process_is_left_after_its_end(tmp_path, con
             left.append(f"turn {turn}: {'it runs' if free else 'its port is in use'}")
             select.select([descriptor], [], [], PATIENCE)
         os.close(descriptor)
-    assert not left, f"{len(left)} of 40: {left[:5]}"
+    assert not left, f"{len(left)} of 100: {left[:5]}"
 
 
 def test_processes_started_during_the_end_are_ended(tmp_path, control):
