@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import msgspec
 from dcp_spec.constants import SpecVersion
 from dcp_spec.status import BPStatus
 
+from dcp_selftest.mutants.family import after, before, instead, skips
 from dcp_selftest.mutants.mutant import mutant
 from dcp_selftest.mutants.unseen import BP_ALWAYS_ACTIVE
 from dcp_stack.bp.clients import ClientList
@@ -29,11 +28,9 @@ def _empty(clients: ClientList) -> None:
             client.queue.clear()
 
 
-@mutant("others-too", "BP-DRG-02 BP-QM-05", "clears all buffers when a client is deregistered")
-class DeregistrationEmpties(BeaconingProtocol):
-    def deregister(self, prot_id: int) -> StatusConfirm:
-        _empty(self._clients)
-        return super().deregister(prot_id)
+before(BeaconingProtocol, BeaconingProtocol.deregister)("others-too", "BP-DRG-02 BP-QM-05",
+    "clears all buffers when a client is deregistered",
+    lambda self, prot_id: _empty(self._clients))  # fmt: skip
 
 
 @mutant("unknown-empties", "BP-DRG-01 BP-QM-05", "clears all buffers when an unknown client is deregistered")
@@ -45,11 +42,9 @@ class UnknownEmpties(BeaconingProtocol):
         return confirm
 
 
-@mutant("all", "BP-CLR-03 BP-QM-05", "clears the buffers of all clients")
-class ClearsAll(BeaconingProtocol):
-    def clear_buffer(self, prot_id: int) -> StatusConfirm:
-        _empty(self._clients)
-        return super().clear_buffer(prot_id)
+before(BeaconingProtocol, BeaconingProtocol.clear_buffer)("all", "BP-CLR-03 BP-QM-05",
+    "clears the buffers of all clients",
+    lambda self, prot_id: _empty(self._clients))  # fmt: skip
 
 
 @mutant("refused-empties", "BP-TXP-02 BP-QM-05", "clears the buffer of a client whose payload is too large")
@@ -82,22 +77,15 @@ class _Lists(BeaconingProtocol):
         return ListConfirm(confirm.status, tuple(map(self.listed, confirm.protocols)))
 
 
-@mutant("entries", "BP-LST-01", "lists maxEntries as 4 for every client", since=SpecVersion.V1_1)
-class ListsFour(_Lists):
-    def listed(self, each: Registration) -> Registration:
-        return msgspec.structs.replace(each, max_entries=4)
-
-
-@mutant("several", "BP-LST-01", "lists allowMultiplePayloads as false for every client", since=SpecVersion.V1_1)
-class ListsFalse(_Lists):
-    def listed(self, each: Registration) -> Registration:
-        return msgspec.structs.replace(each, allow_multiple_payloads=False)
-
-
-@mutant("names", "BP-LST-01", "lists only the first three characters of a name", since=SpecVersion.V1_1)
-class CutsNames(_Lists):
-    def listed(self, each: Registration) -> Registration:
-        return msgspec.structs.replace(each, protocol_name=each.protocol_name[:3])
+# fmt: off
+listed = instead(_Lists, _Lists.listed)
+listed("entries", "BP-LST-01", "lists maxEntries as 4 for every client",
+    lambda self, each: msgspec.structs.replace(each, max_entries=4), since=SpecVersion.V1_1)
+listed("several", "BP-LST-01", "lists allowMultiplePayloads as false for every client",
+    lambda self, each: msgspec.structs.replace(each, allow_multiple_payloads=False), since=SpecVersion.V1_1)
+listed("names", "BP-LST-01", "lists only the first three characters of a name",
+    lambda self, each: msgspec.structs.replace(each, protocol_name=each.protocol_name[:3]), since=SpecVersion.V1_1)
+# fmt: on
 
 
 @mutant("one-time", "BP-LST-01 BP-REG-06", "lists the time of the first registration for every client")
@@ -109,13 +97,10 @@ class OneTime(_Lists):
         return ListConfirm(confirm.status, tuple(same))
 
 
-@mutant(
-    "refused-without-id", "BP-REG-13", "returns its node identifier only in the confirms of successful registrations"
-)
-class RefusedWithoutId(BeaconingProtocol):
-    def register(self, prot_id: int, *rest: Any, now: int, wall: int) -> RegisterConfirm:
-        confirm = super().register(prot_id, *rest, now=now, wall=wall)
-        return confirm if confirm.status is BPStatus.OK else RegisterConfirm(confirm.status, None)
+after(BeaconingProtocol, BeaconingProtocol.register)("refused-without-id", "BP-REG-13",
+    "returns its node identifier only in the confirms of successful registrations",
+    lambda self, confirm, prot_id, *rest, now, wall: (
+        confirm if confirm.status is BPStatus.OK else RegisterConfirm(confirm.status, None)))  # fmt: skip
 
 
 @mutant("one-place", "BP-QM-01", "keeps no payload in a DROPTAIL queue of one entry", since=SpecVersion.V1_1)
@@ -160,22 +145,13 @@ class Arrears(BeaconingProtocol):
         super().handle_timeout(now, wall)
 
 
-@mutant("thirty", "BP-RX-07", "processes at most 30 blocks of a beacon")
-class ThirtyBlocks(BPWire):
-    def parse(self, octets: bytes) -> Reception:
-        found = super().parse(octets)
-        return Reception(found.header, found.blocks[:30], found.fault, found.refused, count_agrees=found.count_agrees)
-
-
-@mutant("limited-1000", "BP-RXP-01 UWB-06", "delivers no payload of more than 900 octets")
-class SmallPayloads(Receiver):
-    def _deliver(self, block: Block, sender: bytes) -> None:
-        if len(block.payload) <= 900:
-            super()._deliver(block, sender)
-
-
-@mutant("paused-empties", "BP-MGT-05 BP-QM-03", "clears queues when it is activated")
-class ActivationEmpties(BeaconingProtocol):
-    def activate(self, now: int) -> StatusConfirm:
-        _empty(self._clients)
-        return super().activate(now)
+# fmt: off
+after(BPWire, BPWire.parse)("thirty", "BP-RX-07", "processes at most 30 blocks of a beacon",
+    lambda self, found, octets: (
+        Reception(found.header, found.blocks[:30], found.fault, found.refused, count_agrees=found.count_agrees)))
+skips(Receiver, Receiver._deliver)("limited-1000", "BP-RXP-01 UWB-06", "delivers no payload of more than 900 octets",
+    lambda self, block, sender: len(block.payload) > 900)
+before(BeaconingProtocol, BeaconingProtocol.activate)("paused-empties", "BP-MGT-05 BP-QM-03",
+    "clears queues when it is activated",
+    lambda self, now: _empty(self._clients))
+# fmt: on

@@ -8,6 +8,7 @@ from dcp_spec.parameters import Violation
 from dcp_spec.status import BPStatus
 
 from dcp_selftest.mutants.air import Air
+from dcp_selftest.mutants.family import around, before, instead
 from dcp_selftest.mutants.mutant import mutant
 from dcp_selftest.mutants.unseen import OTHERS_ACTIVE
 from dcp_stack.bp.entity import BeaconingProtocol
@@ -36,7 +37,7 @@ class SendsInactive(BeaconingProtocol):
         self.off = True
         return OK
 
-    def activate(self, now: int) -> StatusConfirm:  # noqa: ARG002 - the same call
+    def activate(self, now: int) -> StatusConfirm:
         self.off = False
         return OK
 
@@ -47,7 +48,7 @@ class SendsInactive(BeaconingProtocol):
 
 @mutant("receives", "BP-MGT-03 BP-RX-13", "delivers payloads received while it is inactive")
 class ReceivesInactive(BeaconingProtocol):
-    def handle_beacon(self, octets: bytes, *, now: int, wall: int) -> None:  # noqa: ARG002 - the same call
+    def handle_beacon(self, octets: bytes, *, now: int, wall: int) -> None:
         self._receiver.receive(bytes(octets), now)
 
 
@@ -70,30 +71,18 @@ class DeliversLater(BeaconingProtocol):
         return confirm
 
 
-@mutant("starts-over", "BP-MGT-05 BP-TX-01", "starts a new interval whenever it is activated, even while it is active")
-class StartsOver(BeaconingProtocol):
-    def activate(self, now: int) -> StatusConfirm:
-        self._schedule.restart(now)
-        return super().activate(now)
-
-
-@mutant(
-    "on-the-side",
-    "BP-TX-01",
+# fmt: off
+before(BeaconingProtocol, BeaconingProtocol.activate)("starts-over", "BP-MGT-05 BP-TX-01",
+    "starts a new interval whenever it is activated, even while it is active",
+    lambda self, now: self._schedule.restart(now))
+instead(BeaconingProtocol, BeaconingProtocol.poll_timeout)("on-the-side", "BP-TX-01",
     "has no timer of its own and sends only when another protocol is active",
-    unseen=OTHERS_ACTIVE,
-)
-class OnTheSide(BeaconingProtocol):
-    def poll_timeout(self) -> int | None:
-        return None
-
-
-@mutant("refuses", "BP-MGT-04", "rejects payloads while it is inactive")
-class RefusesInactive(BeaconingProtocol):
-    def transmit_payload(self, prot_id: int, payload: bytes, *, now: int) -> StatusConfirm:
-        if not self._active:
-            return StatusConfirm(BPStatus.UNKNOWN_PROTOCOL)
-        return super().transmit_payload(prot_id, payload, now=now)
+    lambda self: None, unseen=OTHERS_ACTIVE)
+around(BeaconingProtocol, BeaconingProtocol.transmit_payload)("refuses", "BP-MGT-04",
+    "rejects payloads while it is inactive",
+    lambda self, proceed, prot_id, payload, *, now: (
+        StatusConfirm(BPStatus.UNKNOWN_PROTOCOL) if not self._active else proceed(prot_id, payload, now=now)))
+# fmt: on
 
 
 @mutant("forgets", "BP-MGT-04 BP-MGT-05", "clears all queues when it is deactivated")
@@ -105,10 +94,9 @@ class ForgetsPayloads(BeaconingProtocol):
         return super().deactivate()
 
 
-@mutant("no-resume", "BP-MGT-05", "confirms the activation of BP, which stays inactive")
-class NeverAgain(BeaconingProtocol):
-    def activate(self, now: int) -> StatusConfirm:  # noqa: ARG002 - the same call
-        return OK
+instead(BeaconingProtocol, BeaconingProtocol.activate)("no-resume", "BP-MGT-05",
+    "confirms the activation of BP, which stays inactive",
+    lambda self, now: OK)  # fmt: skip
 
 
 @mutant("receives-only", "BP-MGT-05", "receives again when it is activated, but does not send")
@@ -138,10 +126,9 @@ class ClientsSurvive(Air):
 # -- parameters --------------------------------------------------------------------------------------------------------
 
 
-@mutant("ignored", "BP-PAR-02", "keeps using the initial beacon period")
-class PeriodStays(BeaconingProtocol):
-    def set_parameter(self, name: str, value: object) -> Violation | None:
-        return self._parameters.set(name, value)
+instead(BeaconingProtocol, BeaconingProtocol.set_parameter)("ignored", "BP-PAR-02",
+    "keeps using the initial beacon period",
+    lambda self, name, value: self._parameters.set(name, value))  # fmt: skip
 
 
 @mutant("network-stays", "BP-HDR-04 BP-PAR-05 BP-PAR-02", "keeps sending the initial network identifier")

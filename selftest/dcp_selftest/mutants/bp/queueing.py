@@ -9,6 +9,7 @@ import msgspec
 from dcp_spec.constants import QueueingMode, SpecVersion
 from dcp_spec.status import BPStatus
 
+from dcp_selftest.mutants.family import attributes, instead
 from dcp_selftest.mutants.mutant import mutant
 from dcp_selftest.mutants.unseen import NO_MODE, NO_QUEUE
 from dcp_stack.bp.clients import Chosen, ClientList
@@ -42,24 +43,17 @@ class OtherRules(ClientList):
 # -- modes -------------------------------------------------------------------------------------------------------------
 
 
-@mutant("drops-head", "BP-QM-01 BP-TXP-04", "drops the oldest payload of a full DROPTAIL queue")
-class TailDropsHead(OtherRules):
-    rules = rule(DROPTAIL, when_full="displace-oldest")
-
-
-@mutant("discards-new", "BP-QM-02 BP-TXP-05", "discards a new payload for a full DROPHEAD queue")
-class HeadDiscardsNew(OtherRules):
-    rules = rule(DROPHEAD, when_full="discard-new")
-
-
-@mutant("repeats", "BP-QM-03 BP-TX-06", "sends the head of a DROPTAIL queue repeatedly", unseen=NO_MODE)
-class QueueRepeats(OtherRules):
-    rules = rule(DROPTAIL, when_sent="keep")
-
-
-@mutant("drophead-repeats", "BP-QM-03 BP-TX-06", "sends the head of a DROPHEAD queue repeatedly", unseen=NO_MODE)
-class HeadQueueRepeats(OtherRules):
-    rules = rule(DROPHEAD, when_sent="keep")
+# fmt: off
+other_rules = attributes(OtherRules, __name__)
+other_rules("drops-head", "BP-QM-01 BP-TXP-04", "drops the oldest payload of a full DROPTAIL queue",
+    rules=rule(DROPTAIL, when_full="displace-oldest"))
+other_rules("discards-new", "BP-QM-02 BP-TXP-05", "discards a new payload for a full DROPHEAD queue",
+    rules=rule(DROPHEAD, when_full="discard-new"))
+other_rules("repeats", "BP-QM-03 BP-TX-06", "sends the head of a DROPTAIL queue repeatedly",
+    unseen=NO_MODE, rules=rule(DROPTAIL, when_sent="keep"))
+other_rules("drophead-repeats", "BP-QM-03 BP-TX-06", "sends the head of a DROPHEAD queue repeatedly",
+    unseen=NO_MODE, rules=rule(DROPHEAD, when_sent="keep"))
+# fmt: on
 
 
 @mutant(
@@ -69,15 +63,8 @@ class QueueBounded(OtherRules):
     rules = rule(QueueingMode.QUEUE, places=QUEUEING[ONCE].places, when_full="displace-oldest")
 
 
-@mutant(
-    "queue-repeats",
-    "BP-QM-03",
-    "sends the head of a queue of mode QUEUE repeatedly",
-    until=SpecVersion.V1_0,
-    unseen=NO_QUEUE,
-)
-class OldQueueRepeats(OtherRules):
-    rules = rule(QueueingMode.QUEUE, when_sent="keep")
+other_rules("queue-repeats", "BP-QM-03", "sends the head of a queue of mode QUEUE repeatedly",
+    until=SpecVersion.V1_0, unseen=NO_QUEUE, rules=rule(QueueingMode.QUEUE, when_sent="keep"))  # fmt: skip
 
 
 @mutant(
@@ -91,24 +78,16 @@ class QueueBoundedByEntries(OtherRules):
     rules = rule(QueueingMode.QUEUE, places=Places.MAX_ENTRIES, when_full="discard-new")
 
 
-@mutant("keeps-oldest", "BP-QM-04 BP-TXP-06", "keeps the first payload in a ONCE buffer until it is sent")
-class OnceKeepsOldest(OtherRules):
-    rules = rule(ONCE, when_full="discard-new")
-
-
-@mutant("repeats", "BP-QM-04 BP-TX-05 BP-QRY-03", "keeps the payload of a ONCE buffer after it was sent")
-class OnceRepeats(OtherRules):
-    rules = rule(ONCE, when_sent="keep")
-
-
-@mutant("forgets", "BP-QM-05 BP-TX-05 BP-QRY-03", "clears a REPEAT buffer after its payload was sent")
-class RepeatForgets(OtherRules):
-    rules = rule(REPEAT, when_sent="remove")
-
-
-@mutant("keeps-oldest", "BP-QM-05 BP-TXP-06", "never replaces the payload of a REPEAT buffer")
-class RepeatKeepsOldest(OtherRules):
-    rules = rule(REPEAT, when_full="discard-new")
+# fmt: off
+other_rules("keeps-oldest", "BP-QM-04 BP-TXP-06", "keeps the first payload in a ONCE buffer until it is sent",
+    rules=rule(ONCE, when_full="discard-new"))
+other_rules("repeats", "BP-QM-04 BP-TX-05 BP-QRY-03", "keeps the payload of a ONCE buffer after it was sent",
+    rules=rule(ONCE, when_sent="keep"))
+other_rules("forgets", "BP-QM-05 BP-TX-05 BP-QRY-03", "clears a REPEAT buffer after its payload was sent",
+    rules=rule(REPEAT, when_sent="remove"))
+other_rules("keeps-oldest", "BP-QM-05 BP-TXP-06", "never replaces the payload of a REPEAT buffer",
+    rules=rule(REPEAT, when_full="discard-new"))
+# fmt: on
 
 
 class OwnQueue(ClientList):
@@ -271,27 +250,20 @@ class Query(BeaconingProtocol):
             return confirm
         return NumberConfirm(confirm.status, self.number(confirm.number, client.queue))
 
-    def number(self, number: int, queue: PayloadQueue) -> int:  # noqa: ARG002 - used by overrides
+    def number(self, number: int, queue: PayloadQueue) -> int:
         """Return the number to be returned."""
         return number
 
 
-@mutant("one-at-most", "BP-QRY-02", "answers 1 for a queue with several payloads")
-class OneAtMost(Query):
-    def number(self, number: int, queue: PayloadQueue) -> int:  # noqa: ARG002 - as above
-        return min(number, 1)
-
-
-@mutant("one-more", "BP-QRY-02 BP-QRY-03", "counts the payload that was sent last as buffered")
-class OneMore(Query):
-    def number(self, number: int, queue: PayloadQueue) -> int:
-        return number + (queue.rule not in (QUEUEING[ONCE], QUEUEING[REPEAT]) and number > 0)
-
-
-@mutant("repeat-empty", "BP-QRY-03", "answers 0 for a REPEAT buffer that is occupied")
-class RepeatEmpty(Query):
-    def number(self, number: int, queue: PayloadQueue) -> int:
-        return 0 if queue.rule == QUEUEING[REPEAT] else number
+# fmt: off
+number = instead(Query, Query.number)
+number("one-at-most", "BP-QRY-02", "answers 1 for a queue with several payloads",
+    lambda self, number, queue: min(number, 1))
+number("one-more", "BP-QRY-02 BP-QRY-03", "counts the payload that was sent last as buffered",
+    lambda self, number, queue: number + (queue.rule not in (QUEUEING[ONCE], QUEUEING[REPEAT]) and number > 0))
+number("repeat-empty", "BP-QRY-03", "answers 0 for a REPEAT buffer that is occupied",
+    lambda self, number, queue: 0 if queue.rule == QUEUEING[REPEAT] else number)
+# fmt: on
 
 
 # -- timing ------------------------------------------------------------------------------------------------------------

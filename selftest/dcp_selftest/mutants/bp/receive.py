@@ -7,6 +7,7 @@ from typing import Any
 
 from dcp_codec.values import BPHeader
 from dcp_selftest.mutants.air import Air
+from dcp_selftest.mutants.family import after, around, instead
 from dcp_selftest.mutants.mutant import mutant
 from dcp_stack.bp.receive import Receiver
 from dcp_stack.bp.wire import Block, BPWire, Reception
@@ -88,17 +89,14 @@ class NonePayloads(Lenient):
         return octets
 
 
-@mutant("any", "BP-RX-05", "accepts beacons of any network")
-class AnyNetwork(Receiver):
-    def _for_this_node(self, header: BPHeader) -> bool:
-        return super()._for_this_node(BPHeader(header.sender_id, header.seqno, self._parameters.network_id))
-
-
-@mutant("zero", "BP-RX-05", "treats network 0 as any network")
-class ZeroIsAnyNetwork(Receiver):
-    def _for_this_node(self, header: BPHeader) -> bool:
-        network = header.network_id or self._parameters.network_id
-        return super()._for_this_node(BPHeader(header.sender_id, header.seqno, network))
+# fmt: off
+around_for_this_node = around(Receiver, Receiver._for_this_node)
+around_for_this_node("any", "BP-RX-05", "accepts beacons of any network",
+    lambda self, proceed, header: proceed(BPHeader(header.sender_id, header.seqno, self._parameters.network_id)))
+around_for_this_node("zero", "BP-RX-05", "treats network 0 as any network",
+    lambda self, proceed, header: (
+        proceed(BPHeader(header.sender_id, header.seqno, (header.network_id or self._parameters.network_id)))))
+# fmt: on
 
 
 @mutant("low-octet", "BP-RX-05", "compares only the low octet of network identifiers")
@@ -124,25 +122,15 @@ class FirstNetwork(Receiver):
         return super()._for_this_node(BPHeader(header.sender_id, header.seqno, network))
 
 
-@mutant("processed", "BP-RX-06", "accepts beacons with its own senderId")
-class OwnBeacons(Receiver):
-    def _for_this_node(self, header: BPHeader) -> bool:
-        return super()._for_this_node(BPHeader(b"", header.seqno, header.network_id))
-
-
-@mutant("reserved-senders", "DATA-04", "ignores senders whose identifier has the group bit or is all zero")
-class ReservedSenders(Receiver):
-    def _for_this_node(self, header: BPHeader) -> bool:
-        plain = any(header.sender_id) and not header.sender_id[0] & 1
-        return plain and super()._for_this_node(header)
-
-
-@mutant(
-    "sender-prefix", "BP-RX-06 DATA-04", "treats senders with the same first octets as its own identifier as itself"
-)
-class SenderPrefix(Receiver):
-    def _for_this_node(self, header: BPHeader) -> bool:
-        return header.sender_id[:3] != self._node_id[:3] and super()._for_this_node(header)
+# fmt: off
+around_for_this_node("processed", "BP-RX-06", "accepts beacons with its own senderId",
+    lambda self, proceed, header: proceed(BPHeader(b"", header.seqno, header.network_id)))
+around_for_this_node("reserved-senders", "DATA-04", "ignores senders whose identifier has the group bit or is all zero",
+    lambda self, proceed, header: (any(header.sender_id) and not header.sender_id[0] & 1) and proceed(header))
+around_for_this_node("sender-prefix", "BP-RX-06 DATA-04",
+    "treats senders with the same first octets as its own identifier as itself",
+    lambda self, proceed, header: header.sender_id[:3] != self._node_id[:3] and proceed(header))
+# fmt: on
 
 
 # -- blocks ------------------------------------------------------------------------------------------------------------
@@ -160,28 +148,16 @@ class Blocks(BPWire):
         return blocks
 
 
-@mutant("first-only", "BP-RX-07", "processes only the first block of a beacon")
-class FirstBlock(Blocks):
-    def chosen(self, blocks: tuple[Block, ...]) -> tuple[Block, ...]:
-        return blocks[:1]
-
-
-@mutant("not-the-last", "BP-RX-07", "does not process the last of several blocks")
-class NotTheLast(Blocks):
-    def chosen(self, blocks: tuple[Block, ...]) -> tuple[Block, ...]:
-        return blocks[:-1] if len(blocks) > 1 else blocks
-
-
-@mutant("one-of-each", "BP-RX-07", "processes one block of each protocol")
-class OneOfEach(Blocks):
-    def chosen(self, blocks: tuple[Block, ...]) -> tuple[Block, ...]:
-        return tuple({block.protocol_id: block for block in reversed(blocks)}.values())
-
-
-@mutant("twice", "BP-RXP-02", "delivers every payload twice")
-class Twice(Blocks):
-    def chosen(self, blocks: tuple[Block, ...]) -> tuple[Block, ...]:
-        return tuple(block for each in blocks for block in (each, each))
+# fmt: off
+chosen = instead(Blocks, Blocks.chosen)
+chosen("first-only", "BP-RX-07", "processes only the first block of a beacon", lambda self, blocks: blocks[:1])
+chosen("not-the-last", "BP-RX-07", "does not process the last of several blocks",
+    lambda self, blocks: blocks[:-1] if len(blocks) > 1 else blocks)
+chosen("one-of-each", "BP-RX-07", "processes one block of each protocol",
+    lambda self, blocks: tuple({block.protocol_id: block for block in reversed(blocks)}.values()))
+chosen("twice", "BP-RXP-02", "delivers every payload twice",
+    lambda self, blocks: tuple(block for each in blocks for block in (each, each)))
+# fmt: on
 
 
 @mutant("unknown-ends", "BP-RX-08", "stops at a block of an unregistered protocol")
@@ -222,11 +198,10 @@ class CutDelivered(BPWire):
         return Reception(found.header, (*found.blocks, block), None, count_agrees=found.count_agrees)
 
 
-@mutant("all-dropped", "BP-RX-09", "ignores all blocks before one that extends past the end")
-class AllDropped(BPWire):
-    def parse(self, octets: bytes) -> Reception:
-        found = super().parse(octets)
-        return found if found.fault is None else Reception(found.header, (), found.fault, found.refused)
+after_parse = after(BPWire, BPWire.parse)
+after_parse("all-dropped", "BP-RX-09", "ignores all blocks before one that extends past the end",
+    lambda self, found, octets: (
+        found if found.fault is None else Reception(found.header, (), found.fault, found.refused)))  # fmt: skip
 
 
 @mutant("repeated-dropped", "BP-RX-10", "ignores beacons with the same sequence number as the one before")
@@ -248,11 +223,10 @@ class OlderDropped(Receiver):
         return not older and super()._for_this_node(header)
 
 
-@mutant("padding-refused", "BP-RX-14", "ignores frames with padding after the beacon")
-class PaddingRefused(Lenient):
-    def repaired(self, octets: bytearray) -> bytearray:
-        exact = self.number(octets, "length") == len(octets) - self.header_size
-        return octets if exact else octets[:4]
+# fmt: off
+instead(Lenient, Lenient.repaired)("padding-refused", "BP-RX-14", "ignores frames with padding after the beacon",
+    lambda self, octets: octets if (self.number(octets, "length") == len(octets) - self.header_size) else octets[:4])
+# fmt: on
 
 
 @mutant("dies", "BP-RX-15", "crashes on a length past the end of the frame")
@@ -271,10 +245,8 @@ class CrashesOnShort(BPWire):
         return super().parse(octets)
 
 
-@mutant("dies-of-empty", "BP-RX-16", "crashes on a block without a payload")
-class CrashesOnEmpty(Blocks):
-    def chosen(self, blocks: tuple[Block, ...]) -> tuple[Block, ...]:
-        return tuple(block for block in blocks if block.payload[0] >= 0)
+chosen("dies-of-empty", "BP-RX-16", "crashes on a block without a payload",
+    lambda self, blocks: tuple(block for block in blocks if block.payload[0] >= 0))  # fmt: skip
 
 
 @mutant("dies-of-nothing", "BP-RX-16", "crashes on an empty frame")
@@ -310,22 +282,14 @@ class Deliveries(Receiver):
         return payload
 
 
-@mutant("nul-cut", "BP-RXP-01", "delivers payloads up to the first octet that is zero")
-class NulCut(Deliveries):
-    def payload(self, payload: bytes) -> bytes:
-        return payload.partition(b"\0")[0] or payload
-
-
-@mutant("limited", "BP-RXP-01", "delivers at most 255 octets of a payload")
-class Limited(Deliveries):
-    def payload(self, payload: bytes) -> bytes:
-        return payload[:255]
-
-
-@mutant("aligned", "BP-RXP-01", "delivers payloads padded to a multiple of four octets")
-class FilledUp(Deliveries):
-    def payload(self, payload: bytes) -> bytes:
-        return payload + bytes(-len(payload) % 4)
+# fmt: off
+payload = instead(Deliveries, Deliveries.payload)
+payload("nul-cut", "BP-RXP-01", "delivers payloads up to the first octet that is zero",
+    lambda self, payload: payload.partition(b"\0")[0] or payload)
+payload("limited", "BP-RXP-01", "delivers at most 255 octets of a payload", lambda self, payload: payload[:255])
+payload("aligned", "BP-RXP-01", "delivers payloads padded to a multiple of four octets",
+    lambda self, payload: payload + bytes(-len(payload) % 4))
+# fmt: on
 
 
 @mutant("everybody", "BP-RXP-03", "delivers payloads to all clients")
@@ -338,10 +302,10 @@ class DeliversToAllClients(Receiver):
                     self._emit(PayloadReceived(client.protocol_id, block.payload, sender))
 
 
-@mutant("low-octet", "BP-RXP-03 BP-RX-08 BP-HDR-11", "checks only the low octet of protocol identifiers")
-class LowOctetOfProtocol(Blocks):
-    def chosen(self, blocks: tuple[Block, ...]) -> tuple[Block, ...]:
-        return tuple(Block(block.protocol_id & 0xFF, block.payload, block.offset) for block in blocks)
+# fmt: off
+chosen("low-octet", "BP-RXP-03 BP-RX-08 BP-HDR-11", "checks only the low octet of protocol identifiers",
+    lambda self, blocks: tuple(Block(block.protocol_id & 0xFF, block.payload, block.offset) for block in blocks))
+# fmt: on
 
 
 @mutant("late", "BP-RXP-02", "delivers the last payload again with the next beacon")

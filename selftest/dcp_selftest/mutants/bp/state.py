@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from dcp_selftest.mutants.family import after, attributes
 from dcp_selftest.mutants.mutant import mutant
 from dcp_selftest.mutants.unseen import BP_ALWAYS_ACTIVE, ONE_PAYLOAD
 from dcp_stack.bp.clients import Chosen, ClientList
@@ -20,14 +21,10 @@ class _Dummy(ClientList):
         return super().take(room, size, most) or [(0xFFFF, self.dummy)]
 
 
-@mutant("heartbeat", "BP-FMT-03", "sends a block of an unregistered protocol when no client has a payload")
-class Heartbeat(_Dummy):
-    dummy = b"\0"
-
-
-@mutant("empty-heartbeat", "BP-FMT-03", "sends an empty block of an unregistered protocol when no client has a payload")
-class EmptyHeartbeat(_Dummy):
-    dummy = b""
+dummy = attributes(_Dummy, __name__)
+dummy("heartbeat", "BP-FMT-03", "sends a block of an unregistered protocol when no client has a payload", dummy=b"\0")
+dummy("empty-heartbeat", "BP-FMT-03", "sends an empty block of an unregistered protocol when no client has a payload",
+    dummy=b"")  # fmt: skip
 
 
 @mutant(
@@ -63,11 +60,11 @@ class ReactivateClears(BeaconingProtocol):
         return super().activate(now)
 
 
-@mutant("eight", "BP-RX-07", "processes at most eight blocks of a beacon")
-class EightBlocks(BPWire):
-    def parse(self, octets: bytes) -> Reception:
-        found = super().parse(octets)
-        return Reception(found.header, found.blocks[:8], found.fault, found.refused, count_agrees=found.count_agrees)
+# fmt: off
+after(BPWire, BPWire.parse)("eight", "BP-RX-07", "processes at most eight blocks of a beacon",
+    lambda self, found, octets: (
+        Reception(found.header, found.blocks[:8], found.fault, found.refused, count_agrees=found.count_agrees)))
+# fmt: on
 
 
 @mutant("empty-ends", "BP-RX-08", "stops at a block of length 0 of an unregistered protocol")

@@ -8,6 +8,7 @@ from typing import Any
 from dcp_spec.parameters import Violation
 from dcp_spec.status import BPStatus
 
+from dcp_selftest.mutants.family import after
 from dcp_selftest.mutants.mutant import mutant
 from dcp_stack.bp.clients import Chosen, ClientList
 from dcp_stack.bp.entity import BeaconingProtocol
@@ -15,12 +16,9 @@ from dcp_stack.bp.parameters import MAX_PACKET, BPParameters
 from dcp_stack.bp.queue import Client
 from dcp_stack.bp.services import ListConfirm, RegisterConfirm
 
-
-@mutant("queue-ok", "BP-TXP-12", "confirms an empty payload for a queue with OK")
-class EmptyForQueueIsOK(BeaconingProtocol):
-    def _submit(self, client: Client | None, payload: bytes, now: int) -> BPStatus:
-        status = super()._submit(client, payload, now)
-        return BPStatus.OK if status is BPStatus.EMPTY_PAYLOAD else status
+after(BeaconingProtocol, BeaconingProtocol._submit)("queue-ok", "BP-TXP-12",
+    "confirms an empty payload for a queue with OK",
+    lambda self, status, client, payload, now: BPStatus.OK if status is BPStatus.EMPTY_PAYLOAD else status)  # fmt: skip
 
 
 @mutant("queue-cleared", "BP-TXP-12", "clears a queue when an empty payload is submitted")
@@ -65,11 +63,9 @@ class AllOnce(BeaconingProtocol):
         return super().register(prot_id, *changed, now=now, wall=wall)
 
 
-@mutant("one-missing", "BP-LST-03", "omits the client that registered last from the list")
-class LastMissing(BeaconingProtocol):
-    def list_registered(self) -> ListConfirm:
-        confirm = super().list_registered()
-        return ListConfirm(confirm.status, confirm.protocols[:-1])
+after(BeaconingProtocol, BeaconingProtocol.list_registered)("one-missing", "BP-LST-03",
+    "omits the client that registered last from the list",
+    lambda self, confirm: ListConfirm(confirm.status, confirm.protocols[:-1]))  # fmt: skip
 
 
 @mutant("size-ignored", "BP-PAR-11", "uses the initial maximum packet size in the limit for registrations")

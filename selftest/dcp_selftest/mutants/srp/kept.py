@@ -8,6 +8,7 @@ from typing import Any, Literal
 import msgspec
 
 from dcp_codec.values import ExtendedSafetyData, SafetyData
+from dcp_selftest.mutants.family import around
 from dcp_selftest.mutants.mutant import mutant
 from dcp_selftest.mutants.unseen import BP_ALWAYS_ACTIVE
 from dcp_stack.srp.entity import StateReporting, UpdateSafetyDataConfirm
@@ -37,13 +38,12 @@ class OneStamp(NeighbourTable):
         return outcome
 
 
-@mutant("number-as-byte", "SRP-TYP-01 SRP-RX-03", "stores only the last two octets of received sequence numbers")
-class ShortNumbers(NeighbourTable):
-    def record(
-        self, report: ExtendedSafetyData, sender_id: bytes, *, now: int, wall: int
-    ) -> Literal["new", "replaced", "full"]:
-        short = msgspec.structs.replace(report, seqno=report.seqno % (1 << 16))
-        return super().record(short, sender_id, now=now, wall=wall)
+# fmt: off
+around(NeighbourTable, NeighbourTable.record)("number-as-byte", "SRP-TYP-01 SRP-RX-03",
+    "stores only the last two octets of received sequence numbers",
+    lambda self, proceed, report, sender_id, *, now, wall: (
+        proceed(msgspec.structs.replace(report, seqno=report.seqno % (1 << 16)), sender_id, now=now, wall=wall)))
+# fmt: on
 
 
 @mutant(

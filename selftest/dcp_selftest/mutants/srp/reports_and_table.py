@@ -13,6 +13,7 @@ from dcp_spec.status import SRPStatus
 from dcp_codec.errors import DecodeError
 from dcp_codec.values import Beacon, ExtendedSafetyData, Payload
 from dcp_selftest.mutants.air import Air
+from dcp_selftest.mutants.family import after, around, instead
 from dcp_selftest.mutants.mutant import mutant
 from dcp_selftest.mutants.port import Port, registration
 from dcp_selftest.mutants.unseen import NO_MODE
@@ -25,65 +26,31 @@ from dcp_stack.srp.neighbour_table import NeighbourTable, NeighbourTableEntry
 # -- reports -----------------------------------------------------------------------------------------------------------
 
 
-@mutant("other-id", "SRP-TYP-04 SRP-INI-06", "sends reports with the nodeId of another node")
-class OtherNode(Air):
-    def report(self, report: ExtendedSafetyData) -> ExtendedSafetyData:
-        return msgspec.structs.replace(report, node_id=report.node_id[:-1] + b"\x77")
-
-
-@mutant("when-sent", "SRP-TYP-05", "stamps reports with the time of their transmission")
-class StampedWhenSent(Air):
-    def report(self, report: ExtendedSafetyData) -> ExtendedSafetyData:
-        return msgspec.structs.replace(report, t_stamp=self.wall)
-
-
-@mutant("srp-milliseconds", "DATA-05 SRP-TYP-05", "stamps reports in ms although the profile has ns")
-class Milliseconds(Air):
-    def report(self, report: ExtendedSafetyData) -> ExtendedSafetyData:
-        return msgspec.structs.replace(report, t_stamp=report.t_stamp // 1_000_000)
-
-
-@mutant("srp-swapped-time", "DATA-01", "sends the time of reports little-endian")
-class SwappedTime(Air):
-    def report(self, report: ExtendedSafetyData) -> ExtendedSafetyData:
-        octets = report.t_stamp.to_bytes(8, "big")
-        return msgspec.structs.replace(report, t_stamp=int.from_bytes(octets, "little"))
-
-
-@mutant("srp-swapped-seqno", "DATA-01 SRP-SEQ-01", "sends the sequence number of reports little-endian")
-class SwappedNumber(Air):
-    def report(self, report: ExtendedSafetyData) -> ExtendedSafetyData:
-        return msgspec.structs.replace(report, seqno=int.from_bytes(report.seqno.to_bytes(4, "big"), "little"))
-
-
-@mutant("constant", "SRP-TYP-06 SRP-SEQ-01", "gives all reports the same sequence number")
-class SameNumber(Air):
-    def report(self, report: ExtendedSafetyData) -> ExtendedSafetyData:
-        return msgspec.structs.replace(report, seqno=7)
-
-
-@mutant("from-one", "SRP-SEQ-01", "starts the sequence numbers of reports at 1")
-class FromOne(Air):
-    def report(self, report: ExtendedSafetyData) -> ExtendedSafetyData:
-        return msgspec.structs.replace(report, seqno=report.seqno + 1)
-
-
-@mutant("four-bits", "SRP-SEQ-01 SRP-TYP-01", "counts reports modulo 16")
-class FourBits(Air):
-    def report(self, report: ExtendedSafetyData) -> ExtendedSafetyData:
-        return msgspec.structs.replace(report, seqno=report.seqno % 16)
-
-
-@mutant("eight-bits", "SRP-SEQ-01 SRP-TYP-01", "counts reports modulo 256")
-class EightBits(Air):
-    def report(self, report: ExtendedSafetyData) -> ExtendedSafetyData:
-        return msgspec.structs.replace(report, seqno=report.seqno % 256)
-
-
-@mutant("by-two", "SRP-SEQ-01", "increases the sequence number of reports by two")
-class ByTwo(Air):
-    def report(self, report: ExtendedSafetyData) -> ExtendedSafetyData:
-        return msgspec.structs.replace(report, seqno=2 * report.seqno)
+# fmt: off
+report = instead(Air, Air.report)
+report("other-id", "SRP-TYP-04 SRP-INI-06", "sends reports with the nodeId of another node",
+    lambda self, report: msgspec.structs.replace(report, node_id=report.node_id[:-1] + b"\x77"))
+report("when-sent", "SRP-TYP-05", "stamps reports with the time of their transmission",
+    lambda self, report: msgspec.structs.replace(report, t_stamp=self.wall))
+report("srp-milliseconds", "DATA-05 SRP-TYP-05", "stamps reports in ms although the profile has ns",
+    lambda self, report: msgspec.structs.replace(report, t_stamp=report.t_stamp // 1_000_000))
+report("srp-swapped-time", "DATA-01", "sends the time of reports little-endian",
+    lambda self, report: (
+        msgspec.structs.replace(report, t_stamp=int.from_bytes(report.t_stamp.to_bytes(8, "big"), "little"))))
+report("srp-swapped-seqno", "DATA-01 SRP-SEQ-01", "sends the sequence number of reports little-endian",
+    lambda self, report: (
+        msgspec.structs.replace(report, seqno=int.from_bytes(report.seqno.to_bytes(4, "big"), "little"))))
+report("constant", "SRP-TYP-06 SRP-SEQ-01", "gives all reports the same sequence number",
+    lambda self, report: msgspec.structs.replace(report, seqno=7))
+report("from-one", "SRP-SEQ-01", "starts the sequence numbers of reports at 1",
+    lambda self, report: msgspec.structs.replace(report, seqno=report.seqno + 1))
+report("four-bits", "SRP-SEQ-01 SRP-TYP-01", "counts reports modulo 16",
+    lambda self, report: msgspec.structs.replace(report, seqno=report.seqno % 16))
+report("eight-bits", "SRP-SEQ-01 SRP-TYP-01", "counts reports modulo 256",
+    lambda self, report: msgspec.structs.replace(report, seqno=report.seqno % 256))
+report("by-two", "SRP-SEQ-01", "increases the sequence number of reports by two",
+    lambda self, report: msgspec.structs.replace(report, seqno=2 * report.seqno))
+# fmt: on
 
 
 @mutant("beacon-number", "SRP-SEQ-01", "uses the sequence number of the beacon for the report in it")
@@ -182,7 +149,7 @@ class TwoMore(Reporting):
 @mutant("test-pattern", "SRP-FMT-01", "sends a test pattern of 40 octets instead of each report")
 class TestPattern(Reporting):
     class port(Port):  # noqa: N801 - as above
-        def transmit_payload(self, prot_id: int, payload: bytes, *, now: int) -> Any:  # noqa: ARG002 - as above
+        def transmit_payload(self, prot_id: int, payload: bytes, *, now: int) -> Any:
             return self.bp.transmit_payload(prot_id, bytes(range(0xA0, 0xA0 + 40)), now=now)
 
 
@@ -305,26 +272,19 @@ class Table(NeighbourTable):
         return new if old is None else old
 
 
-@mutant("first-stays", "SRP-RX-03", "keeps the first report of a neighbour")
-class FirstStays(Table):
-    def entry(self, old: NeighbourTableEntry | None, new: NeighbourTableEntry) -> NeighbourTableEntry:
-        return new if old is None else msgspec.structs.replace(new, ext_sd=old.ext_sd)
-
-
-@mutant("time-stays", "SRP-RX-03 SRP-RUN-02", "computes the age of a neighbour from its first report")
-class TimeStays(Table):
-    def entry(self, old: NeighbourTableEntry | None, new: NeighbourTableEntry) -> NeighbourTableEntry:
-        if old is None:
-            return new
-        return msgspec.structs.replace(new, received_at=old.received_at, reception_time=old.reception_time)
-
-
-@mutant("sender", "SRP-RX-05", "uses the sender of the beacon as the key of neighbours")
-class BySender(NeighbourTable):
-    def record(
-        self, report: ExtendedSafetyData, sender_id: bytes, *, now: int, wall: int
-    ) -> Literal["new", "replaced", "full"]:
-        return super().record(msgspec.structs.replace(report, node_id=sender_id), sender_id, now=now, wall=wall)
+# fmt: off
+entry = instead(Table, Table.entry)
+entry("first-stays", "SRP-RX-03", "keeps the first report of a neighbour",
+    lambda self, old, new: new if old is None else msgspec.structs.replace(new, ext_sd=old.ext_sd))
+entry("time-stays", "SRP-RX-03 SRP-RUN-02", "computes the age of a neighbour from its first report",
+    lambda self, old, new: (
+        new if old is None
+        else msgspec.structs.replace(new, received_at=old.received_at, reception_time=old.reception_time)))
+around(NeighbourTable, NeighbourTable.record)("sender", "SRP-RX-05",
+    "uses the sender of the beacon as the key of neighbours",
+    lambda self, proceed, report, sender_id, *, now, wall: (
+        proceed(msgspec.structs.replace(report, node_id=sender_id), sender_id, now=now, wall=wall)))
+# fmt: on
 
 
 @mutant("one", "SRP-RX-03 SRP-NT-02", "stores only one neighbour")
@@ -336,10 +296,9 @@ class OneNeighbour(NeighbourTable):
         return super().record(report, sender_id, now=now, wall=wall)
 
 
-@mutant("anybody", "SRP-NT-01", "answers a query for an unknown neighbour with another neighbour")
-class AnswersWithAnotherNeighbour(NeighbourTable):
-    def lookup(self, node_id: bytes) -> NeighbourTableEntry | None:
-        return super().lookup(node_id) or next(iter(self), None)
+after(NeighbourTable, NeighbourTable.lookup)("anybody", "SRP-NT-01",
+    "answers a query for an unknown neighbour with another neighbour",
+    lambda self, entry, node_id: entry or next(iter(self), None))  # fmt: skip
 
 
 @mutant("two-listed", "SRP-NT-02", "lists at most two neighbours")
@@ -348,16 +307,13 @@ class TwoListed(NeighbourTable):
         return iter(tuple(super().__iter__())[:2])
 
 
-@mutant("never", "SRP-RUN-02 SRP-RUN-01", "never removes a neighbour")
-class NeverForgets(NeighbourTable):
-    def expire(self, now: int, timeout: int) -> list[bytes]:  # noqa: ARG002 - nothing is old
-        return []
-
-
-@mutant("half", "SRP-RUN-02 SRP-PAR-01", "removes a neighbour after half of the timeout")
-class HalfTimeout(NeighbourTable):
-    def expire(self, now: int, timeout: int) -> list[bytes]:
-        return super().expire(now, timeout // 2)
+# fmt: off
+instead(NeighbourTable, NeighbourTable.expire)("never", "SRP-RUN-02 SRP-RUN-01", "never removes a neighbour",
+    lambda self, now, timeout: [])
+around(NeighbourTable, NeighbourTable.expire)("half", "SRP-RUN-02 SRP-PAR-01",
+    "removes a neighbour after half of the timeout",
+    lambda self, proceed, now, timeout: proceed(now, timeout // 2))
+# fmt: on
 
 
 @mutant("stamp", "SRP-RUN-02", "computes the age of a neighbour from the tStamp of its report")

@@ -64,7 +64,7 @@ class OnTheSide(StateReporting):
     def poll_timeout(self) -> int | None:
         return None
 
-    def handle_timeout(self, now: int, wall: int) -> None:  # noqa: ARG002 - the same call
+    def handle_timeout(self, now: int, wall: int) -> None:
         self._table.expire(now, self._timeout)
 
 

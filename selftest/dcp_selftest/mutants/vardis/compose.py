@@ -14,6 +14,7 @@ from dcp_codec.values import (
     VarSumm,
 )
 from dcp_selftest.mutants.air import Air
+from dcp_selftest.mutants.family import around, attributes, instead
 from dcp_selftest.mutants.mutant import mutant
 from dcp_stack.vardis.compose import Composer
 from dcp_stack.vardis.database import IdQueue
@@ -50,12 +51,13 @@ class SummariesUnlimited(Composer):
         return chosen, self._sizes.ic_header + len(chosen) * self._sizes.var_summ
 
 
-@mutant("zero-is-all", "VD-CMP-01 VD-PAR-06", "sends all summaries when VARDISPAR_MAX_SUMMARIES is 0")
-class ZeroIsAll(SummariesUnlimited):
-    def _fitting(self, kind: ContainerType, queue: IdQueue, room: int, largest: int) -> tuple[list[int], int]:
-        if kind is S and not self._parameters.max_summaries:
-            return super()._fitting(kind, queue, room, largest)
-        return Composer._fitting(self, kind, queue, room, largest)
+# fmt: off
+around(SummariesUnlimited, SummariesUnlimited._fitting)("zero-is-all", "VD-CMP-01 VD-PAR-06",
+    "sends all summaries when VARDISPAR_MAX_SUMMARIES is 0",
+    lambda self, proceed, kind, queue, room, largest: (
+        proceed(kind, queue, room, largest)
+        if kind is S and not self._parameters.max_summaries else Composer._fitting(self, kind, queue, room, largest)))
+# fmt: on
 
 
 @mutant("stays", "VD-CMP-03", "summarises the same variables in every payload")
@@ -90,24 +92,15 @@ class Ordered(Composer):
         self._order = tuple((kind, self._queues[kind]) for kind in self.order)
 
 
-@mutant("reversed", "VD-PAY-01", "composes containers in the reverse order")
-class Reversed(Ordered):
-    order = (RU, U, S, RC, D, C)
-
-
-@mutant("updates-early", "VD-PAY-01", "composes updates before summaries, as 1.0 did", since=SpecVersion.V1_1)
-class UpdatesEarly(Ordered):
-    order = (C, D, U, S, RC, RU)
-
-
-@mutant("requests-late", "VD-PAY-01", "composes requests for variables after summaries", since=SpecVersion.V1_1)
-class RequestsLate(Ordered):
-    order = (C, D, S, RC, U, RU)
-
-
-@mutant("later-order", "VD-PAY-07", "composes containers in the order of later versions")
-class LaterOrder(Ordered):
-    """The inherited order is that of later versions."""
+# fmt: off
+ordered = attributes(Ordered, __name__)
+ordered("reversed", "VD-PAY-01", "composes containers in the reverse order", order=(RU, U, S, RC, D, C))
+ordered("updates-early", "VD-PAY-01", "composes updates before summaries, as 1.0 did",
+    since=SpecVersion.V1_1, order=(C, D, U, S, RC, RU))
+ordered("requests-late", "VD-PAY-01", "composes requests for variables after summaries",
+    since=SpecVersion.V1_1, order=(C, D, S, RC, U, RU))
+ordered("later-order", "VD-PAY-07", "composes containers in the order of later versions")
+# fmt: on
 
 
 @mutant("summaries-missing", "VD-PAY-01 VD-PAY-02", "sends no summaries while it has VarCreates to send")
@@ -130,33 +123,21 @@ class Fitting(Composer):
         size = sum(self._record_size(kind, each) for each in chosen)
         return chosen, size + self._sizes.ic_header * (-(-len(chosen) // 255))
 
-    def chosen(self, chosen: list[int], kind: ContainerType) -> list[int]:  # noqa: ARG002 - used by overrides
+    def chosen(self, chosen: list[int], kind: ContainerType) -> list[int]:
         """Return the variables whose records are sent."""
         return chosen
 
 
-@mutant("one-record", "VD-PAY-02", "sends only one record in each container")
-class OneRecord(Fitting):
-    def chosen(self, chosen: list[int], kind: ContainerType) -> list[int]:  # noqa: ARG002 - as above
-        return chosen[:1]
-
-
-@mutant("five-records", "VD-PAY-02", "sends at most five records in each container")
-class FiveRecords(Fitting):
-    def chosen(self, chosen: list[int], kind: ContainerType) -> list[int]:
-        return chosen if kind is S else chosen[:5]
-
-
-@mutant("one-request", "VD-PAY-02", "sends one request of each type in a payload")
-class OneRequest(Fitting):
-    def chosen(self, chosen: list[int], kind: ContainerType) -> list[int]:
-        return chosen[:1] if kind in (RC, RU) else chosen
-
-
-@mutant("sorted", "VD-PAY-06", "sends records in the order of their identifiers")
-class SortedRecords(Fitting):
-    def chosen(self, chosen: list[int], kind: ContainerType) -> list[int]:  # noqa: ARG002 - as above
-        return sorted(chosen, reverse=True)
+# fmt: off
+chosen = instead(Fitting, Fitting.chosen)
+chosen("one-record", "VD-PAY-02", "sends only one record in each container", lambda self, chosen, kind: chosen[:1])
+chosen("five-records", "VD-PAY-02", "sends at most five records in each container",
+    lambda self, chosen, kind: chosen if kind is S else chosen[:5])
+chosen("one-request", "VD-PAY-02", "sends one request of each type in a payload",
+    lambda self, chosen, kind: chosen[:1] if kind in (RC, RU) else chosen)
+chosen("sorted", "VD-PAY-06", "sends records in the order of their identifiers",
+    lambda self, chosen, kind: sorted(chosen, reverse=True))
+# fmt: on
 
 
 @mutant("skips", "VD-PAY-06 VD-CMP-08", "continues with the next record after one that does not fit")
@@ -203,7 +184,7 @@ class TooLarge(Composer):
     "fills payloads to the size registered with BP, whatever the value of VARDISPAR_MAX_PAYLOAD_SIZE",
 )
 class RegisteredSize(Vardis):
-    def _generate(self, now: int, wall: int) -> None:  # noqa: ARG002 - the same call
+    def _generate(self, now: int, wall: int) -> None:
         if not self.active:
             return
         containers = self._composer.compose(self._registered_size)
@@ -213,7 +194,7 @@ class RegisteredSize(Vardis):
 
 @mutant("empty", "VD-IC-03", "sends an empty container for every type without records")
 class EmptyContainers(Vardis):
-    def _generate(self, now: int, wall: int) -> None:  # noqa: ARG002 - the same call
+    def _generate(self, now: int, wall: int) -> None:
         if not self.active:
             return
         containers = self._composer.compose(self._registered_size - 12)
@@ -226,7 +207,7 @@ class EmptyContainers(Vardis):
 
 @mutant("unknown-behind", "VD-IC-02", "ends every payload with a container of an unknown type")
 class OwnContainer(Vardis):
-    def _generate(self, now: int, wall: int) -> None:  # noqa: ARG002 - the same call
+    def _generate(self, now: int, wall: int) -> None:
         if not self.active:
             return
         containers = self._composer.compose(self._registered_size - 4)
@@ -237,7 +218,7 @@ class OwnContainer(Vardis):
 
 @mutant("types-exchanged", "VD-IC-02", "exchanges the numbers of CREATE-VARIABLES and DELETE-VARIABLES")
 class TypesExchanged(Vardis):
-    def _generate(self, now: int, wall: int) -> None:  # noqa: ARG002 - the same call
+    def _generate(self, now: int, wall: int) -> None:
         if not self.active:
             return
         containers = self._composer.compose(min(self._parameters.max_payload_size, self._registered_size))

@@ -6,6 +6,7 @@ from typing import Any, ClassVar
 
 from dcp_spec.constants import SpecVersion
 
+from dcp_selftest.mutants.family import attributes, instead
 from dcp_selftest.mutants.mutant import mutant
 from dcp_selftest.mutants.unseen import ALWAYS_ACTIVE
 from dcp_stack.config import MS
@@ -44,24 +45,16 @@ class LeavesQueue(Vardis):
                     setattr(entry, self.counter, count)
 
 
-@mutant("updateQ", "VD-SCR-04", "continues to repeat the VarUpdate of a variable after its timeout", since=V2)
-class ScrubLeavesUpdate(LeavesQueue):
-    queue, counter = "updateQ", "count_update"
-
-
-@mutant("createQ", "VD-SCR-04", "continues to repeat the VarCreate of a variable after its timeout", since=V2)
-class ScrubLeavesCreate(LeavesQueue):
-    queue, counter = "createQ", "count_create"
-
-
-@mutant("summaryQ", "VD-SCR-04 VD-CMP-05", "continues to summarise a variable after its timeout", since=V2)
-class ScrubLeavesSummary(LeavesQueue):
-    queue = "summaryQ"
-
-
-@mutant("reqUpdQ", "VD-SCR-04", "requests an update of a variable after its timeout", since=V2)
-class ScrubLeavesRequest(LeavesQueue):
-    queue = "reqUpdQ"
+# fmt: off
+leaves_queue = attributes(LeavesQueue, __name__)
+leaves_queue("updateQ", "VD-SCR-04", "continues to repeat the VarUpdate of a variable after its timeout",
+    since=V2, queue="updateQ", counter="count_update")
+leaves_queue("createQ", "VD-SCR-04", "continues to repeat the VarCreate of a variable after its timeout",
+    since=V2, queue="createQ", counter="count_create")
+leaves_queue("summaryQ", "VD-SCR-04 VD-CMP-05", "continues to summarise a variable after its timeout",
+    since=V2, queue="summaryQ")
+leaves_queue("reqUpdQ", "VD-SCR-04", "requests an update of a variable after its timeout", since=V2, queue="reqUpdQ")
+# fmt: on
 
 
 @mutant("counts-left", "VD-SCR-04", "does not reset the counters of a variable after its timeout", since=V2)
@@ -159,15 +152,11 @@ class DescriptionByValue(VardisParameters):
         return self.max_value_length
 
 
-@mutant(
-    "received-by-description",
-    "VD-PC-04 VD-PU-04",
+instead(Receiver, Receiver._is_bad_value)("received-by-description", "VD-PC-04 VD-PU-04",
     "compares the length of received values with the maximum of descriptions",
-)
-class ReceivedByDescription(Receiver):
-    def _is_bad_value(self, value: bytes) -> bool:
-        too_long = self._check_too_long and len(value) > self._parameters.longest_description
-        return too_long or (self._check_empty_and_repcnt and not value)
+    lambda self, value: (
+        (self._check_too_long and len(value) > self._parameters.longest_description)
+        or (self._check_empty_and_repcnt and not value)))  # fmt: skip
 
 
 @mutant("left-in-reqCreateQ", "VD-CRE-11", "continues to request a variable that its application has created")

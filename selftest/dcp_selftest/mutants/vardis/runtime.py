@@ -11,6 +11,7 @@ from dcp_spec.status import VardisStatus
 from dcp_codec.values import VarUpdate
 from dcp_selftest.mutants.air import Air
 from dcp_selftest.mutants.cells import Cells
+from dcp_selftest.mutants.family import around, attributes, before, instead, skips
 from dcp_selftest.mutants.mutant import mutant
 from dcp_selftest.mutants.port import Port, registration
 from dcp_selftest.mutants.unseen import ALWAYS_ACTIVE
@@ -57,9 +58,7 @@ class OldMode(Ported):
             return self.bp.register(*registration(args, mode=QueueingMode.QUEUE_DROPTAIL), **times)
 
 
-@mutant("repeat", "VD-INI-07", "registers with mode REPEAT")
-class RepeatMode(OtherMode):
-    """In 1.0, the inherited fault violates this requirement."""
+attributes(OtherMode, __name__)("repeat", "VD-INI-07", "registers with mode REPEAT")
 
 
 @mutant("drophead", "VD-INI-08", "registers with mode DROPHEAD, as in later versions")
@@ -83,10 +82,8 @@ class OtherName(Ported):
             return self.bp.register(*registration(args, name=""), **times)
 
 
-@mutant("size", "VD-INI-02", "registers with half of VARDISPAR_MAX_PAYLOAD_SIZE")
-class OtherSize(Vardis):
-    def _register(self, size: int, now: int, wall: int) -> Any:
-        return super()._register(size // 2, now, wall)
+around(Vardis, Vardis._register)("size", "VD-INI-02", "registers with half of VARDISPAR_MAX_PAYLOAD_SIZE",
+    lambda self, proceed, size, now, wall: proceed(size // 2, now, wall))  # fmt: skip
 
 
 @mutant(
@@ -132,34 +129,22 @@ class SendsInactive(Vardis):
         self._core.active = active
 
 
-@mutant(
-    "ignored", "VD-MGT-01 VD-MGT-02 VD-MGT-04", "confirms the deactivation of VarDis, which stays active", since=V1_2
-)
-class NeverInactive(Vardis):
-    def deactivate(self) -> Confirm:
-        return Confirm(VardisStatus.OK)
-
-
-@mutant("forgets", "VD-MGT-05", "clears the database when it is activated", since=V1_2)
-class ActivationForgets(Vardis):
-    def activate(self) -> Confirm:
-        self._database.clear()
-        return super().activate()
-
-
-@mutant("stays", "VD-MGT-05", "confirms the activation of VarDis, which stays inactive", since=V1_2)
-class NeverActive(Vardis):
-    def activate(self) -> Confirm:
-        return Confirm(VardisStatus.OK)
+# fmt: off
+instead(Vardis, Vardis.deactivate)("ignored", "VD-MGT-01 VD-MGT-02 VD-MGT-04",
+    "confirms the deactivation of VarDis, which stays active",
+    lambda self: Confirm(VardisStatus.OK), since=V1_2)
+before(Vardis, Vardis.activate)("forgets", "VD-MGT-05", "clears the database when it is activated",
+    lambda self: self._database.clear(), since=V1_2)
+instead(Vardis, Vardis.activate)("stays", "VD-MGT-05", "confirms the activation of VarDis, which stays inactive",
+    lambda self: Confirm(VardisStatus.OK), since=V1_2)
+# fmt: on
 
 
 # -- running -----------------------------------------------------------------------------------------------------------
 
 
-@mutant("ignored", "VD-RUN-01", "composes payloads only at buffer checks")
-class IndicationIgnored(Vardis):
-    def payload_transmitted(self, now: int, wall: int) -> None:
-        pass
+skips(Vardis, Vardis.payload_transmitted)("ignored", "VD-RUN-01", "composes payloads only at buffer checks",
+    lambda self, now, wall: True)  # fmt: skip
 
 
 @mutant("ignored", "VD-RUN-02", "composes payloads only after BP has sent one")
@@ -193,10 +178,7 @@ class ChecksSlowly(VardisParameters):
 # -- scrubbing ---------------------------------------------------------------------------------------------------------
 
 
-@mutant("never", "VD-INI-06 VD-SCR-01", "never scrubs", since=V2)
-class NeverScrubs(Vardis):
-    def _scrub(self, now: int) -> None:
-        pass
+skips(Vardis, Vardis._scrub)("never", "VD-INI-06 VD-SCR-01", "never scrubs", lambda self, now: True, since=V2)
 
 
 @mutant("slow", "VD-SCR-01", "scrubs only in every third period", since=V2)
@@ -268,9 +250,9 @@ class ScrubsAway(Vardis):
                 del self._database.entries[var_id]
 
 
-@mutant("foreign-only", "VD-SCR-05", "scrubs only variables of other nodes", since=V2)
-class ScrubsForeign(Cells):
-    cells: ClassVar = {(Event.TIMED_OUT, State.ALIVE_PRODUCER): Cell(Action.NONE)}
+cells = attributes(Cells, __name__)
+cells("foreign-only", "VD-SCR-05", "scrubs only variables of other nodes",
+    since=V2, cells={(Event.TIMED_OUT, State.ALIVE_PRODUCER): Cell(Action.NONE)})  # fmt: skip
 
 
 @mutant(

@@ -8,6 +8,7 @@ import msgspec
 from dcp_spec.constants import SpecVersion
 
 from dcp_codec.values import VarCreate, VarDelete, VarSpec, VarSumm, VarUpdate
+from dcp_selftest.mutants.family import attributes, instead
 from dcp_selftest.mutants.mutant import mutant
 from dcp_selftest.mutants.unseen import ALWAYS_ACTIVE, NO_TIMES, NOT_REPLACED, PURGED
 from dcp_stack.vardis.core import Core
@@ -24,7 +25,7 @@ class Stores(Receiver):
     def _create(self, record: VarCreate, offset: int, now: int, wall: int) -> None:
         super()._create(self.record(record, wall), offset, now, wall)
 
-    def record(self, record: VarCreate, wall: int) -> VarCreate:  # noqa: ARG002 - used by overrides
+    def record(self, record: VarCreate, wall: int) -> VarCreate:
         """Return the record to be stored."""
         return record
 
@@ -33,28 +34,22 @@ class Stores(Receiver):
         return VarCreate(msgspec.structs.replace(record.spec, **members), record.upd)
 
 
-@mutant("seqno-zero", "VD-PC-07", "stores variables of other nodes with sequence number 0")
-class SeqnoZero(Stores):
-    def record(self, record: VarCreate, wall: int) -> VarCreate:  # noqa: ARG002 - as above
-        return VarCreate(record.spec, VarUpdate(record.upd.var_id, 0, record.upd.value))
+record = instead(Stores, Stores.record)
+record("seqno-zero", "VD-PC-07", "stores variables of other nodes with sequence number 0",
+    lambda self, record, wall: VarCreate(record.spec, VarUpdate(record.upd.var_id, 0, record.upd.value)))  # fmt: skip
 
 
 @mutant("nul-value", "VD-PC-07 DATA-06", "stores values only up to the first zero octet")
 class NulValue(Stores):
-    def record(self, record: VarCreate, wall: int) -> VarCreate:  # noqa: ARG002 - as above
+    def record(self, record: VarCreate, wall: int) -> VarCreate:
         value = record.upd.value[:1] + record.upd.value[1:].partition(b"\0")[0]
         return VarCreate(record.spec, VarUpdate(record.upd.var_id, record.upd.seqno, value))
 
 
-@mutant(
-    "producer",
-    "VD-PC-10 VD-TYP-06",
-    "forwards variables with itself as the producer",
-)
-class OtherProducer(Stores):
-    def record(self, record: VarCreate, wall: int) -> VarCreate:  # noqa: ARG002 - as above
-        own = record.spec.prod_id == self._core.own_id
-        return record if own else self.changed(record, prod_id=self._core.own_id[:-1] + b"\x77")
+record("producer", "VD-PC-10 VD-TYP-06", "forwards variables with itself as the producer",
+    lambda self, record, wall: (
+        record if (record.spec.prod_id == self._core.own_id)
+        else self.changed(record, prod_id=self._core.own_id[:-1] + b"\x77")))  # fmt: skip
 
 
 @mutant(
@@ -70,31 +65,20 @@ class OtherTime(Stores):
         return self.changed(record, creation_time=self._core.clock.stamp(wall)) if fresh else record
 
 
-@mutant("repcnt-down", "VD-TYP-06 VD-PC-09", "forwards variables with a decremented repCnt, like a hop count")
-class CountsHops(Stores):
-    def record(self, record: VarCreate, wall: int) -> VarCreate:  # noqa: ARG002 - as above
-        return self.changed(record, rep_cnt=max(record.spec.rep_cnt - 1, 1)) if record.spec.rep_cnt <= 15 else record
-
-
-@mutant("timeout-lost", "VD-TYP-06 VD-TYP-04", "forwards variables without their timeout", unseen=NO_TIMES)
-class TimeoutLost(Stores):
-    def record(self, record: VarCreate, wall: int) -> VarCreate:  # noqa: ARG002 - as above
-        return self.changed(record, timeout=0)
-
-
-@mutant(
-    "descr-nul", "DATA-07 VD-TYP-06", "forwards descriptions only up to the first zero octet", since=SpecVersion.V1_1
-)
-class DescriptionNul(Stores):
-    def record(self, record: VarCreate, wall: int) -> VarCreate:  # noqa: ARG002 - as above
-        return self.changed(record, descr=record.spec.descr.partition(b"\0")[0] or record.spec.descr)
-
-
-@mutant("descr-short", "VD-TYP-06", "forwards at most 16 octets of a description")
-class DescriptionShort(Stores):
-    def record(self, record: VarCreate, wall: int) -> VarCreate:  # noqa: ARG002 - as above
-        longest = self._parameters.longest_description
-        return self.changed(record, descr=record.spec.descr[:16]) if len(record.spec.descr) <= longest else record
+# fmt: off
+record("repcnt-down", "VD-TYP-06 VD-PC-09", "forwards variables with a decremented repCnt, like a hop count",
+    lambda self, record, wall: (
+        self.changed(record, rep_cnt=max(record.spec.rep_cnt - 1, 1)) if record.spec.rep_cnt <= 15 else record))
+record("timeout-lost", "VD-TYP-06 VD-TYP-04", "forwards variables without their timeout",
+    lambda self, record, wall: self.changed(record, timeout=0), unseen=NO_TIMES)
+record("descr-nul", "DATA-07 VD-TYP-06", "forwards descriptions only up to the first zero octet",
+    lambda self, record, wall: self.changed(record, descr=record.spec.descr.partition(b"\0")[0] or record.spec.descr),
+    since=SpecVersion.V1_1)
+record("descr-short", "VD-TYP-06", "forwards at most 16 octets of a description",
+    lambda self, record, wall: (
+        self.changed(record, descr=record.spec.descr[:16])
+        if len(record.spec.descr) <= self._parameters.longest_description else record))
+# fmt: on
 
 
 class Inserts(Database):
@@ -128,44 +112,22 @@ CREATED = "VD-PC-08 VD-CRE-11"
 DELETED = "VD-PD-04 VD-DEL-05"
 
 
-@mutant("deleteQ", CREATED, "leaves a variable in deleteQ when it is created again", unseen=NOT_REPLACED)
-class CreateKeepsDelete(Inserts):
-    forgets = "deleteQ"
-
-
-@mutant("updateQ", CREATED, "leaves a variable in updateQ when it is created again", unseen=NOT_REPLACED)
-class CreateKeepsUpdate(Inserts):
-    forgets = "updateQ"
-
-
-@mutant("reqUpdQ", CREATED, "leaves a variable in reqUpdQ when it is created again", unseen=NOT_REPLACED)
-class CreateKeepsRequest(Inserts):
-    forgets = "reqUpdQ"
-
-
-@mutant("reqCreateQ", CREATED, "continues to request a variable that it has received")
-class CreateKeepsCreate(Inserts):
-    forgets = "reqCreateQ"
-
-
-@mutant("createQ", DELETED, "leaves a variable in createQ when it is deleted")
-class DeleteKeepsCreate(Inserts):
-    forgets, at = "createQ", "delete"
-
-
-@mutant("updateQ", DELETED, "leaves a variable in updateQ when it is deleted")
-class DeleteKeepsUpdate(Inserts):
-    forgets, at = "updateQ", "delete"
-
-
-@mutant("summaryQ", DELETED + " VD-CMP-05", "leaves a variable in summaryQ when it is deleted", unseen=PURGED)
-class DeleteKeepsSummary(Inserts):
-    forgets, at = "summaryQ", "delete"
-
-
-@mutant("reqUpdQ", DELETED, "leaves a variable in reqUpdQ when it is deleted", unseen=PURGED)
-class DeleteKeepsRequest(Inserts):
-    forgets, at = "reqUpdQ", "delete"
+# fmt: off
+inserts = attributes(Inserts, __name__)
+inserts("deleteQ", CREATED, "leaves a variable in deleteQ when it is created again",
+    unseen=NOT_REPLACED, forgets="deleteQ")
+inserts("updateQ", CREATED, "leaves a variable in updateQ when it is created again",
+    unseen=NOT_REPLACED, forgets="updateQ")
+inserts("reqUpdQ", CREATED, "leaves a variable in reqUpdQ when it is created again",
+    unseen=NOT_REPLACED, forgets="reqUpdQ")
+inserts("reqCreateQ", CREATED, "continues to request a variable that it has received", forgets="reqCreateQ")
+inserts("createQ", DELETED, "leaves a variable in createQ when it is deleted", forgets="createQ", at="delete")
+inserts("updateQ", DELETED, "leaves a variable in updateQ when it is deleted", forgets="updateQ", at="delete")
+inserts("summaryQ", DELETED + " VD-CMP-05", "leaves a variable in summaryQ when it is deleted",
+    unseen=PURGED, forgets="summaryQ", at="delete")
+inserts("reqUpdQ", DELETED, "leaves a variable in reqUpdQ when it is deleted",
+    unseen=PURGED, forgets="reqUpdQ", at="delete")
+# fmt: on
 
 
 @mutant("request-kept", "VD-PU-08", "requests an update that it has received")

@@ -1,0 +1,124 @@
+"""Families of mutants: nodes that differ in the same method or the same attributes, one line each.
+
+A family is made of a method of a part of the node (:func:`instead`, :func:`after`, :func:`around`, :func:`before`,
+:func:`skips`) or of the attributes of a class (:func:`attributes`). Calling it makes one mutant.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Concatenate, Generic, ParamSpec, TypeVar
+
+from dcp_spec.constants import SpecVersion
+
+from .mutant import mutant
+
+Part = TypeVar("Part")
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+@dataclass(frozen=True, slots=True)
+class Family(Generic[P, R]):
+    """Mutants that override ``method`` of ``base``, or its attributes only."""
+
+    base: type
+    method: str
+    override: Callable[[Callable[P, R], type], object]
+    """Function of the faulty behaviour and the class of the mutant that returns the overriding method."""
+    module: str = ""
+    """Module of mutants without a method."""
+
+    def __call__(
+        self,
+        fault: str,
+        requirements: str,
+        what: str,
+        behaviour: Callable[P, R] | None = None,
+        *,
+        since: SpecVersion | None = None,
+        until: SpecVersion | None = None,
+        unseen: Mapping[str, str] | None = None,
+        **attributes: object,
+    ) -> None:
+        """Add a mutant to the module of ``behaviour``. The other arguments are those of :func:`~.mutant.mutant`."""
+        module = behaviour.__module__ if behaviour is not None else self.module
+        name = f"M-{requirements.split()[0]}-{fault}"
+        made = type(name, (self.base,), {"__module__": module, **attributes})
+        if behaviour is not None:
+            setattr(made, self.method, self.override(behaviour, made))
+        setattr(
+            sys.modules[module], name, mutant(fault, requirements, what, since=since, until=until, unseen=unseen)(made)
+        )
+
+
+def instead(base: type[Part], method: Callable[Concatenate[Part, P], R]) -> Family[Concatenate[Part, P], R]:
+    """Return the family whose behaviour replaces ``method`` of ``base``."""
+    return Family(base, method.__name__, lambda behaviour, _: behaviour)
+
+
+def after(base: type[Part], method: Callable[Concatenate[Part, P], R]) -> Family[Concatenate[Part, R, P], R]:
+    """Return the family that changes the result of ``method``: a function of object, result and arguments."""
+    name = method.__name__
+
+    def override(behaviour: Callable[Concatenate[Part, R, P], R], made: type) -> object:
+        def changed(self: Part, /, *args: P.args, **kwargs: P.kwargs) -> R:
+            return behaviour(self, getattr(super(made, self), name)(*args, **kwargs), *args, **kwargs)
+
+        return changed
+
+    return Family(base, name, override)
+
+
+def around(
+    base: type[Part], method: Callable[Concatenate[Part, P], R]
+) -> Family[Concatenate[Part, Callable[P, R], P], R]:
+    """Return the family that calls ``method`` itself: a function of object, method and arguments."""
+    name = method.__name__
+
+    def override(behaviour: Callable[Concatenate[Part, Callable[P, R], P], R], made: type) -> object:
+        def changed(self: Part, /, *args: P.args, **kwargs: P.kwargs) -> R:
+            return behaviour(self, getattr(super(made, self), name), *args, **kwargs)
+
+        return changed
+
+    return Family(base, name, override)
+
+
+def before(base: type[Part], method: Callable[Concatenate[Part, P], R]) -> Family[Concatenate[Part, P], object]:
+    """Return the family that does something else, with the same arguments, before ``method``."""
+    name = method.__name__
+
+    def override(behaviour: Callable[Concatenate[Part, P], object], made: type) -> object:
+        def changed(self: Part, /, *args: P.args, **kwargs: P.kwargs) -> R:
+            behaviour(self, *args, **kwargs)
+            result: R = getattr(super(made, self), name)(*args, **kwargs)
+            return result
+
+        return changed
+
+    return Family(base, name, override)
+
+
+def skips(base: type[Part], method: Callable[Concatenate[Part, P], None]) -> Family[Concatenate[Part, P], bool]:
+    """Return the family that does not call ``method`` if a condition on the object and the arguments is true."""
+    name = method.__name__
+
+    def override(behaviour: Callable[Concatenate[Part, P], bool], made: type) -> object:
+        def changed(self: Part, /, *args: P.args, **kwargs: P.kwargs) -> None:
+            if not behaviour(self, *args, **kwargs):
+                getattr(super(made, self), name)(*args, **kwargs)
+
+        return changed
+
+    return Family(base, name, override)
+
+
+def attributes(base: type, module: str) -> Family[..., Any]:
+    """Return the family of ``module`` whose mutants have other attributes than ``base``."""
+    return Family(base, "", lambda behaviour, _: behaviour, module)
+
+
+__all__ = ["Family", "after", "around", "attributes", "before", "instead", "skips"]
