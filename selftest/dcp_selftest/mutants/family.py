@@ -1,7 +1,7 @@
 """Families of mutants: nodes that differ in the same method or the same attributes, one line each.
 
 A family is made of a method of a part of the node (:func:`instead`, :func:`after`, :func:`around`, :func:`before`,
-:func:`skips`) or of the attributes of a class (:func:`attributes`). Calling it makes one mutant.
+:func:`then`, :func:`skips`) or of the attributes of a class (:func:`attributes`). Calling it makes one mutant.
 """
 
 from __future__ import annotations
@@ -102,6 +102,21 @@ def before(base: type[Part], method: Callable[Concatenate[Part, P], R]) -> Famil
     return Family(base, name, override)
 
 
+def then(base: type[Part], method: Callable[Concatenate[Part, P], R]) -> Family[Concatenate[Part, R, P], object]:
+    """Return the family that does something else after ``method``: a function of object, result and arguments."""
+    name = method.__name__
+
+    def override(behaviour: Callable[Concatenate[Part, R, P], object], made: type) -> object:
+        def changed(self: Part, /, *args: P.args, **kwargs: P.kwargs) -> R:
+            result: R = getattr(super(made, self), name)(*args, **kwargs)
+            behaviour(self, result, *args, **kwargs)
+            return result
+
+        return changed
+
+    return Family(base, name, override)
+
+
 def skips(base: type[Part], method: Callable[Concatenate[Part, P], None]) -> Family[Concatenate[Part, P], bool]:
     """Return the family that does not call ``method`` if a condition on the object and the arguments is true."""
     name = method.__name__
@@ -116,9 +131,15 @@ def skips(base: type[Part], method: Callable[Concatenate[Part, P], None]) -> Fam
     return Family(base, name, override)
 
 
+def assign(target: object, **values: object) -> None:
+    """Set attributes of ``target``."""
+    for name, value in values.items():
+        setattr(target, name, value)
+
+
 def attributes(base: type, module: str) -> Family[..., Any]:
     """Return the family of ``module`` whose mutants have other attributes than ``base``."""
     return Family(base, "", lambda behaviour, _: behaviour, module)
 
 
-__all__ = ["Family", "after", "around", "attributes", "before", "instead", "skips"]
+__all__ = ["Family", "after", "around", "assign", "attributes", "before", "instead", "skips", "then"]

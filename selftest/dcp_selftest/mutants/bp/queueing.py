@@ -97,8 +97,12 @@ class OwnQueue(ClientList):
 
     def insert(self, client: Client) -> None:
         if client.queue is not None:
-            client.queue = self.queue(client.queue.rule, client.registration.max_entries)
+            client.queue = self.queue(client.queue.rule, self.places(client.registration.max_entries))
         super().insert(client)
+
+    def places(self, entries: int) -> int:
+        """Return the number of places of a queue with this maxEntries."""
+        return entries
 
 
 @mutant("newest-first", "BP-QM-03 BP-QM-02", "sends the newest payload of a queue first")

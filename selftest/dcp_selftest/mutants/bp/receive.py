@@ -30,10 +30,11 @@ class Lenient(BPWire):
         """Return an integer of the header."""
         return int.from_bytes(octets[self._places[field]], "big")
 
-    def put(self, octets: bytearray, field: str, value: int) -> None:
-        """Set an integer of the header."""
+    def put(self, octets: bytearray, field: str, value: int) -> bytearray:
+        """Set an integer of the header, and return the octets."""
         place = self._places[field]
         octets[place] = value.to_bytes(place.stop - place.start, "big")
+        return octets
 
 
 @mutant("any", "BP-RX-01", "accepts beacons of any version")

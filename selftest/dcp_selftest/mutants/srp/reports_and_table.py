@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import msgspec
 from dcp_spec.constants import BP_PROTID_SRP, QueueingMode
@@ -15,7 +15,7 @@ from dcp_codec.values import Beacon, ExtendedSafetyData, Payload
 from dcp_selftest.mutants.air import Air
 from dcp_selftest.mutants.family import after, around, instead
 from dcp_selftest.mutants.mutant import mutant
-from dcp_selftest.mutants.port import Port, registration
+from dcp_selftest.mutants.port import Port
 from dcp_selftest.mutants.unseen import NO_MODE
 from dcp_stack.bp_port import BPPort
 from dcp_stack.config import NodeConfig
@@ -69,10 +69,18 @@ class Reporting(StateReporting):
     """Changes calls to BP."""
 
     port: type[Port] = Port
+    registered: ClassVar[dict[str, Any]] = {}
+    """Changed arguments of the registration."""
+    doubled: ClassVar[bool] = False
+    """Whether twice the size of a report is registered."""
 
     def __init__(self, config: NodeConfig, bp: BPPort, *, emit: Callable[[Effect], None], now: int, wall: int) -> None:
-        port: Any = self.port(bp)
+        port: Any = self.port(bp, self.registered, payload=self.payload, factor=1 + self.doubled)
         super().__init__(config, port, emit=emit, now=now, wall=wall)
+
+    def payload(self, payload: bytes) -> bytes:
+        """Return the octets to be submitted."""
+        return payload
 
 
 @mutant("repeat", "SRP-INI-03 SRP-SRV-04", "registers with mode REPEAT instead of ONCE")
@@ -114,22 +122,13 @@ class OtherName(Reporting):
 class Small(Reporting):
     class port(Port):  # noqa: N801 - as above
         def register(self, *args: Any, **times: int) -> Any:
-            return self.bp.register(
-                *registration(args, size=args[2] // 2 + 1, mode=QueueingMode.QUEUE_DROPTAIL, entries=2), **times
-            )
+            small = (*args[:2], args[2] // 2 + 1, QueueingMode.QUEUE_DROPTAIL, 2, *args[5:])
+            return self.bp.register(*small, **times)
 
         def transmit_payload(self, prot_id: int, payload: bytes, *, now: int) -> Any:
             half = len(payload) // 2
             self.bp.transmit_payload(prot_id, payload[:half], now=now)
             return self.bp.transmit_payload(prot_id, payload[half:], now=now)
-
-
-class Longer(Reporting):
-    """Registers with more than the size of a report."""
-
-    class port(Port):  # noqa: N801 - as above
-        def register(self, *args: Any, **times: int) -> Any:
-            return self.bp.register(*registration(args, size=2 * args[2]), **times)
 
 
 @mutant("filled-up", "SRP-FMT-01 DATA-02", "pads reports to a multiple of eight octets")

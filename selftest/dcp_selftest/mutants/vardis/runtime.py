@@ -13,7 +13,7 @@ from dcp_selftest.mutants.air import Air
 from dcp_selftest.mutants.cells import Cells
 from dcp_selftest.mutants.family import around, attributes, before, instead, skips
 from dcp_selftest.mutants.mutant import mutant
-from dcp_selftest.mutants.port import Port, registration
+from dcp_selftest.mutants.port import Port
 from dcp_selftest.mutants.unseen import ALWAYS_ACTIVE
 from dcp_stack.bp_port import BPPort
 from dcp_stack.config import MS, NodeConfig
@@ -38,9 +38,11 @@ class Ported(Vardis):
     """Changes calls to BP."""
 
     port: ClassVar[type[Port]] = Port
+    registered: ClassVar[dict[str, Any]] = {}
+    """Changed arguments of the registration."""
 
     def __init__(self, config: NodeConfig, bp: BPPort, *, emit: Callable[[Effect], None], now: int, wall: int) -> None:
-        port: Any = self.port(bp)
+        port: Any = self.port(bp, self.registered)
         super().__init__(config, port, emit=emit, now=now, wall=wall)
 
 
@@ -58,7 +60,9 @@ class OldMode(Ported):
             return self.bp.register(*registration(args, mode=QueueingMode.QUEUE_DROPTAIL), **times)
 
 
-attributes(OtherMode, __name__)("repeat", "VD-INI-07", "registers with mode REPEAT")
+@mutant("repeat", "VD-INI-07", "registers with mode REPEAT")
+class RepeatMode(Ported):
+    pass
 
 
 @mutant("drophead", "VD-INI-08", "registers with mode DROPHEAD, as in later versions")
