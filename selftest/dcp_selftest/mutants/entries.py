@@ -11,9 +11,7 @@ from dcp_stack.vardis.database import DBEntry, IdQueue
 from .family import Family, P, Part, R, assign
 
 
-def on_entry(
-    base: type[Part], method: Callable[Concatenate[Part, P], R]
-) -> Family[[Part, DBEntry, DBEntry], object]:
+def on_entry(base: type[Part], method: Callable[Concatenate[Part, P], R]) -> Family[[Part, DBEntry, DBEntry], object]:
     """Return the family that changes an entry after ``method``: a function of object, entry, and copy of it before.
 
     Rejected requests, and VarCreates that are not stored, change nothing. The copy is that of the new entry if there
@@ -23,7 +21,9 @@ def on_entry(
 
     def override(behaviour: Callable[[Part, DBEntry, DBEntry], object], made: type) -> object:
         def changed(self: Any, subject: Any, *args: Any, **kwargs: Any) -> Any:
-            var_id: int = subject if isinstance(subject, int) else getattr(subject, "var_id", None) or subject.spec.var_id
+            var_id: int = (
+                subject if isinstance(subject, int) else getattr(subject, "var_id", None) or subject.spec.var_id
+            )
             old = self._database.lookup(var_id)
             before = copy.copy(old)
             result = getattr(super(made, self), name)(subject, *args, **kwargs)

@@ -6,7 +6,7 @@ import msgspec
 from dcp_spec.constants import SpecVersion
 from dcp_spec.status import BPStatus
 
-from dcp_selftest.mutants.family import after, before, instead, skips
+from dcp_selftest.mutants.family import after, before, instead, skips, then
 from dcp_selftest.mutants.mutant import mutant
 from dcp_selftest.mutants.unseen import BP_ALWAYS_ACTIVE
 from dcp_stack.bp.clients import ClientList
@@ -33,13 +33,9 @@ before(BeaconingProtocol, BeaconingProtocol.deregister)("others-too", "BP-DRG-02
     lambda self, prot_id: _empty(self._clients))  # fmt: skip
 
 
-@mutant("unknown-empties", "BP-DRG-01 BP-QM-05", "clears all buffers when an unknown client is deregistered")
-class UnknownEmpties(BeaconingProtocol):
-    def deregister(self, prot_id: int) -> StatusConfirm:
-        confirm = super().deregister(prot_id)
-        if confirm.status is not BPStatus.OK:
-            _empty(self._clients)
-        return confirm
+then(BeaconingProtocol, BeaconingProtocol.deregister)("unknown-empties", "BP-DRG-01 BP-QM-05",
+    "clears all buffers when an unknown client is deregistered",
+    lambda self, confirm, prot_id: _empty(self._clients) if confirm.status is not BPStatus.OK else None)  # fmt: skip
 
 
 before(BeaconingProtocol, BeaconingProtocol.clear_buffer)("all", "BP-CLR-03 BP-QM-05",
@@ -47,13 +43,13 @@ before(BeaconingProtocol, BeaconingProtocol.clear_buffer)("all", "BP-CLR-03 BP-Q
     lambda self, prot_id: _empty(self._clients))  # fmt: skip
 
 
-@mutant("refused-empties", "BP-TXP-02 BP-QM-05", "clears the buffer of a client whose payload is too large")
-class RefusedEmpties(BeaconingProtocol):
-    def _submit(self, client: Client | None, payload: bytes, now: int) -> BPStatus:
-        status = super()._submit(client, payload, now)
-        if status is BPStatus.PAYLOAD_TOO_LARGE and client is not None and client.queue is not None:
-            client.queue.clear()
-        return status
+# fmt: off
+then(BeaconingProtocol, BeaconingProtocol._submit)("refused-empties", "BP-TXP-02 BP-QM-05",
+    "clears the buffer of a client whose payload is too large",
+    lambda self, status, client, payload, now: (
+        client.queue.clear()
+        if status is BPStatus.PAYLOAD_TOO_LARGE and client is not None and client.queue is not None else None))
+# fmt: on
 
 
 @mutant("received-empties", "BP-QM-05", "clears the buffer of a client that receives a payload")

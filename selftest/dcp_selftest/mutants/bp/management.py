@@ -8,7 +8,7 @@ from dcp_spec.parameters import Violation
 from dcp_spec.status import BPStatus
 
 from dcp_selftest.mutants.air import Air
-from dcp_selftest.mutants.family import around, before, instead
+from dcp_selftest.mutants.family import around, before, instead, then
 from dcp_selftest.mutants.mutant import mutant
 from dcp_selftest.mutants.unseen import OTHERS_ACTIVE
 from dcp_stack.bp.entity import BeaconingProtocol
@@ -99,12 +99,9 @@ instead(BeaconingProtocol, BeaconingProtocol.activate)("no-resume", "BP-MGT-05",
     lambda self, now: OK)  # fmt: skip
 
 
-@mutant("receives-only", "BP-MGT-05", "receives again when it is activated, but does not send")
-class ReceivesOnly(BeaconingProtocol):
-    def activate(self, now: int) -> StatusConfirm:
-        confirm = super().activate(now)
-        self._schedule.restart(now + 10**15)
-        return confirm
+then(BeaconingProtocol, BeaconingProtocol.activate)("receives-only", "BP-MGT-05",
+    "receives again when it is activated, but does not send",
+    lambda self, confirm, now: self._schedule.restart(now + 10**15))  # fmt: skip
 
 
 @mutant("inactive", "BP-INI-03", "is inactive until it is activated")

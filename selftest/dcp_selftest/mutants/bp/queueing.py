@@ -9,7 +9,7 @@ import msgspec
 from dcp_spec.constants import QueueingMode, SpecVersion
 from dcp_spec.status import BPStatus
 
-from dcp_selftest.mutants.family import attributes, instead
+from dcp_selftest.mutants.family import assign, attributes, before, instead, then
 from dcp_selftest.mutants.mutant import mutant
 from dcp_selftest.mutants.unseen import NO_MODE, NO_QUEUE
 from dcp_stack.bp.clients import Chosen, ClientList
@@ -116,27 +116,15 @@ class NewestFirst(OwnQueue):
                 self._payloads.pop()
 
 
-@mutant(
-    "one-place-more", "BP-QM-01 BP-QM-02 BP-QRY-02", "keeps one payload more than maxEntries", since=SpecVersion.V1_1
-)
-class OnePlaceMore(OwnQueue):
-    class queue(PayloadQueue):  # noqa: N801 - as above
-        def __init__(self, rule: ModeRule, max_entries: int) -> None:
-            super().__init__(rule, max_entries + 1)
-
-
-@mutant("at-most-16", "BP-QM-01 BP-QM-02 BP-QM-03", "keeps 16 payloads of a longer queue", since=SpecVersion.V1_1)
-class SixteenPlaces(OwnQueue):
-    class queue(PayloadQueue):  # noqa: N801 - as above
-        def __init__(self, rule: ModeRule, max_entries: int) -> None:
-            super().__init__(rule, min(max_entries, 16))
-
-
-@mutant("six-bits", "BP-QM-02 BP-QM-01 BP-QM-03", "uses the length of a queue modulo 64", since=SpecVersion.V1_1)
-class SixBitsOfPlaces(OwnQueue):
-    class queue(PayloadQueue):  # noqa: N801 - as above
-        def __init__(self, rule: ModeRule, max_entries: int) -> None:
-            super().__init__(rule, max_entries % 64 or 1)
+# fmt: off
+places = instead(OwnQueue, OwnQueue.places)
+places("one-place-more", "BP-QM-01 BP-QM-02 BP-QRY-02", "keeps one payload more than maxEntries",
+    lambda self, entries: entries + 1, since=SpecVersion.V1_1)
+places("at-most-16", "BP-QM-01 BP-QM-02 BP-QM-03", "keeps 16 payloads of a longer queue",
+    lambda self, entries: min(entries, 16), since=SpecVersion.V1_1)
+places("six-bits", "BP-QM-02 BP-QM-01 BP-QM-03", "uses the length of a queue modulo 64",
+    lambda self, entries: entries % 64 or 1, since=SpecVersion.V1_1)
+# fmt: on
 
 
 @mutant("wraps-at-32", "BP-QM-03", "sends the 33rd and later payloads of a queue first")
@@ -149,11 +137,8 @@ class WrapsAt32(OwnQueue):
             return outcome
 
 
-@mutant("one-place-less", "BP-QM-02 BP-QM-01 BP-QRY-02", "keeps one payload less than maxEntries")
-class OnePlaceLess(OwnQueue):
-    class queue(PayloadQueue):  # noqa: N801 - as above
-        def __init__(self, rule: ModeRule, max_entries: int) -> None:
-            super().__init__(rule, max(max_entries - 1, 1))
+places("one-place-less", "BP-QM-02 BP-QM-01 BP-QRY-02", "keeps one payload less than maxEntries",
+    lambda self, entries: max(entries - 1, 1))  # fmt: skip
 
 
 @mutant("forgets-all", "BP-TXP-05 BP-QM-02", "clears a full DROPHEAD queue when a new payload is submitted")
@@ -167,11 +152,9 @@ class ForgetsAll(OwnQueue):
             return outcome
 
 
-@mutant("several", "BP-QM-07", "sends several payloads of a client in one beacon although the client allows one")
-class AlwaysSeveral(ClientList):
-    def insert(self, client: Client) -> None:
-        client.several = client.queue is not None and client.queue.rule.several
-        super().insert(client)
+before(ClientList, ClientList.insert)("several", "BP-QM-07",
+    "sends several payloads of a client in one beacon although the client allows one",
+    lambda self, client: assign(client, several=client.queue is not None and client.queue.rule.several))  # fmt: skip
 
 
 @mutant("entries-for-buffers", "BP-QM-09", "rejects registrations of modes without a queue if maxEntries is 0")
@@ -288,10 +271,8 @@ class JitterAdded(BeaconSchedule):
         self._place()
 
 
-@mutant("bursts", "BP-TX-01", "prepares the next beacon soon after each one that it sends")
-class Bursts(BeaconSchedule):
-    def passed(self, now: int, *, sent: bool) -> int:
-        left_out = super().passed(now, sent=sent)
-        if sent:
-            self.due = min(self.due, now + self._gap)
-        return left_out
+# fmt: off
+then(BeaconSchedule, BeaconSchedule.passed)("bursts", "BP-TX-01",
+    "prepares the next beacon soon after each one that it sends",
+    lambda self, left_out, now, *, sent: assign(self, due=min(self.due, now + self._gap)) if sent else None)
+# fmt: on

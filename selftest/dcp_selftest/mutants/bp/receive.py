@@ -37,60 +37,22 @@ class Lenient(BPWire):
         return octets
 
 
-@mutant("any", "BP-RX-01", "accepts beacons of any version")
-class AnyVersion(Lenient):
-    def repaired(self, octets: bytearray) -> bytearray:
-        self.put(octets, "version", 1)
-        return octets
-
-
-@mutant("newer", "BP-RX-01", "accepts beacons of newer versions")
-class NewerVersion(Lenient):
-    def repaired(self, octets: bytearray) -> bytearray:
-        self.put(octets, "version", min(self.number(octets, "version"), 1))
-        return octets
-
-
-@mutant("any", "BP-RX-02", "accepts beacons with any magicNo")
-class AnyMagic(Lenient):
-    def repaired(self, octets: bytearray) -> bytearray:
-        self.put(octets, "magicNo", 0x497E)
-        return octets
-
-
-@mutant("swapped", "BP-RX-02", "also accepts beacons with a little-endian magicNo")
-class EitherMagic(Lenient):
-    def repaired(self, octets: bytearray) -> bytearray:
-        if self.number(octets, "magicNo") == 0x7E49:
-            self.put(octets, "magicNo", 0x497E)
-        return octets
-
-
-@mutant("first-octet", "BP-RX-02", "checks only the first octet of magicNo")
-class HalfMagic(Lenient):
-    def repaired(self, octets: bytearray) -> bytearray:
-        if self.number(octets, "magicNo") >> 8 == 0x49:
-            self.put(octets, "magicNo", 0x497E)
-        return octets
-
-
-@mutant("whole-frame", "BP-RX-03", "treats length 0 as the length of the frame")
-class ZeroIsAll(Lenient):
-    def repaired(self, octets: bytearray) -> bytearray:
-        if not self.number(octets, "length"):
-            self.put(octets, "length", len(octets) - self.header_size)
-        return octets
-
-
-@mutant("processed", "BP-RX-04", "accepts beacons with numPayloads 0")
-class NonePayloads(Lenient):
-    def repaired(self, octets: bytearray) -> bytearray:
-        if not self.number(octets, "numPayloads"):
-            self.put(octets, "numPayloads", 1)
-        return octets
-
-
 # fmt: off
+repaired = instead(Lenient, Lenient.repaired)
+repaired("any", "BP-RX-01", "accepts beacons of any version", lambda self, octets: self.put(octets, "version", 1))
+repaired("newer", "BP-RX-01", "accepts beacons of newer versions",
+    lambda self, octets: self.put(octets, "version", min(self.number(octets, "version"), 1)))
+repaired("any", "BP-RX-02", "accepts beacons with any magicNo",
+    lambda self, octets: self.put(octets, "magicNo", 0x497E))
+repaired("swapped", "BP-RX-02", "also accepts beacons with a little-endian magicNo",
+    lambda self, octets: self.put(octets, "magicNo", 0x497E) if self.number(octets, "magicNo") == 0x7E49 else octets)
+repaired("first-octet", "BP-RX-02", "checks only the first octet of magicNo",
+    lambda self, octets: self.put(octets, "magicNo", 0x497E) if self.number(octets, "magicNo") >> 8 == 0x49 else octets)
+repaired("whole-frame", "BP-RX-03", "treats length 0 as the length of the frame",
+    lambda self, octets: (
+        octets if self.number(octets, "length") else self.put(octets, "length", len(octets) - self.header_size)))
+repaired("processed", "BP-RX-04", "accepts beacons with numPayloads 0",
+    lambda self, octets: octets if self.number(octets, "numPayloads") else self.put(octets, "numPayloads", 1))
 around_for_this_node = around(Receiver, Receiver._for_this_node)
 around_for_this_node("any", "BP-RX-05", "accepts beacons of any network",
     lambda self, proceed, header: proceed(BPHeader(header.sender_id, header.seqno, self._parameters.network_id)))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from dcp_selftest.mutants.family import after, attributes
+from dcp_selftest.mutants.family import after, assign, attributes, before
 from dcp_selftest.mutants.mutant import mutant
 from dcp_selftest.mutants.unseen import BP_ALWAYS_ACTIVE, ONE_PAYLOAD
 from dcp_stack.bp.clients import Chosen, ClientList
@@ -44,11 +44,9 @@ class SeveralIgnoresRoom(ClientList):
         return chosen
 
 
-@mutant("activated", "BP-HDR-08", "restarts sequence numbers when it is activated", unseen=BP_ALWAYS_ACTIVE)
-class SeqnoRestarts(BeaconingProtocol):
-    def activate(self, now: int) -> StatusConfirm:
-        self._seqno = 0
-        return super().activate(now)
+before(BeaconingProtocol, BeaconingProtocol.activate)("activated", "BP-HDR-08",
+    "restarts sequence numbers when it is activated",
+    lambda self, now: assign(self, _seqno=0), unseen=BP_ALWAYS_ACTIVE)  # fmt: skip
 
 
 @mutant("clears", "BP-MGT-05", "clears all buffers when it is activated although it is active")

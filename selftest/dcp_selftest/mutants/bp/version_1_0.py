@@ -8,7 +8,7 @@ from typing import Any
 from dcp_spec.parameters import Violation
 from dcp_spec.status import BPStatus
 
-from dcp_selftest.mutants.family import after
+from dcp_selftest.mutants.family import after, before
 from dcp_selftest.mutants.mutant import mutant
 from dcp_stack.bp.clients import Chosen, ClientList
 from dcp_stack.bp.entity import BeaconingProtocol
@@ -21,12 +21,10 @@ after(BeaconingProtocol, BeaconingProtocol._submit)("queue-ok", "BP-TXP-12",
     lambda self, status, client, payload, now: BPStatus.OK if status is BPStatus.EMPTY_PAYLOAD else status)  # fmt: skip
 
 
-@mutant("queue-cleared", "BP-TXP-12", "clears a queue when an empty payload is submitted")
-class EmptyClearsQueue(BeaconingProtocol):
-    def _submit(self, client: Client | None, payload: bytes, now: int) -> BPStatus:
-        if client is not None and client.queue is not None and not payload:
-            client.queue.clear()
-        return super()._submit(client, payload, now)
+before(BeaconingProtocol, BeaconingProtocol._submit)("queue-cleared", "BP-TXP-12",
+    "clears a queue when an empty payload is submitted",
+    lambda self, client, payload, now: (
+        client.queue.clear() if client is not None and client.queue is not None and not payload else None))  # fmt: skip
 
 
 @mutant("kept", "BP-TXP-13", "confirms an empty payload with OK, but keeps the buffered one")

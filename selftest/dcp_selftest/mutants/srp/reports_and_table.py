@@ -13,7 +13,7 @@ from dcp_spec.status import SRPStatus
 from dcp_codec.errors import DecodeError
 from dcp_codec.values import Beacon, ExtendedSafetyData, Payload
 from dcp_selftest.mutants.air import Air
-from dcp_selftest.mutants.family import after, around, instead
+from dcp_selftest.mutants.family import after, around, assign, attributes, before, instead
 from dcp_selftest.mutants.mutant import mutant
 from dcp_selftest.mutants.port import Port
 from dcp_selftest.mutants.unseen import NO_MODE
@@ -69,13 +69,13 @@ class Reporting(StateReporting):
     """Changes calls to BP."""
 
     port: type[Port] = Port
-    registered: ClassVar[dict[str, Any]] = {}
+    registration: ClassVar[dict[str, Any]] = {}
     """Changed arguments of the registration."""
     doubled: ClassVar[bool] = False
     """Whether twice the size of a report is registered."""
 
     def __init__(self, config: NodeConfig, bp: BPPort, *, emit: Callable[[Effect], None], now: int, wall: int) -> None:
-        port: Any = self.port(bp, self.registered, payload=self.payload, factor=1 + self.doubled)
+        port: Any = self.port(bp, self.registration, payload=self.payload, factor=1 + self.doubled)
         super().__init__(config, port, emit=emit, now=now, wall=wall)
 
     def payload(self, payload: bytes) -> bytes:
@@ -83,37 +83,17 @@ class Reporting(StateReporting):
         return payload
 
 
-@mutant("repeat", "SRP-INI-03 SRP-SRV-04", "registers with mode REPEAT instead of ONCE")
-class Repeats(Reporting):
-    class port(Port):  # noqa: N801 - takes the place of an attribute
-        def register(self, *args: Any, **times: int) -> Any:
-            return self.bp.register(*registration(args, mode=QueueingMode.REPEAT), **times)
-
-
-@mutant("once", "SRP-INI-08", "registers with mode ONCE instead of REPEAT, as in later versions")
-class Once(Reporting):
-    class port(Port):  # noqa: N801 - as above
-        def register(self, *args: Any, **times: int) -> Any:
-            return self.bp.register(*registration(args, mode=QueueingMode.ONCE), **times)
-
-
-@mutant(
-    "queue",
-    "SRP-TYP-07 SRP-INI-03",
-    "registers with a queue, and therefore sends old reports before new ones",
-    unseen=NO_MODE,
-)
-class Queues(Reporting):
-    class port(Port):  # noqa: N801 - as above
-        def register(self, *args: Any, **times: int) -> Any:
-            return self.bp.register(*registration(args, mode=QueueingMode.QUEUE_DROPTAIL, entries=10), **times)
-
-
-@mutant("other-name", "SRP-INI-01", "registers under the name of VarDis")
-class OtherName(Reporting):
-    class port(Port):  # noqa: N801 - as above
-        def register(self, *args: Any, **times: int) -> Any:
-            return self.bp.register(*registration(args, name="VarDis -- Variable Dissemination Protocol V2.0"), **times)
+# fmt: off
+reporting = attributes(Reporting, __name__)
+reporting("repeat", "SRP-INI-03 SRP-SRV-04", "registers with mode REPEAT instead of ONCE",
+    registration={"mode": QueueingMode.REPEAT})
+reporting("once", "SRP-INI-08", "registers with mode ONCE instead of REPEAT, as in later versions",
+    registration={"mode": QueueingMode.ONCE})
+reporting("queue", "SRP-TYP-07 SRP-INI-03", "registers with a queue, and therefore sends old reports before new ones",
+    unseen=NO_MODE, registration={"mode": QueueingMode.QUEUE_DROPTAIL, "entries": 10})
+reporting("other-name", "SRP-INI-01", "registers under the name of VarDis",
+    registration={"name": "VarDis -- Variable Dissemination Protocol V2.0"})
+# fmt: on
 
 
 @mutant(
@@ -131,32 +111,16 @@ class Small(Reporting):
             return self.bp.transmit_payload(prot_id, payload[half:], now=now)
 
 
-@mutant("filled-up", "SRP-FMT-01 DATA-02", "pads reports to a multiple of eight octets")
-class FilledUp(Reporting):
-    class port(Longer.port):  # noqa: N801 - as above
-        def transmit_payload(self, prot_id: int, payload: bytes, *, now: int) -> Any:
-            return self.bp.transmit_payload(prot_id, payload + bytes(8 - len(payload) % 8), now=now)
-
-
-@mutant("two-more", "SRP-FMT-01", "appends two octets to each report")
-class TwoMore(Reporting):
-    class port(Longer.port):  # noqa: N801 - as above
-        def transmit_payload(self, prot_id: int, payload: bytes, *, now: int) -> Any:
-            return self.bp.transmit_payload(prot_id, payload + b"\xa5\x5a", now=now)
-
-
-@mutant("test-pattern", "SRP-FMT-01", "sends a test pattern of 40 octets instead of each report")
-class TestPattern(Reporting):
-    class port(Port):  # noqa: N801 - as above
-        def transmit_payload(self, prot_id: int, payload: bytes, *, now: int) -> Any:
-            return self.bp.transmit_payload(prot_id, bytes(range(0xA0, 0xA0 + 40)), now=now)
-
-
-@mutant("two", "SRP-FMT-01", "sends each report twice in one payload")
-class TwoReports(Reporting):
-    class port(Longer.port):  # noqa: N801 - as above
-        def transmit_payload(self, prot_id: int, payload: bytes, *, now: int) -> Any:
-            return self.bp.transmit_payload(prot_id, payload * 2, now=now)
+# fmt: off
+payload = instead(Reporting, Reporting.payload)
+payload("filled-up", "SRP-FMT-01 DATA-02", "pads reports to a multiple of eight octets",
+    lambda self, payload: payload + bytes(8 - len(payload) % 8), doubled=True)
+payload("two-more", "SRP-FMT-01", "appends two octets to each report",
+    lambda self, payload: payload + b"\xa5\x5a", doubled=True)
+payload("test-pattern", "SRP-FMT-01", "sends a test pattern of 40 octets instead of each report",
+    lambda self, payload: bytes(range(0xA0, 0xA0 + 40)))
+payload("two", "SRP-FMT-01", "sends each report twice in one payload", lambda self, payload: payload * 2, doubled=True)
+# fmt: on
 
 
 @mutant("half", "SRP-SRV-04 SRP-SRV-03", "sends only every other report")
@@ -283,16 +247,10 @@ around(NeighbourTable, NeighbourTable.record)("sender", "SRP-RX-05",
     "uses the sender of the beacon as the key of neighbours",
     lambda self, proceed, report, sender_id, *, now, wall: (
         proceed(msgspec.structs.replace(report, node_id=sender_id), sender_id, now=now, wall=wall)))
+before(NeighbourTable, NeighbourTable.record)("one", "SRP-RX-03 SRP-NT-02", "stores only one neighbour",
+    lambda self, report, sender_id, *, now, wall: (
+        assign(self, _entries={node_id: each for node_id, each in self._entries.items() if node_id == report.node_id})))
 # fmt: on
-
-
-@mutant("one", "SRP-RX-03 SRP-NT-02", "stores only one neighbour")
-class OneNeighbour(NeighbourTable):
-    def record(
-        self, report: ExtendedSafetyData, sender_id: bytes, *, now: int, wall: int
-    ) -> Literal["new", "replaced", "full"]:
-        self._entries = {node_id: each for node_id, each in self._entries.items() if node_id == report.node_id}
-        return super().record(report, sender_id, now=now, wall=wall)
 
 
 after(NeighbourTable, NeighbourTable.lookup)("anybody", "SRP-NT-01",

@@ -9,7 +9,8 @@ from dcp_spec.constants import SpecVersion
 from dcp_spec.status import VardisStatus
 
 from dcp_selftest.mutants.cells import Cells
-from dcp_selftest.mutants.family import after, around, attributes, instead
+from dcp_selftest.mutants.entries import drop, on_entry
+from dcp_selftest.mutants.family import after, around, assign, attributes, instead
 from dcp_selftest.mutants.mutant import mutant
 from dcp_selftest.mutants.unseen import NOT_ANEW
 from dcp_stack.vardis.confirms import (
@@ -156,15 +157,8 @@ around(Vardis, Vardis._creation_time)("kept", "VD-CRE-09 VD-CRE-03",
 # fmt: on
 
 
-@mutant("from-one", "VD-CRE-10", "starts with sequence number 1")
-class FromOne(Creates):
-    def create(self, *args: Any, **times: Any) -> Confirm:
-        var_id: int = args[0]
-        confirm = super().create(*args, **times)
-        entry = self._database.lookup(var_id)
-        if confirm.status is OK and entry is not None:
-            entry.seqno = 1
-        return confirm
+on_create = on_entry(Vardis, Vardis.create)
+on_create("from-one", "VD-CRE-10", "starts with sequence number 1", lambda self, entry, before: assign(entry, seqno=1))
 
 
 @mutant(
@@ -185,51 +179,15 @@ class ContinuesNumbers(Creates):
         return confirm
 
 
-@mutant("stamp", "VD-CRE-10 VD-DB-03", "stores variables without a time stamp")
-class NoStamp(Creates):
-    def create(self, *args: Any, **times: Any) -> Confirm:
-        var_id: int = args[0]
-        confirm = super().create(*args, **times)
-        entry = self._database.lookup(var_id)
-        if confirm.status is OK and entry is not None:
-            entry.t_stamp = 0
-        return confirm
-
-
-@mutant("with-update", "VD-CRE-10 VD-CRE-12", "sends a VarUpdate with the first value along with the VarCreate")
-class WithUpdate(Creates):
-    def create(self, *args: Any, **times: Any) -> Confirm:
-        var_id: int = args[0]
-        confirm = super().create(*args, **times)
-        entry = self._database.lookup(var_id)
-        if confirm.status is OK and entry is not None:
-            self._database.arm_update(entry)
-        return confirm
-
-
-@mutant("not-summarised", "VD-CRE-12", "does not summarise its own variables")
-class NotSummarised(Creates):
-    def create(self, *args: Any, **times: Any) -> Confirm:
-        var_id: int = args[0]
-        confirm = super().create(*args, **times)
-        if confirm.status is OK:
-            self._database.summary_q.remove(var_id)
-        return confirm
-
-
-@mutant("only-summarised", "VD-CRE-12", "only summarises its own variables, without a VarCreate")
-class OnlySummarised(Creates):
-    def create(self, *args: Any, **times: Any) -> Confirm:
-        var_id: int = args[0]
-        confirm = super().create(*args, **times)
-        entry = self._database.lookup(var_id)
-        if confirm.status is OK and entry is not None:
-            self._database.create_q.remove(var_id)
-            entry.count_create = 0
-        return confirm
-
-
 # fmt: off
+on_create("stamp", "VD-CRE-10 VD-DB-03", "stores variables without a time stamp",
+    lambda self, entry, before: assign(entry, t_stamp=0))
+on_create("with-update", "VD-CRE-10 VD-CRE-12", "sends a VarUpdate with the first value along with the VarCreate",
+    lambda self, entry, before: self._database.arm_update(entry))
+on_create("not-summarised", "VD-CRE-12", "does not summarise its own variables",
+    lambda self, entry, before: drop(self._database.summary_q, entry))
+on_create("only-summarised", "VD-CRE-12", "only summarises its own variables, without a VarCreate",
+    lambda self, entry, before: drop(self._database.create_q, entry, count_create=0))
 early = instead(Creates, Creates.early)
 early("repcnt-first", "VD-CRE-13 DATA-11", "checks the repetition count first",
     lambda self, var_id, rep_cnt, descr, value: (

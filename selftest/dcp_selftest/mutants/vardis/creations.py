@@ -6,8 +6,8 @@ from dcp_spec.constants import SpecVersion
 
 from dcp_codec.values import VarCreate
 from dcp_selftest.mutants.cells import Cells, everywhere
+from dcp_selftest.mutants.entries import on_entry
 from dcp_selftest.mutants.family import after, attributes, instead
-from dcp_selftest.mutants.mutant import mutant
 from dcp_stack.vardis.database import DBEntry
 from dcp_stack.vardis.receive import Receiver
 from dcp_stack.vardis.state_table import Action, Event
@@ -57,20 +57,9 @@ is_later("revives", "VD-PC-11", "accepts a VarCreate of a variable that is being
     lambda self, record, entry: entry.is_deleted)
 later("not-revived", "VD-PC-02", "does not create a deleted variable again",
     lambda self, received, stored, entry: received > stored and not entry.is_deleted, since=V2)
-# fmt: on
-
-
-@mutant("stays-deleted", "VD-PC-02", "stores a later creation of a deleted variable, but leaves it deleted", since=V2)
-class StaysDeleted(Receiver):
-    def _create(self, record: VarCreate, offset: int, now: int, wall: int) -> None:
-        known = self._database.lookup(record.spec.var_id)
-        super()._create(record, offset, now, wall)
-        entry = self._database.lookup(record.spec.var_id)
-        if known is not None and entry is not None and known.is_deleted and entry is not known:
-            self._database.mark_deleted(entry)
-
-
-# fmt: off
+on_entry(Receiver, Receiver._create)("stays-deleted", "VD-PC-02",
+    "stores a later creation of a deleted variable, but leaves it deleted",
+    lambda self, entry, before: self._database.mark_deleted(entry) if before.is_deleted else None, since=V2)
 attributes(Cells, __name__)("taken", "VD-PC-03", "accepts a VarCreate with itself as producer",
     cells=everywhere(Event.RX_CREATE_OWN, Action.ADOPT))
 is_bad_value = instead(Receiver, Receiver._is_bad_value)

@@ -52,10 +52,8 @@ unbound("no-bound", "VD-PAR-03", "accepts a maximum length of descriptions that 
 # fmt: on
 
 
-@mutant("zero", "VD-PAR-04", "accepts 0 as the maximum repetition count", unseen={"1.1": "in 1.1 this is VD-PAR-10"})
-class RepetitionsZero(Unbound):
-    name = REPETITIONS
-    wrong = range(1)
+unbound("zero", "VD-PAR-04", "accepts 0 as the maximum repetition count",
+    unseen={"1.1": "in 1.1 this is VD-PAR-10"}, name=REPETITIONS, wrong=range(1))  # fmt: skip
 
 
 # fmt: off
@@ -65,7 +63,7 @@ around_set = around(VardisParameters, VardisParameters.set)
 around_set("fifteen", "VD-PAR-10", "accepts no maximum repetition count above 15, as in all other versions",
     lambda self, proceed, name, value: (
         proceed(name, 0) if name == REPETITIONS and isinstance(value, int) and value > 15 else proceed(name, value)))
-attributes(RepetitionsZero, __name__)("zero", "VD-PAR-10", "accepts 0 as the maximum repetition count")
+unbound("zero", "VD-PAR-10", "accepts 0 as the maximum repetition count", name=REPETITIONS, wrong=range(1))
 # fmt: on
 
 

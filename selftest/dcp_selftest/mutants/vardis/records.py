@@ -19,7 +19,7 @@ from dcp_codec.values import (
     VarUpdate,
 )
 from dcp_selftest.mutants.air import Air
-from dcp_selftest.mutants.family import attributes, instead, skips
+from dcp_selftest.mutants.family import assign, attributes, instead, skips, then
 from dcp_selftest.mutants.mutant import mutant
 from dcp_selftest.mutants.unseen import NO_TIMES
 from dcp_stack.vardis.compose import Composer
@@ -63,11 +63,9 @@ counts("one-more", "VD-CMP-10 VD-SCP-02 VD-DEL-05 VD-PD-04", "sends VarDeletes o
 counts("one-less", "VD-CMP-10 VD-SCP-02 VD-DEL-05 VD-PD-04", "sends VarDeletes once less than repCnt", deletes=-1)
 
 
-@mutant("capped", "VD-CMP-06 VD-SCP-02 VD-CRE-12 VD-PC-09", "sends VarCreates at most seven times")
-class Capped(Database):
-    def arm_create(self, entry: DBEntry) -> None:
-        super().arm_create(entry)
-        entry.count_create = min(entry.count_create, 7)
+then(Database, Database.arm_create)("capped", "VD-CMP-06 VD-SCP-02 VD-CRE-12 VD-PC-09",
+    "sends VarCreates at most seven times",
+    lambda self, result, entry: assign(entry, count_create=min(entry.count_create, 7)))  # fmt: skip
 
 
 skips(Database, Database.arm_update)("not-restarted", "VD-UPD-08 VD-PU-07",
@@ -210,22 +208,15 @@ again("twice", "VD-CMP-11", "sends each request for an update twice", kind_again
 again("twice", "VD-CMP-12 VD-PS-01", "sends each request for a variable twice", kind_again=RC)
 
 
-@mutant("until-answered", "VD-CMP-12", "requests a variable in every payload until it has it")
-class UntilAnswered(Composer):
-    def _take(self, kind: ContainerType, var_id: int) -> Any:
-        record = super()._take(kind, var_id)
-        if isinstance(record, VarReqCreate):
-            self._database.req_create_q.append(var_id)
-        return record
-
-
-@mutant("update-until-answered", "VD-CMP-11", "requests an update in every payload until it has it")
-class UpdateUntilAnswered(Composer):
-    def _take(self, kind: ContainerType, var_id: int) -> Any:
-        record = super()._take(kind, var_id)
-        if isinstance(record, VarReqUpdate):
-            self._database.req_upd_q.append(var_id)
-        return record
+# fmt: off
+then_take = then(Composer, Composer._take)
+then_take("until-answered", "VD-CMP-12", "requests a variable in every payload until it has it",
+    lambda self, record, kind, var_id: (
+        self._database.req_create_q.append(var_id) if isinstance(record, VarReqCreate) else None))
+then_take("update-until-answered", "VD-CMP-11", "requests an update in every payload until it has it",
+    lambda self, record, kind, var_id: (
+        self._database.req_upd_q.append(var_id) if isinstance(record, VarReqUpdate) else None))
+# fmt: on
 
 
 # -- own creations on the wire -----------------------------------------------------------------------------------------

@@ -8,10 +8,10 @@ from typing import Any, ClassVar
 from dcp_spec.constants import QueueingMode, SpecVersion
 from dcp_spec.status import VardisStatus
 
-from dcp_codec.values import VarUpdate
 from dcp_selftest.mutants.air import Air
 from dcp_selftest.mutants.cells import Cells
-from dcp_selftest.mutants.family import around, attributes, before, instead, skips
+from dcp_selftest.mutants.entries import on_entry
+from dcp_selftest.mutants.family import around, assign, attributes, before, instead, skips, then
 from dcp_selftest.mutants.mutant import mutant
 from dcp_selftest.mutants.port import Port
 from dcp_selftest.mutants.unseen import ALWAYS_ACTIVE
@@ -38,69 +38,36 @@ class Ported(Vardis):
     """Changes calls to BP."""
 
     port: ClassVar[type[Port]] = Port
-    registered: ClassVar[dict[str, Any]] = {}
+    registration: ClassVar[dict[str, Any]] = {}
     """Changed arguments of the registration."""
 
     def __init__(self, config: NodeConfig, bp: BPPort, *, emit: Callable[[Effect], None], now: int, wall: int) -> None:
-        port: Any = self.port(bp, self.registered)
+        port: Any = self.port(bp, self.registration)
         super().__init__(config, port, emit=emit, now=now, wall=wall)
 
 
-@mutant("mode", "VD-INI-02", "registers with mode REPEAT")
-class OtherMode(Ported):
-    class port(Port):  # noqa: N801 - takes the place of an attribute
-        def register(self, *args: Any, **times: int) -> Any:
-            return self.bp.register(*registration(args, mode=QueueingMode.REPEAT), **times)
-
-
-@mutant("droptail", "VD-INI-02", "registers with mode DROPTAIL, as in 1.1", since=V1_2)
-class OldMode(Ported):
-    class port(Port):  # noqa: N801 - as above
-        def register(self, *args: Any, **times: int) -> Any:
-            return self.bp.register(*registration(args, mode=QueueingMode.QUEUE_DROPTAIL), **times)
-
-
-@mutant("repeat", "VD-INI-07", "registers with mode REPEAT")
-class RepeatMode(Ported):
-    pass
-
-
-@mutant("drophead", "VD-INI-08", "registers with mode DROPHEAD, as in later versions")
-class LaterMode(Ported):
-    class port(Port):  # noqa: N801 - as above
-        def register(self, *args: Any, **times: int) -> Any:
-            return self.bp.register(*registration(args, mode=QueueingMode.QUEUE_DROPHEAD), **times)
-
-
-@mutant("several", "VD-INI-02 VD-INI-08", "registers with allowMultiplePayloads true", since=SpecVersion.V1_1)
-class OtherSeveral(Ported):
-    class port(Port):  # noqa: N801 - as above
-        def register(self, *args: Any, **times: int) -> Any:
-            return self.bp.register(*registration(args, several=True), **times)
-
-
-@mutant("name", "VD-INI-02", "registers without a name")
-class OtherName(Ported):
-    class port(Port):  # noqa: N801 - as above
-        def register(self, *args: Any, **times: int) -> Any:
-            return self.bp.register(*registration(args, name=""), **times)
+# fmt: off
+ported = attributes(Ported, __name__)
+ported("mode", "VD-INI-02", "registers with mode REPEAT", registration={"mode": QueueingMode.REPEAT})
+ported("droptail", "VD-INI-02", "registers with mode DROPTAIL, as in 1.1",
+    since=V1_2, registration={"mode": QueueingMode.QUEUE_DROPTAIL})
+ported("repeat", "VD-INI-07", "registers with mode REPEAT", registration={"mode": QueueingMode.REPEAT})
+ported("drophead", "VD-INI-08", "registers with mode DROPHEAD, as in later versions",
+    registration={"mode": QueueingMode.QUEUE_DROPHEAD})
+ported("several", "VD-INI-02 VD-INI-08", "registers with allowMultiplePayloads true",
+    since=SpecVersion.V1_1, registration={"several": True})
+ported("name", "VD-INI-02", "registers without a name", registration={"name": ""})
+# fmt: on
 
 
 around(Vardis, Vardis._register)("size", "VD-INI-02", "registers with half of VARDISPAR_MAX_PAYLOAD_SIZE",
     lambda self, proceed, size, now, wall: proceed(size // 2, now, wall))  # fmt: skip
 
 
-@mutant(
-    "other-id",
-    "VD-INI-05 VD-CRE-08",
+then(Vardis, Vardis._register)("other-id", "VD-INI-05 VD-CRE-08",
     "creates variables with another node identifier than the one that BP returned",
-    unseen={"1.1": "the application sets the producer up to 1.1"},
-)
-class OtherIdentifier(Vardis):
-    def _register(self, size: int, now: int, wall: int) -> Any:
-        status = super()._register(size, now, wall)
-        self._core.own_id = self._core.own_id[:-1] + b"\x78"
-        return status
+    lambda self, status, size, now, wall: assign(self._core, own_id=self._core.own_id[:-1] + b"\x78"),
+    unseen={"1.1": "the application sets the producer up to 1.1"})  # fmt: skip
 
 
 @mutant("survives", "VD-INI-04", "keeps its variables across a reset")
@@ -151,11 +118,8 @@ skips(Vardis, Vardis.payload_transmitted)("ignored", "VD-RUN-01", "composes payl
     lambda self, now, wall: True)  # fmt: skip
 
 
-@mutant("ignored", "VD-RUN-02", "composes payloads only after BP has sent one")
-class NeverChecks(Vardis):
-    def handle_timeout(self, now: int, wall: int) -> None:
-        self._last_check = now
-        super().handle_timeout(now, wall)
+before(Vardis, Vardis.handle_timeout)("ignored", "VD-RUN-02", "composes payloads only after BP has sent one",
+    lambda self, now, wall: assign(self, _last_check=now))  # fmt: skip
 
 
 # A payload composed too early replaces the answer to a probe, so VarDis may seem to have stopped.
@@ -259,35 +223,14 @@ cells("foreign-only", "VD-SCR-05", "scrubs only variables of other nodes",
     since=V2, cells={(Event.TIMED_OUT, State.ALIVE_PRODUCER): Cell(Action.NONE)})  # fmt: skip
 
 
-@mutant(
-    "not-refreshed",
-    "VD-SCR-06",
+# fmt: off
+on_entry(Receiver, Receiver._update)("not-refreshed", "VD-SCR-06",
     "does not restart the timeout of a variable when it receives an update of it",
-    since=V2,
-)
-class NotRefreshed(Receiver):
-    def _update(self, record: VarUpdate, offset: int, now: int, wall: int) -> None:
-        entry = self._database.lookup(record.var_id)
-        before = None if entry is None else entry.refreshed
-        super()._update(record, offset, now, wall)
-        if entry is not None and before is not None:
-            entry.refreshed = before
-
-
-@mutant(
-    "own-not-refreshed",
-    "VD-SCR-03 VD-UPD-08",
+    lambda self, entry, before: assign(entry, refreshed=before.refreshed), since=V2)
+on_entry(Vardis, Vardis.update)("own-not-refreshed", "VD-SCR-03 VD-UPD-08",
     "does not restart the timeout of its own variable when it is updated",
-    since=V2,
-)
-class OwnNotRefreshed(Vardis):
-    def update(self, var_id: int, value: bytes, *, now: int, wall: int) -> Confirm:
-        entry = self._database.lookup(var_id)
-        before = None if entry is None else entry.refreshed
-        confirm = super().update(var_id, value, now=now, wall=wall)
-        if entry is not None and before is not None:
-            entry.refreshed = before
-        return confirm
+    lambda self, entry, before: assign(entry, refreshed=before.refreshed), since=V2)
+# fmt: on
 
 
 @mutant(

@@ -9,7 +9,8 @@ from dcp_spec.constants import SpecVersion
 from dcp_spec.status import VardisStatus
 
 from dcp_selftest.mutants.cells import Cells
-from dcp_selftest.mutants.family import after, around, attributes, instead
+from dcp_selftest.mutants.entries import drop, on_entry
+from dcp_selftest.mutants.family import after, around, assign, attributes, instead
 from dcp_selftest.mutants.mutant import mutant
 from dcp_selftest.mutants.unseen import ALWAYS_ACTIVE
 from dcp_stack.vardis.confirms import (
@@ -57,15 +58,8 @@ cells("does-not-exist", "VD-DEL-04", "answers DOES-NOT-EXIST for its own deleted
 # fmt: on
 
 
-@mutant("silent", "VD-DEL-05", "deletes its own variables without sending VarDeletes")
-class DeletesSilently(Vardis):
-    def delete(self, var_id: int, *, now: int, wall: int) -> Confirm:
-        confirm = super().delete(var_id, now=now, wall=wall)
-        entry = self._database.lookup(var_id)
-        if confirm.status is OK and entry is not None:
-            self._database.delete_q.remove(var_id)
-            entry.count_delete = 0
-        return confirm
+on_entry(Vardis, Vardis.delete)("silent", "VD-DEL-05", "deletes its own variables without sending VarDeletes",
+    lambda self, entry, before: drop(self._database.delete_q, entry, count_delete=0))  # fmt: skip
 
 
 # fmt: off
@@ -136,28 +130,12 @@ class SharedCounter(Vardis):
         return confirm
 
 
-@mutant("once", "VD-UPD-08", "sends a VarUpdate once, whatever the repCnt")
-class UpdatedOnce(Vardis):
-    def update(self, var_id: int, value: bytes, *, now: int, wall: int) -> Confirm:
-        confirm = super().update(var_id, value, now=now, wall=wall)
-        entry = self._database.lookup(var_id)
-        if confirm.status is OK and entry is not None:
-            entry.count_update = 1
-        return confirm
-
-
-@mutant("stamp", "VD-UPD-08 VD-DB-03", "keeps the time stamp of the creation when a variable is updated")
-class UpdateStamp(Vardis):
-    def update(self, var_id: int, value: bytes, *, now: int, wall: int) -> Confirm:
-        entry = self._database.lookup(var_id)
-        stamp = None if entry is None else entry.t_stamp
-        confirm = super().update(var_id, value, now=now, wall=wall)
-        if entry is not None and stamp is not None:
-            entry.t_stamp = stamp
-        return confirm
-
-
 # fmt: off
+on_update = on_entry(Vardis, Vardis.update)
+on_update("once", "VD-UPD-08", "sends a VarUpdate once, whatever the repCnt",
+    lambda self, entry, before: assign(entry, count_update=1))
+on_update("stamp", "VD-UPD-08 VD-DB-03", "keeps the time stamp of the creation when a variable is updated",
+    lambda self, entry, before: assign(entry, t_stamp=before.t_stamp))
 after_read("unknown-empty", "VD-REA-02", "returns an empty value for a variable that does not exist",
     lambda self, confirm, var_id: ReadConfirm(OK, b"", 0) if confirm.status is DOES_NOT_EXIST else confirm)
 cells("deleted", "VD-REA-03", "returns the last value of a deleted variable",

@@ -6,9 +6,10 @@ from typing import ClassVar
 
 from dcp_spec.constants import SpecVersion
 
-from dcp_codec.values import VarDelete, VarReqCreate, VarReqUpdate, VarSumm, VarUpdate
+from dcp_codec.values import VarSumm, VarUpdate
 from dcp_selftest.mutants.cells import CONSUMED, DELETED, DELETED_OWN, PRODUCED, UNKNOWN, Cells, within
-from dcp_selftest.mutants.family import around, attributes, instead, skips
+from dcp_selftest.mutants.entries import on_entry
+from dcp_selftest.mutants.family import around, assign, attributes, before, instead, skips
 from dcp_selftest.mutants.mutant import mutant
 from dcp_selftest.mutants.unseen import PURGED
 from dcp_stack.vardis.core import Sequence
@@ -26,12 +27,10 @@ REQUESTS = (Event.RX_REQUEST_UPDATE_BEHIND, Event.RX_REQUEST_UPDATE_OTHER)
 # -- VarDelete ---------------------------------------------------------------------------------------------------------
 
 
-@mutant("requested", "VD-PD-01", "requests an unknown variable when it receives a VarDelete of it")
-class DeletedRequested(Receiver):
-    def _delete(self, record: VarDelete, offset: int) -> None:
-        if self._database.lookup(record.var_id) is None:
-            self._request(record.var_id, offset)
-        super()._delete(record, offset)
+before(Receiver, Receiver._delete)("requested", "VD-PD-01",
+    "requests an unknown variable when it receives a VarDelete of it",
+    lambda self, record, offset: (
+        self._request(record.var_id, offset) if self._database.lookup(record.var_id) is None else None))  # fmt: skip
 
 
 # fmt: off
@@ -171,13 +170,8 @@ cells("with-create", "VD-RU-04", "answers a VarReqUpdate with a VarCreate",
 # fmt: on
 
 
-@mutant("once", "VD-RU-04", "answers a VarReqUpdate once, whatever the repCnt")
-class AnswersOnce(Receiver):
-    def _request_update(self, record: VarReqUpdate, offset: int) -> None:
-        super()._request_update(record, offset)
-        entry = self._database.lookup(record.var_id)
-        if entry is not None and entry.count_update > 1:
-            entry.count_update = 1
+on_entry(Receiver, Receiver._request_update)("once", "VD-RU-04", "answers a VarReqUpdate once, whatever the repCnt",
+    lambda self, entry, before: assign(entry, count_update=min(entry.count_update, 1)))  # fmt: skip
 
 
 # fmt: off
@@ -212,13 +206,8 @@ cells("with-update", "VD-RC-03", "answers a VarReqCreate with a VarUpdate",
 # fmt: on
 
 
-@mutant("once", "VD-RC-03", "answers a VarReqCreate once, whatever the repCnt")
-class SendsOnce(Receiver):
-    def _request_create(self, record: VarReqCreate, offset: int) -> None:
-        super()._request_create(record, offset)
-        entry = self._database.lookup(record.var_id)
-        if entry is not None and entry.count_create > 1:
-            entry.count_create = 1
+on_entry(Receiver, Receiver._request_create)("once", "VD-RC-03", "answers a VarReqCreate once, whatever the repCnt",
+    lambda self, entry, before: assign(entry, count_create=min(entry.count_create, 1)))  # fmt: skip
 
 
 skips(Receiver, Receiver._request_create)("not-again", "VD-RC-03",

@@ -7,8 +7,9 @@ from typing import Any, ClassVar
 import msgspec
 from dcp_spec.constants import SpecVersion
 
-from dcp_codec.values import VarCreate, VarDelete, VarSpec, VarSumm, VarUpdate
-from dcp_selftest.mutants.family import attributes, instead
+from dcp_codec.values import VarCreate, VarSpec, VarSumm, VarUpdate
+from dcp_selftest.mutants.entries import drop, on_entry
+from dcp_selftest.mutants.family import assign, attributes, instead
 from dcp_selftest.mutants.mutant import mutant
 from dcp_selftest.mutants.unseen import ALWAYS_ACTIVE, NO_TIMES, NOT_REPLACED, PURGED
 from dcp_stack.vardis.core import Core
@@ -139,86 +140,29 @@ class RequestKept(Receiver):
             self._database.req_upd_q.append(record.var_id)
 
 
-@mutant("own-only", "VD-PC-09 VD-SCP-02", "does not forward variables of other nodes")
-class NotForwarded(Receiver):
-    def _create(self, record: VarCreate, offset: int, now: int, wall: int) -> None:
-        before = self._database.lookup(record.spec.var_id)
-        super()._create(record, offset, now, wall)
-        entry = self._database.lookup(record.spec.var_id)
-        if entry is not None and entry is not before:
-            entry.count_create = 0
-            self._database.create_q.remove(record.spec.var_id)
-
-
-@mutant("once", "VD-PC-09 VD-SCP-02", "forwards variables of other nodes once, whatever the repCnt")
-class ForwardedOnce(Receiver):
-    def _create(self, record: VarCreate, offset: int, now: int, wall: int) -> None:
-        before = self._database.lookup(record.spec.var_id)
-        super()._create(record, offset, now, wall)
-        entry = self._database.lookup(record.spec.var_id)
-        if entry is not None and entry is not before:
-            entry.count_create = 1
-
-
-@mutant("not-summarised", "VD-PC-09", "does not summarise variables of other nodes")
-class NotSummarised(Receiver):
-    def _create(self, record: VarCreate, offset: int, now: int, wall: int) -> None:
-        super()._create(record, offset, now, wall)
-        entry = self._database.lookup(record.spec.var_id)
-        if entry is not None and entry.spec.prod_id != self._core.own_id:
-            self._database.summary_q.remove(record.spec.var_id)
-
-
-@mutant("not-sent-on", "VD-PU-07 VD-SCP-02", "stores updates of other nodes without forwarding them")
-class UpdateNotForwarded(Receiver):
-    def _update(self, record: VarUpdate, offset: int, now: int, wall: int) -> None:
-        entry = self._database.lookup(record.var_id)
-        before = None if entry is None else entry.seqno
-        super()._update(record, offset, now, wall)
-        if entry is not None and entry.seqno != before:
-            entry.count_update = 0
-            self._database.update_q.remove(record.var_id)
-
-
-@mutant("number-kept", "VD-PU-07", "stores the value of a VarUpdate, but keeps its old sequence number")
-class NumberKept(Receiver):
-    def _update(self, record: VarUpdate, offset: int, now: int, wall: int) -> None:
-        entry = self._database.lookup(record.var_id)
-        before = None if entry is None else entry.seqno
-        super()._update(record, offset, now, wall)
-        if entry is not None and before is not None:
-            entry.seqno = before
-
-
-@mutant("value-kept", "VD-PU-07", "stores the sequence number of a VarUpdate, but not its value")
-class ValueKept(Receiver):
-    def _update(self, record: VarUpdate, offset: int, now: int, wall: int) -> None:
-        entry = self._database.lookup(record.var_id)
-        before = None if entry is None else entry.value
-        super()._update(record, offset, now, wall)
-        if entry is not None and before is not None:
-            entry.value = before
-
-
-@mutant("stamp-kept", "VD-DB-03 VD-PU-07 VD-REA-04", "keeps the time stamp of the creation when it receives an update")
-class StampKept(Receiver):
-    def _update(self, record: VarUpdate, offset: int, now: int, wall: int) -> None:
-        entry = self._database.lookup(record.var_id)
-        before = None if entry is None else entry.t_stamp
-        super()._update(record, offset, now, wall)
-        if entry is not None and before is not None:
-            entry.t_stamp = before
-
-
-@mutant("not-sent-on", "VD-PD-04 VD-SCP-02", "deletes variables of other nodes without forwarding the VarDelete")
-class DeleteNotForwarded(Receiver):
-    def _delete(self, record: VarDelete, offset: int) -> None:
-        entry = self._database.lookup(record.var_id)
-        known = entry is not None and not entry.is_deleted
-        super()._delete(record, offset)
-        if known and entry is not None and entry.is_deleted:
-            entry.count_delete = 0
-            self._database.delete_q.remove(record.var_id)
+# fmt: off
+on_create = on_entry(Receiver, Receiver._create)
+on_create("own-only", "VD-PC-09 VD-SCP-02", "does not forward variables of other nodes",
+    lambda self, entry, before: drop(self._database.create_q, entry, count_create=0))
+on_create("once", "VD-PC-09 VD-SCP-02", "forwards variables of other nodes once, whatever the repCnt",
+    lambda self, entry, before: assign(entry, count_create=1))
+on_create("not-summarised", "VD-PC-09", "does not summarise variables of other nodes",
+    lambda self, entry, before: drop(self._database.summary_q, entry))
+on_update = on_entry(Receiver, Receiver._update)
+on_update("not-sent-on", "VD-PU-07 VD-SCP-02", "stores updates of other nodes without forwarding them",
+    lambda self, entry, before: drop(self._database.update_q, entry, when=entry.seqno != before.seqno, count_update=0))
+on_update("number-kept", "VD-PU-07", "stores the value of a VarUpdate, but keeps its old sequence number",
+    lambda self, entry, before: assign(entry, seqno=before.seqno))
+on_update("value-kept", "VD-PU-07", "stores the sequence number of a VarUpdate, but not its value",
+    lambda self, entry, before: assign(entry, value=before.value))
+on_update("stamp-kept", "VD-DB-03 VD-PU-07 VD-REA-04",
+    "keeps the time stamp of the creation when it receives an update",
+    lambda self, entry, before: assign(entry, t_stamp=before.t_stamp))
+on_entry(Receiver, Receiver._delete)("not-sent-on", "VD-PD-04 VD-SCP-02",
+    "deletes variables of other nodes without forwarding the VarDelete",
+    lambda self, entry, before: (
+        drop(self._database.delete_q, entry, when=entry.is_deleted and not before.is_deleted, count_delete=0)))
+# fmt: on
 
 
 @mutant(
@@ -252,21 +196,14 @@ class CopiesSummaries(Receiver):
             entry.seqno = record.seqno
 
 
-@mutant("request-relayed", "VD-SCP-01", "forwards requests for updates that it can answer")
-class RelaysRequests(Receiver):
-    def _request_update(self, record: Any, offset: int) -> None:
-        super()._request_update(record, offset)
-        entry = self._database.lookup(record.var_id)
-        if entry is not None and not entry.is_deleted:
-            self._database.req_upd_q.append(record.var_id)
-
-
-@mutant("create-request-relayed", "VD-SCP-01 VD-RC-03", "forwards requests for variables that it can answer")
-class RelaysCreateRequests(Receiver):
-    def _request_create(self, record: Any, offset: int) -> None:
-        super()._request_create(record, offset)
-        if self._database.lookup(record.var_id) is not None:
-            self._database.req_create_q.append(record.var_id)
+# fmt: off
+on_entry(Receiver, Receiver._request_update)("request-relayed", "VD-SCP-01",
+    "forwards requests for updates that it can answer",
+    lambda self, entry, before: self._database.req_upd_q.append(entry.spec.var_id) if not entry.is_deleted else None)
+on_entry(Receiver, Receiver._request_create)("create-request-relayed", "VD-SCP-01 VD-RC-03",
+    "forwards requests for variables that it can answer",
+    lambda self, entry, before: self._database.req_create_q.append(entry.spec.var_id))
+# fmt: on
 
 
 @mutant("while-inactive", "VD-MGT-03", "processes payloads while it is inactive", unseen=ALWAYS_ACTIVE)
