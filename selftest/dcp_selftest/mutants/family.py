@@ -44,14 +44,20 @@ class Family(Generic[P, R]):
         **attributes: object,
     ) -> None:
         """Add a mutant to the module of ``behaviour``. The other arguments are those of :func:`~.mutant.mutant`."""
-        module = behaviour.__module__ if behaviour is not None else self.module
         name = f"M-{requirements.split()[0]}-{fault}"
-        made = type(name, (self.base,), {"__module__": module, **attributes})
+        made = self.part(behaviour, class_name=name, **attributes)
+        mutant(fault, requirements, what, since=since, until=until, unseen=unseen)(made)
+        setattr(sys.modules[made.__module__], name, made)
+
+    def part(
+        self, behaviour: Callable[P, R] | None = None, *, class_name: str = "Changed", **attributes: object
+    ) -> type:
+        """Return a subclass of ``base`` with this behaviour and these attributes."""
+        module = behaviour.__module__ if behaviour is not None else self.module
+        made = type(class_name, (self.base,), {"__module__": module, **attributes})
         if behaviour is not None:
             setattr(made, self.method, self.override(behaviour, made))
-        setattr(
-            sys.modules[module], name, mutant(fault, requirements, what, since=since, until=until, unseen=unseen)(made)
-        )
+        return made
 
 
 def instead(base: type[Part], method: Callable[Concatenate[Part, P], R]) -> Family[Concatenate[Part, P], R]:

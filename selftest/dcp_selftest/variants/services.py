@@ -28,8 +28,8 @@ _CONTRACT = "UPPER-TESTER.md, Methods"
 _NEEDED_ONLY = "an upper tester may be incomplete: docs/dcp-conformance.md"
 
 
-def _lacking(*methods: str) -> Callable[[str], Setup]:
-    return lambda profile: setup(profile, upper=without(*methods))
+def _lacking(*methods: str, **more: Any) -> Callable[[str], Setup]:
+    return lambda profile: setup(profile, upper=without(*methods), **more)
 
 
 def _without_each() -> Iterator[Variant]:
@@ -56,24 +56,8 @@ def _slow() -> Iterator[Variant]:
         )
 
 
-def _no_reset(profile: str) -> Setup:
-    return setup(profile, upper=without("UT-Reset"), can_restart=False)
-
-
-def _only_restart(profile: str) -> Setup:
-    return setup(profile, upper=without("UT-Reset"), pixit=Testing(reset="restart"))
-
-
-def _no_upper(profile: str) -> Setup:
-    return setup(profile, upper=UpperTesting(there=False))
-
-
-def _no_upper_no_restart(profile: str) -> Setup:
-    return setup(profile, upper=UpperTesting(there=False), can_restart=False)
-
-
-def _one_connection(profile: str) -> Setup:
-    return setup(profile, upper=UpperTesting(one_connection=True))
+def _upper(testing: UpperTesting, **more: Any) -> Callable[[str], Setup]:
+    return lambda profile: setup(profile, upper=testing, **more)
 
 
 # -- answers -----------------------------------------------------------------------------------------------------------
@@ -246,15 +230,16 @@ VARIANTS = (
     Variant("V-UT-no-set", "has an upper tester that cannot set parameters", "BP-PAR-01", _lacking(*SETTERS)),
     Variant("V-UT-no-get-no-set", "has an upper tester that can neither read nor set parameters", "BP-PAR-01",
         _lacking(*GETTERS, *SETTERS), explains=(ASSUMED_VALUE,)),
-    Variant("V-UT-no-reset", "has neither UT-Reset nor a restart", "PIXIT reset = none", _no_reset,
-        explains=(_USED_UP, _REPORTS_REPEATED)),
-    Variant("V-UT-restart", "is restarted before each case", "PIXIT reset = restart", _only_restart),
-    Variant("V-UT-none", "has no upper tester", "docs/dcp-conformance.md", _no_upper,
+    Variant("V-UT-no-reset", "has neither UT-Reset nor a restart", "PIXIT reset = none",
+        _lacking("UT-Reset", can_restart=False), explains=(_USED_UP, _REPORTS_REPEATED)),
+    Variant("V-UT-restart", "is restarted before each case", "PIXIT reset = restart",
+        _lacking("UT-Reset", pixit=Testing(reset="restart"))),
+    Variant("V-UT-none", "has no upper tester", "docs/dcp-conformance.md", _upper(UpperTesting(there=False)),
         explains=(_USED_UP, ASSUMED_VALUE)),
     Variant("V-UT-none-no-restart", "has no upper tester and no restart", "docs/dcp-conformance.md",
-        _no_upper_no_restart, explains=(_USED_UP, ASSUMED_VALUE)),
+        _upper(UpperTesting(there=False), can_restart=False), explains=(_USED_UP, ASSUMED_VALUE)),
     Variant("V-UT-one-connection", "has an upper tester with one connection",
-        "an upper tester that is a command has one connection", _one_connection),
+        "an upper tester that is a command has one connection", _upper(UpperTesting(one_connection=True))),
     Variant("V-UT-specs-only", "lists only a VarSpecT for each variable", "VD-DDB-03", _answering(_specs_only)),
     Variant("V-UT-specs-only-denied", "lists only a VarSpecT for each variable, and its PICS denies further fields",
         "VD-DDB-03", _answering(_specs_only, pics=Capabilities(describe_extra_fields=False)), since=_V.V1_0),
