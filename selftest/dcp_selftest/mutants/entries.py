@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable
-from typing import Any, Concatenate
+from typing import Any, ClassVar, Concatenate
 
+from dcp_codec.values import VarCreate
+from dcp_stack.config import MS
 from dcp_stack.vardis.database import DBEntry, IdQueue
+from dcp_stack.vardis.entity import Vardis
 
 from .family import Family, P, Part, R, assign
 
@@ -21,9 +24,8 @@ def on_entry(base: type[Part], method: Callable[Concatenate[Part, P], R]) -> Fam
 
     def override(behaviour: Callable[[Part, DBEntry, DBEntry], object], made: type) -> object:
         def changed(self: Any, subject: Any, *args: Any, **kwargs: Any) -> Any:
-            var_id: int = (
-                subject if isinstance(subject, int) else getattr(subject, "var_id", None) or subject.spec.var_id
-            )
+            named = subject.spec if isinstance(subject, VarCreate) else subject
+            var_id: int = named if isinstance(named, int) else named.var_id
             old = self._database.lookup(var_id)
             before = copy.copy(old)
             result = getattr(super(made, self), name)(subject, *args, **kwargs)
@@ -45,4 +47,22 @@ def drop(queue: IdQueue, entry: DBEntry, *, when: bool = True, **values: int) ->
         assign(entry, **values)
 
 
-__all__ = ["drop", "on_entry"]
+class Expires(Vardis):
+    """Deletes variables by another condition than the end of their timeout, or also by it."""
+
+    also: ClassVar[bool] = False
+    """Whether variables are deleted after their timeout, too."""
+
+    def _scrub(self, now: int) -> None:
+        if self.also:
+            super()._scrub(now)
+        for entry in list(self._database.entries.values()):
+            if not entry.is_deleted and self.expired(entry.spec.timeout or 0, now - entry.refreshed):
+                self._database.mark_deleted(entry)
+
+    def expired(self, timeout: int, age: int) -> bool:
+        """Return whether a variable is deleted; timeout in ms, 0 for none, age in ns."""
+        return 0 < timeout * MS < age
+
+
+__all__ = ["Expires", "drop", "on_entry"]

@@ -57,14 +57,10 @@ class OtherSender(Wire):
 wire("reversed", "BP-HDR-03", "sends its node identifier in reverse, like an integer of the machine", field="senderId")
 
 
-@mutant("with-header", "BP-HDR-06", "includes the header in the length in the header")
-class LengthWithHeader(Wire):
-    field = "length"
-
-    def other(self, octets: bytes, blocks: Blocks) -> bytes:
-        return (int.from_bytes(octets, self._block_length.order) + self.header_size).to_bytes(
-            2, self._block_length.order
-        )
+other("with-header", "BP-HDR-06", "includes the header in the length in the header",
+    lambda self, octets, blocks: (
+        (int.from_bytes(octets, self._block_length.order) + self.header_size).to_bytes(2, self._block_length.order)),
+    field="length")  # fmt: skip
 
 
 # fmt: off

@@ -61,7 +61,7 @@ class ReceivedEmpties(Receiver):
         super()._deliver(block, sender)
 
 
-class _Lists(BeaconingProtocol):
+class Lists(BeaconingProtocol):
     """Changes the list of clients."""
 
     def listed(self, each: Registration) -> Registration:
@@ -74,7 +74,7 @@ class _Lists(BeaconingProtocol):
 
 
 # fmt: off
-listed = instead(_Lists, _Lists.listed)
+listed = instead(Lists, Lists.listed)
 listed("entries", "BP-LST-01", "lists maxEntries as 4 for every client",
     lambda self, each: msgspec.structs.replace(each, max_entries=4), since=SpecVersion.V1_1)
 listed("several", "BP-LST-01", "lists allowMultiplePayloads as false for every client",
@@ -85,7 +85,7 @@ listed("names", "BP-LST-01", "lists only the first three characters of a name",
 
 
 @mutant("one-time", "BP-LST-01 BP-REG-06", "lists the time of the first registration for every client")
-class OneTime(_Lists):
+class OneTime(Lists):
     def list_registered(self) -> ListConfirm:
         confirm = super().list_registered()
         first = min((each.time_stamp_registration for each in confirm.protocols), default=0)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 from dcp_spec.parameters import Violation
 from dcp_spec.status import BPStatus
 
 from dcp_selftest.mutants.air import Air
-from dcp_selftest.mutants.family import around, before, instead, then
+from dcp_selftest.mutants.family import around, attributes, before, instead, then
 from dcp_selftest.mutants.mutant import mutant
 from dcp_selftest.mutants.unseen import OTHERS_ACTIVE
 from dcp_stack.bp.entity import BeaconingProtocol
@@ -46,10 +46,9 @@ class SendsInactive(BeaconingProtocol):
             super().handle_beacon(octets, now=now, wall=wall)
 
 
-@mutant("receives", "BP-MGT-03 BP-RX-13", "delivers payloads received while it is inactive")
-class ReceivesInactive(BeaconingProtocol):
-    def handle_beacon(self, octets: bytes, *, now: int, wall: int) -> None:
-        self._receiver.receive(bytes(octets), now)
+instead(BeaconingProtocol, BeaconingProtocol.handle_beacon)("receives", "BP-MGT-03 BP-RX-13",
+    "delivers payloads received while it is inactive",
+    lambda self, octets, *, now, wall: self._receiver.receive(bytes(octets), now))  # fmt: skip
 
 
 @mutant("later", "BP-MGT-03 BP-RX-13", "delivers payloads received while it was inactive when it is activated")
@@ -148,24 +147,25 @@ class AnyPeriod(BPParameters):
         return super().period if self._values[PERIOD] else 100_000_000
 
 
-@mutant("no-upper-bound", "BP-PAR-04 BP-PAR-06", "accepts a maximum packet size larger than the bearer's")
-class NoUpperBound(BPParameters):
+class Unbound(BPParameters):
+    """Accepts some maximum packet sizes beyond the limits."""
+
+    wrong: ClassVar[range]
+
     def set(self, name: str, value: object) -> Violation | None:
         violation = super().set(name, value)
-        if violation is not None and name == MAX_PACKET and isinstance(value, int) and value > 1000:
+        if violation is not None and name == MAX_PACKET and isinstance(value, int) and value in self.wrong:
             self._values[name] = value
             return None
         return violation
 
 
-@mutant("no-lower-bound", "BP-PAR-04 BP-PAR-06", "accepts a maximum packet size smaller than the headers")
-class NoLowerBound(BPParameters):
-    def set(self, name: str, value: object) -> Violation | None:
-        violation = super().set(name, value)
-        if violation is not None and name == MAX_PACKET and isinstance(value, int) and value < 1000:
-            self._values[name] = value
-            return None
-        return violation
+TOO_LARGE = range(1001, 1 << 31)
+unbound = attributes(Unbound, __name__)
+unbound("no-upper-bound", "BP-PAR-04 BP-PAR-06", "accepts a maximum packet size larger than the bearer's",
+    wrong=TOO_LARGE)  # fmt: skip
+unbound("no-lower-bound", "BP-PAR-04 BP-PAR-06", "accepts a maximum packet size smaller than the headers",
+    wrong=range(-(1 << 31), 1000))  # fmt: skip
 
 
 @mutant("loses-old", "BP-PAR-06", "restores the default when a value is rejected")

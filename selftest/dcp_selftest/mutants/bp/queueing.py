@@ -56,26 +56,18 @@ other_rules("drophead-repeats", "BP-QM-03 BP-TX-06", "sends the head of a DROPHE
 # fmt: on
 
 
-@mutant(
-    "bounded", "BP-QM-03", "keeps only one payload in a queue of mode QUEUE", until=SpecVersion.V1_0, unseen=NO_QUEUE
-)
-class QueueBounded(OtherRules):
-    rules = rule(QueueingMode.QUEUE, places=QUEUEING[ONCE].places, when_full="displace-oldest")
+other_rules("bounded", "BP-QM-03", "keeps only one payload in a queue of mode QUEUE",
+    until=SpecVersion.V1_0, unseen=NO_QUEUE,
+    rules=rule(QueueingMode.QUEUE, places=QUEUEING[ONCE].places, when_full="displace-oldest"))  # fmt: skip
 
 
 other_rules("queue-repeats", "BP-QM-03", "sends the head of a queue of mode QUEUE repeatedly",
     until=SpecVersion.V1_0, unseen=NO_QUEUE, rules=rule(QueueingMode.QUEUE, when_sent="keep"))  # fmt: skip
 
 
-@mutant(
-    "bounded-by-entries",
-    "BP-QM-03",
-    "drops payloads in excess of maxEntries, which 1.0 does not have",
-    until=SpecVersion.V1_0,
-    unseen=NO_QUEUE,
-)
-class QueueBoundedByEntries(OtherRules):
-    rules = rule(QueueingMode.QUEUE, places=Places.MAX_ENTRIES, when_full="discard-new")
+other_rules("bounded-by-entries", "BP-QM-03", "drops payloads in excess of maxEntries, which 1.0 does not have",
+    until=SpecVersion.V1_0, unseen=NO_QUEUE,
+    rules=rule(QueueingMode.QUEUE, places=Places.MAX_ENTRIES, when_full="discard-new"))  # fmt: skip
 
 
 # fmt: off

@@ -9,7 +9,8 @@ import msgspec
 from dcp_spec.constants import SpecVersion
 from dcp_spec.status import BPStatus
 
-from dcp_selftest.mutants.family import after, around, attributes, instead
+from dcp_selftest.mutants.bp.kept import Lists
+from dcp_selftest.mutants.family import after, around, assign, attributes, instead, then
 from dcp_selftest.mutants.mutant import mutant
 from dcp_selftest.mutants.unseen import RIGHT_SINCE_1_1
 from dcp_stack.bp.clients import ClientList
@@ -22,6 +23,7 @@ from dcp_stack.config import NodeConfig
 from dcp_stack.effects import Effect, PayloadTransmitted
 
 OK = StatusConfirm(BPStatus.OK)
+QUEUES = {mode for mode, rule in QUEUEING.items() if rule.several}
 
 
 class Registrations(BeaconingProtocol):
@@ -102,12 +104,9 @@ registrations_judged("at-most-32", "BP-REG-05", "registers no queues of more tha
 # fmt: on
 
 
-@mutant("time", "BP-REG-06 BP-LST-01", "lists no registration time of clients")
-class NoTime(BeaconingProtocol):
-    def list_registered(self) -> ListConfirm:
-        confirm = super().list_registered()
-        listed = tuple(msgspec.structs.replace(each, time_stamp_registration=0) for each in confirm.protocols)
-        return ListConfirm(confirm.status, listed)
+listed = instead(Lists, Lists.listed)
+listed("time", "BP-REG-06 BP-LST-01", "lists no registration time of clients",
+    lambda self, each: msgspec.structs.replace(each, time_stamp_registration=0))  # fmt: skip
 
 
 # fmt: off
@@ -125,36 +124,21 @@ class OtherIdentifier(BeaconingProtocol):
         return confirm if prot_id <= 2 or own is None else RegisterConfirm(confirm.status, own[:-1] + b"\x77")
 
 
-@mutant(
-    "size-first",
-    "BP-REG-09",
-    "checks the size in a registration before it checks for a duplicate",
-    unseen={"1.0": "1.0 rejects neither a size of 0 nor 0 entries"},
-)
-class SizeFirst(Registrations):
-    def judged(self, status: BPStatus, registration: Registration) -> BPStatus:
-        if registration.max_payload_size <= 0 and self._features.version >= SpecVersion.V1_1:
-            return BPStatus.ILLEGAL_MAX_PAYLOAD_SIZE
-        return status
-
-
-@mutant(
-    "queue-first",
-    "BP-REG-09",
-    "checks maxEntries in a registration before it checks the size",
-    unseen={"1.0": "1.0 rejects neither a size of 0 nor 0 entries"},
-)
-class QueueFirst(Registrations):
-    def judged(self, status: BPStatus, registration: Registration) -> BPStatus:
-        wrong = registration.max_entries <= 0 and QUEUEING[registration.queue_mode].several  # type: ignore[index]
-        return BPStatus.ILLEGAL_DROPPING_QUEUE_SIZE if wrong else status
-
-
-@mutant("ok", "BP-DRG-01", "confirms the deregistration of an unknown client with OK")
-class DeregistersUnknownClients(BeaconingProtocol):
-    def deregister(self, prot_id: int) -> StatusConfirm:
-        super().deregister(prot_id)
-        return OK
+# fmt: off
+registrations_judged("size-first", "BP-REG-09", "checks the size in a registration before it checks for a duplicate",
+    lambda self, status, registration: (
+        BPStatus.ILLEGAL_MAX_PAYLOAD_SIZE
+        if registration.max_payload_size <= 0 and self._features.version >= SpecVersion.V1_1 else status),
+    unseen={"1.0": "1.0 rejects neither a size of 0 nor 0 entries"})
+registrations_judged("queue-first", "BP-REG-09", "checks maxEntries in a registration before it checks the size",
+    lambda self, status, registration: (
+        BPStatus.ILLEGAL_DROPPING_QUEUE_SIZE
+        if (registration.max_entries <= 0 and registration.queue_mode in QUEUES) else status),
+    unseen={"1.0": "1.0 rejects neither a size of 0 nor 0 entries"})
+after(BeaconingProtocol, BeaconingProtocol.deregister)("ok", "BP-DRG-01",
+    "confirms the deregistration of an unknown client with OK",
+    lambda self, confirm, prot_id: OK)
+# fmt: on
 
 
 @mutant("stays-listed", "BP-DRG-02", "continues to list a client that was deregistered")
@@ -173,11 +157,9 @@ class StaysListed(BeaconingProtocol):
         return ListConfirm(confirm.status, (*confirm.protocols, *gone))
 
 
-@mutant("still-sends", "BP-DRG-03", "sends the buffered payloads of a client that was deregistered")
-class StillSends(ClientList):
-    def remove(self, protocol_id: int) -> None:
-        client = self._clients.pop(protocol_id)
-        client.stands = False
+instead(ClientList, ClientList.remove)("still-sends", "BP-DRG-03",
+    "sends the buffered payloads of a client that was deregistered",
+    lambda self, protocol_id: assign(self._clients.pop(protocol_id), stands=False))  # fmt: skip
 
 
 @mutant("still-delivers", "BP-DRG-04 BP-REG-10 BP-RX-08", "delivers payloads to clients that were deregistered")
@@ -235,33 +217,15 @@ after_list_registered("one-missing", "BP-LST-01", "omits the client that registe
     lambda self, confirm: ListConfirm(confirm.status, confirm.protocols[:-1]))  # fmt: skip
 
 
-@mutant("wrong-size", "BP-LST-01", "includes the header of the block in the maximum payload size that it lists")
-class WrongSize(BeaconingProtocol):
-    def list_registered(self) -> ListConfirm:
-        confirm = super().list_registered()
-        listed = [
-            msgspec.structs.replace(each, max_payload_size=each.max_payload_size + 4) for each in confirm.protocols
-        ]
-        return ListConfirm(confirm.status, tuple(listed))
+listed("wrong-size", "BP-LST-01", "includes the header of the block in the maximum payload size that it lists",
+    lambda self, each: msgspec.structs.replace(each, max_payload_size=each.max_payload_size + 4))  # fmt: skip
 
 
 # -- payloads ----------------------------------------------------------------------------------------------------------
 
 
-class Transmissions(BeaconingProtocol):
-    """Changes the status of submissions."""
-
-    def _submit(self, client: Client | None, payload: bytes, now: int) -> BPStatus:
-        status = super()._submit(client, payload, now)
-        return self.judged(status, client, payload, now)
-
-    def judged(self, status: BPStatus, client: Client | None, payload: bytes, now: int) -> BPStatus:
-        """Return the status to be confirmed."""
-        return status
-
-
-transmissions_judged = instead(Transmissions, Transmissions.judged)
-transmissions_judged("ok", "BP-TXP-01 BP-REG-10", "confirms a payload for an unregistered identifier with OK",
+after_submit = after(BeaconingProtocol, BeaconingProtocol._submit)
+after_submit("ok", "BP-TXP-01 BP-REG-10", "confirms a payload for an unregistered identifier with OK",
     lambda self, status, client, payload, now: BPStatus.OK if client is None else status)  # fmt: skip
 
 
@@ -283,18 +247,18 @@ around_submit("one-less", "BP-TXP-02", "rejects payloads of exactly the length t
 around_submit("truncates", "BP-TXP-02", "truncates a payload that is too long, and confirms it with OK",
     lambda self, proceed, client, payload, now: (
         proceed(client, payload[:(len(payload) if client is None else client.registration.max_payload_size)], now)))
-transmissions_judged("ok", "BP-TXP-03", "confirms an empty payload with OK",
+after_submit("ok", "BP-TXP-03", "confirms an empty payload with OK",
     lambda self, status, client, payload, now: BPStatus.OK if status is BPStatus.EMPTY_PAYLOAD else status,
     since=SpecVersion.V1_1)
 # fmt: on
 
 
-@mutant("clears", "BP-TXP-03", "clears the buffer when an empty payload is submitted", since=SpecVersion.V1_1)
-class EmptyClears(Transmissions):
-    def judged(self, status: BPStatus, client: Client | None, payload: bytes, now: int) -> BPStatus:
-        if status is BPStatus.EMPTY_PAYLOAD and client is not None and client.queue is not None:
-            client.queue.clear()
-        return status
+then(BeaconingProtocol, BeaconingProtocol._submit)("clears", "BP-TXP-03",
+    "clears the buffer when an empty payload is submitted",
+    lambda self, status, client, payload, now: (
+        client.queue.clear()
+        if status is BPStatus.EMPTY_PAYLOAD and client is not None and client.queue is not None else None),
+    since=SpecVersion.V1_1)  # fmt: skip
 
 
 around_submit("empty-refused", "BP-TXP-13", "rejects an empty payload, which in 1.0 clears a buffer",
@@ -328,15 +292,13 @@ class FullIsAnError(BeaconingProtocol):
         return status
 
 
-transmissions_judged("empty-first", "BP-TXP-10", "checks for an empty payload before it checks for the client",
+after_submit("empty-first", "BP-TXP-10", "checks for an empty payload before it checks for the client",
     lambda self, status, client, payload, now: BPStatus.EMPTY_PAYLOAD if not payload else status)  # fmt: skip
 
 
-@mutant("ok", "BP-CLR-01", "confirms clearing the buffer of an unknown client with OK")
-class ClearsUnknownClients(BeaconingProtocol):
-    def clear_buffer(self, prot_id: int) -> StatusConfirm:
-        super().clear_buffer(prot_id)
-        return OK
+after(BeaconingProtocol, BeaconingProtocol.clear_buffer)("ok", "BP-CLR-01",
+    "confirms clearing the buffer of an unknown client with OK",
+    lambda self, confirm, prot_id: OK)  # fmt: skip
 
 
 @mutant("nothing", "BP-CLR-02", "does not clear queues")

@@ -8,7 +8,8 @@ from typing import Any
 from dcp_spec.parameters import Violation
 from dcp_spec.status import BPStatus
 
-from dcp_selftest.mutants.family import after, before
+from dcp_selftest.mutants.bp.management import TOO_LARGE, Unbound
+from dcp_selftest.mutants.family import after, around, attributes, before
 from dcp_selftest.mutants.mutant import mutant
 from dcp_stack.bp.clients import Chosen, ClientList
 from dcp_stack.bp.entity import BeaconingProtocol
@@ -27,10 +28,10 @@ before(BeaconingProtocol, BeaconingProtocol._submit)("queue-cleared", "BP-TXP-12
         client.queue.clear() if client is not None and client.queue is not None and not payload else None))  # fmt: skip
 
 
-@mutant("kept", "BP-TXP-13", "confirms an empty payload with OK, but keeps the buffered one")
-class EmptyKeeps(BeaconingProtocol):
-    def _submit(self, client: Client | None, payload: bytes, now: int) -> BPStatus:
-        return BPStatus.OK if client is not None and not payload else super()._submit(client, payload, now)
+around(BeaconingProtocol, BeaconingProtocol._submit)("kept", "BP-TXP-13",
+    "confirms an empty payload with OK, but keeps the buffered one",
+    lambda self, proceed, client, payload, now: (
+        BPStatus.OK if client is not None and not payload else proceed(client, payload, now)))  # fmt: skip
 
 
 @mutant("several", "BP-QM-10", "sends all payloads of a queue that fit in one beacon")
@@ -87,11 +88,5 @@ class NothingSet(BPParameters):
         return violation
 
 
-@mutant("no-upper-bound", "BP-PAR-13", "accepts a maximum packet size larger than the bearer's")
-class NoUpperBound(BPParameters):
-    def set(self, name: str, value: object) -> Violation | None:
-        violation = super().set(name, value)
-        if violation is not None and name == MAX_PACKET and isinstance(value, int) and value > 1000:
-            self._values[name] = value
-            return None
-        return violation
+attributes(Unbound, __name__)("no-upper-bound", "BP-PAR-13", "accepts a maximum packet size larger than the bearer's",
+    wrong=TOO_LARGE)  # fmt: skip

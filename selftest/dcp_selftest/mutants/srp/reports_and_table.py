@@ -143,11 +143,9 @@ class NextTime(Reporting):
             return self.bp.transmit_payload(prot_id, kept, now=now) if kept else None
 
 
-@mutant("ok", "SRP-SRV-01", "confirms safety data with OK while it is not registered with BP")
-class AlwaysOK(StateReporting):
-    def update_safety_data(self, *data: Any, now: int, wall: int) -> UpdateSafetyDataConfirm | None:
-        super().update_safety_data(*data, now=now, wall=wall)
-        return UpdateSafetyDataConfirm(SRPStatus.OK)
+after(StateReporting, StateReporting.update_safety_data)("ok", "SRP-SRV-01",
+    "confirms safety data with OK while it is not registered with BP",
+    lambda self, confirm, *data, now, wall: UpdateSafetyDataConfirm(SRPStatus.OK))  # fmt: skip
 
 
 @mutant("number-survives", "SRP-INI-05", "continues the sequence numbers of reports after a reset")

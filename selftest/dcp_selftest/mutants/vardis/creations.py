@@ -69,45 +69,30 @@ is_bad_value("empty-value", "VD-PC-04 VD-TYP-02", "accepts a VarCreate with an e
 after(Receiver, Receiver._is_bad_value)("longest-refused", "VD-PC-04 VD-PU-04 DATA-06",
     "ignores values of maximum length",
     lambda self, result, value: result or len(value) >= self._parameters.max_value_length)
-# fmt: on
-
-
-class Events(Receiver):
-    """Changes the event that a VarCreate causes."""
-
-    def _create_event(self, record: VarCreate, entry: DBEntry | None) -> Event:
-        return self.event(super()._create_event(record, entry), record)
-
-    def event(self, event: Event, record: VarCreate) -> Event:
-        """Return the event to be processed."""
-        return event
-
-
-# fmt: off
-event = instead(Events, Events.event)
-event("any-description", "VD-PC-05", "accepts a VarCreate whose description is too long",
-    lambda self, event, record: (
+create_event = after(Receiver, Receiver._create_event)
+create_event("any-description", "VD-PC-05", "accepts a VarCreate whose description is too long",
+    lambda self, event, record, entry: (
         Event.RX_CREATE_LATER if (event is Event.RX_CREATE_BAD_DESCRIPTION and record.spec.descr) else event))
-event("empty-description", "VD-PC-05", "accepts a VarCreate with an empty description",
-    lambda self, event, record: (
+create_event("empty-description", "VD-PC-05", "accepts a VarCreate with an empty description",
+    lambda self, event, record, entry: (
         Event.RX_CREATE_LATER
         if (event is Event.RX_CREATE_BAD_DESCRIPTION and not record.spec.descr) else event), since=SpecVersion.V1_2)
-event("longest-refused", "VD-PC-05", "ignores a VarCreate with a description of maximum length",
-    lambda self, event, record: (
+create_event("longest-refused", "VD-PC-05", "ignores a VarCreate with a description of maximum length",
+    lambda self, event, record, entry: (
         Event.RX_CREATE_BAD_DESCRIPTION if (len(record.spec.descr) >= self._parameters.longest_description) else event))
-event("characters", "VD-PC-05 DATA-08", "counts the characters of received descriptions, not the octets",
-    lambda self, event, record: (
+create_event("characters", "VD-PC-05 DATA-08", "counts the characters of received descriptions, not the octets",
+    lambda self, event, record, entry: (
         Event.RX_CREATE_LATER if event is Event.RX_CREATE_BAD_DESCRIPTION
         and (0 < len(record.spec.descr.decode(errors="replace")) <= self._parameters.longest_description) else event))
-event("too-often", "VD-PC-06", "accepts a VarCreate with a repetition count above the maximum",
-    lambda self, event, record: (
+create_event("too-often", "VD-PC-06", "accepts a VarCreate with a repetition count above the maximum",
+    lambda self, event, record, entry: (
         Event.RX_CREATE_LATER
         if (event is Event.RX_CREATE_BAD_REPCNT and record.spec.rep_cnt) else event), since=SpecVersion.V1_2)
-event("zero", "VD-PC-06", "accepts a VarCreate with a repetition count of 0",
-    lambda self, event, record: (
+create_event("zero", "VD-PC-06", "accepts a VarCreate with a repetition count of 0",
+    lambda self, event, record, entry: (
         Event.RX_CREATE_LATER
         if (event is Event.RX_CREATE_BAD_REPCNT and not record.spec.rep_cnt) else event), since=SpecVersion.V1_2)
-event("most-refused", "VD-PC-06", "ignores a VarCreate with the maximum repetition count",
-    lambda self, event, record: (
+create_event("most-refused", "VD-PC-06", "ignores a VarCreate with the maximum repetition count",
+    lambda self, event, record, entry: (
         Event.RX_CREATE_BAD_REPCNT if (record.spec.rep_cnt == self._parameters.max_repetitions) else event))
 # fmt: on

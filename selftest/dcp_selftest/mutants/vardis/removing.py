@@ -6,6 +6,7 @@ from typing import Any, ClassVar
 
 from dcp_spec.constants import SpecVersion
 
+from dcp_selftest.mutants.entries import Expires
 from dcp_selftest.mutants.family import attributes, instead
 from dcp_selftest.mutants.mutant import mutant
 from dcp_selftest.mutants.unseen import ALWAYS_ACTIVE
@@ -72,28 +73,13 @@ class ScrubLeavesCounts(Vardis):
                 entry.count_create, entry.count_update = counts
 
 
-@mutant(
-    "signed-at-once",
-    "VD-TYP-04 VD-SCR-03",
-    "immediately deletes variables with timeouts of 32,768 ms and more",
-    since=V2,
-)
-class SignedTimeouts(Vardis):
-    def _scrub(self, now: int) -> None:
-        super()._scrub(now)
-        for entry in list(self._database.entries.values()):
-            if (entry.spec.timeout or 0) >= HALF and not entry.is_deleted:
-                self._database.mark_deleted(entry)
-
-
-@mutant("one-octet", "VD-TYP-04 VD-SCR-03", "uses timeouts modulo 256", since=V2)
-class OneOctetTimeouts(Vardis):
-    def _scrub(self, now: int) -> None:
-        super()._scrub(now)
-        for entry in list(self._database.entries.values()):
-            timeout = (entry.spec.timeout or 0) % 256 * MS
-            if timeout and not entry.is_deleted and now - entry.refreshed > timeout:
-                self._database.mark_deleted(entry)
+# fmt: off
+expired = instead(Expires, Expires.expired)
+expired("signed-at-once", "VD-TYP-04 VD-SCR-03", "immediately deletes variables with timeouts of 32,768 ms and more",
+    lambda self, timeout, age: timeout >= HALF, since=V2, also=True)
+expired("one-octet", "VD-TYP-04 VD-SCR-03", "uses timeouts modulo 256",
+    lambda self, timeout, age: 0 < timeout % 256 * MS < age, since=V2, also=True)
+# fmt: on
 
 
 # -- deactivation ------------------------------------------------------------------------------------------------------

@@ -6,8 +6,7 @@ from typing import ClassVar
 
 from dcp_spec.constants import ICType
 
-from dcp_selftest.mutants.family import after, around, attributes
-from dcp_selftest.mutants.mutant import mutant
+from dcp_selftest.mutants.family import after, around, attributes, instead
 from dcp_stack.vardis.compose import Composer
 from dcp_stack.vardis.database import IdQueue
 from dcp_stack.vardis.entity import Vardis
@@ -56,14 +55,9 @@ loses_all_or_none("update-requests-lost", "VD-CMP-13 VD-CMP-11", "drops requests
 # fmt: on
 
 
-@mutant(
-    "summaries-lost", "VD-CMP-13 VD-CMP-03", "no longer summarises variables whose summary did not fit into a payload"
-)
-class LosesSummaries(LosesAllOrNone):
-    kind = ICType.SUMMARIES
-
-    def _lose(self, var_id: int) -> None:
-        self._database.summary_q.remove(var_id)
+instead(LosesAllOrNone, LosesAllOrNone._lose)("summaries-lost", "VD-CMP-13 VD-CMP-03",
+    "no longer summarises variables whose summary did not fit into a payload",
+    lambda self, var_id: self._database.summary_q.remove(var_id), kind=ICType.SUMMARIES)  # fmt: skip
 
 
 # fmt: off

@@ -10,7 +10,7 @@ from dcp_spec.status import VardisStatus
 
 from dcp_selftest.mutants.air import Air
 from dcp_selftest.mutants.cells import Cells
-from dcp_selftest.mutants.entries import on_entry
+from dcp_selftest.mutants.entries import Expires, on_entry
 from dcp_selftest.mutants.family import around, assign, attributes, before, instead, skips, then
 from dcp_selftest.mutants.mutant import mutant
 from dcp_selftest.mutants.port import Port
@@ -159,13 +159,9 @@ class ScrubsSlowly(Vardis):
             super()._scrub(now)
 
 
-@mutant("zero", "VD-SCR-02", "deletes variables with timeout 0", since=V2)
-class ScrubsZero(Vardis):
-    def _scrub(self, now: int) -> None:
-        super()._scrub(now)
-        for entry in list(self._database.entries.values()):
-            if not entry.spec.timeout and not entry.is_deleted and now > entry.refreshed:
-                self._database.mark_deleted(entry)
+expired = instead(Expires, Expires.expired)
+expired("zero", "VD-SCR-02", "deletes variables with timeout 0",
+    lambda self, timeout, age: not timeout and age > 0, since=V2, also=True)  # fmt: skip
 
 
 @mutant("deleted", "VD-SCR-02", "repeats the VarDelete of deleted variables after their timeout", since=V2)
@@ -176,22 +172,12 @@ class ScrubsDeleted(Cells):
     }
 
 
-@mutant("half", "VD-SCR-03", "deletes variables after half of their timeout", since=V2)
-class ScrubsEarly(Vardis):
-    def _scrub(self, now: int) -> None:
-        for entry in list(self._database.entries.values()):
-            timeout = (entry.spec.timeout or 0) * MS // 2
-            if timeout and now - entry.refreshed > timeout and not entry.is_deleted:
-                self._database.mark_deleted(entry)
-
-
-@mutant("double", "VD-SCR-01 VD-SCR-03", "deletes variables after twice their timeout", since=V2)
-class ScrubsLate(Vardis):
-    def _scrub(self, now: int) -> None:
-        for entry in list(self._database.entries.values()):
-            timeout = (entry.spec.timeout or 0) * MS * 2
-            if timeout and now - entry.refreshed > timeout and not entry.is_deleted:
-                self._database.mark_deleted(entry)
+# fmt: off
+expired("half", "VD-SCR-03", "deletes variables after half of their timeout",
+    lambda self, timeout, age: 0 < timeout * MS // 2 < age, since=V2)
+expired("double", "VD-SCR-01 VD-SCR-03", "deletes variables after twice their timeout",
+    lambda self, timeout, age: 0 < timeout * MS * 2 < age, since=V2)
+# fmt: on
 
 
 @mutant("silent", "VD-SCR-04", "deletes variables after their timeout without sending VarDeletes", since=V2)

@@ -206,10 +206,9 @@ on_entry(Receiver, Receiver._request_create)("create-request-relayed", "VD-SCP-0
 # fmt: on
 
 
-@mutant("while-inactive", "VD-MGT-03", "processes payloads while it is inactive", unseen=ALWAYS_ACTIVE)
-class ReceivesInactive(Vardis):
-    def handle_payload(self, payload: bytes, *, now: int, wall: int) -> None:
-        self._receiver.process(self._extractor.extract(payload), now=now, wall=wall)
+instead(Vardis, Vardis.handle_payload)("while-inactive", "VD-MGT-03", "processes payloads while it is inactive",
+    lambda self, payload, *, now, wall: self._receiver.process(self._extractor.extract(payload), now=now, wall=wall),
+    unseen=ALWAYS_ACTIVE)  # fmt: skip
 
 
 @mutant(
