@@ -62,13 +62,11 @@ class Scrubs(Vardis):
         return timeout
 
 
-# fmt: off
 measured = instead(Scrubs, Scrubs.measured)
 measured("signed", "VD-TYP-04 VD-SCR-01", "treats timeouts above 32,767 ms as none",
-    lambda self, timeout: timeout if timeout < 0x8000 else 0, since=SpecVersion.V2_0)
+    lambda self, timeout: timeout if timeout < 0x8000 else 0, since=SpecVersion.V2_0)  # fmt: skip
 measured("minute", "VD-TYP-04 VD-SCR-01", "deletes variables after one minute even if their timeout is longer",
-    lambda self, timeout: min(timeout, 60_000), since=SpecVersion.V2_0)
-# fmt: on
+    lambda self, timeout: min(timeout, 60_000), since=SpecVersion.V2_0)  # fmt: skip
 
 
 @mutant("gives-up", "UWB-01", "stops sending after it has received no beacon for 0.7 s")

@@ -54,16 +54,12 @@ class OtherSender(Wire):
         return octets if self.count % 3 else octets[:-1] + bytes([octets[-1] ^ 0x80])
 
 
+# fmt: off
 wire("reversed", "BP-HDR-03", "sends its node identifier in reverse, like an integer of the machine", field="senderId")
-
-
 other("with-header", "BP-HDR-06", "includes the header in the length in the header",
     lambda self, octets, blocks: (
         (int.from_bytes(octets, self._block_length.order) + self.header_size).to_bytes(2, self._block_length.order)),
-    field="length")  # fmt: skip
-
-
-# fmt: off
+    field="length")
 other("payloads-only", "BP-HDR-06", "omits the headers of the blocks from the length",
     lambda self, octets, blocks: sum(len(payload) for _, payload in blocks).to_bytes(2, self._block_length.order),
     field="length")

@@ -28,22 +28,16 @@ def _empty(clients: ClientList) -> None:
             client.queue.clear()
 
 
+# fmt: off
 before(BeaconingProtocol, BeaconingProtocol.deregister)("others-too", "BP-DRG-02 BP-QM-05",
     "clears all buffers when a client is deregistered",
-    lambda self, prot_id: _empty(self._clients))  # fmt: skip
-
-
+    lambda self, prot_id: _empty(self._clients))
 then(BeaconingProtocol, BeaconingProtocol.deregister)("unknown-empties", "BP-DRG-01 BP-QM-05",
     "clears all buffers when an unknown client is deregistered",
-    lambda self, confirm, prot_id: _empty(self._clients) if confirm.status is not BPStatus.OK else None)  # fmt: skip
-
-
+    lambda self, confirm, prot_id: _empty(self._clients) if confirm.status is not BPStatus.OK else None)
 before(BeaconingProtocol, BeaconingProtocol.clear_buffer)("all", "BP-CLR-03 BP-QM-05",
     "clears the buffers of all clients",
-    lambda self, prot_id: _empty(self._clients))  # fmt: skip
-
-
-# fmt: off
+    lambda self, prot_id: _empty(self._clients))
 then(BeaconingProtocol, BeaconingProtocol._submit)("refused-empties", "BP-TXP-02 BP-QM-05",
     "clears the buffer of a client whose payload is too large",
     lambda self, status, client, payload, now: (

@@ -96,8 +96,6 @@ class ForgetsPayloads(BeaconingProtocol):
 instead(BeaconingProtocol, BeaconingProtocol.activate)("no-resume", "BP-MGT-05",
     "confirms the activation of BP, which stays inactive",
     lambda self, now: OK)  # fmt: skip
-
-
 then(BeaconingProtocol, BeaconingProtocol.activate)("receives-only", "BP-MGT-05",
     "receives again when it is activated, but does not send",
     lambda self, confirm, now: self._schedule.restart(now + 10**15))  # fmt: skip
@@ -161,6 +159,8 @@ class Unbound(BPParameters):
 
 
 TOO_LARGE = range(1001, 1 << 31)
+
+
 unbound = attributes(Unbound, __name__)
 unbound("no-upper-bound", "BP-PAR-04 BP-PAR-06", "accepts a maximum packet size larger than the bearer's",
     wrong=TOO_LARGE)  # fmt: skip

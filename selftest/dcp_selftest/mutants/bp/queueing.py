@@ -53,24 +53,14 @@ other_rules("repeats", "BP-QM-03 BP-TX-06", "sends the head of a DROPTAIL queue 
     unseen=NO_MODE, rules=rule(DROPTAIL, when_sent="keep"))
 other_rules("drophead-repeats", "BP-QM-03 BP-TX-06", "sends the head of a DROPHEAD queue repeatedly",
     unseen=NO_MODE, rules=rule(DROPHEAD, when_sent="keep"))
-# fmt: on
-
-
 other_rules("bounded", "BP-QM-03", "keeps only one payload in a queue of mode QUEUE",
     until=SpecVersion.V1_0, unseen=NO_QUEUE,
-    rules=rule(QueueingMode.QUEUE, places=QUEUEING[ONCE].places, when_full="displace-oldest"))  # fmt: skip
-
-
+    rules=rule(QueueingMode.QUEUE, places=QUEUEING[ONCE].places, when_full="displace-oldest"))
 other_rules("queue-repeats", "BP-QM-03", "sends the head of a queue of mode QUEUE repeatedly",
-    until=SpecVersion.V1_0, unseen=NO_QUEUE, rules=rule(QueueingMode.QUEUE, when_sent="keep"))  # fmt: skip
-
-
+    until=SpecVersion.V1_0, unseen=NO_QUEUE, rules=rule(QueueingMode.QUEUE, when_sent="keep"))
 other_rules("bounded-by-entries", "BP-QM-03", "drops payloads in excess of maxEntries, which 1.0 does not have",
     until=SpecVersion.V1_0, unseen=NO_QUEUE,
-    rules=rule(QueueingMode.QUEUE, places=Places.MAX_ENTRIES, when_full="discard-new"))  # fmt: skip
-
-
-# fmt: off
+    rules=rule(QueueingMode.QUEUE, places=Places.MAX_ENTRIES, when_full="discard-new"))
 other_rules("keeps-oldest", "BP-QM-04 BP-TXP-06", "keeps the first payload in a ONCE buffer until it is sent",
     rules=rule(ONCE, when_full="discard-new"))
 other_rules("repeats", "BP-QM-04 BP-TX-05 BP-QRY-03", "keeps the payload of a ONCE buffer after it was sent",
@@ -108,15 +98,13 @@ class NewestFirst(OwnQueue):
                 self._payloads.pop()
 
 
-# fmt: off
 places = instead(OwnQueue, OwnQueue.places)
 places("one-place-more", "BP-QM-01 BP-QM-02 BP-QRY-02", "keeps one payload more than maxEntries",
-    lambda self, entries: entries + 1, since=SpecVersion.V1_1)
+    lambda self, entries: entries + 1, since=SpecVersion.V1_1)  # fmt: skip
 places("at-most-16", "BP-QM-01 BP-QM-02 BP-QM-03", "keeps 16 payloads of a longer queue",
-    lambda self, entries: min(entries, 16), since=SpecVersion.V1_1)
+    lambda self, entries: min(entries, 16), since=SpecVersion.V1_1)  # fmt: skip
 places("six-bits", "BP-QM-02 BP-QM-01 BP-QM-03", "uses the length of a queue modulo 64",
-    lambda self, entries: entries % 64 or 1, since=SpecVersion.V1_1)
-# fmt: on
+    lambda self, entries: entries % 64 or 1, since=SpecVersion.V1_1)  # fmt: skip
 
 
 @mutant("wraps-at-32", "BP-QM-03", "sends the 33rd and later payloads of a queue first")

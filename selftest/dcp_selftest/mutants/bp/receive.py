@@ -111,16 +111,14 @@ class Blocks(BPWire):
         return blocks
 
 
-# fmt: off
 chosen = instead(Blocks, Blocks.chosen)
 chosen("first-only", "BP-RX-07", "processes only the first block of a beacon", lambda self, blocks: blocks[:1])
 chosen("not-the-last", "BP-RX-07", "does not process the last of several blocks",
-    lambda self, blocks: blocks[:-1] if len(blocks) > 1 else blocks)
+    lambda self, blocks: blocks[:-1] if len(blocks) > 1 else blocks)  # fmt: skip
 chosen("one-of-each", "BP-RX-07", "processes one block of each protocol",
-    lambda self, blocks: tuple({block.protocol_id: block for block in reversed(blocks)}.values()))
+    lambda self, blocks: tuple({block.protocol_id: block for block in reversed(blocks)}.values()))  # fmt: skip
 chosen("twice", "BP-RXP-02", "delivers every payload twice",
-    lambda self, blocks: tuple(block for each in blocks for block in (each, each)))
-# fmt: on
+    lambda self, blocks: tuple(block for each in blocks for block in (each, each)))  # fmt: skip
 
 
 @mutant("unknown-ends", "BP-RX-08", "stops at a block of an unregistered protocol")
@@ -245,14 +243,12 @@ class Deliveries(Receiver):
         return payload
 
 
-# fmt: off
 payload = instead(Deliveries, Deliveries.payload)
 payload("nul-cut", "BP-RXP-01", "delivers payloads up to the first octet that is zero",
-    lambda self, payload: payload.partition(b"\0")[0] or payload)
+    lambda self, payload: payload.partition(b"\0")[0] or payload)  # fmt: skip
 payload("limited", "BP-RXP-01", "delivers at most 255 octets of a payload", lambda self, payload: payload[:255])
 payload("aligned", "BP-RXP-01", "delivers payloads padded to a multiple of four octets",
-    lambda self, payload: payload + bytes(-len(payload) % 4))
-# fmt: on
+    lambda self, payload: payload + bytes(-len(payload) % 4))  # fmt: skip
 
 
 @mutant("everybody", "BP-RXP-03", "delivers payloads to all clients")

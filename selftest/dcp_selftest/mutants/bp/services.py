@@ -101,15 +101,9 @@ registrations_judged("no-entries", "BP-REG-05", "registers queues without entrie
 registrations_judged("at-most-32", "BP-REG-05", "registers no queues of more than 32 entries",
     lambda self, status, registration: (
         BPStatus.ILLEGAL_DROPPING_QUEUE_SIZE if registration.max_entries > 32 else status), since=SpecVersion.V1_1)
-# fmt: on
-
-
 listed = instead(Lists, Lists.listed)
 listed("time", "BP-REG-06 BP-LST-01", "lists no registration time of clients",
-    lambda self, each: msgspec.structs.replace(each, time_stamp_registration=0))  # fmt: skip
-
-
-# fmt: off
+    lambda self, each: msgspec.structs.replace(each, time_stamp_registration=0))
 after(BeaconingProtocol, BeaconingProtocol.register)("no-own-id", "BP-REG-07",
     "omits its node identifier from the confirms of registrations",
     lambda self, confirm, prot_id, *rest, now, wall: confirm if prot_id <= 2 else RegisterConfirm(confirm.status, None))
@@ -124,21 +118,19 @@ class OtherIdentifier(BeaconingProtocol):
         return confirm if prot_id <= 2 or own is None else RegisterConfirm(confirm.status, own[:-1] + b"\x77")
 
 
-# fmt: off
 registrations_judged("size-first", "BP-REG-09", "checks the size in a registration before it checks for a duplicate",
     lambda self, status, registration: (
         BPStatus.ILLEGAL_MAX_PAYLOAD_SIZE
         if registration.max_payload_size <= 0 and self._features.version >= SpecVersion.V1_1 else status),
-    unseen={"1.0": "1.0 rejects neither a size of 0 nor 0 entries"})
+    unseen={"1.0": "1.0 rejects neither a size of 0 nor 0 entries"})  # fmt: skip
 registrations_judged("queue-first", "BP-REG-09", "checks maxEntries in a registration before it checks the size",
     lambda self, status, registration: (
         BPStatus.ILLEGAL_DROPPING_QUEUE_SIZE
         if (registration.max_entries <= 0 and registration.queue_mode in QUEUES) else status),
-    unseen={"1.0": "1.0 rejects neither a size of 0 nor 0 entries"})
+    unseen={"1.0": "1.0 rejects neither a size of 0 nor 0 entries"})  # fmt: skip
 after(BeaconingProtocol, BeaconingProtocol.deregister)("ok", "BP-DRG-01",
     "confirms the deregistration of an unknown client with OK",
-    lambda self, confirm, prot_id: OK)
-# fmt: on
+    lambda self, confirm, prot_id: OK)  # fmt: skip
 
 
 @mutant("stays-listed", "BP-DRG-02", "continues to list a client that was deregistered")
@@ -215,8 +207,6 @@ class StumblesOverMode(BeaconingProtocol):
 after_list_registered = after(BeaconingProtocol, BeaconingProtocol.list_registered)
 after_list_registered("one-missing", "BP-LST-01", "omits the client that registered last from the list",
     lambda self, confirm: ListConfirm(confirm.status, confirm.protocols[:-1]))  # fmt: skip
-
-
 listed("wrong-size", "BP-LST-01", "includes the header of the block in the maximum payload size that it lists",
     lambda self, each: msgspec.structs.replace(each, max_payload_size=each.max_payload_size + 4))  # fmt: skip
 
@@ -250,20 +240,16 @@ around_submit("truncates", "BP-TXP-02", "truncates a payload that is too long, a
 after_submit("ok", "BP-TXP-03", "confirms an empty payload with OK",
     lambda self, status, client, payload, now: BPStatus.OK if status is BPStatus.EMPTY_PAYLOAD else status,
     since=SpecVersion.V1_1)
-# fmt: on
-
-
 then(BeaconingProtocol, BeaconingProtocol._submit)("clears", "BP-TXP-03",
     "clears the buffer when an empty payload is submitted",
     lambda self, status, client, payload, now: (
         client.queue.clear()
         if status is BPStatus.EMPTY_PAYLOAD and client is not None and client.queue is not None else None),
-    since=SpecVersion.V1_1)  # fmt: skip
-
-
+    since=SpecVersion.V1_1)
 around_submit("empty-refused", "BP-TXP-13", "rejects an empty payload, which in 1.0 clears a buffer",
     lambda self, proceed, client, payload, now: (
-        BPStatus.EMPTY_PAYLOAD if client is not None and not payload else proceed(client, payload, now)))  # fmt: skip
+        BPStatus.EMPTY_PAYLOAD if client is not None and not payload else proceed(client, payload, now)))
+# fmt: on
 
 
 @mutant(
@@ -294,8 +280,6 @@ class FullIsAnError(BeaconingProtocol):
 
 after_submit("empty-first", "BP-TXP-10", "checks for an empty payload before it checks for the client",
     lambda self, status, client, payload, now: BPStatus.EMPTY_PAYLOAD if not payload else status)  # fmt: skip
-
-
 after(BeaconingProtocol, BeaconingProtocol.clear_buffer)("ok", "BP-CLR-01",
     "confirms clearing the buffer of an unknown client with OK",
     lambda self, confirm, prot_id: OK)  # fmt: skip

@@ -20,14 +20,10 @@ from dcp_stack.bp.services import ListConfirm, RegisterConfirm
 after(BeaconingProtocol, BeaconingProtocol._submit)("queue-ok", "BP-TXP-12",
     "confirms an empty payload for a queue with OK",
     lambda self, status, client, payload, now: BPStatus.OK if status is BPStatus.EMPTY_PAYLOAD else status)  # fmt: skip
-
-
 before(BeaconingProtocol, BeaconingProtocol._submit)("queue-cleared", "BP-TXP-12",
     "clears a queue when an empty payload is submitted",
     lambda self, client, payload, now: (
         client.queue.clear() if client is not None and client.queue is not None and not payload else None))  # fmt: skip
-
-
 around(BeaconingProtocol, BeaconingProtocol._submit)("kept", "BP-TXP-13",
     "confirms an empty payload with OK, but keeps the buffered one",
     lambda self, proceed, client, payload, now: (

@@ -111,16 +111,14 @@ class Small(Reporting):
             return self.bp.transmit_payload(prot_id, payload[half:], now=now)
 
 
-# fmt: off
 payload = instead(Reporting, Reporting.payload)
 payload("filled-up", "SRP-FMT-01 DATA-02", "pads reports to a multiple of eight octets",
-    lambda self, payload: payload + bytes(8 - len(payload) % 8), doubled=True)
+    lambda self, payload: payload + bytes(8 - len(payload) % 8), doubled=True)  # fmt: skip
 payload("two-more", "SRP-FMT-01", "appends two octets to each report",
-    lambda self, payload: payload + b"\xa5\x5a", doubled=True)
+    lambda self, payload: payload + b"\xa5\x5a", doubled=True)  # fmt: skip
 payload("test-pattern", "SRP-FMT-01", "sends a test pattern of 40 octets instead of each report",
-    lambda self, payload: bytes(range(0xA0, 0xA0 + 40)))
+    lambda self, payload: bytes(range(0xA0, 0xA0 + 40)))  # fmt: skip
 payload("two", "SRP-FMT-01", "sends each report twice in one payload", lambda self, payload: payload * 2, doubled=True)
-# fmt: on
 
 
 @mutant("half", "SRP-SRV-04 SRP-SRV-03", "sends only every other report")
@@ -248,12 +246,10 @@ around(NeighbourTable, NeighbourTable.record)("sender", "SRP-RX-05",
 before(NeighbourTable, NeighbourTable.record)("one", "SRP-RX-03 SRP-NT-02", "stores only one neighbour",
     lambda self, report, sender_id, *, now, wall: (
         assign(self, _entries={node_id: each for node_id, each in self._entries.items() if node_id == report.node_id})))
-# fmt: on
-
-
 after(NeighbourTable, NeighbourTable.lookup)("anybody", "SRP-NT-01",
     "answers a query for an unknown neighbour with another neighbour",
-    lambda self, entry, node_id: entry or next(iter(self), None))  # fmt: skip
+    lambda self, entry, node_id: entry or next(iter(self), None))
+# fmt: on
 
 
 @mutant("two-listed", "SRP-NT-02", "lists at most two neighbours")
@@ -262,13 +258,11 @@ class TwoListed(NeighbourTable):
         return iter(tuple(super().__iter__())[:2])
 
 
-# fmt: off
 instead(NeighbourTable, NeighbourTable.expire)("never", "SRP-RUN-02 SRP-RUN-01", "never removes a neighbour",
-    lambda self, now, timeout: [])
+    lambda self, now, timeout: [])  # fmt: skip
 around(NeighbourTable, NeighbourTable.expire)("half", "SRP-RUN-02 SRP-PAR-01",
     "removes a neighbour after half of the timeout",
-    lambda self, proceed, now, timeout: proceed(now, timeout // 2))
-# fmt: on
+    lambda self, proceed, now, timeout: proceed(now, timeout // 2))  # fmt: skip
 
 
 @mutant("stamp", "SRP-RUN-02", "computes the age of a neighbour from the tStamp of its report")

@@ -92,15 +92,13 @@ class Ordered(Composer):
         self._order = tuple((kind, self._queues[kind]) for kind in self.order)
 
 
-# fmt: off
 ordered = attributes(Ordered, __name__)
 ordered("reversed", "VD-PAY-01", "composes containers in the reverse order", order=(RU, U, S, RC, D, C))
 ordered("updates-early", "VD-PAY-01", "composes updates before summaries, as 1.0 did",
-    since=SpecVersion.V1_1, order=(C, D, U, S, RC, RU))
+    since=SpecVersion.V1_1, order=(C, D, U, S, RC, RU))  # fmt: skip
 ordered("requests-late", "VD-PAY-01", "composes requests for variables after summaries",
-    since=SpecVersion.V1_1, order=(C, D, S, RC, U, RU))
+    since=SpecVersion.V1_1, order=(C, D, S, RC, U, RU))  # fmt: skip
 ordered("later-order", "VD-PAY-07", "composes containers in the order of later versions")
-# fmt: on
 
 
 @mutant("summaries-missing", "VD-PAY-01 VD-PAY-02", "sends no summaries while it has VarCreates to send")
@@ -128,16 +126,14 @@ class Fitting(Composer):
         return chosen
 
 
-# fmt: off
 chosen = instead(Fitting, Fitting.chosen)
 chosen("one-record", "VD-PAY-02", "sends only one record in each container", lambda self, chosen, kind: chosen[:1])
 chosen("five-records", "VD-PAY-02", "sends at most five records in each container",
-    lambda self, chosen, kind: chosen if kind is S else chosen[:5])
+    lambda self, chosen, kind: chosen if kind is S else chosen[:5])  # fmt: skip
 chosen("one-request", "VD-PAY-02", "sends one request of each type in a payload",
-    lambda self, chosen, kind: chosen[:1] if kind in (RC, RU) else chosen)
+    lambda self, chosen, kind: chosen[:1] if kind in (RC, RU) else chosen)  # fmt: skip
 chosen("sorted", "VD-PAY-06", "sends records in the order of their identifiers",
-    lambda self, chosen, kind: sorted(chosen, reverse=True))
-# fmt: on
+    lambda self, chosen, kind: sorted(chosen, reverse=True))  # fmt: skip
 
 
 @mutant("skips", "VD-PAY-06 VD-CMP-08", "continues with the next record after one that does not fit")

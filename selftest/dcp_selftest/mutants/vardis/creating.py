@@ -154,11 +154,9 @@ class ConstantTime(Vardis):
 around(Vardis, Vardis._creation_time)("kept", "VD-CRE-09 VD-CRE-03",
     "keeps the old creationTime when it creates a variable again",
     lambda self, proceed, entry, wall: proceed(entry, wall) if entry is None else entry.spec.creation_time, since=V2)
-# fmt: on
-
-
 on_create = on_entry(Vardis, Vardis.create)
 on_create("from-one", "VD-CRE-10", "starts with sequence number 1", lambda self, entry, before: assign(entry, seqno=1))
+# fmt: on
 
 
 @mutant(

@@ -63,12 +63,12 @@ def _others(
 
 _SPEC = {"prod_id": b"\2\0\0\0\0\x78", "rep_cnt": 0, "descr": b"", "creation_time": 0, "timeout": 0}
 _ENTRY = {"value": b"", "seqno": 255, "count_update": 255, "count_create": 255, "count_delete": 255}
+
+
 globals().update(
     _others(OtherList, "VD-DDB-02", "RTDB-DescribeDatabase", _SPEC)
     | _others(OtherEntry, "VD-DVA-03", "RTDB-DescribeVariable", _SPEC | _ENTRY | {"t_stamp": 0, "is_deleted": False})
-)
-
-
+)  # fmt: skip
 attributes(OtherEntry, __name__)("alive-deleted", "VD-DVA-03 VD-DB-02", "returns isDeleted true for every variable",
     field="is_deleted", value=True)  # fmt: skip
 

@@ -50,11 +50,9 @@ class RefusesSome(Vardis):
         return super().create(var_id, *args, **params)
 
 
-# fmt: off
 refuses_some = attributes(RefusesSome, __name__)
 refuses_some("own-zero", "VD-TYP-01 VD-CRE-14", "rejects RTDB-Create with the identifier 0", refused=range(1))
 refuses_some("own-highest", "VD-TYP-01 VD-CRE-14", "rejects RTDB-Create with the identifier 255",
-    refused=range(255, 256))
+    refused=range(255, 256))  # fmt: skip
 refuses_some("own-signed", "VD-TYP-01 VD-CRE-14", "rejects RTDB-Create with identifiers above 127",
-    refused=range(128, 256))
-# fmt: on
+    refused=range(128, 256))  # fmt: skip

@@ -49,14 +49,8 @@ unbound("no-bound", "VD-PAR-02", "accepts a maximum length of values that does n
 unbound("zero", "VD-PAR-03", "accepts 0 as the maximum length of descriptions", name=DESCRIPTION_LENGTH, wrong=range(1))
 unbound("no-bound", "VD-PAR-03", "accepts a maximum length of descriptions that does not fit into a payload",
     name=DESCRIPTION_LENGTH)
-# fmt: on
-
-
 unbound("zero", "VD-PAR-04", "accepts 0 as the maximum repetition count",
-    unseen={"1.1": "in 1.1 this is VD-PAR-10"}, name=REPETITIONS, wrong=range(1))  # fmt: skip
-
-
-# fmt: off
+    unseen={"1.1": "in 1.1 this is VD-PAR-10"}, name=REPETITIONS, wrong=range(1))
 unbound("sixteen", "VD-PAR-04", "accepts maximum repetition counts up to 255",
     unseen={"1.1": "1.1 has no upper limit"}, name=REPETITIONS, wrong=range(16, 256))
 around_set = around(VardisParameters, VardisParameters.set)
@@ -86,14 +80,12 @@ class PayloadUnbound(Unbound):
         return min(super().max_payload_size, 1000)
 
 
-# fmt: off
 unbound("no-bound", "VD-PAR-06", "accepts a maximum number of summaries that does not fit into a payload",
-    name=SUMMARIES)
+    name=SUMMARIES)  # fmt: skip
 around_set("no-zero", "VD-PAR-06", "rejects 0 as the maximum number of summaries",
     lambda self, proceed, name, value: (
         Violation(parameter=name, value=value, bound="at least 1", requirement="VD-PAR-06")
-        if name == SUMMARIES and value == 0 else proceed(name, value)))
-# fmt: on
+        if name == SUMMARIES and value == 0 else proceed(name, value)))  # fmt: skip
 
 
 @mutant("zero", "VD-PAR-07", "accepts a scrubbing period of 0 ms", since=V2)

@@ -39,13 +39,11 @@ class Containers(Extractor):
         return containers
 
 
-# fmt: off
 chosen = instead(Containers, Containers.chosen)
 chosen("first-half", "VD-RX-04", "processes only the first half of the containers of a payload",
-    lambda self, containers: containers[: (len(containers) + 1) // 2])
+    lambda self, containers: containers[: (len(containers) + 1) // 2])  # fmt: skip
 chosen("first-only", "VD-RX-04 VD-RX-03", "processes only the first container of a payload",
-    lambda self, containers: containers[:1])
-# fmt: on
+    lambda self, containers: containers[:1])  # fmt: skip
 
 
 @mutant("octets", "VD-RX-04", "processes only containers that start in the first half of the octets of a payload")

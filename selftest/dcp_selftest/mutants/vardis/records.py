@@ -61,13 +61,9 @@ counts("one-more", "VD-CMP-09 VD-SCP-02 VD-UPD-08 VD-PU-07", "sends VarUpdates o
 counts("one-less", "VD-CMP-09 VD-SCP-02 VD-UPD-08 VD-PU-07", "sends VarUpdates once less than repCnt", updates=-1)
 counts("one-more", "VD-CMP-10 VD-SCP-02 VD-DEL-05 VD-PD-04", "sends VarDeletes once more than repCnt", deletes=1)
 counts("one-less", "VD-CMP-10 VD-SCP-02 VD-DEL-05 VD-PD-04", "sends VarDeletes once less than repCnt", deletes=-1)
-
-
 then(Database, Database.arm_create)("capped", "VD-CMP-06 VD-SCP-02 VD-CRE-12 VD-PC-09",
     "sends VarCreates at most seven times",
     lambda self, result, entry: assign(entry, count_create=min(entry.count_create, 7)))  # fmt: skip
-
-
 skips(Database, Database.arm_update)("not-restarted", "VD-UPD-08 VD-PU-07",
     "does not restart the repetitions of a VarUpdate when the variable is updated again",
     lambda self, entry: bool(entry.count_update))  # fmt: skip
@@ -206,17 +202,13 @@ class Again(Air):
 again = attributes(Again, __name__)
 again("twice", "VD-CMP-11", "sends each request for an update twice", kind_again=RU)
 again("twice", "VD-CMP-12 VD-PS-01", "sends each request for a variable twice", kind_again=RC)
-
-
-# fmt: off
 then_take = then(Composer, Composer._take)
 then_take("until-answered", "VD-CMP-12", "requests a variable in every payload until it has it",
     lambda self, record, kind, var_id: (
-        self._database.req_create_q.append(var_id) if isinstance(record, VarReqCreate) else None))
+        self._database.req_create_q.append(var_id) if isinstance(record, VarReqCreate) else None))  # fmt: skip
 then_take("update-until-answered", "VD-CMP-11", "requests an update in every payload until it has it",
     lambda self, record, kind, var_id: (
-        self._database.req_upd_q.append(var_id) if isinstance(record, VarReqUpdate) else None))
-# fmt: on
+        self._database.req_upd_q.append(var_id) if isinstance(record, VarReqUpdate) else None))  # fmt: skip
 
 
 # -- own creations on the wire -----------------------------------------------------------------------------------------

@@ -46,16 +46,14 @@ class LeavesQueue(Vardis):
                     setattr(entry, self.counter, count)
 
 
-# fmt: off
 leaves_queue = attributes(LeavesQueue, __name__)
 leaves_queue("updateQ", "VD-SCR-04", "continues to repeat the VarUpdate of a variable after its timeout",
-    since=V2, queue="updateQ", counter="count_update")
+    since=V2, queue="updateQ", counter="count_update")  # fmt: skip
 leaves_queue("createQ", "VD-SCR-04", "continues to repeat the VarCreate of a variable after its timeout",
-    since=V2, queue="createQ", counter="count_create")
+    since=V2, queue="createQ", counter="count_create")  # fmt: skip
 leaves_queue("summaryQ", "VD-SCR-04 VD-CMP-05", "continues to summarise a variable after its timeout",
-    since=V2, queue="summaryQ")
+    since=V2, queue="summaryQ")  # fmt: skip
 leaves_queue("reqUpdQ", "VD-SCR-04", "requests an update of a variable after its timeout", since=V2, queue="reqUpdQ")
-# fmt: on
 
 
 @mutant("counts-left", "VD-SCR-04", "does not reset the counters of a variable after its timeout", since=V2)
@@ -73,13 +71,11 @@ class ScrubLeavesCounts(Vardis):
                 entry.count_create, entry.count_update = counts
 
 
-# fmt: off
 expired = instead(Expires, Expires.expired)
 expired("signed-at-once", "VD-TYP-04 VD-SCR-03", "immediately deletes variables with timeouts of 32,768 ms and more",
-    lambda self, timeout, age: timeout >= HALF, since=V2, also=True)
+    lambda self, timeout, age: timeout >= HALF, since=V2, also=True)  # fmt: skip
 expired("one-octet", "VD-TYP-04 VD-SCR-03", "uses timeouts modulo 256",
-    lambda self, timeout, age: 0 < timeout % 256 * MS < age, since=V2, also=True)
-# fmt: on
+    lambda self, timeout, age: 0 < timeout % 256 * MS < age, since=V2, also=True)  # fmt: skip
 
 
 # -- deactivation ------------------------------------------------------------------------------------------------------

@@ -96,14 +96,12 @@ class RenewsOwn(Renews):
             super()._seen(kind, var_id)
 
 
-# fmt: off
 renews_own = attributes(RenewsOwn, __name__)
 renews_own("own-echo-renews", "VD-SCR-06 VD-DB-03",
     "renews tStamp of its own variable when neighbours forward its records",
-    since=V2, kinds=("equal-create", "equal-update", "summary"))
+    since=V2, kinds=("equal-create", "equal-update", "summary"))  # fmt: skip
 renews_own("own-request-renews", "VD-SCR-06 VD-DB-03", "renews tStamp of its own variable when a neighbour requests it",
-    kinds=("create-request", "update-request"))
-# fmt: on
+    kinds=("create-request", "update-request"))  # fmt: skip
 
 
 @mutant("read-renews", "VD-DB-03 VD-SCR-06", "renews tStamp when RTDB-Read or RTDB-DescribeVariable is called")
@@ -171,10 +169,8 @@ class StaleAge(Database):
         return entry
 
 
-# fmt: off
 stale_age = attributes(StaleAge, __name__)
 stale_age("own-age-kept", "VD-CRE-10 VD-SCR-03 VD-DB-03", "keeps tStamp when its application creates a variable again",
-    unseen=NOT_ANEW, own=True)
+    unseen=NOT_ANEW, own=True)  # fmt: skip
 stale_age("age-kept", "VD-PC-07 VD-SCR-03 VD-DB-03", "keeps tStamp when a later VarCreate replaces a variable",
-    unseen=NOT_REPLACED, own=False)
-# fmt: on
+    unseen=NOT_REPLACED, own=False)  # fmt: skip

@@ -52,15 +52,9 @@ loses_all_or_none("create-requests-lost", "VD-CMP-13 VD-CMP-12", "drops requests
     kind=ICType.REQUEST_VARCREATES)
 loses_all_or_none("update-requests-lost", "VD-CMP-13 VD-CMP-11", "drops requests for updates if none of them fits",
     kind=ICType.REQUEST_VARUPDATES)
-# fmt: on
-
-
 instead(LosesAllOrNone, LosesAllOrNone._lose)("summaries-lost", "VD-CMP-13 VD-CMP-03",
     "no longer summarises variables whose summary did not fit into a payload",
-    lambda self, var_id: self._database.summary_q.remove(var_id), kind=ICType.SUMMARIES)  # fmt: skip
-
-
-# fmt: off
+    lambda self, var_id: self._database.summary_q.remove(var_id), kind=ICType.SUMMARIES)
 loses("rest-of-updates-lost", "VD-CMP-13 VD-CMP-09", "counts the VarUpdates that do not fit as sent",
     kind=ICType.UPDATES)
 loses("rest-of-deletes-lost", "VD-CMP-13 VD-CMP-10", "counts the VarDeletes that do not fit as sent",

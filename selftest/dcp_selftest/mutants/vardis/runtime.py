@@ -57,17 +57,13 @@ ported("drophead", "VD-INI-08", "registers with mode DROPHEAD, as in later versi
 ported("several", "VD-INI-02 VD-INI-08", "registers with allowMultiplePayloads true",
     since=SpecVersion.V1_1, registration={"several": True})
 ported("name", "VD-INI-02", "registers without a name", registration={"name": ""})
-# fmt: on
-
-
 around(Vardis, Vardis._register)("size", "VD-INI-02", "registers with half of VARDISPAR_MAX_PAYLOAD_SIZE",
-    lambda self, proceed, size, now, wall: proceed(size // 2, now, wall))  # fmt: skip
-
-
+    lambda self, proceed, size, now, wall: proceed(size // 2, now, wall))
 then(Vardis, Vardis._register)("other-id", "VD-INI-05 VD-CRE-08",
     "creates variables with another node identifier than the one that BP returned",
     lambda self, status, size, now, wall: assign(self._core, own_id=self._core.own_id[:-1] + b"\x78"),
-    unseen={"1.1": "the application sets the producer up to 1.1"})  # fmt: skip
+    unseen={"1.1": "the application sets the producer up to 1.1"})
+# fmt: on
 
 
 @mutant("survives", "VD-INI-04", "keeps its variables across a reset")
@@ -100,15 +96,13 @@ class SendsInactive(Vardis):
         self._core.active = active
 
 
-# fmt: off
 instead(Vardis, Vardis.deactivate)("ignored", "VD-MGT-01 VD-MGT-02 VD-MGT-04",
     "confirms the deactivation of VarDis, which stays active",
-    lambda self: Confirm(VardisStatus.OK), since=V1_2)
+    lambda self: Confirm(VardisStatus.OK), since=V1_2)  # fmt: skip
 before(Vardis, Vardis.activate)("forgets", "VD-MGT-05", "clears the database when it is activated",
-    lambda self: self._database.clear(), since=V1_2)
+    lambda self: self._database.clear(), since=V1_2)  # fmt: skip
 instead(Vardis, Vardis.activate)("stays", "VD-MGT-05", "confirms the activation of VarDis, which stays inactive",
-    lambda self: Confirm(VardisStatus.OK), since=V1_2)
-# fmt: on
+    lambda self: Confirm(VardisStatus.OK), since=V1_2)  # fmt: skip
 
 
 # -- running -----------------------------------------------------------------------------------------------------------
@@ -116,8 +110,6 @@ instead(Vardis, Vardis.activate)("stays", "VD-MGT-05", "confirms the activation 
 
 skips(Vardis, Vardis.payload_transmitted)("ignored", "VD-RUN-01", "composes payloads only at buffer checks",
     lambda self, now, wall: True)  # fmt: skip
-
-
 before(Vardis, Vardis.handle_timeout)("ignored", "VD-RUN-02", "composes payloads only after BP has sent one",
     lambda self, now, wall: assign(self, _last_check=now))  # fmt: skip
 
@@ -172,12 +164,10 @@ class ScrubsDeleted(Cells):
     }
 
 
-# fmt: off
 expired("half", "VD-SCR-03", "deletes variables after half of their timeout",
-    lambda self, timeout, age: 0 < timeout * MS // 2 < age, since=V2)
+    lambda self, timeout, age: 0 < timeout * MS // 2 < age, since=V2)  # fmt: skip
 expired("double", "VD-SCR-01 VD-SCR-03", "deletes variables after twice their timeout",
-    lambda self, timeout, age: 0 < timeout * MS * 2 < age, since=V2)
-# fmt: on
+    lambda self, timeout, age: 0 < timeout * MS * 2 < age, since=V2)  # fmt: skip
 
 
 @mutant("silent", "VD-SCR-04", "deletes variables after their timeout without sending VarDeletes", since=V2)
@@ -207,16 +197,12 @@ class ScrubsAway(Vardis):
 cells = attributes(Cells, __name__)
 cells("foreign-only", "VD-SCR-05", "scrubs only variables of other nodes",
     since=V2, cells={(Event.TIMED_OUT, State.ALIVE_PRODUCER): Cell(Action.NONE)})  # fmt: skip
-
-
-# fmt: off
 on_entry(Receiver, Receiver._update)("not-refreshed", "VD-SCR-06",
     "does not restart the timeout of a variable when it receives an update of it",
-    lambda self, entry, before: assign(entry, refreshed=before.refreshed), since=V2)
+    lambda self, entry, before: assign(entry, refreshed=before.refreshed), since=V2)  # fmt: skip
 on_entry(Vardis, Vardis.update)("own-not-refreshed", "VD-SCR-03 VD-UPD-08",
     "does not restart the timeout of its own variable when it is updated",
-    lambda self, entry, before: assign(entry, refreshed=before.refreshed), since=V2)
-# fmt: on
+    lambda self, entry, before: assign(entry, refreshed=before.refreshed), since=V2)  # fmt: skip
 
 
 @mutant(

@@ -55,14 +55,8 @@ cells("again", "VD-DEL-04", "deletes a deleted variable again",
     since=V2, cells={(Event.APP_DELETE, DELETED_OWN): Cell(Action.DELETE)})
 cells("does-not-exist", "VD-DEL-04", "answers DOES-NOT-EXIST for its own deleted variable",
     since=V2, cells=_refused(Event.APP_DELETE, DOES_NOT_EXIST, DELETED_OWN))
-# fmt: on
-
-
 on_entry(Vardis, Vardis.delete)("silent", "VD-DEL-05", "deletes its own variables without sending VarDeletes",
-    lambda self, entry, before: drop(self._database.delete_q, entry, count_delete=0))  # fmt: skip
-
-
-# fmt: off
+    lambda self, entry, before: drop(self._database.delete_q, entry, count_delete=0))
 after_update = after(Vardis, Vardis.update)
 after_update("creates", "VD-UPD-02", "creates a variable that does not exist when it is to be updated",
     lambda self, confirm, var_id, value, *, now, wall: (

@@ -27,13 +27,11 @@ REQUESTS = (Event.RX_REQUEST_UPDATE_BEHIND, Event.RX_REQUEST_UPDATE_OTHER)
 # -- VarDelete ---------------------------------------------------------------------------------------------------------
 
 
+# fmt: off
 before(Receiver, Receiver._delete)("requested", "VD-PD-01",
     "requests an unknown variable when it receives a VarDelete of it",
     lambda self, record, offset: (
-        self._request(record.var_id, offset) if self._database.lookup(record.var_id) is None else None))  # fmt: skip
-
-
-# fmt: off
+        self._request(record.var_id, offset) if self._database.lookup(record.var_id) is None else None))
 cells = attributes(Cells, __name__)
 cells("again", "VD-PD-02 VD-SCP-03", "repeats the VarDelete of a deleted variable whenever it receives one",
     cells=within((DELETED,), Action.DELETE, Event.RX_DELETE))
@@ -47,12 +45,10 @@ cells("ignored", "VD-PD-04", "does not delete variables of other nodes",
 # -- VarUpdate ---------------------------------------------------------------------------------------------------------
 
 
-# fmt: off
 cells("ignored", "VD-PU-01", "does not request an unknown variable when it receives a VarUpdate of it",
-    cells=within((UNKNOWN,), Action.IGNORE, *UPDATES))
+    cells=within((UNKNOWN,), Action.IGNORE, *UPDATES))  # fmt: skip
 cells("requests-deleted", "VD-PU-02", "requests a deleted variable when it receives a VarUpdate of it",
-    cells=within((DELETED,), Action.REQUEST_CREATE, *UPDATES))
-# fmt: on
+    cells=within((DELETED,), Action.REQUEST_CREATE, *UPDATES))  # fmt: skip
 
 
 @mutant("revived", "VD-PU-02", "restores a deleted variable when it receives a VarUpdate of it")
@@ -65,14 +61,12 @@ class UpdateRevives(Receiver):
             super()._update(record, offset, now, wall)
 
 
-# fmt: off
 cells("stored-deleted", "VD-PU-02", "forwards VarUpdates of deleted variables",
-    cells=within((DELETED, DELETED_OWN), Action.STORE, Event.RX_UPDATE_NEWER))
+    cells=within((DELETED, DELETED_OWN), Action.STORE, Event.RX_UPDATE_NEWER))  # fmt: skip
 cells("own", "VD-PU-03", "accepts updates of its own variables from other nodes",
-    cells=within((PRODUCED,), Action.STORE, Event.RX_UPDATE_NEWER))
+    cells=within((PRODUCED,), Action.STORE, Event.RX_UPDATE_NEWER))  # fmt: skip
 cells("own-taught", "VD-PU-03", "answers an older VarUpdate of its own variable with its value",
-    cells=within((PRODUCED,), Action.TEACH, Event.RX_UPDATE_OLDER))
-# fmt: on
+    cells=within((PRODUCED,), Action.TEACH, Event.RX_UPDATE_OLDER))  # fmt: skip
 
 
 @mutant("any-length", "VD-PU-04", "stores values of any length from updates")
@@ -167,14 +161,8 @@ cells("producer-silent", "VD-RU-04", "does not answer requests for updates of it
     cells=within((PRODUCED,), Action.IGNORE, *REQUESTS))
 cells("with-create", "VD-RU-04", "answers a VarReqUpdate with a VarCreate",
     cells=within((PRODUCED, CONSUMED), Action.SEND_CREATE, Event.RX_REQUEST_UPDATE_BEHIND))
-# fmt: on
-
-
 on_entry(Receiver, Receiver._request_update)("once", "VD-RU-04", "answers a VarReqUpdate once, whatever the repCnt",
-    lambda self, entry, before: assign(entry, count_update=min(entry.count_update, 1)))  # fmt: skip
-
-
-# fmt: off
+    lambda self, entry, before: assign(entry, count_update=min(entry.count_update, 1)))
 cells("ignored", "VD-RC-01", "does not request an unknown variable when it receives a VarReqCreate for it",
     cells=within((UNKNOWN,), Action.IGNORE, Event.RX_REQUEST_CREATE))
 cells("requested", "VD-RC-04 VD-SCP-01",
@@ -203,16 +191,12 @@ cells("producer-silent", "VD-RC-03", "does not answer requests for its own varia
     cells=within((PRODUCED,), Action.IGNORE, Event.RX_REQUEST_CREATE))
 cells("with-update", "VD-RC-03", "answers a VarReqCreate with a VarUpdate",
     cells=within((PRODUCED, CONSUMED), Action.SEND_UPDATE, Event.RX_REQUEST_CREATE))
-# fmt: on
-
-
 on_entry(Receiver, Receiver._request_create)("once", "VD-RC-03", "answers a VarReqCreate once, whatever the repCnt",
-    lambda self, entry, before: assign(entry, count_create=min(entry.count_create, 1)))  # fmt: skip
-
-
+    lambda self, entry, before: assign(entry, count_create=min(entry.count_create, 1)))
 skips(Receiver, Receiver._request_create)("not-again", "VD-RC-03",
     "does not restart the repetitions of a VarCreate when the variable is requested again",
-    lambda self, record, offset: not (record.var_id not in self._database.create_q))  # fmt: skip
+    lambda self, record, offset: not (record.var_id not in self._database.create_q))
+# fmt: on
 
 
 # -- sequence numbers --------------------------------------------------------------------------------------------------

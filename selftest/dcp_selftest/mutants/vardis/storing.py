@@ -203,12 +203,10 @@ on_entry(Receiver, Receiver._request_update)("request-relayed", "VD-SCP-01",
 on_entry(Receiver, Receiver._request_create)("create-request-relayed", "VD-SCP-01 VD-RC-03",
     "forwards requests for variables that it can answer",
     lambda self, entry, before: self._database.req_create_q.append(entry.spec.var_id))
-# fmt: on
-
-
 instead(Vardis, Vardis.handle_payload)("while-inactive", "VD-MGT-03", "processes payloads while it is inactive",
     lambda self, payload, *, now, wall: self._receiver.process(self._extractor.extract(payload), now=now, wall=wall),
-    unseen=ALWAYS_ACTIVE)  # fmt: skip
+    unseen=ALWAYS_ACTIVE)
+# fmt: on
 
 
 @mutant(
