@@ -1,11 +1,13 @@
 """Families of mutants: nodes that differ in the same method or the same attributes, one line each.
 
-A family is made of a method of a part of the node (:func:`instead`, :func:`after`, :func:`around`, :func:`before`,
-:func:`then`, :func:`skips`) or of the attributes of a class (:func:`attributes`). Calling it makes one mutant.
+A family is made of a method or property of a part of the node, by a function that says how the behaviour differs
+(:func:`instead`, :func:`after`, :func:`around`, :func:`before`, :func:`then`, :func:`skips`, :func:`crashes`), or of
+the attributes of a class (:func:`attributes`). Calling it makes one mutant.
 """
 
 from __future__ import annotations
 
+import inspect
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -56,22 +58,31 @@ class Family(Generic[P, R]):
         module = behaviour.__module__ if behaviour is not None else self.module
         made = type(class_name, (self.base,), {"__module__": module, **attributes})
         if behaviour is not None:
-            setattr(made, self.method, self.override(behaviour, made))
+            override: Any = self.override(behaviour, made)
+            is_property = isinstance(inspect.getattr_static(self.base, self.method), property)
+            setattr(made, self.method, property(override) if is_property else override)
         return made
+
+
+def _name(method: Callable[..., Any]) -> str:
+    """Return the name of a method or of a property."""
+    name: str = getattr(method, "fget", method).__name__
+    return name
 
 
 def instead(base: type[Part], method: Callable[Concatenate[Part, P], R]) -> Family[Concatenate[Part, P], R]:
     """Return the family whose behaviour replaces ``method`` of ``base``."""
-    return Family(base, method.__name__, lambda behaviour, _: behaviour)
+    return Family(base, _name(method), lambda behaviour, _: behaviour)
 
 
 def after(base: type[Part], method: Callable[Concatenate[Part, P], R]) -> Family[Concatenate[Part, R, P], R]:
     """Return the family that changes the result of ``method``: a function of object, result and arguments."""
-    name = method.__name__
+    name = _name(method)
 
     def override(behaviour: Callable[Concatenate[Part, R, P], R], made: type) -> object:
         def changed(self: Part, /, *args: P.args, **kwargs: P.kwargs) -> R:
-            return behaviour(self, getattr(super(made, self), name)(*args, **kwargs), *args, **kwargs)
+            found: Any = getattr(super(made, self), name)
+            return behaviour(self, found(*args, **kwargs) if callable(found) else found, *args, **kwargs)
 
         return changed
 
@@ -137,6 +148,23 @@ def skips(base: type[Part], method: Callable[Concatenate[Part, P], None]) -> Fam
     return Family(base, name, override)
 
 
+def crashes(
+    base: type[Part], method: Callable[Concatenate[Part, P], R], error: Exception
+) -> Family[Concatenate[Part, P], object]:
+    """Return the family that raises ``error`` instead of ``method`` if a condition on object and arguments is true."""
+
+    def override(behaviour: Callable[Concatenate[Part, P], object], made: type) -> object:
+        def changed(self: Part, /, *args: P.args, **kwargs: P.kwargs) -> R:
+            if behaviour(self, *args, **kwargs):
+                raise error
+            result: R = getattr(super(made, self), method.__name__)(*args, **kwargs)
+            return result
+
+        return changed
+
+    return Family(base, method.__name__, override)
+
+
 def assign(target: object, **values: object) -> None:
     """Set attributes of ``target``."""
     for name, value in values.items():
@@ -148,4 +176,4 @@ def attributes(base: type, module: str) -> Family[..., Any]:
     return Family(base, "", lambda behaviour, _: behaviour, module)
 
 
-__all__ = ["Family", "after", "around", "assign", "attributes", "before", "instead", "skips", "then"]
+__all__ = ["Family", "after", "around", "assign", "attributes", "before", "crashes", "instead", "skips", "then"]

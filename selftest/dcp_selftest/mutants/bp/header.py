@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Iterable
 
-from dcp_codec.values import Beacon, Payload
+from dcp_codec.values import Payload
 from dcp_selftest.mutants.air import Air
-from dcp_selftest.mutants.family import after, attributes, instead
+from dcp_selftest.mutants.family import after, around, attributes, instead
 from dcp_selftest.mutants.mutant import mutant
 from dcp_selftest.mutants.unseen import NO_LENGTH, NO_NETWORK
 from dcp_stack.bp.entity import BeaconingProtocol
@@ -15,6 +14,11 @@ from dcp_stack.bp.wire import BPWire
 from dcp_stack.effects import SendBeacon
 
 Blocks = list[tuple[int, bytes]]
+
+
+def swapped(number: int) -> int:
+    """Return a number of two octets with its octets exchanged."""
+    return int.from_bytes(number.to_bytes(2, "little"), "big")
 
 
 class Wire(BPWire):
@@ -80,11 +84,9 @@ class OtherOrder(BPWire):
         return octets[:start] + counter + number + octets[start + 5 :]
 
 
-@mutant("swapped-protocol", "BP-HDR-11 DATA-01", "sends protocol identifiers little-endian")
-class SwappedProtocol(BPWire):
-    def build(self, seqno: int, network_id: int | None, blocks: Blocks) -> bytes:
-        swapped = [(int.from_bytes(number.to_bytes(2, "little"), "big"), payload) for number, payload in blocks]
-        return super().build(seqno, network_id, swapped)
+around(BPWire, BPWire.build)("swapped-protocol", "BP-HDR-11 DATA-01", "sends protocol identifiers little-endian",
+    lambda self, proceed, seqno, network_id, blocks: (
+        proceed(seqno, network_id, [(swapped(number), payload) for number, payload in blocks])))  # fmt: skip
 
 
 @mutant("block-length-swapped", "DATA-01 BP-HDR-10 BP-FMT-01", "sends block lengths little-endian")
@@ -112,8 +114,7 @@ class BlockLengthWithHeader(BPWire):
 @mutant("all-swapped", "DATA-01", "sends all integers of the headers little-endian")
 class AllSwapped(SwappedBlockLength):
     def build(self, seqno: int, network_id: int | None, blocks: Blocks) -> bytes:
-        swapped = [(int.from_bytes(number.to_bytes(2, "little"), "big"), payload) for number, payload in blocks]
-        octets = super().build(seqno, network_id, swapped)
+        octets = super().build(seqno, network_id, [(swapped(number), payload) for number, payload in blocks])
         for field in ("magicNo", "networkId", "length", "seqno"):
             place = self._places.get(field)
             if place is not None:
@@ -217,8 +218,8 @@ class EmptyBeacons(BeaconingProtocol):
             self._emit(SendBeacon(bytes(octets), before, 0))
 
 
-@mutant("wrong-place", "BP-HDR-11", "exchanges the protocol identifiers of SRP and VarDis")
-class Exchanged(Air):
-    def blocks(self, beacon: Beacon) -> Iterable[Payload]:
-        for block in beacon.payloads:
-            yield Payload({1: 2, 2: 1}.get(block.protocol_id, block.protocol_id), block.content)
+# fmt: off
+instead(Air, Air.blocks)("wrong-place", "BP-HDR-11", "exchanges the protocol identifiers of SRP and VarDis",
+    lambda self, beacon: (
+        [Payload({1: 2, 2: 1}.get(each.protocol_id, each.protocol_id), each.content) for each in beacon.payloads]))
+# fmt: on

@@ -6,6 +6,7 @@ import msgspec
 from dcp_spec.constants import SpecVersion
 from dcp_spec.status import BPStatus
 
+from dcp_selftest.mutants.bp.receive import Blocks
 from dcp_selftest.mutants.family import after, before, instead, skips, then
 from dcp_selftest.mutants.mutant import mutant
 from dcp_selftest.mutants.unseen import BP_ALWAYS_ACTIVE
@@ -14,7 +15,7 @@ from dcp_stack.bp.entity import BeaconingProtocol
 from dcp_stack.bp.queue import Client
 from dcp_stack.bp.receive import Receiver
 from dcp_stack.bp.services import ListConfirm, RegisterConfirm, Registration, StatusConfirm
-from dcp_stack.bp.wire import Block, BPWire, Reception
+from dcp_stack.bp.wire import Block
 
 
 def _others(clients: ClientList) -> list[Client]:
@@ -135,13 +136,10 @@ class Arrears(BeaconingProtocol):
         super().handle_timeout(now, wall)
 
 
-# fmt: off
-after(BPWire, BPWire.parse)("thirty", "BP-RX-07", "processes at most 30 blocks of a beacon",
-    lambda self, found, octets: (
-        Reception(found.header, found.blocks[:30], found.fault, found.refused, count_agrees=found.count_agrees)))
+instead(Blocks, Blocks.chosen)("thirty", "BP-RX-07", "processes at most 30 blocks of a beacon",
+    lambda self, blocks: blocks[:30])  # fmt: skip
 skips(Receiver, Receiver._deliver)("limited-1000", "BP-RXP-01 UWB-06", "delivers no payload of more than 900 octets",
-    lambda self, block, sender: len(block.payload) > 900)
+    lambda self, block, sender: len(block.payload) > 900)  # fmt: skip
 before(BeaconingProtocol, BeaconingProtocol.activate)("paused-empties", "BP-MGT-05 BP-QM-03",
     "clears queues when it is activated",
-    lambda self, now: _empty(self._clients))
-# fmt: on
+    lambda self, now: _empty(self._clients))  # fmt: skip

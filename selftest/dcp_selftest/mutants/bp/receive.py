@@ -7,7 +7,7 @@ from typing import Any
 
 from dcp_codec.values import BPHeader
 from dcp_selftest.mutants.air import Air
-from dcp_selftest.mutants.family import after, around, instead
+from dcp_selftest.mutants.family import after, around, crashes, instead
 from dcp_selftest.mutants.mutant import mutant
 from dcp_stack.bp.receive import Receiver
 from dcp_stack.bp.wire import Block, BPWire, Reception
@@ -135,12 +135,8 @@ class UnknownEnds(Receiver):
             super()._deliver(block, sender)
 
 
-@mutant("unknown-drops", "BP-RX-08", "ignores beacons with a block of an unregistered protocol")
-class UnknownDrops(BPWire):
-    def parse(self, octets: bytes) -> Reception:
-        found = super().parse(octets)
-        foreign = any(block.protocol_id > 0x1000 for block in found.blocks)
-        return Reception(found.header, () if foreign else found.blocks, found.fault, found.refused, found.count_agrees)
+chosen("unknown-drops", "BP-RX-08", "ignores beacons with a block of an unregistered protocol",
+    lambda self, blocks: () if any(block.protocol_id > 0x1000 for block in blocks) else blocks)  # fmt: skip
 
 
 @mutant("cut-delivered", "BP-RX-09", "delivers the available part of a block that extends past the end")
@@ -187,35 +183,18 @@ class OlderDropped(Receiver):
 # fmt: off
 instead(Lenient, Lenient.repaired)("padding-refused", "BP-RX-14", "ignores frames with padding after the beacon",
     lambda self, octets: octets if (self.number(octets, "length") == len(octets) - self.header_size) else octets[:4])
-# fmt: on
-
-
-@mutant("dies", "BP-RX-15", "crashes on a length past the end of the frame")
-class CrashesOnLength(Lenient):
-    def repaired(self, octets: bytearray) -> bytearray:
-        if self.number(octets, "length") > len(octets) - self.header_size:
-            raise IndexError("a read past the end of the frame")
-        return octets
-
-
-@mutant("dies-of-short", "BP-RX-16", "crashes on a frame shorter than the header")
-class CrashesOnShort(BPWire):
-    def parse(self, octets: bytes) -> Reception:
-        if len(octets) < self.header_size:
-            raise IndexError("a read past the end of the frame")
-        return super().parse(octets)
-
-
+crashes(Lenient, Lenient.repaired, IndexError("a read past the end of the frame"))("dies", "BP-RX-15",
+    "crashes on a length past the end of the frame",
+    lambda self, octets: self.number(octets, "length") > len(octets) - self.header_size)
+crashes(BPWire, BPWire.parse, IndexError("a read past the end of the frame"))("dies-of-short", "BP-RX-16",
+    "crashes on a frame shorter than the header",
+    lambda self, octets: len(octets) < self.header_size)
 chosen("dies-of-empty", "BP-RX-16", "crashes on a block without a payload",
-    lambda self, blocks: tuple(block for block in blocks if block.payload[0] >= 0))  # fmt: skip
-
-
-@mutant("dies-of-nothing", "BP-RX-16", "crashes on an empty frame")
-class CrashesOnNothing(BPWire):
-    def parse(self, octets: bytes) -> Reception:
-        if not octets:
-            raise IndexError("a read of an empty frame")
-        return super().parse(octets)
+    lambda self, blocks: tuple(block for block in blocks if block.payload[0] >= 0))
+crashes(BPWire, BPWire.parse, IndexError("a read of an empty frame"))("dies-of-nothing", "BP-RX-16",
+    "crashes on an empty frame",
+    lambda self, octets: not octets)
+# fmt: on
 
 
 @mutant("mute", "BP-RX-16", "receives nothing after 20 frames that are not beacons")

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from dcp_selftest.mutants.family import after, assign, attributes, before
+from dcp_selftest.mutants.bp.receive import Blocks
+from dcp_selftest.mutants.family import assign, attributes, before, instead
 from dcp_selftest.mutants.mutant import mutant
 from dcp_selftest.mutants.unseen import BP_ALWAYS_ACTIVE, ONE_PAYLOAD
 from dcp_stack.bp.clients import Chosen, ClientList
 from dcp_stack.bp.entity import BeaconingProtocol
 from dcp_stack.bp.receive import Receiver
 from dcp_stack.bp.services import StatusConfirm
-from dcp_stack.bp.wire import Block, BPWire, Reception
+from dcp_stack.bp.wire import Block
 
 
 class _Dummy(ClientList):
@@ -58,11 +59,8 @@ class ReactivateClears(BeaconingProtocol):
         return super().activate(now)
 
 
-# fmt: off
-after(BPWire, BPWire.parse)("eight", "BP-RX-07", "processes at most eight blocks of a beacon",
-    lambda self, found, octets: (
-        Reception(found.header, found.blocks[:8], found.fault, found.refused, count_agrees=found.count_agrees)))
-# fmt: on
+instead(Blocks, Blocks.chosen)("eight", "BP-RX-07", "processes at most eight blocks of a beacon",
+    lambda self, blocks: blocks[:8])  # fmt: skip
 
 
 @mutant("empty-ends", "BP-RX-08", "stops at a block of length 0 of an unregistered protocol")

@@ -40,13 +40,12 @@ class WholeQueue(ClientList):
         return super().take(room, size, most)
 
 
-@mutant("whole-header", "BP-REG-11", "counts the whole header in the limit for registrations, as later versions do")
-class WholeHeader(BeaconingProtocol):
-    def register(self, prot_id: int, *rest: Any, now: int, wall: int) -> RegisterConfirm:
-        largest = self._parameters.max_packet_size - self._wire.block_header_size - self._wire.header_size
-        if rest[1] > largest and prot_id > 2:
-            return RegisterConfirm(BPStatus.ILLEGAL_MAX_PAYLOAD_SIZE, None)
-        return super().register(prot_id, *rest, now=now, wall=wall)
+around(BeaconingProtocol, BeaconingProtocol.register)("whole-header", "BP-REG-11",
+    "counts the whole header in the limit for registrations, as later versions do",
+    lambda self, proceed, prot_id, *rest, now, wall: (
+        RegisterConfirm(BPStatus.ILLEGAL_MAX_PAYLOAD_SIZE, None)
+        if rest[1] > (self._parameters.max_packet_size - self._wire.block_header_size - self._wire.header_size)
+        and prot_id > 2 else proceed(prot_id, *rest, now=now, wall=wall)))  # fmt: skip
 
 
 @mutant("as-once", "BP-REG-12", "registers every client with mode ONCE")

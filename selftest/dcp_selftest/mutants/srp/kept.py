@@ -8,22 +8,17 @@ from typing import Any, Literal
 import msgspec
 
 from dcp_codec.values import ExtendedSafetyData, SafetyData
-from dcp_selftest.mutants.family import around
+from dcp_selftest.mutants.family import around, assign, then
 from dcp_selftest.mutants.mutant import mutant
 from dcp_selftest.mutants.unseen import BP_ALWAYS_ACTIVE
 from dcp_stack.srp.entity import StateReporting, UpdateSafetyDataConfirm
 from dcp_stack.srp.neighbour_table import NeighbourTable
 
-
-@mutant("touches-others", "SRP-RX-03", "renews the entries of all neighbours with every report")
-class TouchesOthers(NeighbourTable):
-    def record(
-        self, report: ExtendedSafetyData, sender_id: bytes, *, now: int, wall: int
-    ) -> Literal["new", "replaced", "full"]:
-        outcome = super().record(report, sender_id, now=now, wall=wall)
-        for node_id, entry in self._entries.items():
-            self._entries[node_id] = msgspec.structs.replace(entry, reception_time=wall, received_at=now)
-        return outcome
+then(NeighbourTable, NeighbourTable.record)("touches-others", "SRP-RX-03",
+    "renews the entries of all neighbours with every report",
+    lambda self, result, report, sender_id, *, now, wall: (
+        assign(self, _entries={node_id: msgspec.structs.replace(entry, reception_time=wall, received_at=now)
+        for node_id, entry in self._entries.items()})))  # fmt: skip
 
 
 @mutant("one-stamp", "SRP-RX-03", "stores the tStamp of the last report for all neighbours")

@@ -202,10 +202,10 @@ class OwnSender(StateReporting):
         self._node_id = node_id
 
 
-@mutant("longer", "SRP-RX-01", "accepts reports followed by further octets")
-class TakesLonger(StateReporting):
-    def handle_payload(self, payload: bytes, sender_id: bytes, *, now: int, wall: int) -> None:
-        super().handle_payload(payload[: self.record_size], sender_id, now=now, wall=wall)
+around(StateReporting, StateReporting.handle_payload)("longer", "SRP-RX-01",
+    "accepts reports followed by further octets",
+    lambda self, proceed, payload, sender_id, *, now, wall: (
+        proceed(payload[: self.record_size], sender_id, now=now, wall=wall)))  # fmt: skip
 
 
 @mutant("shorter", "SRP-RX-01", "accepts truncated reports")

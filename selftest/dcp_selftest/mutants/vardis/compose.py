@@ -14,7 +14,7 @@ from dcp_codec.values import (
     VarSumm,
 )
 from dcp_selftest.mutants.air import Air
-from dcp_selftest.mutants.family import around, attributes, instead
+from dcp_selftest.mutants.family import after, around, attributes, instead
 from dcp_selftest.mutants.mutant import mutant
 from dcp_stack.vardis.compose import Composer
 from dcp_stack.vardis.database import IdQueue
@@ -151,18 +151,14 @@ class Skips(Composer):
         return chosen, used if chosen else 0
 
 
-@mutant("stops", "VD-CMP-08", "sends no further container after one whose first record does not fit")
-class Stops(Composer):
-    def _fitting(self, kind: ContainerType, queue: IdQueue, room: int, largest: int) -> tuple[list[int], int]:
-        chosen, used = super()._fitting(kind, queue, room, largest)
-        return (chosen, used) if chosen or kind is S else (chosen, room)
-
-
-@mutant("doubled", "VD-PAY-03", "sends each record twice in a container if there is room")
-class Doubled(Composer):
-    def compose(self, room: int) -> tuple[Container, ...]:
-        composed = super().compose(room // 2)
-        return tuple(Container(each.ic_type, (*each.records, *each.records)[:255]) for each in composed)
+# fmt: off
+after(Composer, Composer._fitting)("stops", "VD-CMP-08",
+    "sends no further container after one whose first record does not fit",
+    lambda self, fitting, kind, queue, room, largest: fitting if fitting[0] or kind is S else (fitting[0], room))
+around(Composer, Composer.compose)("doubled", "VD-PAY-03", "sends each record twice in a container if there is room",
+    lambda self, proceed, room: (
+        tuple(Container(each.ic_type, (*each.records, *each.records)[:255]) for each in proceed(room // 2))))
+# fmt: on
 
 
 @mutant("too-large", "VD-IC-05", "ignores the headers of containers when it fills a payload")

@@ -8,7 +8,7 @@ import msgspec
 from dcp_spec.constants import SpecVersion
 from dcp_spec.parameters import Violation
 
-from dcp_selftest.mutants.family import around, attributes
+from dcp_selftest.mutants.family import after, around, attributes
 from dcp_selftest.mutants.mutant import mutant
 from dcp_stack.config import NodeConfig
 from dcp_stack.vardis.entity import Vardis
@@ -58,58 +58,24 @@ around_set("fifteen", "VD-PAR-10", "accepts no maximum repetition count above 15
     lambda self, proceed, name, value: (
         proceed(name, 0) if name == REPETITIONS and isinstance(value, int) and value > 15 else proceed(name, value)))
 unbound("zero", "VD-PAR-10", "accepts 0 as the maximum repetition count", name=REPETITIONS, wrong=range(1))
-# fmt: on
-
-
-@mutant("zero", "VD-PAR-05", "accepts 0 as the maximum payload size")
-class PayloadZero(Unbound):
-    name = PAYLOAD_SIZE
-    wrong = range(1)
-
-    @property
-    def max_payload_size(self) -> int:
-        return super().max_payload_size or 1000
-
-
-@mutant("no-bound", "VD-PAR-05", "accepts a maximum payload size that does not fit into a beacon")
-class PayloadUnbound(Unbound):
-    name = PAYLOAD_SIZE
-
-    @property
-    def max_payload_size(self) -> int:
-        return min(super().max_payload_size, 1000)
-
-
+after_max_payload_size = after(Unbound, Unbound.max_payload_size)
+after_max_payload_size("zero", "VD-PAR-05", "accepts 0 as the maximum payload size",
+    lambda self, size: size or 1000, name=PAYLOAD_SIZE, wrong=range(1))
+after_max_payload_size("no-bound", "VD-PAR-05", "accepts a maximum payload size that does not fit into a beacon",
+    lambda self, size: min(size, 1000), name=PAYLOAD_SIZE)
 unbound("no-bound", "VD-PAR-06", "accepts a maximum number of summaries that does not fit into a payload",
-    name=SUMMARIES)  # fmt: skip
+    name=SUMMARIES)
 around_set("no-zero", "VD-PAR-06", "rejects 0 as the maximum number of summaries",
     lambda self, proceed, name, value: (
         Violation(parameter=name, value=value, bound="at least 1", requirement="VD-PAR-06")
-        if name == SUMMARIES and value == 0 else proceed(name, value)))  # fmt: skip
-
-
-@mutant("zero", "VD-PAR-07", "accepts a scrubbing period of 0 ms", since=V2)
-class ScrubbingZero(Unbound):
-    name = SCRUBBING_PERIOD
-    wrong = range(1)
-
-    @property
-    def scrubbing_period_ms(self) -> int:
-        return super().scrubbing_period_ms or 1000
-
-
+        if name == SUMMARIES and value == 0 else proceed(name, value)))
+after(Unbound, Unbound.scrubbing_period_ms)("zero", "VD-PAR-07", "accepts a scrubbing period of 0 ms",
+    lambda self, period: period or 1000, since=V2, name=SCRUBBING_PERIOD, wrong=range(1))
 unbound("no-bound", "VD-PAR-07", "accepts a scrubbing period above 65000 ms", since=V2, name=SCRUBBING_PERIOD)
 unbound("no-bound", "VD-PAR-08", "accepts a buffer check period above 65000 ms", name=BUFFER_CHECK_PERIOD)
-
-
-@mutant("zero", "VD-PAR-08", "accepts a buffer check period of 0 ms")
-class CheckZero(Unbound):
-    name = BUFFER_CHECK_PERIOD
-    wrong = range(1)
-
-    @property
-    def buffer_check_period_ms(self) -> int:
-        return super().buffer_check_period_ms or 50
+after(Unbound, Unbound.buffer_check_period_ms)("zero", "VD-PAR-08", "accepts a buffer check period of 0 ms",
+    lambda self, period: period or 50, name=BUFFER_CHECK_PERIOD, wrong=range(1))
+# fmt: on
 
 
 @mutant("forgets", "VD-PAR-01", "keeps using the initial values of parameters")

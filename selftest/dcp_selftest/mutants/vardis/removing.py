@@ -116,24 +116,12 @@ class CheckingEnds(Vardis):
 # -- limits that are equal by default ----------------------------------------------------------------------------------
 
 
-@mutant(
-    "value-by-description",
-    "VD-PC-04 VD-PU-04 VD-CRE-05 VD-UPD-05",
-    "compares the length of values with the maximum of descriptions",
-)
-class ValueByDescription(VardisParameters):
-    @property
-    def max_value_length(self) -> int:
-        return self.longest_description
-
-
-@mutant("description-by-value", "VD-PC-05 VD-CRE-04", "compares the length of descriptions with the maximum of values")
-class DescriptionByValue(VardisParameters):
-    @property
-    def longest_description(self) -> int:
-        return self.max_value_length
-
-
+instead(VardisParameters, VardisParameters.max_value_length)("value-by-description",
+    "VD-PC-04 VD-PU-04 VD-CRE-05 VD-UPD-05", "compares the length of values with the maximum of descriptions",
+    lambda self: self.longest_description)  # fmt: skip
+instead(VardisParameters, VardisParameters.longest_description)("description-by-value", "VD-PC-05 VD-CRE-04",
+    "compares the length of descriptions with the maximum of values",
+    lambda self: self.max_value_length)  # fmt: skip
 instead(Receiver, Receiver._is_bad_value)("received-by-description", "VD-PC-04 VD-PU-04",
     "compares the length of received values with the maximum of descriptions",
     lambda self, value: (

@@ -9,9 +9,9 @@ from dcp_spec.constants import QueueingMode, SpecVersion
 from dcp_spec.status import VardisStatus
 
 from dcp_selftest.mutants.air import Air
-from dcp_selftest.mutants.cells import Cells
+from dcp_selftest.mutants.cells import Cells, within
 from dcp_selftest.mutants.entries import Expires, on_entry
-from dcp_selftest.mutants.family import around, assign, attributes, before, instead, skips, then
+from dcp_selftest.mutants.family import after, around, assign, attributes, before, instead, skips, then
 from dcp_selftest.mutants.mutant import mutant
 from dcp_selftest.mutants.port import Port
 from dcp_selftest.mutants.unseen import ALWAYS_ACTIVE
@@ -128,11 +128,9 @@ class AlwaysComposes(Ported):
             return type(confirm)(confirm.status, 0 if confirm.status.is_ok else None)
 
 
-@mutant("slow", "VD-RUN-02 VD-PAR-08", "checks the buffer ten times less often than the parameter requires")
-class ChecksSlowly(VardisParameters):
-    @property
-    def buffer_check_period_ms(self) -> int:
-        return super().buffer_check_period_ms * 10
+after(VardisParameters, VardisParameters.buffer_check_period_ms)("slow", "VD-RUN-02 VD-PAR-08",
+    "checks the buffer ten times less often than the parameter requires",
+    lambda self, period: period * 10)  # fmt: skip
 
 
 # -- scrubbing ---------------------------------------------------------------------------------------------------------
@@ -151,23 +149,18 @@ class ScrubsSlowly(Vardis):
             super()._scrub(now)
 
 
+# fmt: off
 expired = instead(Expires, Expires.expired)
 expired("zero", "VD-SCR-02", "deletes variables with timeout 0",
-    lambda self, timeout, age: not timeout and age > 0, since=V2, also=True)  # fmt: skip
-
-
-@mutant("deleted", "VD-SCR-02", "repeats the VarDelete of deleted variables after their timeout", since=V2)
-class ScrubsDeleted(Cells):
-    cells: ClassVar = {
-        (Event.TIMED_OUT, State.DELETED_PRODUCER): Cell(Action.DELETE),
-        (Event.TIMED_OUT, State.DELETED_CONSUMER): Cell(Action.DELETE),
-    }
-
-
+    lambda self, timeout, age: not timeout and age > 0, since=V2, also=True)
+cells = attributes(Cells, __name__)
+cells("deleted", "VD-SCR-02", "repeats the VarDelete of deleted variables after their timeout",
+    since=V2, cells=within((State.DELETED_PRODUCER, State.DELETED_CONSUMER), Action.DELETE, Event.TIMED_OUT))
 expired("half", "VD-SCR-03", "deletes variables after half of their timeout",
-    lambda self, timeout, age: 0 < timeout * MS // 2 < age, since=V2)  # fmt: skip
+    lambda self, timeout, age: 0 < timeout * MS // 2 < age, since=V2)
 expired("double", "VD-SCR-01 VD-SCR-03", "deletes variables after twice their timeout",
-    lambda self, timeout, age: 0 < timeout * MS * 2 < age, since=V2)  # fmt: skip
+    lambda self, timeout, age: 0 < timeout * MS * 2 < age, since=V2)
+# fmt: on
 
 
 @mutant("silent", "VD-SCR-04", "deletes variables after their timeout without sending VarDeletes", since=V2)
@@ -194,7 +187,6 @@ class ScrubsAway(Vardis):
                 del self._database.entries[var_id]
 
 
-cells = attributes(Cells, __name__)
 cells("foreign-only", "VD-SCR-05", "scrubs only variables of other nodes",
     since=V2, cells={(Event.TIMED_OUT, State.ALIVE_PRODUCER): Cell(Action.NONE)})  # fmt: skip
 on_entry(Receiver, Receiver._update)("not-refreshed", "VD-SCR-06",

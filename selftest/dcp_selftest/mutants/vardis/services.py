@@ -15,7 +15,6 @@ from dcp_selftest.mutants.mutant import mutant
 from dcp_selftest.mutants.unseen import ALWAYS_ACTIVE
 from dcp_stack.vardis.confirms import (
     Confirm,
-    DescribeDatabaseConfirm,
     DescribeVariableConfirm,
     NoResponseError,
     ReadConfirm,
@@ -175,18 +174,10 @@ after_describe_database = after(Vardis, Vardis.describe_database)
 after_describe_database("hides-deleted", "VD-DDB-02 VD-DB-02", "omits deleted variables from RTDB-DescribeDatabase",
     lambda self, confirm: (
         msgspec.structs.replace(confirm, variables=tuple(each for each in confirm.variables if not each.is_deleted))))
-# fmt: on
-
-
-@mutant("own-only", "VD-DDB-02", "describes only its own variables")
-class OwnOnly(Vardis):
-    def describe_database(self) -> DescribeDatabaseConfirm:
-        confirm = super().describe_database()
-        own = tuple(each for each in confirm.variables if each.spec.prod_id == self.own_node_identifier)
-        return msgspec.structs.replace(confirm, variables=own)
-
-
-# fmt: off
+after_describe_database("own-only", "VD-DDB-02", "describes only its own variables",
+    lambda self, confirm: (
+        msgspec.structs.replace(confirm, variables=tuple(each for each in confirm.variables
+        if each.spec.prod_id == self.own_node_identifier))))
 after_describe_variable = after(Vardis, Vardis.describe_variable)
 after_describe_variable("unknown-ok", "VD-DVA-02", "answers OK when a variable to be described does not exist",
     lambda self, confirm, var_id: DescribeVariableConfirm(OK) if confirm.status is DOES_NOT_EXIST else confirm)

@@ -61,23 +61,18 @@ class UpdateRevives(Receiver):
             super()._update(record, offset, now, wall)
 
 
-cells("stored-deleted", "VD-PU-02", "forwards VarUpdates of deleted variables",
-    cells=within((DELETED, DELETED_OWN), Action.STORE, Event.RX_UPDATE_NEWER))  # fmt: skip
-cells("own", "VD-PU-03", "accepts updates of its own variables from other nodes",
-    cells=within((PRODUCED,), Action.STORE, Event.RX_UPDATE_NEWER))  # fmt: skip
-cells("own-taught", "VD-PU-03", "answers an older VarUpdate of its own variable with its value",
-    cells=within((PRODUCED,), Action.TEACH, Event.RX_UPDATE_OLDER))  # fmt: skip
-
-
-@mutant("any-length", "VD-PU-04", "stores values of any length from updates")
-class AnyUpdate(Receiver):
-    def _update_event(self, record: VarUpdate, entry: DBEntry | None) -> Event:
-        value = record.value[: self._parameters.max_value_length] or b"-"
-        return super()._update_event(VarUpdate(record.var_id, record.seqno, value), entry)
-
-
 # fmt: off
+cells("stored-deleted", "VD-PU-02", "forwards VarUpdates of deleted variables",
+    cells=within((DELETED, DELETED_OWN), Action.STORE, Event.RX_UPDATE_NEWER))
+cells("own", "VD-PU-03", "accepts updates of its own variables from other nodes",
+    cells=within((PRODUCED,), Action.STORE, Event.RX_UPDATE_NEWER))
+cells("own-taught", "VD-PU-03", "answers an older VarUpdate of its own variable with its value",
+    cells=within((PRODUCED,), Action.TEACH, Event.RX_UPDATE_OLDER))
 around_update_event = around(Receiver, Receiver._update_event)
+around_update_event("any-length", "VD-PU-04", "stores values of any length from updates",
+    lambda self, proceed, record, entry: (
+        proceed(VarUpdate(record.var_id, record.seqno, record.value[: self._parameters.max_value_length] or b"-"),
+        entry)))
 around_update_event("empty", "VD-PU-04 VD-TYP-02", "stores the empty value of a VarUpdate",
     lambda self, proceed, record, entry: proceed(VarUpdate(record.var_id, record.seqno, record.value or b"-"), entry),
     since=SpecVersion.V1_2)

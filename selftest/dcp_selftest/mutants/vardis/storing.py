@@ -38,15 +38,10 @@ class Stores(Receiver):
 record = instead(Stores, Stores.record)
 record("seqno-zero", "VD-PC-07", "stores variables of other nodes with sequence number 0",
     lambda self, record, wall: VarCreate(record.spec, VarUpdate(record.upd.var_id, 0, record.upd.value)))  # fmt: skip
-
-
-@mutant("nul-value", "VD-PC-07 DATA-06", "stores values only up to the first zero octet")
-class NulValue(Stores):
-    def record(self, record: VarCreate, wall: int) -> VarCreate:
-        value = record.upd.value[:1] + record.upd.value[1:].partition(b"\0")[0]
-        return VarCreate(record.spec, VarUpdate(record.upd.var_id, record.upd.seqno, value))
-
-
+record("nul-value", "VD-PC-07 DATA-06", "stores values only up to the first zero octet",
+    lambda self, record, wall: (
+        VarCreate(record.spec, VarUpdate(record.upd.var_id, record.upd.seqno,
+        record.upd.value[:1] + record.upd.value[1:].partition(b"\0")[0]))))  # fmt: skip
 record("producer", "VD-PC-10 VD-TYP-06", "forwards variables with itself as the producer",
     lambda self, record, wall: (
         record if (record.spec.prod_id == self._core.own_id)
