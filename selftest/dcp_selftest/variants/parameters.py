@@ -105,11 +105,7 @@ def _build(corner: _Corner, value: int, knowledge: str) -> Callable[[str], Setup
 
 
 #: Sources from which the tester gets the value.
-_SOURCES = {
-    "get": "reported by its upper tester",
-    "pixit": "stated in the PIXIT",
-    "unknown": "unknown to the tester",
-}
+_SOURCES = {"get": "reported by its upper tester", "pixit": "stated in the PIXIT", "unknown": "unknown to the tester"}
 
 
 def _variants() -> Iterator[Variant]:

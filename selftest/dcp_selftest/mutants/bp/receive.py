@@ -7,7 +7,7 @@ from typing import Any
 
 from dcp_codec.values import BPHeader
 from dcp_selftest.mutants.air import Air
-from dcp_selftest.mutants.family import after, around, crashes, instead
+from dcp_selftest.mutants.family import after, around, attributes, crashes, instead
 from dcp_selftest.mutants.mutant import mutant
 from dcp_stack.bp.receive import Receiver
 from dcp_stack.bp.wire import Block, BPWire, Reception
@@ -121,8 +121,9 @@ chosen("twice", "BP-RXP-02", "delivers every payload twice",
     lambda self, blocks: tuple(block for each in blocks for block in (each, each)))  # fmt: skip
 
 
-@mutant("unknown-ends", "BP-RX-08", "stops at a block of an unregistered protocol")
-class UnknownEnds(Receiver):
+class Ends(Receiver):
+    """Stops at some blocks."""
+
     stopped = False
 
     def receive(self, octets: bytes, now: int) -> None:
@@ -130,9 +131,16 @@ class UnknownEnds(Receiver):
         super().receive(octets, now)
 
     def _deliver(self, block: Block, sender: bytes) -> None:
-        self.stopped = self.stopped or block.protocol_id not in self._clients
+        self.stopped = self.stopped or self.ends(block)
         if not self.stopped:
             super()._deliver(block, sender)
+
+    def ends(self, block: Block) -> bool:
+        """Return whether this block and those behind it are not delivered."""
+        return block.protocol_id not in self._clients
+
+
+attributes(Ends, __name__)("unknown-ends", "BP-RX-08", "stops at a block of an unregistered protocol")
 
 
 chosen("unknown-drops", "BP-RX-08", "ignores beacons with a block of an unregistered protocol",

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from dcp_selftest.mutants.bp.receive import Blocks
-from dcp_selftest.mutants.family import assign, attributes, before, instead
+from dcp_selftest.mutants.bp.receive import Blocks, Ends
+from dcp_selftest.mutants.family import after, assign, attributes, before, instead
 from dcp_selftest.mutants.mutant import mutant
 from dcp_selftest.mutants.unseen import BP_ALWAYS_ACTIVE, ONE_PAYLOAD
 from dcp_stack.bp.clients import Chosen, ClientList
 from dcp_stack.bp.entity import BeaconingProtocol
-from dcp_stack.bp.receive import Receiver
 from dcp_stack.bp.services import StatusConfirm
-from dcp_stack.bp.wire import Block
 
 
 class _Dummy(ClientList):
@@ -63,15 +61,5 @@ instead(Blocks, Blocks.chosen)("eight", "BP-RX-07", "processes at most eight blo
     lambda self, blocks: blocks[:8])  # fmt: skip
 
 
-@mutant("empty-ends", "BP-RX-08", "stops at a block of length 0 of an unregistered protocol")
-class StopsAtEmptyBlock(Receiver):
-    stopped = False
-
-    def receive(self, octets: bytes, now: int) -> None:
-        self.stopped = False
-        super().receive(octets, now)
-
-    def _deliver(self, block: Block, sender: bytes) -> None:
-        self.stopped = self.stopped or (not block.payload and block.protocol_id not in self._clients)
-        if not self.stopped:
-            super()._deliver(block, sender)
+after(Ends, Ends.ends)("empty-ends", "BP-RX-08", "stops at a block of length 0 of an unregistered protocol",
+    lambda self, unknown, block: unknown and not block.payload)  # fmt: skip

@@ -7,12 +7,7 @@ from typing import Any, ClassVar
 
 from dcp_spec.constants import BP_PROTID_VARDIS, ICType, SpecVersion
 
-from dcp_codec.values import (
-    Container,
-    VarReqCreate,
-    VarReqUpdate,
-    VarSumm,
-)
+from dcp_codec.values import Container, VarReqCreate, VarReqUpdate, VarSumm
 from dcp_selftest.mutants.air import Air
 from dcp_selftest.mutants.family import after, around, attributes, instead
 from dcp_selftest.mutants.mutant import mutant
@@ -170,42 +165,32 @@ class TooLarge(Composer):
         return composed
 
 
-@mutant(
-    "parameter",
-    "VD-IC-05 VD-PAR-05",
-    "fills payloads to the size registered with BP, whatever the value of VARDISPAR_MAX_PAYLOAD_SIZE",
-)
-class RegisteredSize(Vardis):
+class Generates(Vardis):
+    """Encodes payloads in another way."""
+
+    spared: ClassVar[int] = 0
+    """Octets of the registered size that containers do not use."""
+
     def _generate(self, now: int, wall: int) -> None:
-        if not self.active:
-            return
-        containers = self._composer.compose(self._registered_size)
+        containers = self._composer.compose(self._registered_size - self.spared) if self.active else ()
         if containers:
-            self._bp.transmit_payload(BP_PROTID_VARDIS, self._core.config.codec.encode_containers(containers), now=now)
+            self._bp.transmit_payload(BP_PROTID_VARDIS, self.payload(containers), now=now)
+
+    def payload(self, containers: tuple[Container, ...]) -> bytes:
+        """Return the octets of the payload."""
+        return self._core.config.codec.encode_containers(containers)
 
 
-@mutant("empty", "VD-IC-03", "sends an empty container for every type without records")
-class EmptyContainers(Vardis):
-    def _generate(self, now: int, wall: int) -> None:
-        if not self.active:
-            return
-        containers = self._composer.compose(self._registered_size - 12)
-        if containers:
-            there = {each.ic_type for each in containers}
-            empty = b"".join(bytes([kind, 0]) for kind in range(1, 7) if kind not in there)
-            payload = self._core.config.codec.encode_containers(containers) + empty
-            self._bp.transmit_payload(BP_PROTID_VARDIS, payload, now=now)
-
-
-@mutant("unknown-behind", "VD-IC-02", "ends every payload with a container of an unknown type")
-class OwnContainer(Vardis):
-    def _generate(self, now: int, wall: int) -> None:
-        if not self.active:
-            return
-        containers = self._composer.compose(self._registered_size - 4)
-        if containers:
-            payload = self._core.config.codec.encode_containers(containers) + b"\x77\x01\x05\x06"
-            self._bp.transmit_payload(BP_PROTID_VARDIS, payload, now=now)
+# fmt: off
+attributes(Generates, __name__)("parameter", "VD-IC-05 VD-PAR-05",
+    "fills payloads to the size registered with BP, whatever the value of VARDISPAR_MAX_PAYLOAD_SIZE")
+payload = after(Generates, Generates.payload)
+payload("empty", "VD-IC-03", "sends an empty container for every type without records",
+    lambda self, octets, containers: octets + b"".join(
+        bytes([kind, 0]) for kind in range(1, 7) if kind not in {each.ic_type for each in containers}), spared=12)
+payload("unknown-behind", "VD-IC-02", "ends every payload with a container of an unknown type",
+    lambda self, octets, containers: octets + b"\x77\x01\x05\x06", spared=4)
+# fmt: on
 
 
 @mutant("types-exchanged", "VD-IC-02", "exchanges the numbers of CREATE-VARIABLES and DELETE-VARIABLES")

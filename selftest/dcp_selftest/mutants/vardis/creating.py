@@ -13,9 +13,7 @@ from dcp_selftest.mutants.entries import drop, on_entry
 from dcp_selftest.mutants.family import after, around, assign, attributes, instead
 from dcp_selftest.mutants.mutant import mutant
 from dcp_selftest.mutants.unseen import NOT_ANEW
-from dcp_stack.vardis.confirms import (
-    Confirm,
-)
+from dcp_stack.vardis.confirms import Confirm
 from dcp_stack.vardis.database import DBEntry
 from dcp_stack.vardis.entity import Vardis
 from dcp_stack.vardis.parameters import VardisParameters

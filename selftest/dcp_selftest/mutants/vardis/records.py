@@ -8,16 +8,7 @@ from typing import Any, ClassVar
 import msgspec
 from dcp_spec.constants import BP_PROTID_VARDIS, ICType, SpecVersion
 
-from dcp_codec.values import (
-    Beacon,
-    Container,
-    Payload,
-    VarCreate,
-    VarReqCreate,
-    VarReqUpdate,
-    VarSumm,
-    VarUpdate,
-)
+from dcp_codec.values import Beacon, Container, Payload, VarCreate, VarReqCreate, VarReqUpdate, VarSumm, VarUpdate
 from dcp_selftest.mutants.air import Air
 from dcp_selftest.mutants.family import assign, attributes, instead, skips, then
 from dcp_selftest.mutants.mutant import mutant

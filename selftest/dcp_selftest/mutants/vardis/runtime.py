@@ -20,9 +20,7 @@ from dcp_stack.config import MS, NodeConfig
 from dcp_stack.effects import Effect
 from dcp_stack.vardis.confirms import Confirm
 from dcp_stack.vardis.entity import Vardis
-from dcp_stack.vardis.parameters import (
-    VardisParameters,
-)
+from dcp_stack.vardis.parameters import VardisParameters
 from dcp_stack.vardis.receive import Receiver
 from dcp_stack.vardis.state_table import Action, Cell, Event, State
 from dcp_stack.vardis.wire import Extracted

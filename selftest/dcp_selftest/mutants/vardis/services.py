@@ -13,12 +13,7 @@ from dcp_selftest.mutants.entries import drop, on_entry
 from dcp_selftest.mutants.family import after, around, assign, attributes, instead
 from dcp_selftest.mutants.mutant import mutant
 from dcp_selftest.mutants.unseen import ALWAYS_ACTIVE
-from dcp_stack.vardis.confirms import (
-    Confirm,
-    DescribeVariableConfirm,
-    NoResponseError,
-    ReadConfirm,
-)
+from dcp_stack.vardis.confirms import Confirm, DescribeVariableConfirm, NoResponseError, ReadConfirm
 from dcp_stack.vardis.core import Sequence
 from dcp_stack.vardis.entity import Vardis
 from dcp_stack.vardis.state_table import Action, Cell, Event, State

@@ -48,12 +48,7 @@ record("producer", "VD-PC-10 VD-TYP-06", "forwards variables with itself as the 
         else self.changed(record, prod_id=self._core.own_id[:-1] + b"\x77")))  # fmt: skip
 
 
-@mutant(
-    "creation-time",
-    "VD-PC-10 VD-TYP-06",
-    "forwards variables with its own creationTime",
-    unseen=NO_TIMES,
-)
+@mutant("creation-time", "VD-PC-10 VD-TYP-06", "forwards variables with its own creationTime", unseen=NO_TIMES)
 class OtherTime(Stores):
     def record(self, record: VarCreate, wall: int) -> VarCreate:
         entry = self._database.lookup(record.spec.var_id)
