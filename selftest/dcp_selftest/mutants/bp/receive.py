@@ -190,7 +190,7 @@ class OlderDropped(Receiver):
 
 # fmt: off
 instead(Lenient, Lenient.repaired)("padding-refused", "BP-RX-14", "ignores frames with padding after the beacon",
-    lambda self, octets: octets if (self.number(octets, "length") == len(octets) - self.header_size) else octets[:4])
+    lambda self, octets: octets if self.number(octets, "length") == len(octets) - self.header_size else octets[:4])
 crashes(Lenient, Lenient.repaired, IndexError("a read past the end of the frame"))("dies", "BP-RX-15",
     "crashes on a length past the end of the frame",
     lambda self, octets: self.number(octets, "length") > len(octets) - self.header_size)

@@ -126,7 +126,7 @@ registrations_judged("size-first", "BP-REG-09", "checks the size in a registrati
 registrations_judged("queue-first", "BP-REG-09", "checks maxEntries in a registration before it checks the size",
     lambda self, status, registration: (
         BPStatus.ILLEGAL_DROPPING_QUEUE_SIZE
-        if (registration.max_entries <= 0 and registration.queue_mode in QUEUES) else status),
+        if registration.max_entries <= 0 and registration.queue_mode in QUEUES else status),
     unseen={"1.0": "1.0 rejects neither a size of 0 nor 0 entries"})  # fmt: skip
 after(BeaconingProtocol, BeaconingProtocol.deregister)("ok", "BP-DRG-01",
     "confirms the deregistration of an unknown client with OK",

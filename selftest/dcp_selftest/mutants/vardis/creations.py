@@ -72,14 +72,14 @@ after(Receiver, Receiver._is_bad_value)("longest-refused", "VD-PC-04 VD-PU-04 DA
 create_event = after(Receiver, Receiver._create_event)
 create_event("any-description", "VD-PC-05", "accepts a VarCreate whose description is too long",
     lambda self, event, record, entry: (
-        Event.RX_CREATE_LATER if (event is Event.RX_CREATE_BAD_DESCRIPTION and record.spec.descr) else event))
+        Event.RX_CREATE_LATER if event is Event.RX_CREATE_BAD_DESCRIPTION and record.spec.descr else event))
 create_event("empty-description", "VD-PC-05", "accepts a VarCreate with an empty description",
     lambda self, event, record, entry: (
         Event.RX_CREATE_LATER
-        if (event is Event.RX_CREATE_BAD_DESCRIPTION and not record.spec.descr) else event), since=SpecVersion.V1_2)
+        if event is Event.RX_CREATE_BAD_DESCRIPTION and not record.spec.descr else event), since=SpecVersion.V1_2)
 create_event("longest-refused", "VD-PC-05", "ignores a VarCreate with a description of maximum length",
     lambda self, event, record, entry: (
-        Event.RX_CREATE_BAD_DESCRIPTION if (len(record.spec.descr) >= self._parameters.longest_description) else event))
+        Event.RX_CREATE_BAD_DESCRIPTION if len(record.spec.descr) >= self._parameters.longest_description else event))
 create_event("characters", "VD-PC-05 DATA-08", "counts the characters of received descriptions, not the octets",
     lambda self, event, record, entry: (
         Event.RX_CREATE_LATER if event is Event.RX_CREATE_BAD_DESCRIPTION
@@ -87,12 +87,12 @@ create_event("characters", "VD-PC-05 DATA-08", "counts the characters of receive
 create_event("too-often", "VD-PC-06", "accepts a VarCreate with a repetition count above the maximum",
     lambda self, event, record, entry: (
         Event.RX_CREATE_LATER
-        if (event is Event.RX_CREATE_BAD_REPCNT and record.spec.rep_cnt) else event), since=SpecVersion.V1_2)
+        if event is Event.RX_CREATE_BAD_REPCNT and record.spec.rep_cnt else event), since=SpecVersion.V1_2)
 create_event("zero", "VD-PC-06", "accepts a VarCreate with a repetition count of 0",
     lambda self, event, record, entry: (
         Event.RX_CREATE_LATER
-        if (event is Event.RX_CREATE_BAD_REPCNT and not record.spec.rep_cnt) else event), since=SpecVersion.V1_2)
+        if event is Event.RX_CREATE_BAD_REPCNT and not record.spec.rep_cnt else event), since=SpecVersion.V1_2)
 create_event("most-refused", "VD-PC-06", "ignores a VarCreate with the maximum repetition count",
     lambda self, event, record, entry: (
-        Event.RX_CREATE_BAD_REPCNT if (record.spec.rep_cnt == self._parameters.max_repetitions) else event))
+        Event.RX_CREATE_BAD_REPCNT if record.spec.rep_cnt == self._parameters.max_repetitions else event))
 # fmt: on

@@ -178,7 +178,7 @@ after_describe_variable("unknown-ok", "VD-DVA-02", "answers OK when a variable t
     lambda self, confirm, var_id: DescribeVariableConfirm(OK) if confirm.status is DOES_NOT_EXIST else confirm)
 after_describe_variable("deleted", "VD-DVA-03", "rejects RTDB-DescribeVariable for a deleted variable",
     lambda self, confirm, var_id: (
-        DescribeVariableConfirm(IS_DELETED) if (confirm.entry is not None and confirm.entry.is_deleted) else confirm))
+        DescribeVariableConfirm(IS_DELETED) if confirm.entry is not None and confirm.entry.is_deleted else confirm))
 # fmt: on
 
 

@@ -44,7 +44,7 @@ record("nul-value", "VD-PC-07 DATA-06", "stores values only up to the first zero
         record.upd.value[:1] + record.upd.value[1:].partition(b"\0")[0]))))  # fmt: skip
 record("producer", "VD-PC-10 VD-TYP-06", "forwards variables with itself as the producer",
     lambda self, record, wall: (
-        record if (record.spec.prod_id == self._core.own_id)
+        record if record.spec.prod_id == self._core.own_id
         else self.changed(record, prod_id=self._core.own_id[:-1] + b"\x77")))  # fmt: skip
 
 
