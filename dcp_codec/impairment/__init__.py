@@ -6,7 +6,6 @@ decisions, and the tester must not import the node. Like ``dcp_codec.capture`` i
 
 from .channel import Channel, Copy, Fate
 from .counters import Counters
-from .network import Network, Transit
 from .parameters import PERFECT, Impairment, ImpairmentError, Outage
 from .text import impairment_of, parse_impairment, text_of
 
@@ -18,9 +17,7 @@ __all__ = [
     "Fate",
     "Impairment",
     "ImpairmentError",
-    "Network",
     "Outage",
-    "Transit",
     "impairment_of",
     "parse_impairment",
     "text_of",

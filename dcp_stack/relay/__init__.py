@@ -9,6 +9,6 @@ from __future__ import annotations
 
 from .air import RelayAir, needs_relay
 from .control import RelayError
-from .fabric import INTERFACE, RelayFabric
+from .fabric import RelayFabric
 
-__all__ = ["INTERFACE", "RelayAir", "RelayError", "RelayFabric", "needs_relay"]
+__all__ = ["RelayAir", "RelayError", "RelayFabric", "needs_relay"]

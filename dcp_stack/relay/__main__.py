@@ -17,8 +17,9 @@ import msgspec
 from dcp_spec.profile.loading import ProfileError
 
 from dcp_codec.capture import CaptureError
-from dcp_codec.impairment import ImpairmentError, Network, parse_impairment
+from dcp_codec.impairment import ImpairmentError, parse_impairment
 from dcp_codec.network.sockets import OpeningError
+from dcp_stack.virtual.medium import ImpairedMedium
 
 from .loop import Relay, prefer
 from .messages import Answer, Command, Setup
@@ -60,7 +61,7 @@ def main() -> int:
 
 def _make(setup: Setup) -> Relay:
     """Return a relay with open ports and recordings. Raises the errors of impairments, ports and recordings."""
-    network = Network(len(setup.ports), default=parse_impairment(setup.impairment), seed=setup.seed, hears=setup.hears)
+    medium = ImpairedMedium(len(setup.ports), parse_impairment(setup.impairment), seed=setup.seed, pairs=setup.hears)
     ports: list[Port] = []
     recorders: list[PortRecorder] = []
     for number, interface in enumerate(setup.ports):
@@ -71,7 +72,7 @@ def _make(setup: Setup) -> Relay:
         if setup.record:
             path = Path(setup.record, f"port-{number}.mcap")
             recorders.append(PortRecorder(path, number, interface, setup.profile))
-    return Relay(network, ports, recorders)
+    return Relay(medium, ports, recorders)
 
 
 class _Lines:

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import Any, Self
 
 from dcp_codec.impairment import PERFECT, Impairment, text_of
-from dcp_codec.network.namespaces import batch, enter_command
+from dcp_codec.network.namespaces import enter_command
 from dcp_stack.sim.testbed import namespaces
+from dcp_stack.sim.testbed.place import cable_to_hub, place_names
 
 from .control import RelayError, RelayProcess
 from .messages import Partition, SetQuality, Setup, SwitchPort
-
-#: The interface of a station in its namespace.
-INTERFACE: Final = "dcp0"
 
 
 class RelayFabric:
@@ -43,14 +41,13 @@ class RelayFabric:
         Raises :class:`RelayError` if the relay does not start, ``NamespaceError`` if the system refuses
         namespaces or interfaces.
         """
-        width = len(str(max(0, len(addresses) - 1)))
-        self.namespaces = [f"{prefix}-n{number:0{width}}" for number in range(len(addresses))]
+        self.namespaces = place_names(prefix, len(addresses))
         self.air = f"{prefix}-air"
         self._closed = False
         made = [*self.namespaces, self.air]
         try:
             namespaces.create(made)
-            self._cable([address[:6].hex(":") for address in addresses])
+            cable_to_hub(self.air, self.namespaces, addresses)
             setup = Setup(
                 ports=tuple(f"p{number}" for number in range(len(addresses))),
                 impairment=text_of(impairment),
@@ -63,17 +60,6 @@ class RelayFabric:
         except BaseException:
             namespaces.delete(made)
             raise
-
-    def _cable(self, addresses: Sequence[str]) -> None:
-        """Create a veth pair from each station to the namespace of the relay."""
-        lines = []
-        for number, address in enumerate(addresses):
-            peer = f"{INTERFACE} address {address} netns {self.namespaces[number]}"
-            lines.append(f"link add p{number} type veth peer name {peer}")
-            lines.append(f"link set p{number} addrgenmode none up")
-        batch("ip", self.air, lines)
-        for name in self.namespaces:
-            batch("ip", name, ["link set lo up", f"link set {INTERFACE} addrgenmode none up"])
 
     @property
     def relay_pid(self) -> int:
@@ -118,4 +104,4 @@ class RelayFabric:
         self.close()
 
 
-__all__ = ["INTERFACE", "RelayError", "RelayFabric"]
+__all__ = ["RelayError", "RelayFabric"]

@@ -9,8 +9,9 @@ import time
 from collections.abc import Iterator, Sequence
 from typing import Any, Final
 
-from dcp_codec.impairment import ImpairmentError, Network, parse_impairment
+from dcp_codec.impairment import ImpairmentError, parse_impairment
 from dcp_codec.network.sockets import ETHERNET_HEADER
+from dcp_stack.virtual.medium import ImpairedMedium
 
 from .lateness import Lateness
 from .messages import Answer, Command, Count, Partition, SetQuality, SwitchPort
@@ -28,9 +29,9 @@ _AWAKE: Final = 150_000
 class Relay:
     """Forwards frames between ports. Times are monotonic ns since the creation of the relay."""
 
-    def __init__(self, network: Network, ports: Sequence[Port], recorders: Sequence[PortRecorder] = ()) -> None:
-        """``network`` decides about frames. ``recorders``: none, or one for each port."""
-        self._network, self._ports, self._recorders = network, list(ports), list(recorders)
+    def __init__(self, medium: ImpairedMedium, ports: Sequence[Port], recorders: Sequence[PortRecorder] = ()) -> None:
+        """``medium`` decides about frames. ``recorders``: none, or one for each port."""
+        self._medium, self._ports, self._recorders = medium, list(ports), list(recorders)
         self._start = time.monotonic_ns()
         self._last = 0
         self.lateness = Lateness()
@@ -46,7 +47,7 @@ class Relay:
         """
         sources = [port.socket for port in self._ports]
         left = _LOOK
-        if (due := self._network.poll_timeout()) is not None:
+        if (due := self._medium.poll_timeout()) is not None:
             # No sleep shortly before a deadline: waking up takes longer than the remaining time.
             left = min(max(0.0, (due - self.now() - _AWAKE) / 1e9), _LOOK)
         readable: list[int | socket.socket] = [commands, *(each for each in sources if each is not None)]
@@ -76,30 +77,31 @@ class Relay:
 
     def _take(self, number: int, taken: Taken) -> None:
         """Record a received frame, and schedule it for its receivers."""
-        # Frames may be read out of order, but the times for the network must not decrease.
+        # Frames may be read out of order, but the times for the medium must not decrease.
         self._last = max(self._last, taken.time - self._start, 0)
         if self._recorders:
             self._recorders[number].saw(taken.frame, taken.wall)
-        self._network.broadcast(number, taken.frame, self._last, ETHERNET_HEADER)
+        self._medium.broadcast(number, taken.frame, self._last, ETHERNET_HEADER)
 
     def _forward(self) -> None:
         """Send all frames that are due."""
-        for transit in self._network.due(self.now()):
-            if not self._ports[transit.receiver].send(transit.octets):
-                continue
-            self.lateness.add(self.now() - transit.time)
-            if self._recorders:
-                self._recorders[transit.receiver].saw(transit.octets, time.time_ns())
+        for arrival in self._medium.arrivals(self.now()):
+            for receiver in arrival.receivers:
+                if not self._ports[receiver].send(arrival.octets):
+                    continue
+                self.lateness.add(self.now() - arrival.time)
+                if self._recorders:
+                    self._recorders[receiver].saw(arrival.octets, time.time_ns())
 
     def carry_out(self, command: Command) -> Answer:
         """Execute a command; returns the answer, which has the reason if the command is refused."""
         try:
             if isinstance(command, SetQuality):
-                self._network.set(parse_impairment(command.impairment), command.sender, command.receiver)
+                self._medium.set_quality(parse_impairment(command.impairment), command.sender, command.receiver)
             elif isinstance(command, Partition):
-                self._network.partition(command.groups)
+                self._medium.partition(command.groups)
             elif isinstance(command, SwitchPort):
-                self._network.port(command.number, up=command.up)
+                self._medium.switch(command.number, up=command.up)
             else:
                 assert isinstance(command, Count)
                 return Answer(ok=True, counters=self.counters())
@@ -112,7 +114,7 @@ class Relay:
         for port in self._ports:
             port.count_drops()
         return {
-            "links": self._network.counters(),
+            "links": self._medium.directions(),
             "ports": [
                 {
                     "interface": port.interface,

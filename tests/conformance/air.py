@@ -30,9 +30,9 @@ from dcp_codec.values import (
     VarUpdate,
 )
 from dcp_stack.config import BPConfig, SRPConfig, VardisConfig
-from dcp_stack.links.quality import PERFECT, Quality
-from dcp_stack.links.topology import Full, Topology
 from dcp_stack.sim.virtual.network import Network
+from dcp_stack.virtual.quality import PERFECT, Quality
+from dcp_stack.virtual.topology import Full, Topology
 
 from .rig import codec_of
 

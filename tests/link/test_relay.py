@@ -17,10 +17,11 @@ import pytest
 from dcp_codec.capture import open_capture
 from dcp_codec.impairment import Impairment, parse_impairment
 from dcp_codec.network.namespaces import batch
-from dcp_stack.relay import INTERFACE, RelayError, RelayFabric
+from dcp_stack.relay import RelayError, RelayFabric
 from dcp_stack.relay.control import RelayProcess
 from dcp_stack.relay.messages import Setup
 from dcp_stack.sim.testbed import namespaces
+from dcp_stack.sim.testbed.place import INTERFACE
 
 from ..waiting import eventually
 

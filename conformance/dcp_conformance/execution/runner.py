@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import traceback
 from collections import deque
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import msgspec
@@ -12,7 +12,7 @@ from dcp_spec.parameters import parameters
 
 from dcp_conformance.errors import UpperTesterError
 from dcp_conformance.impairment import MOST_EXECUTIONS as MOST_IMPAIRED
-from dcp_conformance.interconnection.reaction import prepare
+from dcp_conformance.interconnection.findings import Findings, prepare
 from dcp_conformance.lower_tester import Impairs
 from dcp_conformance.model.applicability import why_not
 from dcp_conformance.model.case import SANITY, Case
@@ -22,7 +22,6 @@ from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.sut.control import SutControl
 from dcp_conformance.sut.link import link_switch
 from dcp_conformance.test_system.bench import Bench, Session
-from dcp_conformance.test_system.session import FLOOR
 
 from .body import delete_variables, recorded, run_body
 from .case_results import doubted, result_of
@@ -78,6 +77,7 @@ class Runner:
         self.rerun = rerun
         self.life = Life(session, control, start_timeout)
         self._readiness = Readiness(session)
+        self._findings = Findings.of(session)
         self.remarks: list[str] = []
         """Notes for the results, without those on deaths."""
         self.dead = ""
@@ -366,21 +366,8 @@ class Runner:
         """Measure the reaction time before the first case, and a second time once the implementation has answered."""
         if self._measured == 0 or (self._measured == 1 and self.life.has_answered):
             self._measured += 1
-            found = prepare(self.session)
-            given = self.session.pics.pixit.reaction_periods is not None
-            if found is not None and not given and (found.periods > FLOOR or found.per_payload):
-                self.remarks.append(f"reactions are waited for {found}; pixit.reaction_periods overrides this")
-            self.remarks.extend(each for each in self._deviations() if each not in self.remarks)
-
-    def _deviations(self) -> Iterator[str]:
-        """Yield notes on deviations that were found at the start and affect many cases."""
-        if lost := self.session.lost_container:
-            yield (
-                f"it loses the {lost} of two containers in a payload (VD-RX-04): in cases about other requirements "
-                "that send such payloads, missing reactions are inconclusive"
-            )
-        for text in self.session.misread.values():
-            yield f"{text}: consequences of that in other cases are inconclusive"
+            if prepare(self.session):
+                self.remarks.extend(self._findings.notes(self.session.pics.pixit))
 
     def _refuse(self, case: Case, trial: Trial) -> None:
         """Make all further cases inconclusive if the sanity case has found no sign of the implementation."""
@@ -388,7 +375,7 @@ class Runner:
             return
         passed = trial.verdict is Verdict.PASS
         self.life.learn(trial.bench, answered=passed and trial.bench.sut.pics.vardis is not False)
-        contact = self.session.contact
+        contact = self._findings.contact
         # With wrong settings of the tester, received frames cannot be judged.
         heard = trial.bench.heard and not (contact is not None and contact.mistaken)
         if passed or heard or self.life.serves():

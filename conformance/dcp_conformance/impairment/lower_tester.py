@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import contextlib
-import heapq
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import msgspec
 
+from dcp_codec.common.events import EventQueue
 from dcp_codec.impairment import Channel, Copy, Counters, Fate
 from dcp_codec.network.sockets import ETHERNET_HEADER
 from dcp_conformance.lower_tester import Arrival, Incident, LinkHealth, ListensToAllTypes, LowerTester, OnThisMachine
@@ -19,8 +19,6 @@ from .directions import Directions
 class _Leaving(NamedTuple):
     """A frame on its way to the implementation."""
 
-    time: int
-    number: int
     octets: bytes
     source: bytes | None
     """The station that sends a bearer payload; None for a whole frame."""
@@ -31,8 +29,6 @@ class _Leaving(NamedTuple):
 class _Coming(NamedTuple):
     """A frame on its way to the tester."""
 
-    time: int
-    number: int
     arrival: Arrival
     incidents: tuple[Incident, ...]
 
@@ -59,9 +55,8 @@ class ImpairedLowerTester:
         self._start = inner.now()
         self._engaged = 0
         self._cases = 0
-        self._number = 0
-        self._leaving: list[_Leaving] = []
-        self._coming: list[_Coming] = []
+        self._leaving: EventQueue[_Leaving] = EventQueue()
+        self._coming: EventQueue[_Coming] = EventQueue()
         self._incidents: list[Incident] = []
 
     # -- the impairment ------------------------------------------------------------------------------------------------
@@ -141,18 +136,15 @@ class ImpairedLowerTester:
         incidents = _incidents(fate, to=True, octets=octets, late=self._is_late(fate.copies, now, usual))
         self._incidents += incidents
         for copy in fate.copies:
-            leaving = _Leaving(copy.time + self._start, self._number, copy.octets, source, incidents, self._cases)
-            self._number += 1
-            if leaving.time <= now:
+            leaving = _Leaving(copy.octets, source, incidents, self._cases)
+            if copy.time + self._start <= now:
                 self._put_out(leaving)
             else:
-                heapq.heappush(self._leaving, leaving)
+                self._leaving.push(copy.time + self._start, leaving)
 
     def _flush(self) -> None:
         """Send the frames that are due."""
-        now = self._inner.now()
-        while self._leaving and self._leaving[0].time <= now:
-            leaving = heapq.heappop(self._leaving)
+        for leaving in self._leaving.due(self._inner.now()):
             if leaving.case != self._cases:
                 # A later case than the one that sent the frame is affected.
                 self._incidents += leaving.incidents
@@ -167,8 +159,8 @@ class ImpairedLowerTester:
     def settle(self) -> None:
         """Wait until all delayed frames are sent to the implementation; keep frames that arrive during the wait."""
         self._flush()
-        while self._leaving:
-            if (arrival := self._inner.receive(self._leaving[0].time)) is not None:
+        while (time := self._leaving.next_time()) is not None:
+            if (arrival := self._inner.receive(time)) is not None:
                 self._take(arrival)
             self._flush()
 
@@ -176,11 +168,8 @@ class ImpairedLowerTester:
         """Return the next frame from the link before ``until`` (ns); None at that time, or if ``also`` is readable."""
         while True:
             self._flush()
-            limit = until
-            if self._coming:
-                limit = min(limit, self._coming[0].time)
-            if self._leaving:
-                limit = min(limit, self._leaving[0].time)
+            coming = self._coming.next_time()
+            limit = min(each for each in (until, coming, self._leaving.next_time()) if each is not None)
             arrival = self._inner.receive(limit, also)
             if arrival is not None:
                 self._take(arrival)
@@ -188,10 +177,10 @@ class ImpairedLowerTester:
             if self._inner.now() < limit:
                 # A descriptor in ``also`` is readable.
                 return None
-            if self._coming and self._coming[0].time <= limit and self._coming[0].time < until:
-                coming = heapq.heappop(self._coming)
-                self._incidents += coming.incidents
-                return coming.arrival
+            if coming is not None and coming <= limit and coming < until:
+                first = self._coming.pop()
+                self._incidents += first.incidents
+                return first.arrival
             if limit >= until:
                 return None
 
@@ -211,8 +200,7 @@ class ImpairedLowerTester:
             if each.what != "duplicated"
         )
         arrival = arrival._replace(time=arrival.time + delay, wall=arrival.wall + delay, disturbed=bool(incidents))
-        heapq.heappush(self._coming, _Coming(arrival.time, self._number, arrival, incidents))
-        self._number += 1
+        self._coming.push(arrival.time, _Coming(arrival, incidents))
 
     def _is_late(self, copies: Sequence[Copy], now: int, usual: int) -> bool:
         return any(copy.time + self._start - now > usual for copy in copies)

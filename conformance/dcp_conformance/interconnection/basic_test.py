@@ -17,13 +17,14 @@ from dcp_conformance.errors import UpperTesterError
 from dcp_conformance.frames.builder import Block
 from dcp_conformance.frames.header_rules import Violation, judge
 from dcp_conformance.frames.received import ReceivedBeacon, var_id_of
-from dcp_conformance.interconnection.misread_fields import stores_reports
 from dcp_conformance.model.results import Mark
 from dcp_conformance.test_steps.bp_clients import ACTIVATE, CLIENT, DEREGISTER, RECEIVED, BPClient, indications, until
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.judgement.contact import BrokenRule, Contact, Question, Stimulus, stimuli
+from dcp_conformance.test_system.known import Question
 
-from .misconfiguration import PERIODS, first_suspects, look_elsewhere, misnamed, suspect
+from .contact import BrokenRule, Contact, Stimulus, stimuli
+from .layouts import stores_reports
+from .settings import PERIODS, first_suspects, look_elsewhere, misnamed, suspect
 
 #: Attempts with the first question, and with each further kind of stimulus: frames get lost.
 _ATTEMPTS: Final = 3

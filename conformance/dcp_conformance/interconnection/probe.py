@@ -24,15 +24,11 @@ from dcp_conformance.frames.header_rules import judge
 from dcp_conformance.lower_tester import Arrival, LowerTester
 from dcp_conformance.model.node_id import node_id_octets
 from dcp_conformance.model.pics import DEFAULT_PROFILE, UNKNOWN_PROFILE, Capabilities, Pics, Target, Testing
-from dcp_conformance.model.pics_file import write_pics
 from dcp_conformance.test_system.session import Session
 from dcp_conformance.upper_tester import Answer, UpperTester
 
-from .other_settings import ASKER, network_ids, other_ether_type, question
-from .profile_ranking import EXPLAINED, doubtful, ranked_by, score_of
-from .reaction import prepare
-
-__all__ = ["Period", "draft", "measured_period", "question", "write_pics"]
+from .findings import prepare
+from .settings import ASKER, EXPLAINED, doubtful, network_ids, other_ether_type, question, ranked_by, score_of
 
 #: ns for which other EtherTypes are listened to.
 _OVERHEAR = 2_000_000_000
@@ -341,10 +337,9 @@ def _how_fast(found: Draft, codec: Codec, lower: LowerTester, upper: UpperTester
     elif codec.profile.bp.header:
         # It is unknown which sender's answers count.
         return
-    reaction = prepare(session)
-    if reaction is not None and reaction.samples:
-        found.remarks.append(f"reactions are waited for {reaction}; each run measures this again")
-    elif reaction is not None:
+    if prepare(session):
+        found.remarks.append(f"reactions are waited for {session.known.reaction}; each run measures this again")
+    else:
         found.remarks.append("it answers no question in beacons, from which its reaction time would be measured")
 
 

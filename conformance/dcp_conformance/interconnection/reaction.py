@@ -8,16 +8,13 @@ questions one by one, then several at once, and adds a margin to the worst answe
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Final
 
 from dcp_spec.constants import ICType
 
 from dcp_conformance.frames.received import ReceivedBeacon
-from dcp_conformance.interconnection.lost_containers import lost_container
-from dcp_conformance.interconnection.misread_fields import misread_fields
-from dcp_conformance.model.case import Case, Kind
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.session import FLOOR, Reaction, Session
+from dcp_conformance.test_system.known import Reaction
+from dcp_conformance.test_system.session import FLOOR
 
 #: Number of questions asked one by one, and number of questions asked at once.
 _SINGLE, _BURST = 5, 10
@@ -28,37 +25,6 @@ _FACTOR, _MARGIN = 1.5, 1.0
 #: Answers to a burst within this number of periods belong together: a payload was composed during the burst.
 _TOGETHER = 1.5
 _CHECK_PERIOD = "VARDISPAR_BUFFER_CHECK_PERIOD"
-#: A bench needs a case; this one is not part of the suite.
-_CASE: Final = Case(
-    "measurement",
-    "How fast the implementation reacts",
-    ("VD-PS-01",),
-    Kind.VALID,
-    "",
-    "",
-    0,
-    "",
-    __name__,
-    lambda _: None,
-)
-
-
-def prepare(session: Session) -> Reaction | None:
-    """Measure once in a session; what was measured now. The ``reaction_periods`` of the PIXIT override its periods.
-
-    If it answers, also find out whether it loses containers or misreads fields (``Session.lost_container``,
-    ``Session.misread``).
-
-    Does nothing (None) if it is known already, or if there is no VarDis to ask. Raises ``LowerTesterError``.
-    """
-    if session.reaction is not None or session.pics.pics.vardis is False:
-        return None
-    found = measure(Bench(session, _CASE))
-    if found.samples:
-        session.reaction = found
-        session.lost_container = lost_container(Bench(session, _CASE))
-        session.misread = misread_fields(Bench(session, _CASE))
-    return found
 
 
 def measure(bench: Bench) -> Reaction:

@@ -183,7 +183,7 @@ def _play(cell: Cell, test: NetworkTest, world: World, profile: str) -> CellResu
         reason = _reason(checks, verdict)
     return msgspec.structs.replace(
         _result(cell, test, profile, verdict, reason),
-        duration_s=round(world.now() / 1e9, 3),
+        duration_s=round(world.now / 1e9, 3),
         checks=tuple(checks),
         spreads=tuple(scene.spreads),
         moments=tuple(scene.moments),

@@ -117,7 +117,7 @@ class Scene:
         self._look()
         self.note(place, "switched on" if on else "switched off")
         if on and any(frame.place == place for frame in self.world.sent()):
-            self.restarts.append((self.world.now(), place))
+            self.restarts.append((self.world.now, place))
         self.world.power(place, on=on)
         self.held[place] = Holdings()
         self.heard_from.pop(place, None)
@@ -181,7 +181,7 @@ class Scene:
             if self.world.offers(place, "SRP-UpdateSafetyData") is False:
                 raise NotApplicableError(f"SRP-UpdateSafetyData cannot be called at place {place} ({self.name(place)})")
         self._reporting = chosen
-        self._next_report = self.world.now()
+        self._next_report = self.world.now
 
     def neighbours_of(self, place: int) -> list[int] | None:
         """The places in the neighbour table of a place, ascending; None if it cannot be read."""
@@ -222,13 +222,13 @@ class Scene:
 
     def wait(self, seconds: float) -> None:
         """Let time pass."""
-        self._pass_until(self.world.now() + round(seconds * SECOND), lambda: False)
+        self._pass_until(self.world.now + round(seconds * SECOND), lambda: False)
 
     def until(self, reached: Callable[[], bool], limit: float) -> float | None:
         """Wait until ``reached``, at most ``limit`` s; returns the seconds that it took, None if it did not happen."""
-        begin = self.world.now()
+        begin = self.world.now
         if self._pass_until(begin + round(limit * SECOND), reached):
-            return (self.world.now() - begin) / SECOND
+            return (self.world.now - begin) / SECOND
         return None
 
     def _pass_until(self, end: int, reached: Callable[[], bool]) -> bool:
@@ -240,15 +240,15 @@ class Scene:
                 raise StopError
             if reached():
                 return True
-            left = end - self.world.now()
+            left = end - self.world.now
             if left <= 0:
                 return False
             self.world.run(min(left, _LOOK))
 
     def _report(self) -> None:
-        if not self._reporting or self.world.now() < self._next_report:
+        if not self._reporting or self.world.now < self._next_report:
             return
-        self._next_report = self.world.now() + _REPORT
+        self._next_report = self.world.now + _REPORT
         for place in self._reporting:
             if self.world.is_on(place) and place not in self.world.deaths():
                 layout = self.world.places[place].codec.profile.srp.safety_data
@@ -306,12 +306,12 @@ class Scene:
         if len(self.moments) >= _MOST_MOMENTS:
             self.left_out += 1
             return
-        self.moments.append(Moment(round(self.world.now() / SECOND, 4), place, text, frame))
+        self.moments.append(Moment(round(self.world.now / SECOND, 4), place, text, frame))
 
     def expect(self, met: bool, expected: str, observed: str = "", *requirements: str) -> bool:
         """Record a check."""
         verdict = Verdict.PASS if met else Verdict.FAIL
-        seconds = round(self.world.now() / SECOND, 4)
+        seconds = round(self.world.now / SECOND, 4)
         ids = requirements or self._requirements
         self.checks.append(Check(verdict, ids, expected, "" if met else observed, seconds=seconds))
         if not met:
@@ -354,7 +354,7 @@ class Scene:
         """
         chosen = list(self.places if places is None else places)
         limit = self.time_to_spread(producer, chosen, among or len(variables)) + min(patience, self.world.most_backlog)
-        begin = self.world.now()
+        begin = self.world.now
         pending = set(variables)
 
         def reached() -> bool:
@@ -411,9 +411,7 @@ class Scene:
             return [f"place {place} ({self.name(place)})" for place in chosen if self.is_alive(place, variable)]
 
         took = self.until(lambda: not alive(), limit)
-        self.spreads.append(
-            Spread(f"deletion of {variable}", round(self.world.now() / SECOND, 4), took, round(limit, 3))
-        )
+        self.spreads.append(Spread(f"deletion of {variable}", round(self.world.now / SECOND, 4), took, round(limit, 3)))
         expected = f"variable {variable} is deleted at places {chosen} within {limit:.1f} s"
         if not self.expect(took is not None, expected, f"it is alive at {', '.join(alive())}"):
             raise StopError
@@ -447,7 +445,7 @@ class Scene:
             ]
 
         took = self.until(lambda: not wrong(), limit)
-        self.spreads.append(Spread("neighbour tables", round(self.world.now() / SECOND, 4), took, round(limit, 3)))
+        self.spreads.append(Spread("neighbour tables", round(self.world.now / SECOND, 4), took, round(limit, 3)))
         expected = f"each neighbour table lists exactly the neighbours within {limit:.1f} s"
         if not self.expect(took is not None, expected, "; ".join(wrong())):
             raise StopError
@@ -462,7 +460,7 @@ class Scene:
             return [
                 f"place {place} ({self.name(place)})"
                 for place in self.places
-                if self.world.is_on(place) and self.world.now() - self.heard_from.get(place, 0) > quiet
+                if self.world.is_on(place) and self.world.now - self.heard_from.get(place, 0) > quiet
             ]
 
         # In real time the tester does not listen while it calls services, and hundreds of calls take longer.

@@ -109,6 +109,7 @@ class World(Protocol):
         """Why the machine may have been too busy for the stations or the recorder; empty if it was not."""
         ...
 
+    @property
     def now(self) -> int:
         """Return the time since the start."""
         ...

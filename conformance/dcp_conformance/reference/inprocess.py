@@ -16,16 +16,12 @@ from dcp_conformance.upper_tester import Answer, Notification
 from dcp_conformance.upper_tester.jsonrpc import answer_of, notification_of, request_line
 from dcp_stack.config import BPConfig, NodeConfig, SRPConfig
 from dcp_stack.control import ControlServer
-from dcp_stack.effects import SendBeacon
+from dcp_stack.effects import Effect, SendBeacon
 from dcp_stack.node import Node
+from dcp_stack.virtual.world import Station, World
 
 NODE_ID = b"\x02\x00\x00\x00\x00\x01"
 ADDRESS = NODE_ID
-#: 2026-01-01, so that traces are the same every time.
-EPOCH = 1_767_225_600 * 1_000_000_000
-
-#: Timeouts in a row without time passing after which the node counts as dead: it would never come to an end.
-_MOST_TIMEOUTS = 500
 
 MakeNode = Callable[[NodeConfig, random.Random, int, int], Any]
 
@@ -35,115 +31,86 @@ def plain_node(config: NodeConfig, rng: random.Random, now: int, wall: int) -> N
     return Node(config, rng=rng, now=now, wall=wall)
 
 
-class InProcess:
+class InProcess(Station):
     """Runs a node in virtual time. ``make`` creates the node or a mutant of it."""
 
-    def __init__(self, config: NodeConfig, *, seed: int = 1, make: MakeNode = plain_node, now: int = 0) -> None:
-        """``now``: virtual time in ns at which the node starts."""
-        self.config = config
-        self.now = now
-        # A restart does not take it back: intervals between beacons differ from start to start.
-        self._rng = random.Random(seed)  # noqa: S311 - jitter, no secret
+    def __init__(
+        self,
+        config: NodeConfig,
+        *,
+        seed: int = 1,
+        make: MakeNode = plain_node,
+        now: int = 0,
+        world: World | None = None,
+    ) -> None:
+        """``now``: virtual time in ns at which the node starts. ``world``: None makes one."""
+        # A restart does not take the numbers back: intervals between beacons differ from start to start.
+        super().__init__(world or World(now=now), config, random.Random(seed))  # noqa: S311 - jitter, no secret
         self._make = make
         self._header = b"\xff" * 6 + ADDRESS + _ether_type(config).to_bytes(2, "big")
         self._sessions: list[VirtualUpperTester] = []
         self.arrivals: deque[Arrival] = deque()
         self.died = ""
-        """Exception that ended the node; None while it runs."""
+        """Exception that ended the node; empty while it runs."""
         self.linked = True
         """Whether the node's link is up."""
-        self._start()
+        self.switch_on()
 
-    def _start(self) -> None:
+    def switch_on(self) -> None:
+        """Start a new node, and open all connections again."""
         self.died = ""
-        self._timeouts = 0
-        """Number of successive timeouts at the same time, whether or not they send beacons."""
         self.arrivals.clear()
-        self.node = self._make(self.config, self._rng, self.now, self.node_wall())
-        self.server = ControlServer(self.node)
-        self.node.start(self.now, self.node_wall())
-        self.carry_out()
+        super().switch_on()
         for session in self._sessions:
             session.connect()
 
-    def wall(self) -> int:
-        """Return the tester's clock in ns since 1970."""
-        return EPOCH + self.now
+    def make(self) -> Any:
+        """Return a new node."""
+        node = self._make(self.config, self.rng, self.now, self.wall())
+        self.server = ControlServer(node)
+        return node
 
-    def node_wall(self) -> int:
-        """Return the node's clock in ns since 1970; a subclass can let it differ from the tester's."""
-        return EPOCH + self.now
+    @property
+    def now(self) -> int:
+        """Virtual ns since the start."""
+        return self.world.now
 
     # -- driving the node --------------------------------------------------------------------------------------
 
-    def carry_out(self) -> None:
-        """Execute the pending effects of the node: send frames, deliver notifications."""
-        effects = self.node.take_effects()
-        if not effects:
-            return
+    @property
+    def on(self) -> bool:
+        """Whether the node runs."""
+        return not self.died
+
+    def apply(self, effects: Sequence[Effect]) -> None:
+        """Execute effects of the node: send frames, deliver notifications."""
         for effect in effects:
             if isinstance(effect, SendBeacon) and self.linked:
-                frame = self._header + effect.octets
-                self.arrivals.append(Arrival(self.now, self.wall(), effect.octets, frame, ADDRESS))
-        self.server.indicate(effects, now=self.now, wall=self.node_wall())
+                self.send(effect.octets)
+        self.server.indicate(effects, now=self.now, wall=self.wall())
 
-    def guarded(self, step: Callable[..., None], *args: Any, **more: Any) -> None:
-        """Call ``step`` with these arguments. An exception ends the node."""
-        if self.died:
-            return
-        try:
-            step(*args, **more)
-            self.carry_out()
-        except Exception as error:
-            self.dies(error)
+    def send(self, octets: bytes) -> None:
+        """Transmit a beacon of the node; the tester receives it at once."""
+        self.arrivals.append(Arrival(self.now, self.world.wall, octets, self._header + octets, ADDRESS))
 
-    def dies(self, error: Exception) -> None:
+    def fail(self, error: Exception) -> None:
         """Note the exception that ended the node."""
         self.died = f"{type(error).__name__}: {error}"
         self.arrivals.clear()
 
     def deliver(self, octets: bytes) -> None:
         """Deliver a frame to the node, if its link is up."""
-        if not self.linked:
-            return
-        self.guarded(self.node.handle_frame, octets, now=self.now, wall=self.node_wall())
+        if self.linked:
+            self.guarded(self.node.handle_frame, octets, now=self.now, wall=self.wall())
 
     def advance(self, until: int) -> None:
         """Advance the time until a frame arrives at the tester, at most to ``until`` (ns)."""
-        while not self.arrivals and self._step(until):
-            pass
+        if not self.arrivals:
+            self.world.run_until(until, stop=lambda: bool(self.arrivals))
 
     def elapse(self, duration: int) -> None:
         """Advance the time by this duration (ns). Frames that arrive at the tester are kept."""
-        until = self.now + duration
-        while self._step(until):
-            pass
-
-    def _due(self) -> int | None:
-        """Return the time of the node's next timer; None if it has no timer or has ended."""
-        if self.died:
-            return None
-        try:
-            due: int | None = self.node.poll_timeout()
-        except Exception as error:
-            self.dies(error)
-            return None
-        return due
-
-    def _step(self, until: int) -> bool:
-        """Advance to the next timer of the node, or to ``until``. Return whether a timer expired."""
-        due = self._due()
-        if due is None or due > until:
-            self.now = max(self.now, until)
-            return False
-        self._timeouts = self._timeouts + 1 if due <= self.now else 0
-        if self._timeouts > _MOST_TIMEOUTS:
-            many = f"{self._timeouts} timeouts were handled, and the next one is due at the same time"
-            self.dies(RuntimeError(many))
-            return False
-        self.now = max(self.now, due)
-        self.guarded(self.node.handle_timeout, self.now, self.node_wall())
-        return True
+        self.world.run_until(self.now + duration)
 
     # -- SutControl --------------------------------------------------------------------------------------------
 
@@ -163,7 +130,7 @@ class InProcess:
 
     def restart(self) -> None:
         """Replace the node by a new one, and open all connections again."""
-        self._start()
+        self.switch_on()
 
     def close(self) -> None:
         """Has no effect: there are no resources to release."""
@@ -193,14 +160,15 @@ class VirtualLowerTester:
 
     def __init__(self, sut: InProcess) -> None:
         self._sut = sut
+        self._world = sut.world
 
     def now(self) -> int:
         """Return virtual ns since the start."""
-        return self._sut.now
+        return self._world.now
 
     def wall(self) -> int:
         """Return virtual ns since 1970."""
-        return self._sut.wall()
+        return self._world.wall
 
     def framed(self, octets: bytes, source: bytes) -> bytes:
         """Return the broadcast frame of a bearer payload."""
@@ -261,7 +229,7 @@ class VirtualUpperTester:
         answers = bytearray()
 
         def step() -> None:
-            answers.extend(self._session.feed(line, now=sut.now, wall=sut.node_wall()))
+            answers.extend(self._session.feed(line, now=sut.now, wall=sut.wall()))
 
         sut.guarded(step)
         answer: Answer | None = None

@@ -10,7 +10,7 @@ import random
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
-from functools import cache, partial
+from functools import partial
 from typing import Any, Final, Literal
 
 import msgspec
@@ -20,12 +20,12 @@ from dcp_codec.capture.frame import Frame
 from dcp_codec.codec import Codec
 from dcp_stack.config import BPConfig, NodeConfig, SRPConfig, VardisConfig
 from dcp_stack.control.client import ServiceError
-from dcp_stack.links.quality import Quality
-from dcp_stack.links.topology import Full, Grid, Line, Neighbours, Topology
-from dcp_stack.node import Node
-from dcp_stack.sim.virtual.network import Network, node_id
+from dcp_stack.sim.virtual.network import Network, NetworkStation
+from dcp_stack.virtual.quality import Quality
+from dcp_stack.virtual.topology import Full, Grid, Line, Neighbours, Topology
+from dcp_stack.virtual.world import node_id
 
-from .inprocess import EPOCH, MakeNode, plain_node
+from .inprocess import MakeNode, plain_node
 
 MS: Final = 1_000_000
 SECOND: Final = 1000 * MS
@@ -85,68 +85,37 @@ class _Recorder:
         """Record a transmission, with the time of the recorder's clock."""
         del wall, outgoing
         data = b"\xff" * 6 + source + self._ether_type + octets
-        self.frames.append(Frame(len(self.frames) + 1, EPOCH + self._network.now, data, len(data)))
+        self.frames.append(Frame(len(self.frames) + 1, self._network.wall, data, len(data)))
+
+
+class _MixedStation(NetworkStation):
+    """A station whose node can be replaced."""
+
+    make_node: MakeNode = staticmethod(plain_node)
+
+    def make(self) -> Any:
+        return self.make_node(self.config, self.rng, self.world.now, self.wall())
 
 
 class MixedNetwork(Network):
-    """Simulated network in which individual nodes can be replaced and clocks can be set."""
+    """Simulated network in which individual nodes can be replaced. Clocks are set by the offset of a station."""
 
     def __init__(self, count: int, codec: Codec, others: Mapping[int, Other], **options: Any) -> None:
         """``others``: replaced nodes, by their number from 0. Options as for :class:`Network`."""
+        self._others = others
         super().__init__(count, codec, share_decoding=False, **options)
-        self._make = {index: other.make for index, other in others.items()}
-        for index, other in others.items():
-            station = self.stations[index]
-            station.config = other.config(station.config)
-        self.offsets = [0] * count
-        """Offset of the wall clock of each node in ns; positive: fast."""
+
+    def station(self, index: int, config: NodeConfig, rng: random.Random) -> NetworkStation:
+        """Return a new station, for a replaced node with its own configuration."""
+        other = self._others.get(index, Other())
+        station = _MixedStation(self, index, other.config(config), rng)
+        station.make_node = other.make
+        return station
 
     def ask(self, index: int, method: str, /, **params: Any) -> None:
         """Request a service as an application does. Errors of a faulty node are ignored."""
         with suppress(ServiceError):
             self.request(index, method, **params)
-
-    def start(self, index: int) -> None:
-        """Start a node in its initial state. Has no effect on a running node."""
-        station = self.stations[index]
-        if station.node is not None:
-            return
-        offsets = self.offsets
-        wall = self.wall + offsets[index]
-        made = self._make.get(index, plain_node)(station.config, station.rng, self.now, wall)
-        station.node = _clocked(type(made), made, lambda: offsets[index])
-        station.link.closed = False
-        station.up_since = self.now
-        self._guarded(station, lambda node: node.start(self.now, self.wall))
-
-    def call(self, index: int, service: Callable[[Node, int, int], Any]) -> Any:
-        """Call a service as :meth:`Network.call` does, with the wall clock of the node."""
-        return super().call(index, lambda node, now, wall: service(node, now, wall + self.offsets[index]))
-
-
-@cache
-def _clocked_class(base: type) -> type:
-    class Clocked(base):  # type: ignore[misc]
-        """Subclass of a node whose wall clock can be set during the recording."""
-
-        offset: Callable[[], int]
-
-        def handle_frame(self, octets: bytes, *, now: int, wall: int) -> None:
-            super().handle_frame(octets, now=now, wall=wall + self.offset())
-
-        def handle_timeout(self, now: int, wall: int) -> None:
-            super().handle_timeout(now, wall + self.offset())
-
-        def start(self, now: int, wall: int) -> None:
-            super().start(now, wall + self.offset())
-
-    return Clocked
-
-
-def _clocked(base: type, node: Any, offset: Callable[[], int]) -> Any:
-    node.__class__ = _clocked_class(base)
-    node.offset = offset
-    return node
 
 
 def record(
@@ -268,7 +237,7 @@ def _disturb(network: MixedNetwork, situation: NetworkSituation, rng: random.Ran
         index, offset = rng.randrange(situation.nodes), rng.choice([-86_400, -60, -2, 2, 60, 86_400]) * SECOND
 
         def set_clock(index: int = index, offset: int = offset) -> None:
-            network.offsets[index] += offset
+            network.stations[index].offset += offset
 
         network.at(rng.randrange(end), set_clock)
 

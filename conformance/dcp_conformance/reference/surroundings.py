@@ -11,6 +11,7 @@ import msgspec
 from dcp_conformance.model.pics import Pics
 from dcp_conformance.upper_tester import Answer, Notification
 from dcp_stack.config import NodeConfig
+from dcp_stack.virtual.world import World
 
 from .inprocess import InProcess, MakeNode, VirtualUpperTester, plain_node
 
@@ -70,39 +71,42 @@ class Setup:
 class Tested(InProcess):
     """The node of a set-up with its clock and its application."""
 
-    def __init__(self, setup: Setup, *, seed: int = 1, now: int = 0) -> None:
-        """Start the node of a set-up at the virtual time ``now`` in ns, with the random seed ``seed``."""
-        self._offset = setup.clock
+    def __init__(self, setup: Setup, *, seed: int = 1, now: int = 0, world: World | None = None) -> None:
+        """Start the node of a set-up with the random seed ``seed``; the others are those of :class:`InProcess`."""
+        self._clock = setup.clock
         self._make_application = setup.application
-        self._application: Application | None = setup.application() if setup.application is not None else None
-        super().__init__(setup.config, seed=seed, make=setup.make, now=now)
+        self._application: Application | None = None
+        super().__init__(setup.config, seed=seed, make=setup.make, now=now, world=world)
         self.can_restart = setup.can_restart
 
-    def node_wall(self) -> int:
+    def wall(self) -> int:
         """Return the time of the node's clock in ns since 1970."""
-        return max(self.wall() + self._offset(self.now), 0)
+        return max(self.world.wall + self._clock(self.now), 0)
 
-    def _step(self, until: int) -> bool:
-        application = self._application
-        if application is None or self.died:
-            return super()._step(until)
-        due = self.node.poll_timeout()
-        moment = max(application.due(), self.now)
-        if moment > until or (due is not None and due <= moment):
-            return super()._step(until)
-        self.now = moment
-        self.guarded(self._act, application)
-        return True
+    def switch_on(self) -> None:
+        """Start a new node with a new application."""
+        self._application = None if self._make_application is None else self._make_application()
+        super().switch_on()
+
+    def poll_timeout(self) -> int | None:
+        """Return when the node or its application is called next."""
+        due = super().poll_timeout()
+        if self._application is None or self.died:
+            return due
+        moment = max(self._application.due(), self.now)
+        return moment if due is None else min(due, moment)
+
+    def wake(self) -> None:
+        """Call the node if its timer has expired, otherwise the application."""
+        due = super().poll_timeout()
+        if self._application is None or (due is not None and due <= self.now):
+            super().wake()
+        else:
+            self.guarded(self._act, self._application)
 
     def _act(self, application: Application) -> None:
-        application.act(self.node, self.now, self.node_wall())
-        self.node.settle(self.now, self.node_wall())
-
-    def restart(self) -> None:
-        """Replace the node and its application by new ones."""
-        super().restart()
-        if self._make_application is not None:
-            self._application = self._make_application()
+        application.act(self.node, self.now, self.wall())
+        self.node.settle(self.now, self.wall())
 
     def connection(self, testing: UpperTesting) -> VirtualUpperTester | None:
         """Return the upper tester of a set-up; None if it has none."""

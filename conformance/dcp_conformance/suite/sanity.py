@@ -6,11 +6,12 @@ from dataclasses import replace
 
 from dcp_conformance.errors import UpperTesterError
 from dcp_conformance.interconnection.basic_test import make_contact
-from dcp_conformance.interconnection.misconfiguration import PERIODS
+from dcp_conformance.interconnection.contact import Contact
+from dcp_conformance.interconnection.findings import Findings
+from dcp_conformance.interconnection.settings import PERIODS
 from dcp_conformance.model.case import Needs, case
 from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.judgement.contact import Contact
 
 
 @case(
@@ -26,15 +27,16 @@ from dcp_conformance.test_system.judgement.contact import Contact
     needs=Needs(entities=()),
 )
 def sanity(bench: Bench) -> None:
+    findings = Findings.of(bench.session)
     # The contact made by an earlier test must not excuse faults found by this one.
-    bench.session.contact = None
+    findings.contact = None
     contact = make_contact(bench)
     try:
         _judge(bench, contact)
     finally:
         failed = (each for each in bench.verdicts.checks if each.verdict is Verdict.FAIL)
         blamed = frozenset(requirement for each in failed for requirement in each.requirements)
-        bench.session.contact = replace(contact, blamed=blamed)
+        findings.contact = replace(contact, blamed=blamed)
     if contact.trouble:
         raise UpperTesterError(contact.trouble)
 

@@ -94,8 +94,7 @@ def _repetitions(bench: Bench, state: str) -> int:
     """
     if state != "deleted" or not bench.features.removed_after_deletion:
         return 1
-    reaction = bench.session.reaction
-    longest = max(bench.session.slow_call / bench.period, 0 if reaction is None else reaction.per_payload)
+    longest = max(bench.session.slow_call / bench.period, bench.session.known.reaction.per_payload)
     return bench.sut.rep_cnt(2 + math.ceil(1.5 * longest))
 
 

@@ -6,6 +6,7 @@ be constructed and tested alone:
 ============  ==============================================================================
 ``steps``     times of the tester's steps, and its lateness
 ``sut``       known properties of the implementation: parameters, reaction time, profile
+``known``     findings about the implementation before the first case
 ``judgement`` checks, losses of the tester, and excuses for failed checks
 ``identifiers`` identifiers of nodes and variables
 ``sending``   records, virtual nodes (peers), transmission of frames

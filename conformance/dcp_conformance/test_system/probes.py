@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Collection
-from typing import Final, NoReturn, Protocol
+from typing import Final, NoReturn
 
 from dcp_spec.constants import ICType
 
@@ -14,8 +14,8 @@ from dcp_conformance.frames.builder import FrameBuilder
 from dcp_conformance.frames.received import ReceivedBeacon
 
 from .identifiers.allocation import Identifiers
-from .judgement.contact import Contact, Question
 from .judgement.verdicts import Verdicts
+from .known import Question, RunFindings
 from .reception.receiver import Receiver
 from .reception.waiting import Waiting
 from .sending.peers import Peer, Peers
@@ -26,18 +26,12 @@ from .sut_properties import SutProperties
 _NAMES: Final = 8
 
 
-class RunContact(Protocol):
-    """The result of the basic interconnection test of a run."""
-
-    contact: Contact | None
-
-
 class Probes:
     """Asks VarDis for a sign of life."""
 
     def __init__(
         self,
-        run: RunContact,
+        run: RunFindings,
         peers: Peers,
         identifiers: Identifiers,
         waiting: Waiting,
@@ -55,7 +49,7 @@ class Probes:
         The stimulus is a summary of an unknown variable, unless the implementation did not answer summaries at the
         start of the run: then it is a kind that it answered. ``periods``: see :meth:`.Waiting.until`.
         """
-        return self.ask(self._run.contact.question if self._run.contact is not None else "summary", periods)
+        return self.ask(self._run.known.question, periods)
 
     def ask(self, kind: Question, periods: float | None = None) -> bool:
         """Send a stimulus of this kind to VarDis, and return whether the answer comes in time.

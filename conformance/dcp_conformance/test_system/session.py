@@ -17,12 +17,11 @@ from dcp_conformance.passive import PassiveTester
 from dcp_conformance.upper_tester import UpperTester
 
 from .identifiers.pool import IdentifierPool
-from .judgement.contact import Contact
 from .judgement.counting import Counting
-from .judgement.misreading import Field
-from .sut_properties import FLOOR, PeriodOverride, Reaction
+from .known import Known
+from .sut_properties import FLOOR, PeriodOverride
 
-__all__ = ["FLOOR", "Reaction", "Session"]
+__all__ = ["FLOOR", "Session"]
 
 #: Number of recent calls of the upper tester whose durations are kept.
 _CALLS: Final = 64
@@ -54,8 +53,8 @@ class Session:
         """The implementation's node identifier, once it is known."""
         self.parameters: dict[str, Any] = {}
         """Initial values of parameters, as the upper tester reports them."""
-        self.contact: Contact | None = None
-        """Result of the basic interconnection test; None before it, and if it is omitted."""
+        self.known = Known()
+        """The findings about the implementation before the first case."""
         self.can_restart = False
         self.renewable = False
         """Whether a case that finds all identifiers used up is run again after a restart."""
@@ -83,8 +82,6 @@ class Session:
         )
         self.creation_time = 0
         """The last time stamp in a record of the tester, in ticks of the profile's clock."""
-        self.reaction: Reaction | None = None
-        """Reaction time of the implementation; None before the measurement."""
         self.short_period: PeriodOverride | None = None
         """The short beacon period, while it is in force."""
         self.busy_until = 0
@@ -92,11 +89,6 @@ class Session:
         """
         self.call_times: deque[int] = deque(maxlen=_CALLS)
         """Durations in ns of the last calls of the upper tester that were executed."""
-        self.lost_container = ""
-        """The container of a payload that the implementation loses, "first" or "second"; empty if none
-        (:mod:`dcp_conformance.test_system.judgement.lost_containers`)."""
-        self.misread: dict[Field, str] = {}
-        """The fields that the implementation misreads (:mod:`dcp_conformance.test_system.judgement.misreading`)."""
         self.pausing_fails = False
         """Whether the implementation failed or crashed when BP was deactivated only as a means of a case."""
         self.counting = Counting()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, Final, NamedTuple, Protocol
+from typing import Any, Final, Protocol
 
 from dcp_spec.constants import Features, features
 from dcp_spec.parameters import parameter
@@ -13,6 +13,7 @@ from dcp_codec.codec import Codec
 from dcp_conformance.model.pics import REACTION_FLOOR, Pics
 
 from .assumptions import Assumptions
+from .known import Known
 from .steps import Clock
 
 #: ns in a millisecond.
@@ -31,25 +32,6 @@ _PIXIT: Final = {
     "VARDISPAR_SCRUBBING_PERIOD": "scrubbing_period_ms",
     "VARDISPAR_BUFFER_CHECK_PERIOD": "buffer_check_period_ms",
 }
-
-
-class Reaction(NamedTuple):
-    """The measured reaction time of the implementation, in beacon periods."""
-
-    periods: float = FLOOR
-    """Time limit for the answer to a single question: the longest measured time and a margin."""
-    per_payload: float = 0.0
-    """Additional time for each received payload that is processed before the question; 0: all are processed at once."""
-    samples: tuple[float, ...] = ()
-    """The measured times from question to answer; empty if no question was answered."""
-
-    def __str__(self) -> str:
-        if not self.samples:
-            return f"{self.periods:g} beacon periods (not measured: no answer)"
-        one = f", and {self.per_payload:.2g} for each payload that waits" if self.per_payload else ""
-        return (
-            f"{self.periods:.1f} beacon periods{one} (slowest of {len(self.samples)} answers: {max(self.samples):.2f})"
-        )
 
 
 class PeriodOverride(Protocol):
@@ -76,7 +58,7 @@ class KnownFacts(Protocol):
     pics: Pics
     timing_scale: float
     parameters: dict[str, Any]
-    reaction: Reaction | None
+    known: Known
     short_period: PeriodOverride | None
     busy_until: int
 
@@ -110,7 +92,7 @@ class SutProperties:
     def reaction(self) -> float:
         """Maximum number of beacon periods until the reaction to a stimulus sent now or before.
 
-        As given in the PIXIT, otherwise as measured at the start (:mod:`dcp_conformance.interconnection.reaction`). An
+        As given in the PIXIT, otherwise as measured at the start (:mod:`dcp_conformance.interconnection`). An
         implementation that processes payloads one at a time has more time while some are pending.
         """
         pending = max(0, self._facts.busy_until - self._clock.now()) / self.period
@@ -120,7 +102,7 @@ class SutProperties:
     def _reaction_periods(self) -> float:
         if self.pixit.reaction_periods is not None:
             return self.pixit.reaction_periods
-        return FLOOR if self._facts.reaction is None else self._facts.reaction.periods
+        return self._facts.known.reaction.periods
 
     @property
     def slowness(self) -> float:
@@ -130,13 +112,12 @@ class SutProperties:
     @property
     def ahead(self) -> int:
         """Number of beacons that may be sent before one shows a reaction: payloads are composed in advance."""
-        measured = self._facts.reaction
-        return max(2, math.ceil(max(measured.samples))) if measured is not None and measured.samples else 2
+        return max(2, math.ceil(max(self._facts.known.reaction.samples, default=0)))
 
     @property
     def one_by_one(self) -> bool:
         """Whether the implementation was measured to process payloads one at a time (it may answer in between)."""
-        return self._facts.reaction is not None and self._facts.reaction.per_payload > 0
+        return self._facts.known.reaction.per_payload > 0
 
     @property
     def busy_until(self) -> int:
@@ -145,8 +126,8 @@ class SutProperties:
 
     def load(self, payloads: int) -> None:
         """Record that the implementation was just sent this number of payloads to process."""
-        if self._facts.reaction is not None and self._facts.reaction.per_payload:
-            busy = round(payloads * self._facts.reaction.per_payload * self.period)
+        if self.one_by_one:
+            busy = round(payloads * self._facts.known.reaction.per_payload * self.period)
             self._facts.busy_until = max(self._facts.busy_until, self._clock.now()) + busy
 
     # -- parameters ----------------------------------------------------------------------------------------------------

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from typing import Any, Literal
 
 import msgspec
+
+from dcp_codec.codec import Codec
+from dcp_codec.values import Payload, VardisRecord
 
 #: Maximum number of events of one case; of a longer recording, the first and the last half of this number are kept.
 MOST_EVENTS = 20_000
@@ -58,3 +62,19 @@ class Traffic:
             del self._events[MOST_EVENTS // 2]
             self.left_out += 1
         self._events.append(event)
+
+
+def payloads(codec: Codec, events: Iterable[Event], *more: Direction) -> Iterator[Payload]:
+    """Yield the payloads of frames that the tester has sent or that have one of ``more`` directions.
+
+    Beacons that are partly invalid are included.
+    """
+    for event in events:
+        if event.direction == "sent" or event.direction in more:
+            beacon = codec.salvage(event.frame[event.start :]).beacon
+            yield from () if beacon is None else beacon.payloads
+
+
+def records(payload: Payload) -> Iterator[VardisRecord]:
+    """Yield the records of a VarDis payload; none of another payload."""
+    return (record for container in payload.vardis or () for record in container.records)

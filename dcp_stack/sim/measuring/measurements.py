@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dcp_stack.links.memory import Delivery, Medium
 from dcp_stack.vardis.database import DBEntry
+from dcp_stack.virtual.medium import Arrival, SimulatedMedium
 
 from .consistency import Consistency
 from .reach import Reach, distances
@@ -13,7 +13,7 @@ from .values import ValueLog
 class Measurements:
     """Measures delays and consistency. Nodes are numbers from 0, times virtual ns."""
 
-    def __init__(self, medium: Medium, numbers: dict[bytes, int], *, warm_up: int, held_back: int) -> None:
+    def __init__(self, medium: SimulatedMedium, numbers: dict[bytes, int], *, warm_up: int, held_back: int) -> None:
         """``numbers``: number of each node by its identifier.
 
         Values produced before ``warm_up`` (ns) are not counted. ``held_back``: longest time (ns) that a payload can
@@ -44,7 +44,7 @@ class Measurements:
         """Note that links or partitions changed."""
         self._reaches.clear()
 
-    def stored(self, now: int, node: int, var_id: int, entry: DBEntry, delivery: Delivery | None, event: str) -> None:
+    def stored(self, now: int, node: int, var_id: int, entry: DBEntry, delivery: Arrival | None, event: str) -> None:
         """Note that a node stored a value. ``event``: ``created`` or ``updated``.
 
         ``delivery``: the frame that carried the value; None if the node produced it.

@@ -11,9 +11,9 @@ import msgspec
 
 from dcp_codec.impairment import Impairment
 from dcp_stack.config import BPConfig, SRPConfig, VardisConfig
-from dcp_stack.links.quality import Quality
-from dcp_stack.links.topology import Full, Grid, Line, Neighbours, Positions
-from dcp_stack.links.topology import Topology as HeardBy
+from dcp_stack.virtual.quality import Quality
+from dcp_stack.virtual.topology import Full, Grid, Line, Neighbours, Positions
+from dcp_stack.virtual.topology import Topology as HeardBy
 
 NS_PER_S = 1_000_000_000
 NS_PER_MS = 1_000_000

@@ -18,7 +18,7 @@ from dcp_spec.profile.loading import ProfileError
 from dcp_codec.codec import Codec, get_codec
 from dcp_stack.config import BPConfig, NodeConfig, SRPConfig, VardisConfig
 from dcp_stack.node import Node
-from dcp_stack.sim.virtual.network import node_id
+from dcp_stack.virtual.world import node_id
 
 from .definition import (
     BeaconRate,

@@ -13,7 +13,7 @@ from dcp_spec.version import __version__
 from dcp_codec.codec import Codec
 from dcp_stack.config import NodeConfig
 from dcp_stack.node import Node
-from dcp_stack.sim.virtual.network import node_id
+from dcp_stack.virtual.world import node_id
 
 from .definition import Scenario
 

@@ -23,6 +23,7 @@ from dcp_codec.network.namespaces import NamespaceError, batch, run
 from dcp_stack.sim.scenario.definition import PERFECT, LinkQuality, Scenario, ScenarioError, SetLink
 
 from .namespaces import create
+from .place import INTERFACE, cable_to_hub, place_names
 
 
 class Air(Protocol):
@@ -49,7 +50,6 @@ class Air(Protocol):
 MakeAir = Callable[[Scenario, str, Sequence[bytes]], Air]
 """Builds the links of a scenario, with the prefix of its namespaces and the addresses of its interfaces."""
 
-INTERFACE = "dcp0"
 _BRIDGE = "type bridge stp_state 0 mcast_snooping 0"
 _SINK = "sink"
 
@@ -68,18 +68,17 @@ class Fabric:
         single = any(isinstance(event, SetLink) and event.sender is not None for event in scenario.events)
         self._bus = scenario.topology.kind == "full" and not scenario.links and not single
         self._pairs = scenario.topology.pairs(scenario.nodes)
-        self._addresses = [address[:6].hex(":") for address in addresses]
-        width = len(str(self._count - 1))
-        self.namespaces = [f"{prefix}-n{node:0{width}}" for node in range(self._count)]
+        self.namespaces = place_names(prefix, self._count)
         self._ether = f"{prefix}-bus"
         self._bridges = 1
         self._own: set[tuple[int, int]] = set()
         self._shaper = Shaper()
         create([*self.namespaces, self._ether] if self._bus else self.namespaces)
         if self._bus:
-            self._build_bus()
+            batch("ip", self._ether, _bridge_lines("bus0"))
+            cable_to_hub(self._ether, self.namespaces, addresses, bridge="bus0")
         else:
-            self._build_cables()
+            self._build_cables(addresses)
         self.set_quality(None, scenario.link)
         for link in scenario.links:
             for direction in link.directions:
@@ -128,25 +127,10 @@ class Fabric:
         for node, commands in lines.items():
             batch("ip", self.namespaces[node], commands)
 
-    def _build_bus(self) -> None:
-        """Create one bridge with a veth pair to each node."""
-        batch("ip", self._ether, _bridge_lines("bus0"))
-        lines = []
-        for node in range(self._count):
-            peer = f"{INTERFACE} address {self._addresses[node]} netns {self.namespaces[node]}"
-            lines.append(f"link add p{node} type veth peer name {peer}")
-            lines.append(f"link set p{node} addrgenmode none master bus0 up")
-        batch("ip", self._ether, lines)
-        for name in self.namespaces:
-            batch("ip", name, [f"link set {INTERFACE} addrgenmode none up"])
-
-    def _build_cables(self) -> None:
+    def _build_cables(self, addresses: Sequence[bytes]) -> None:
         """Create a bridge for each node, with a veth pair for each pair of neighbours."""
-        for node, name in enumerate(self.namespaces):
-            address = f"address {self._addresses[node]}"
-            batch(
-                "ip", name, [f"link add {INTERFACE} {address} {_BRIDGE}", f"link set {INTERFACE} addrgenmode none up"]
-            )
+        for name, address in zip(self.namespaces, addresses, strict=True):
+            batch("ip", name, _bridge_lines(INTERFACE, f"address {address[:6].hex(':')} "))
         ports: dict[int, list[str]] = defaultdict(list)
         for a, b in self._pairs:
             cable = f"link add to{b} type veth peer name to{a} netns {self.namespaces[b]}"
@@ -166,9 +150,9 @@ class Fabric:
             self._shaper.shape(self.namespaces[sender], f"to{receiver}", quality)
 
 
-def _bridge_lines(name: str) -> list[str]:
+def _bridge_lines(name: str, address: str = "") -> list[str]:
     """Return the commands of ``ip`` that create a bridge."""
-    return [f"link add {name} {_BRIDGE}", f"link set {name} addrgenmode none up"]
+    return [f"link add {name} {address}{_BRIDGE}", f"link set {name} addrgenmode none up"]
 
 
 class Shaper:

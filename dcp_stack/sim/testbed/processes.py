@@ -9,14 +9,12 @@ from typing import Any, NamedTuple
 
 import msgspec
 
-from dcp_codec.common.child import Child
-from dcp_codec.network.namespaces import enter_command
 from dcp_stack.control.client import ControlClient, ControlError
 from dcp_stack.runtime.settings import Settings, SRPSettings, VardisSettings, settings_text
 from dcp_stack.sim.scenario.agreement import Known
 from dcp_stack.sim.scenario.definition import NS_PER_S, Scenario
 
-from .fabric import INTERFACE
+from .place import INTERFACE, Place
 
 #: Maximum time in s for the answer to a request, and for the end of a node after SIGTERM.
 ANSWER_PATIENCE = 10.0
@@ -37,7 +35,7 @@ class Look(NamedTuple):
     deleted: frozenset[int]
 
 
-class NodeProcess:
+class NodeProcess(Place):
     """One node of the testbed, and its process while the node is switched on."""
 
     def __init__(
@@ -47,10 +45,8 @@ class NodeProcess:
 
         ``directory``: for settings, log, control socket and recording, whose names begin with ``name``.
         """
+        super().__init__(namespace, directory / f"{name}.log", directory / f"{name}.sock")
         self.index = index
-        self.namespace = namespace
-        self.control = directory / f"{name}.sock"
-        self.log = directory / f"{name}.log"
         self.failure = ""
         """How the process ended unexpectedly; empty if it did not."""
         self.runs: list[tuple[Look, Look]] = []
@@ -60,7 +56,6 @@ class NodeProcess:
         self._name = name
         self._record = record
         self._lives = 0
-        self._process: Child | None = None
         self._client: ControlClient | None = None
         self._first: Look | None = None
         self._last: Look | None = None
@@ -69,18 +64,13 @@ class NodeProcess:
         """Time in s from each start of the process to its first answer."""
 
     @property
-    def on(self) -> bool:
-        """Whether the node is switched on."""
-        return self._process is not None
-
-    @property
     def answers(self) -> bool:
         """Whether the node is ready for requests."""
         return self._client is not None
 
     def start(self) -> None:
         """Switch the node on: start its process without waiting until it is ready. No effect if it is on."""
-        if self._process is not None:
+        if self.on:
             return
         self._lives += 1
         life = "" if self._lives == 1 else f".{self._lives}"
@@ -88,23 +78,21 @@ class NodeProcess:
         settings = msgspec.structs.replace(
             self._settings,
             interface=INTERFACE,
-            control=str(self.control),
+            control=str(self.socket),
             record=str(recording) if self._record else None,
         )
         path = self._directory / f"{self._name}.toml"
         path.write_text(settings_text(settings))
-        # The node would refuse to start with the socket of an earlier process.
-        self.control.unlink(missing_ok=True)
         recording.unlink(missing_ok=True)
-        command = [sys.executable, "-m", "dcp_stack.cli", "run", "--config", str(path)]
         self._begun = time.monotonic()
-        self._process = Child([*enter_command(self.namespace), *command], self.log)
+        self.launch([sys.executable, "-m", "dcp_stack.cli", "run", "--config", str(path)])
 
     def connect(self) -> bool:
         """Try to connect to the control socket; returns whether the node is ready. Does not wait until it is."""
-        if self._client is None and self._process is not None and self.control.exists() and not self.ended():
+        if self._client is None and self.on and self.listens and not self.ended():
+            assert self.socket is not None
             try:
-                self._client = ControlClient(self.control, patience=ANSWER_PATIENCE)
+                self._client = ControlClient(self.socket, patience=ANSWER_PATIENCE)
                 self._first = self.look()
                 self.starts.append(time.monotonic() - self._begun)
             except ControlError:
@@ -114,17 +102,10 @@ class NodeProcess:
 
     def ended(self) -> bool:
         """Return whether there is no running process; note in ``failure`` if it ended unexpectedly."""
-        if self._process is None:
-            return True
-        status = self._process.status()
-        if status is None:
-            return False
-        self.failure = self.failure or self._ended_with(self._process, status)
-        self._forget()
-        return True
-
-    def _ended_with(self, process: Child, status: int) -> str:
-        return f"node {self.index} ended with status {status}: {process.last_line() or 'it logged nothing'}"
+        if how := self.end_of_process():
+            self.failure = self.failure or f"node {self.index} {how}"
+            self.kill()
+        return not self.on
 
     def call(self, method: str, /, **params: Any) -> dict[str, Any]:
         """Send a request to the node, and return its answer.
@@ -161,43 +142,32 @@ class NodeProcess:
         return self._last
 
     def kill(self) -> None:
-        """Kill the process, as if the battery were empty."""
-        if self._process is not None:
-            self._process.kill(END_PATIENCE)
-        self._forget()
+        """Kill the process, as if the battery were empty, and note its reported states."""
+        self.disconnect()
+        self.kill_process(END_PATIENCE)
+        if self._first is not None and self._last is not None:
+            self.runs.append((self._first, self._last))
+        self._first = self._last = None
 
     def ask_to_end(self) -> None:
         """Request an orderly end of the process (SIGTERM); :meth:`wait` waits for it."""
-        if self._process is not None:
-            self._process.popen.terminate()
+        if self.process is not None:
+            self.process.popen.terminate()
 
     def wait(self, deadline: float) -> None:
         """Wait for the end of the process until ``deadline`` (monotonic s), then kill it."""
-        if self._process is None:
+        if self.process is None:
             return
-        status = self._process.status(max(deadline - time.monotonic(), 0.01))
-        if status is None:
-            self.failure = self.failure or f"node {self.index} did not end within {END_PATIENCE:g} s"
-        elif status:
-            self.failure = self.failure or self._ended_with(self._process, status)
-        self._process.kill(END_PATIENCE)
-        self._forget()
+        how = self.end_of_process(max(deadline - time.monotonic(), 0.01)) or f"did not end within {END_PATIENCE:g} s"
+        if self.process.status() != 0:
+            self.failure = self.failure or f"node {self.index} {how}"
+        self.kill()
 
     def disconnect(self) -> None:
         """Close the connection to the control socket."""
         if self._client is not None:
             self._client.close()
             self._client = None
-
-    def _forget(self) -> None:
-        """Note the reported states of a process that has ended, and mark the node as switched off."""
-        self.disconnect()
-        if self._process is not None:
-            self._process.close()
-            self._process = None
-        if self._first is not None and self._last is not None:
-            self.runs.append((self._first, self._last))
-        self._first = self._last = None
 
 
 def settings_for(scenario: Scenario, index: int, node_id: str) -> Settings:

@@ -34,7 +34,7 @@ from dcp_stack.sim.scenario.loading import check, check_nodes, scenario_codec
 from dcp_stack.sim.scenario.provenance import Provenance
 from dcp_stack.sim.scenario.report import Finding, NodeTraffic, Report
 from dcp_stack.sim.scenario.requests import request, trouble
-from dcp_stack.sim.virtual.network import node_id
+from dcp_stack.virtual.world import node_id
 
 from .cleanup import CleanupProcess
 from .fabric import Air, Fabric, MakeAir

@@ -2,61 +2,47 @@
 
 from __future__ import annotations
 
-import heapq
 import logging
 import random
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeVar
 
 import msgspec
-from dcp_spec.profile.definition import Profile
 
 from dcp_codec.codec import Codec
 from dcp_codec.common.garbage import few_collections
 from dcp_stack.config import BPConfig, NodeConfig, SRPConfig, VardisConfig
 from dcp_stack.effects import Effect, NeighbourExpired, SendBeacon, VariableChanged
 from dcp_stack.links.base import Watcher
-from dcp_stack.links.memory import WALL_START, Arrival, Delivery, Medium, MemoryLink, TraceDigest
-from dcp_stack.links.quality import PERFECT, Quality
-from dcp_stack.links.topology import Positions, Topology
 from dcp_stack.node import Node
 from dcp_stack.positions import PositionSource, SafetyFields
 from dcp_stack.positions.base import Sample
 from dcp_stack.positions.tracks import Track
 from dcp_stack.sim.scenario.requests import answer
+from dcp_stack.virtual.medium import Arrival, SimulatedMedium, TraceDigest
+from dcp_stack.virtual.quality import PERFECT, Quality
+from dcp_stack.virtual.topology import Positions, Topology
+from dcp_stack.virtual.world import Station, World, node_id
 
 from .hearing import MOST_WAITING, HearingNode, Parsed, Parser, ReceivedBeacon
 from .sharing import SharedCodec
 
 log = logging.getLogger(__name__)
 
-#: Maximum number of timeouts of a node at one moment; more indicate a defect of the node.
-MOST_CALLS = 1000
-
 T = TypeVar("T")
 Listener = Callable[[int, int, Any], None]
 """A function that is called with the virtual time in ns, the number of the node, and the effect."""
 
 
-def node_id(profile: Profile, index: int) -> bytes:
-    """Return the identifier of a simulated node: a locally administered MAC address that ends with its number."""
-    layout = profile.types.node_id
-    mac = b"\x02" + index.to_bytes(5, "big")
-    if layout.length is not None:
-        return mac.hex(":").encode()
-    return mac if layout.width == len(mac) else (index + 1).to_bytes(layout.width, "big")
+class NetworkStation(Station):
+    """One node of the network. It has the fast path for known beacons unless the network has plain nodes."""
 
-
-class Station:
-    """One node of the network with its link. It exists also while the node is switched off."""
-
-    def __init__(self, index: int, link: MemoryLink, config: NodeConfig, rng: random.Random) -> None:
+    def __init__(self, network: Network, index: int, config: NodeConfig, rng: random.Random) -> None:
         """Initialise a station that is switched off. Only :class:`Network` creates stations."""
+        super().__init__(network, config, rng)
         self.index = index
-        self.link = link
-        self.config = config
-        self.rng = rng
-        self.node: Node | None = None
+        self.network = network
+        self.address = b"\x02\x00" + index.to_bytes(4, "big")
         self.hearing: HearingNode | None = None
         """The node, if it has the fast path for known beacons."""
         self.failure = ""
@@ -69,12 +55,109 @@ class Station:
         self.octets_sent = 0
         self.beacons_received = 0
         self.up_since: int | None = None
-        self.due = -1
-        self.called = -1
-        self.calls = 0
+
+    def make(self) -> Node:
+        """Return a new node."""
+        kind = HearingNode if self.network.parse is not None else Node
+        return kind(self.config, rng=self.rng, now=self.world.now, wall=self.wall())
+
+    def switch_on(self) -> None:
+        """Switch the node on now, with empty memory. No effect if it is already on."""
+        if self.node is not None:
+            return
+        self.network.medium.switch(self.index, up=True)
+        self.up_since = self.world.now
+        super().switch_on()
+        if isinstance(self.node, HearingNode):
+            self.hearing = self.node
+            self.hearing.look()
+
+    def switch_off(self) -> None:
+        """Switch the node off now, without any further message."""
+        super().switch_off()
+        self.hearing = self.up_since = None
+        self.network.medium.switch(self.index, up=False)
+
+    def fail(self, error: Exception) -> None:
+        """Switch off a node that raised an exception, and note the exception."""
+        log.error("node %d at %.6f s: %s", self.index, self.world.now / 1e9, error, exc_info=error)
+        self.switch_off()
+        self.failure = f"at {self.world.now / 1e9:.6f} s: {type(error).__name__}: {error}"
+
+    def wake(self) -> None:
+        """Submit the samples of tracks if a beacon is due, and process the timeouts of the node."""
+        self.guarded(self._timeout, self.node, self.world.now, self.wall())
+
+    def _timeout(self, node: Node, now: int, wall: int) -> None:
+        if self.tracks:
+            beacon = node.bp.poll_timeout()
+            if beacon is not None and beacon <= now:
+                for track in self.tracks:
+                    self.submit(self.sample(track))
+        node.handle_timeout(now, wall)
+
+    def apply(self, effects: Sequence[Effect]) -> None:
+        """Broadcast beacons, and call the listeners of the network."""
+        listeners, now = self.network.listeners, self.world.now
+        for effect in effects:
+            if isinstance(effect, SendBeacon):
+                self._send(effect.octets)
+            # Most effects are drops without a listener, so they must be cheap.
+            for listener in listeners.get(type(effect), ()):
+                listener(now, self.index, effect)
+
+    def _send(self, octets: bytes) -> None:
+        """Broadcast a frame."""
+        self.beacons_sent += 1
+        self.octets_sent += len(octets)
+        for watchers in (self.network.watchers, self.watchers):
+            for watcher in watchers:
+                watcher.saw(octets, self.world.wall, outgoing=True, source=self.address)
+        self.network.medium.broadcast(self.index, octets, self.world.now)
+
+    def show(self, arrival: Arrival) -> None:
+        """Show a received frame to the watchers."""
+        source = self.network.stations[arrival.sender].address
+        for watcher in self.watchers:
+            watcher.saw(arrival.octets, self.world.wall, outgoing=False, source=source)
+
+    def deliver(self, arrival: Arrival) -> None:
+        """Process a frame completely."""
+        self.beacons_received += 1
+        self.show(arrival)
+        if self.node is not None:
+            self.network.delivering = arrival
+            self.guarded(self.node.handle_frame, arrival.octets, now=self.world.now, wall=self.wall())
+            self.network.delivering = None
+
+    def poll(self, source: PositionSource) -> None:
+        """Submit the current samples of a source to the node, and schedule the next poll."""
+        samples = self.sample(source)
+        if samples:
+            self.guarded(self.submit, samples)
+        due = source.poll_timeout()
+        if due is not None and not source.finished:
+            self.world.at(due, lambda: self.poll(source))
+
+    def sample(self, source: PositionSource) -> list[Sample]:
+        """Return the current samples of a source; the station moves there, also while it is switched off."""
+        samples = source.poll(self.world.now, self.world.wall)
+        for sentence in source.take_complaints():
+            log.warning("node %d: %s", self.index, sentence)
+        if samples:
+            self.network.move(self.index, samples[-1])
+        return samples
+
+    def submit(self, samples: list[Sample]) -> None:
+        """Submit samples to SRP; the effects are carried out with the current step of the node."""
+        now, wall = self.world.now, self.wall()
+        if self.node.srp is not None:
+            for sample in samples:
+                self.node.srp.update_safety_data(sample, now=now, wall=wall)
+        self.node.settle(now, wall)
 
 
-class Network:
+class Network(World):
     """A simulated network: nodes and medium. All times are virtual ns from 0.
 
     Use: :meth:`start` nodes, :meth:`call` their services, and let time pass with :meth:`run_until`, in any order.
@@ -100,24 +183,22 @@ class Network:
         ``share_decoding`` False decodes a broadcast once per receiver and uses plain nodes, which is slower and has
         the same outcome. Raises ValueError for parameters out of bounds.
         """
+        self.digest = TraceDigest()
+        self.medium = SimulatedMedium(count, quality, seed=seed, topology=topology, observer=self.digest)
+        super().__init__(self.medium, self.arrive)
         self._places = topology if isinstance(topology, Positions) else None
         self._fields = SafetyFields(codec.profile)
         self.codec: Codec = SharedCodec(codec) if share_decoding else codec
-        self.digest = TraceDigest()
-        self.medium = Medium(seed, topology=topology, quality=quality, observer=self.digest)
-        self._listeners: dict[type[Effect], list[Listener]] = {}
+        self.listeners: dict[type[Effect], list[Listener]] = {}
+        """Functions by the kind of effect; see :meth:`listen`."""
         self.watchers: list[Watcher] = []
         """Watchers of the medium; each gets every transmission once."""
-        self.stations: list[Station] = []
-        self.now = 0
-        self._parse: Callable[[bytes], Parsed | None] | None = None
-        self.delivering: Delivery | None = None
+        self.parse: Callable[[bytes], Parsed | None] | None = None
+        """The parser of the fast path; None: nodes are plain."""
+        self.delivering: Arrival | None = None
         """The frame that causes the effects of the current calls of listeners; None for services and timers."""
-        # Entries are (time, number, station) and (time, number, action). The unique number keeps the order of entries.
-        self._heap: list[tuple[int, int, Station | Callable[[], None]]] = []
-        self._number = 0
+        self.stations: list[NetworkStation] = []
         for index in range(count):
-            link = self.medium.join()
             config = NodeConfig(
                 node_id=node_id(codec.profile, index),
                 codec=self.codec,
@@ -127,52 +208,35 @@ class Network:
                 readings=readings or {},
             )
             rng = random.Random(f"{seed}/node/{index}")  # noqa: S311 - runs have to be repeatable
-            link.closed = True
-            self.stations.append(Station(index, link, config, rng))
+            self.stations.append(self.station(index, config, rng))
+            self.medium.switch(index, up=False)
         if share_decoding and self.stations:
             # Its cache makes that of the shared codec superfluous.
-            self._parse = Parser(msgspec.structs.replace(self.stations[0].config, codec=codec)).parse
+            self.parse = Parser(msgspec.structs.replace(self.stations[0].config, codec=codec)).parse
+
+    def station(self, index: int, config: NodeConfig, rng: random.Random) -> NetworkStation:
+        """Return a new station."""
+        return NetworkStation(self, index, config, rng)
 
     def __len__(self) -> int:
         return len(self.stations)
-
-    @property
-    def wall(self) -> int:
-        """The wall clock of all nodes, ns since 1970."""
-        return WALL_START + self.now
 
     # -- nodes ---------------------------------------------------------------------------------------------------------
 
     def node(self, index: int) -> Node:
         """Return a node by its number. Raises LookupError while it is switched off."""
-        node = self.stations[index].node
+        node: Node | None = self.stations[index].node
         if node is None:
             raise LookupError(f"node {index} is switched off")
         return node
 
     def start(self, index: int) -> None:
         """Switch a node on now, with empty memory. No effect if it is already on."""
-        station = self.stations[index]
-        if station.node is not None:
-            return
-        if self._parse is None:
-            station.node = Node(station.config, rng=station.rng, now=self.now, wall=self.wall)
-        else:
-            station.node = station.hearing = HearingNode(station.config, rng=station.rng, now=self.now, wall=self.wall)
-        station.link.closed = False
-        station.up_since = self.now
-        self._guarded(station, lambda node: node.start(self.now, self.wall))
-        if station.hearing is not None:
-            station.hearing.look()
+        self.stations[index].switch_on()
 
     def stop(self, index: int) -> None:
         """Switch a node off now, without any further message, as when its battery is empty."""
-        station = self.stations[index]
-        station.node = station.hearing = None
-        station.link.closed = True
-        station.up_since = None
-        # Cancels its pending timeout.
-        station.due = -1
+        self.stations[index].switch_off()
 
     def attach(self, index: int, source: PositionSource) -> None:
         """Let a node get its safety data from ``source`` from now on.
@@ -187,17 +251,22 @@ class Network:
             station.tracks.append(source)
             source.poll(self.now, self.wall)
         else:
-            self.at(self.now, lambda: self._poll(station, source))
+            self.at(self.now, lambda: station.poll(source))
+
+    def move(self, index: int, sample: Sample) -> None:
+        """Move a node to the position of a sample, in a topology of :class:`Positions`."""
+        place = None if self._places is None else self._fields.place(sample)
+        if self._places is not None and place is not None:
+            self._places.move(index, place)
 
     def call(self, index: int, service: Callable[[Node, int, int], T]) -> T:
         """Call ``service(node, now, wall)``, execute the effects at that node, and return the result of the service.
 
         Raises LookupError while the node is switched off.
         """
-        node = self.node(index)
-        station = self.stations[index]
-        answer = service(node, self.now, self.wall)
-        self._guarded(station, lambda node: node.settle(self.now, self.wall))
+        node, station = self.node(index), self.stations[index]
+        answer = service(node, self.now, station.wall())
+        station.guarded(node.settle, self.now, station.wall())
         if station.hearing is not None:
             station.hearing.look()
         return answer
@@ -214,9 +283,9 @@ class Network:
 
         Call it before nodes start: without a listener the fast path processes known beacons without effects.
         """
-        self._listeners.setdefault(kind, []).append(listener)
+        self.listeners.setdefault(kind, []).append(listener)
         if kind not in (VariableChanged, NeighbourExpired, SendBeacon):
-            self._parse = None
+            self.parse = None
             for station in self.stations:
                 if station.hearing is not None:
                     station.hearing.forget_all()
@@ -225,39 +294,10 @@ class Network:
 
     # -- time ----------------------------------------------------------------------------------------------------------
 
-    def at(self, time: int, action: Callable[[], None]) -> None:
-        """Call ``action`` at a future time, after the arrivals of that time and in the order of these calls."""
-        self._push(max(time, self.now), action)
-
     def run_until(self, end: int, *, stop: Callable[[], bool] | None = None) -> bool:
-        """Let virtual time pass up to ``end``, and process all events until then.
-
-        Calls ``stop`` after each event. Returns True as soon as it returns True, otherwise False at ``end``.
-        """
+        """Let virtual time pass as :meth:`World.run_until` does."""
         with few_collections():
-            return self._run_until(end, stop)
-
-    def _run_until(self, end: int, stop: Callable[[], bool] | None) -> bool:
-        heap, medium = self._heap, self.medium
-        while True:
-            flight = medium.poll_timeout()
-            if flight is not None and flight <= end and (not heap or flight <= heap[0][0]):
-                self.now = flight
-                for arrival in medium.arrivals(flight):
-                    self._arrive(arrival)
-            elif heap and heap[0][0] <= end:
-                time, _, subject = heapq.heappop(heap)
-                self.now = time
-                if not isinstance(subject, Station):
-                    subject()
-                elif subject.due == time and subject.node is not None:
-                    subject.due = -1
-                    self._wake(subject)
-            else:
-                self.now = end
-                return False
-            if stop is not None and stop():
-                return True
+            return super().run_until(end, stop=stop)
 
     def close(self) -> None:
         """Close the position sources."""
@@ -265,46 +305,19 @@ class Network:
             for source in station.sources:
                 source.close()
 
-    # -- internals -----------------------------------------------------------------------------------------------------
-
-    def _push(self, time: int, subject: Station | Callable[[], None]) -> None:
-        """Schedule the timeout of a station, or an action."""
-        heapq.heappush(self._heap, (time, self._number, subject))
-        self._number += 1
-
-    def _wake(self, station: Station) -> None:
-        """Process the timeout of a node; stop the node if its timeouts do not end at one moment."""
-        station.calls = station.calls + 1 if station.called == self.now else 0
-        station.called = self.now
-        if station.calls > MOST_CALLS:
-            # Otherwise virtual time would never advance again.
-            self._fail(station, RuntimeError(f"handle_timeout was called {MOST_CALLS} times and is still due"))
-        else:
-            self._guarded(station, lambda node: self._timeout(station, node))
-
-    def _timeout(self, station: Station, node: Node) -> None:
-        """Submit the samples of tracks if a beacon is due, and call ``handle_timeout`` of the node."""
-        now, wall = self.now, self.wall
-        if station.tracks:
-            beacon = node.bp.poll_timeout()
-            if beacon is not None and beacon <= now:
-                for track in station.tracks:
-                    self._submit(node, self._sample(station, track))
-        node.handle_timeout(now, wall)
-
-    def _arrive(self, arrival: Arrival) -> None:
+    def arrive(self, arrival: Arrival) -> None:
         """Process a frame at all its receivers, on the fast path where possible."""
-        stations, reception = self.stations, arrival.reception
-        beacon = self._parse(reception.octets) if self._parse is not None else None
+        stations, octets = self.stations, arrival.octets
+        beacon = self.parse(octets) if self.parse is not None else None
         if beacon is None:
-            for delivery in arrival.deliveries():
-                station = stations[delivery.receiver]
+            for receiver in arrival.receivers:
+                station = stations[receiver]
                 if station.hearing is not None:
                     # The frame may contain a request; the node then has to process the sender's next beacon completely.
                     station.hearing.forget_all()
-                self._deliver(station, delivery)
+                station.deliver(arrival)
             return
-        heard = ReceivedBeacon(beacon, self.now, reception.wall)
+        heard = ReceivedBeacon(beacon, self.now, self.wall)
         sender, payload, network = beacon.sender_id, beacon.vardis, beacon.network_id
         for receiver in arrival.receivers:
             station = stations[receiver]
@@ -321,99 +334,9 @@ class Network:
                     node = None
             if node is not None:
                 station.beacons_received += 1
-                for watcher in station.watchers:
-                    watcher.saw(reception.octets, reception.wall, outgoing=False, source=reception.source)
+                if station.watchers:
+                    station.show(arrival)
                 continue
-            self._deliver(station, Delivery(arrival.time, arrival.sender, receiver, reception, arrival.sent))
+            station.deliver(arrival)
             if station.hearing is not None:
                 station.hearing.handled(beacon)
-
-    def _deliver(self, station: Station, delivery: Delivery) -> None:
-        """Process a frame completely at one receiver."""
-        station.beacons_received += 1
-        reception = delivery.reception
-        for watcher in station.watchers:
-            watcher.saw(reception.octets, reception.wall, outgoing=False, source=reception.source)
-        node = station.node
-        if node is None:
-            return
-        self.delivering = delivery
-        try:
-            node.handle_frame(reception.octets, now=self.now, wall=reception.wall)
-        except Exception as error:  # received octets must never raise: report it, and continue with the other nodes
-            self._fail(station, error)
-        else:
-            self._follow_up(station, node)
-        self.delivering = None
-
-    def _guarded(self, station: Station, step: Callable[[Node], None]) -> None:
-        """Call ``step`` and execute the effects of the node; stop the node if it raises an exception."""
-        node = station.node
-        if node is None:
-            return
-        try:
-            step(node)
-        except Exception as error:  # as above
-            self._fail(station, error)
-        else:
-            self._follow_up(station, node)
-
-    def _fail(self, station: Station, error: Exception) -> None:
-        """Stop a node that raised an exception, and note the exception."""
-        log.error("node %d at %.6f s: %s", station.index, self.now / 1e9, error, exc_info=error)
-        self.stop(station.index)
-        station.failure = f"at {self.now / 1e9:.6f} s: {type(error).__name__}: {error}"
-
-    def _follow_up(self, station: Station, node: Node) -> None:
-        """Execute the effects of a node, call listeners, and schedule its next timeout."""
-        listeners = self._listeners
-        for effect in node.take_effects():
-            kind = type(effect)
-            if isinstance(effect, SendBeacon):
-                self._send(station, effect.octets)
-            # Most effects are drops without a listener, so they must be cheap.
-            for listener in listeners.get(kind, ()):
-                listener(self.now, station.index, effect)
-        due = node.poll_timeout()
-        if due is not None and due != station.due:
-            station.due = due = max(due, self.now)
-            self._push(due, station)
-
-    def _send(self, station: Station, octets: bytes) -> None:
-        """Broadcast a frame of a node."""
-        station.beacons_sent += 1
-        station.octets_sent += len(octets)
-        for watchers in (self.watchers, station.watchers):
-            for watcher in watchers:
-                watcher.saw(octets, self.wall, outgoing=True, source=station.link.source)
-        self.medium.broadcast(station.index, octets, self.now)
-
-    def _poll(self, station: Station, source: PositionSource) -> None:
-        """Submit the current samples of a source to its node, and schedule the next poll."""
-        samples = self._sample(station, source)
-        if samples:
-            self._guarded(station, lambda node: self._submit(node, samples))
-        due = source.poll_timeout()
-        if due is not None and not source.finished:
-            self.at(due, lambda: self._poll(station, source))
-
-    def _sample(self, station: Station, source: PositionSource) -> list[Sample]:
-        """Return the current samples of a source.
-
-        In a topology of positions the node moves there, even while it is switched off.
-        """
-        samples = source.poll(self.now, self.wall)
-        for sentence in source.take_complaints():
-            log.warning("node %d: %s", station.index, sentence)
-        if self._places is not None and samples:
-            place = self._fields.place(samples[-1])
-            if place is not None:
-                self._places.move(station.index, place)
-        return samples
-
-    def _submit(self, node: Node, samples: list[Sample]) -> None:
-        """Submit samples to SRP; the effects are executed with the next step of the node."""
-        if node.srp is not None:
-            for sample in samples:
-                node.srp.update_safety_data(sample, now=self.now, wall=self.wall)
-        node.settle(self.now, self.wall)

@@ -15,7 +15,6 @@ from dcp_codec.analysis.vantage_point import MEDIUM
 from dcp_codec.codec import Codec
 from dcp_stack.control.client import ServiceError
 from dcp_stack.effects import VariableChanged
-from dcp_stack.links.memory import MediumCounters
 from dcp_stack.links.recording import Recorder
 from dcp_stack.positions import SourceError, open_source
 from dcp_stack.sim.measuring import Measurements
@@ -44,6 +43,7 @@ from dcp_stack.sim.scenario.loading import check, check_nodes, scenario_codec
 from dcp_stack.sim.scenario.provenance import Provenance
 from dcp_stack.sim.scenario.report import Finding, NodeTraffic, Report
 from dcp_stack.sim.scenario.requests import request, trouble
+from dcp_stack.virtual.medium import MediumCounters
 
 from .network import Network
 
@@ -210,9 +210,9 @@ class Simulation:
                 self._switch_off(node)
                 self._switch_on(node)
             case Partition(groups=groups):
-                medium.partition(*groups)
+                medium.partition(groups)
             case Heal():
-                medium.heal()
+                medium.partition()
             case SetLink(sender=int() as sender, receiver=int() as receiver, quality=quality):
                 self._set_link(sender, receiver, quality)
                 if event.both_ways:
@@ -221,13 +221,13 @@ class Simulation:
                 for pair in self.scenario.topology.pairs(len(network)):
                     for sender, receiver in (pair, pair[::-1]):
                         if (sender, receiver) not in self._own_quality:
-                            medium.set_quality(sender, receiver, quality.quality())
+                            medium.set_quality(quality.quality(), sender, receiver)
         return ""
 
     def _set_link(self, sender: int, receiver: int, quality: LinkQuality) -> None:
         """Set the quality of one direction. Events for all links do not change it any more."""
         self._own_quality.add((sender, receiver))
-        self.network.medium.set_quality(sender, receiver, quality.quality())
+        self.network.medium.set_quality(quality.quality(), sender, receiver)
 
     def _switch_on(self, node: int) -> None:
         """Start a node, and include it in the measurements."""

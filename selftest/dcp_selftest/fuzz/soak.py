@@ -13,9 +13,10 @@ from dcp_conformance.fuzz.execute.stack import difference, observer_of
 from dcp_conformance.fuzz.steps import Effect
 from dcp_conformance.oracle import Version
 from dcp_conformance.oracle.knowledge import State
-from dcp_conformance.reference.inprocess import EPOCH, InProcess, MakeNode, plain_node, reference_config
+from dcp_conformance.reference.inprocess import InProcess, MakeNode, plain_node, reference_config
 
 from dcp_codec.codec import Codec
+from dcp_stack.virtual.world import EPOCH
 
 #: Frames in an epoch; one of this many epochs is compared, because the model takes more time than the node.
 FRAMES, ONE_OF = 50, 10

@@ -73,8 +73,8 @@ class Busy(Tested):
         """Start the node; ``seed`` also decides the delays."""
         self.load = load
         self._chance = random.Random(f"busy/{seed}")  # noqa: S311 - no secret
-        self._held_until = 0
-        """The node is not executed until this time, ns."""
+        self._held_until: int | None = None
+        """The node is not executed until this time, ns; None while it is."""
         self._next_hold = self._draw_hold(now)
         self._inbox: deque[bytes] = deque()
         """Frames that the node has not processed yet."""
@@ -110,48 +110,51 @@ class Busy(Tested):
 
     def await_node(self) -> None:
         """Let time pass until the node is executed."""
-        while self._held_until > self.now and not self.died:
+        while self._held_until is not None and not self.died:
             self.elapse(self._held_until - self.now)
 
     def deliver(self, octets: bytes) -> None:
         """Deliver a frame to the node, which processes it when it is executed the next time."""
-        if self._held_until > self.now:
-            if self.linked:
-                self._inbox.append(octets)
-        else:
+        if self._held_until is None:
             super().deliver(octets)
+        elif self.linked:
+            self._inbox.append(octets)
 
-    def _step(self, until: int) -> bool:
-        if self._held_until > self.now:
-            if self._held_until > until:
-                self.now = max(self.now, until)
-                return False
-            self.now = self._held_until
+    def poll_timeout(self) -> int | None:
+        """Return when the node is called or held up next, or when it is executed again."""
+        if self._held_until is not None:
+            return self._held_until
+        due = super().poll_timeout()
+        return self._next_hold if due is None else min(due, self._next_hold)
+
+    def wake(self) -> None:
+        """Call the node, hold it up, or execute it again."""
+        due = super().poll_timeout()
+        if self._held_until is not None:
+            self._held_until = None
             frames_first = self._chance.random() < 0.5
             if not frames_first:
-                self.guarded(self.node.handle_timeout, self.now, self.node_wall())
+                self.guarded(self.node.handle_timeout, self.now, self.wall())
             while self._inbox:
                 super().deliver(self._inbox.popleft())
-            return True
-        if super()._step(min(until, self._next_hold)):
-            return True
-        if self.now < self._next_hold:
-            return False
-        self._held_until = self.now + self._delay()
-        self._next_hold = self._draw_hold(self._held_until)
-        return True
+        elif due is not None and due <= self.now:
+            super().wake()
+        else:
+            self._held_until = self.now + self._delay()
+            self._next_hold = self._draw_hold(self._held_until)
+        self.schedule()
 
-    def _start(self) -> None:
-        # Frames that the former node has sent can still be read.
+    def switch_on(self) -> None:
+        """Start a new node. Frames that the former one has sent can still be read."""
         sent = list(self.arrivals)
         self._inbox.clear()
-        super()._start()
+        super().switch_on()
         self.arrivals.extendleft(reversed(sent))
 
-    def dies(self, error: Exception) -> None:
+    def fail(self, error: Exception) -> None:
         """Note the exception that ended the node. Its frames can still be read."""
         sent = list(self.arrivals)
-        super().dies(error)
+        super().fail(error)
         self.arrivals.extend(sent)
 
     # -- the tester ----------------------------------------------------------------------------------------------------

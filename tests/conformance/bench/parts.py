@@ -10,6 +10,7 @@ from typing import Any
 from dcp_conformance.errors import UpperTesterError
 from dcp_conformance.frames.builder import FrameBuilder
 from dcp_conformance.frames.received import ReceivedBeacon
+from dcp_conformance.interconnection.findings import Findings
 from dcp_conformance.lower_tester import Arrival, Incident, LinkHealth
 from dcp_conformance.model.case import Case, Kind
 from dcp_conformance.model.pics import Pics
@@ -17,7 +18,6 @@ from dcp_conformance.test_system.assumptions import Assumptions
 from dcp_conformance.test_system.control import Control
 from dcp_conformance.test_system.identifiers.allocation import Identifiers
 from dcp_conformance.test_system.identifiers.pool import IdentifierPool
-from dcp_conformance.test_system.judgement.contact import Contact
 from dcp_conformance.test_system.judgement.counting import Counting
 from dcp_conformance.test_system.judgement.excuses import Excuses
 from dcp_conformance.test_system.judgement.losses import Losses
@@ -31,7 +31,7 @@ from dcp_conformance.test_system.sending.transmission import Transmission
 from dcp_conformance.test_system.services.calls import Services
 from dcp_conformance.test_system.services.changes import Changes
 from dcp_conformance.test_system.steps import Steps
-from dcp_conformance.test_system.sut_properties import PeriodOverride, Reaction, SutProperties
+from dcp_conformance.test_system.sut_properties import PeriodOverride, SutProperties
 from dcp_conformance.test_system.traffic import Traffic
 from dcp_conformance.upper_tester import Answer, Notification
 
@@ -135,13 +135,10 @@ class Run:
         self.pics = pics
         self.timing_scale = 1.0
         self.parameters: dict[str, Any] = {}
-        self.reaction: Reaction | None = None
+        self.known = Findings()
         self.short_period: PeriodOverride | None = None
         self.busy_until = 0
         self.sut_id: bytes | None = SUT
-        self.contact: Contact | None = None
-        self.lost_container = ""
-        self.misread: dict[Any, str] = {}
         self.identifier_pool = IdentifierPool(0, 15, leave=False, timed=True)
         self.boundaries: Mapping[str, int] = {"lowest": 0, "highest": 15}
         self.renewable = False

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 from dcp_conformance.frames.builder import Block
+from dcp_conformance.interconnection.contact import Contact
 from dcp_conformance.lower_tester import Incident
-from dcp_conformance.test_system.judgement.contact import Contact
 from dcp_spec.constants import BP_PROTID_VARDIS
 
 from dcp_codec.values import VarSumm
@@ -75,7 +75,7 @@ def test_an_unreadable_beacon_hides_records_and_excuses_no_later_proof():
 
 def test_a_misread_field_excuses_only_checks_that_rely_on_it():
     parts = Parts()
-    parts.run.misread["creationTime"] = "it compares creation times wrongly"
+    parts.run.known.misread["creationTime"] = "it compares creation times wrongly"
     assert parts.excuses.find(REQUIREMENTS) is None
     excuse = parts.excuses.find(REQUIREMENTS, shown=True, field="creationTime")
     assert excuse == ("this follows from another fault: it compares creation times wrongly", "")
@@ -86,7 +86,7 @@ def test_a_misread_field_excuses_only_checks_that_rely_on_it():
 
 def test_a_misread_report_excuses_something_missing_after_a_report():
     parts = Parts()
-    parts.run.misread["report"] = "reports are laid out otherwise"
+    parts.run.known.misread["report"] = "reports are laid out otherwise"
     assert parts.excuses.find(REQUIREMENTS) is None
     report = parts.builder.srp(parts.records.report(b"\x02\0\0\0\0\x09", 1))
     sent(parts, parts.builder.beacon(b"\x02\0\0\0\0\x09", 1, [report], network_id=0x1111))
@@ -96,7 +96,7 @@ def test_a_misread_report_excuses_something_missing_after_a_report():
 
 def test_a_lost_container_excuses_cases_that_sent_two_except_about_extraction():
     parts = Parts()
-    parts.run.lost_container = "second"
+    parts.run.known.lost_container = "second"
     sent(parts, parts.beacon(1, VarSumm(1, 1)))
     assert parts.excuses.find(REQUIREMENTS) is None
     containers = [parts.builder.container(VarSumm(1, 1)), parts.builder.container(VarSumm(2, 1))]
@@ -108,12 +108,29 @@ def test_a_lost_container_excuses_cases_that_sent_two_except_about_extraction():
     assert parts.excuses.find(("VD-RX-04",)) is None
 
 
+def test_after_a_loss_only_a_misread_field_explains_a_failure_for_certain():
+    """Another execution may decide a check that a lost container explains, and none that a misread field explains."""
+    parts = Parts()
+    parts.run.known.lost_container = "second"
+    parts.run.known.misread["report"] = "reports are laid out otherwise"
+    several = parts.builder.vardis(*(parts.builder.container(VarSumm(each, 1)) for each in (1, 2)))
+    sent(parts, parts.builder.beacon(b"\x02\0\0\0\0\x09", 1, [several], network_id=0x1111))
+    parts.steps.late_ns = 2 * PERIOD
+    excuse = parts.excuses.find(REQUIREMENTS)
+    assert excuse is not None
+    assert excuse.disturbance == "it acted late by 200 ms"
+    report = parts.builder.srp(parts.records.report(b"\x02\0\0\0\0\x09", 1))
+    sent(parts, parts.builder.beacon(b"\x02\0\0\0\0\x09", 2, [report], network_id=0x1111))
+    excuse = parts.excuses.find(REQUIREMENTS)
+    assert excuse == ("this follows from another fault: reports are laid out otherwise", "")
+
+
 @pytest.mark.parametrize(("created", "excused"), [(set(), True), ({7}, False)])
 def test_a_stimulus_that_is_never_answered_excuses_other_requirements(created: set[int], excused: bool):
     """A summary of a variable that the case has created is another stimulus."""
     parts = Parts()
     parts.created.update(created)
-    parts.run.contact = Contact(3, 3, frozenset({"create"}), frozenset({"summary"}))
+    parts.run.known.contact = Contact(3, 3, frozenset({"create"}), frozenset({"summary"}))
     sent(parts, parts.beacon(1, VarSumm(7, 1)))
     assert parts.excuses.find(("VD-PS-01",)) is None
     assert (parts.excuses.find(("VD-CMP-06",)) is not None) is excused

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 from dcp_conformance.errors import ConformanceError, StopCase
+from dcp_conformance.interconnection.contact import Contact
 from dcp_conformance.model.verdict import Verdict
-from dcp_conformance.test_system.judgement.contact import Contact
 
 from dcp_codec.values import VarReqCreate
 
@@ -36,7 +36,7 @@ def test_a_probe_is_answered_with_a_request_for_its_variable():
 
 def test_a_probe_uses_a_kind_of_stimulus_that_was_answered():
     parts = Parts()
-    parts.run.contact = Contact(3, 3, frozenset({"create"}), frozenset({"summary"}))
+    parts.run.known.contact = Contact(3, 3, frozenset({"create"}), frozenset({"summary"}))
     peer = parts.peers.new()
     parts.sends(parts.records.sample(3, peer.node_id))
     assert parts.probes.probe()

@@ -6,7 +6,7 @@ import pytest
 from dcp_conformance.errors import StopCase
 from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.model.verdict import Verdict
-from dcp_conformance.test_system.sut_properties import Reaction
+from dcp_conformance.test_system.known import Reaction
 
 from dcp_codec.values import VarDelete, VarSumm
 
@@ -86,7 +86,7 @@ def test_the_duration_of_a_transmission_is_lateness():
 
 def test_each_payload_block_keeps_a_slow_implementation_busy():
     parts = Parts()
-    parts.run.reaction = Reaction(4.0, per_payload=1.0)
+    parts.run.known.reaction = Reaction(4.0, per_payload=1.0)
     peer = parts.peers.new()
     peer.send(peer.summary(1, 1), parts.records.report(peer.node_id, 1), peer.summary(2, 1))
     assert parts.sut.busy_until == 3 * PERIOD

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 from dcp_conformance.model.pics import Pics, Testing
-from dcp_conformance.test_system.sut_properties import FLOOR, Reaction
+from dcp_conformance.test_system.known import Reaction
+from dcp_conformance.test_system.sut_properties import FLOOR
 
 from .parts import PERIOD, Parts
 
@@ -52,10 +53,10 @@ def test_a_stimulus_that_may_be_rejected_is_an_assumption_about_stimuli():
 def test_the_reaction_time_is_measured_and_the_pixit_overrides_it():
     parts = Parts()
     assert (parts.sut.reaction, parts.sut.slowness, parts.sut.ahead) == (FLOOR, 1.0, 2)
-    parts.run.reaction = Reaction(2 * FLOOR, samples=(3.2,))
+    parts.run.known.reaction = Reaction(2 * FLOOR, samples=(3.2,))
     assert (parts.sut.reaction, parts.sut.slowness, parts.sut.ahead) == (2 * FLOOR, 2.0, 4)
     parts = Parts(pics=Pics(pixit=Testing(reaction_periods=3.0)))
-    parts.run.reaction = Reaction(2 * FLOOR)
+    parts.run.known.reaction = Reaction(2 * FLOOR)
     assert (parts.sut.reaction, parts.sut.slowness) == (3.0, 1.0)
 
 
@@ -63,7 +64,7 @@ def test_payloads_that_are_processed_one_at_a_time_extend_the_reaction_time():
     parts = Parts()
     parts.sut.load(3)
     assert parts.sut.reaction == FLOOR
-    parts.run.reaction = Reaction(FLOOR, per_payload=0.5)
+    parts.run.known.reaction = Reaction(FLOOR, per_payload=0.5)
     assert parts.sut.one_by_one
     parts.sut.load(3)
     parts.sut.load(1)

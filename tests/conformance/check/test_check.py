@@ -25,8 +25,8 @@ from dcp_codec.capture import Frame, create_capture, open_capture
 from dcp_codec.testing.strategies import beacons, mutations
 from dcp_codec.values import VarDelete, VardisRecord, VarReqCreate, VarReqUpdate, VarSumm, VarUpdate
 from dcp_stack.config import BPConfig
-from dcp_stack.links.quality import Quality
-from dcp_stack.links.topology import Full, Grid, Line, Topology
+from dcp_stack.virtual.quality import Quality
+from dcp_stack.virtual.topology import Full, Grid, Line, Topology
 
 from ...chance import examples
 from ...parts import also

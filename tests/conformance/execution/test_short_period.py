@@ -47,7 +47,7 @@ def told(runner: Runner) -> object:
 
 def test_the_period_stays_short_after_a_reset_and_is_restored_at_the_end() -> None:
     runner, _ = bench_of()
-    before = runner.session.reaction
+    before = runner.session.known.reaction
     short, begun = begin(runner)
     assert begun
     assert told(runner) == short.milliseconds == 25
@@ -59,7 +59,7 @@ def test_the_period_stays_short_after_a_reset_and_is_restored_at_the_end() -> No
     short.end()
     assert told(runner) == 100
     assert runner.session.parameters[PERIOD] == 100
-    assert runner.session.reaction is before
+    assert runner.session.known.reaction is before
     assert runner.run(all_cases()["TC_VD_CMP_BV_01"]).short_period == 0
 
 

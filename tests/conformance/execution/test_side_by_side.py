@@ -415,7 +415,7 @@ def test_a_crash_is_detected_and_attributed_to_its_case() -> None:
     def fragile(octets: bytes) -> None:
         # A foreign protocol in a block of 600 octets or more ends it.
         if len(octets) > 900:
-            sut.dies(RuntimeError("too long"))
+            sut.fail(RuntimeError("too long"))
         handle(octets)
 
     sut.deliver = fragile

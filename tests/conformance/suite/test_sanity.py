@@ -9,13 +9,14 @@ from typing import Any
 import msgspec
 import pytest
 from dcp_conformance.execution.runner import Runner
+from dcp_conformance.interconnection.contact import Contact
+from dcp_conformance.interconnection.findings import Findings
 from dcp_conformance.model.case import SANITY
 from dcp_conformance.model.pics import Capabilities, Pics, Testing
 from dcp_conformance.model.results import CaseResult
 from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, MakeNode, plain_node, reference_config
 from dcp_conformance.test_system.bench import Session
-from dcp_conformance.test_system.judgement.contact import Contact
 from dcp_conformance.test_system.steps import Steps
 from dcp_selftest.mutants import all_mutants
 
@@ -43,8 +44,9 @@ def sanity(sut: InProcess, profile: str = "dcp-2.0", **more: Any) -> tuple[CaseR
     """The sanity case, and what it has found."""
     runner = runner_for(sut, profile, **more)
     result = runner.run(known_cases()[SANITY])
-    assert runner.session.contact is not None
-    return result, runner.session.contact
+    contact = Findings.of(runner.session).contact
+    assert contact is not None
+    return result, contact
 
 
 def node(profile: str = "dcp-2.0", make: MakeNode = plain_node, **bp: Any) -> InProcess:

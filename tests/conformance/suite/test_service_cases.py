@@ -62,12 +62,7 @@ class SlowUpperTester(VirtualUpperTester):
         return SlowUpperTester(self._sut)
 
     def _pass(self, duration: int) -> None:
-        sut = self._sut
-        end = sut.now + duration
-        while (due := sut.node.poll_timeout()) is not None and due <= end:
-            sut.now = max(sut.now, due)
-            sut.guarded(lambda: sut.node.handle_timeout(sut.now, sut.wall()))
-        sut.now = max(sut.now, end)
+        self._sut.elapse(duration)
 
 
 @pytest.mark.part("suite")

@@ -9,8 +9,8 @@ import pytest
 from dcp_codec.codec import get_codec
 from dcp_stack.config import BPConfig, VardisConfig
 from dcp_stack.effects import VariableChanged
-from dcp_stack.links.topology import Line
 from dcp_stack.sim.virtual.network import Network
+from dcp_stack.virtual.topology import Line
 
 SECOND = 1_000_000_000
 PERIOD = SECOND // 10

@@ -11,14 +11,15 @@ from dcp_codec.capture import open_capture
 from dcp_codec.codec import get_codec
 from dcp_stack.config import SRPConfig, VardisConfig
 from dcp_stack.control.client import ServiceError
-from dcp_stack.links.topology import Line
 from dcp_stack.node import Node
 from dcp_stack.sim.scenario.agreement import Agreement, ConvergenceClock, Known
 from dcp_stack.sim.scenario.defaults import default_scenario
 from dcp_stack.sim.scenario.definition import LinkQuality, Scenario, Topology, Tracks
 from dcp_stack.sim.scenario.loading import parse_topology
-from dcp_stack.sim.virtual.network import Network, node_id
+from dcp_stack.sim.virtual.network import Network
 from dcp_stack.sim.virtual.player import Simulation, simulate
+from dcp_stack.virtual.topology import Line
+from dcp_stack.virtual.world import node_id
 
 from ...chance import examples
 
@@ -139,7 +140,7 @@ class TestServices:
         net = network()
         monkeypatch.setattr(Node, "handle_timeout", lambda *_: None)
         net.run_until(SECOND)
-        assert all("is still due" in each.failure for each in net.stations)
+        assert all("timeouts were handled" in each.failure for each in net.stations)
 
     def test_stopping_early(self):
         net = network()

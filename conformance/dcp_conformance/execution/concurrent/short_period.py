@@ -18,7 +18,7 @@ from dcp_conformance.test_system.bench import MS, Bench
 from dcp_conformance.test_system.session import FLOOR
 
 if TYPE_CHECKING:
-    from dcp_conformance.test_system.session import Reaction, Session
+    from dcp_conformance.test_system.session import Session
 
 PERIOD: Final = "BPPAR_BEACON_PERIOD"
 #: Divisors of the configured period; the first one at which the implementation still reacts in time is used.
@@ -39,7 +39,7 @@ class ShortPeriod:
         self._session = session
         self._case = case
         self._configured: Any = None
-        self._reaction: Reaction | None = None
+        self._reaction = session.known.reaction
         self.milliseconds = 0
         """The short period in ms."""
 
@@ -53,7 +53,7 @@ class ShortPeriod:
         configured = session.pics.pixit.beacon_period_ms
         if upper is None or not {"BP-SetParameter", "UT-Reset"} <= upper.methods or reported != configured:
             return False
-        self._configured, self._reaction = reported, session.reaction
+        self._configured, self._reaction = reported, session.known.reaction
         return any(self._try(int(configured / factor), reset) for factor in FACTORS)
 
     def _try(self, milliseconds: int, reset: Callable[[], object]) -> bool:
@@ -73,7 +73,7 @@ class ShortPeriod:
             intervals = [after.time - before.time for before, after in pairwise(bench.heard)]
             used = min(intervals, default=configured * MS) < _SHORTER * configured * MS
             if used and found.samples and found.periods <= _SLOWEST and not found.per_payload:
-                session.reaction = found
+                session.known.reaction = found
                 return True
         except ConformanceError:
             # If the problem persists, the cases will report it.
@@ -105,5 +105,5 @@ class ShortPeriod:
         if session.short_period is self:
             session.short_period = None
             session.parameters[PERIOD] = self._configured
-            session.reaction = self._reaction
+            session.known.reaction = self._reaction
             session.passive.another_period(False)

@@ -67,8 +67,8 @@ class _Watched(InProcess):
 
     place = ""
 
-    def dies(self, error: Exception) -> None:
-        super().dies(error)
+    def fail(self, error: Exception) -> None:
+        super().fail(error)
         last = traceback.extract_tb(error.__traceback__)[-1]
         self.place = f"{type(error).__name__} in {last.name}"
 

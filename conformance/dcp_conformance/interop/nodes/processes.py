@@ -6,12 +6,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from dcp_codec.common.child import Child
-from dcp_codec.network.namespaces import enter_command
 from dcp_conformance.errors import ConformanceError, NoAnswerError, UpperTesterError, UsageError
 from dcp_conformance.upper_tester import Answer
 from dcp_conformance.upper_tester.base import Reconnecting
 from dcp_conformance.upper_tester.opening import open_upper
+from dcp_stack.sim.testbed.place import Place
 
 #: Seconds that an answer may take, and an end.
 _ANSWER: Final = 30.0
@@ -20,37 +19,27 @@ _END: Final = 3.0
 _SOCKETS: Final = ("packet", "udp", "udp6")
 
 
-class Station:
+class Station(Place):
     """One place: its process while it is switched on, and its upper tester."""
 
     def __init__(self, place: int, namespace: str, command: list[str], upper: str, log: Path, ready_s: float) -> None:
         """``upper``: as ``--ut`` has it; empty: none. ``ready_s``: seconds that the process may take to be ready."""
+        super().__init__(namespace, log, Path(upper[5:]) if upper.startswith("unix:") else None)
         self.place = place
-        self.log = log
         self.ready_s = ready_s
         self.death = ""
         self.methods: frozenset[str] | None = frozenset() if not upper else None
-        self._namespace = namespace
         self._command = command
         self._upper_spec = upper
         self._upper: Reconnecting | None = None
-        self._process: Child | None = None
         #: Methods that the running process did not answer.
         self._unanswered: set[str] = set()
 
-    @property
-    def on(self) -> bool:
-        """Whether it was switched on."""
-        return self._process is not None
-
     def start(self) -> None:
         """Start the process. Raises ``UsageError`` if there is no such program."""
-        if self._upper_spec.startswith("unix:"):
-            # A socket of an earlier life would be refused as one in use.
-            Path(self._upper_spec[5:]).unlink(missing_ok=True)
         self._unanswered.clear()
         try:
-            self._process = Child([*enter_command(self._namespace), *self._command], self.log)
+            self.launch(self._command)
         except OSError as error:
             raise UsageError(str(error)) from None
 
@@ -58,7 +47,7 @@ class Station:
         """Open the upper tester; True if there is none, or it answers."""
         if not self._upper_spec or self._upper is not None or self.ended():
             return True
-        if self._upper_spec.startswith("unix:") and not Path(self._upper_spec[5:]).exists():
+        if self.socket is not None and not self.listens:
             return False
         try:
             self._upper = open_upper(self._upper_spec, _ANSWER)
@@ -91,21 +80,19 @@ class Station:
 
     def ended(self) -> bool:
         """Whether the process ended by itself; ``death`` then says how."""
-        status = None if self._process is None else self._process.status()
-        if self._process is None or status is None:
-            return False
-        self.death = self.death or f"it ended with status {status}: {self._process.last_line() or 'it wrote nothing'}"
-        return True
+        how = self.end_of_process()
+        if how:
+            self.death = self.death or f"it {how}"
+        return bool(how)
 
     def stop(self) -> None:
         """Switch it off as an empty battery does; processes that it has started end with it."""
         if self._upper is not None:
             self._upper.close()
             self._upper = None
-        if self._process is not None:
-            if not self._process.kill(_END):
-                raise ConformanceError(f"process {self._process.pid} does not end after SIGKILL")
-            self._process = None
+        process = self.process
+        if process is not None and not self.kill_process(_END):
+            raise ConformanceError(f"process {process.pid} does not end after SIGKILL")
 
     def awaited(self, *, heard: bool) -> str:
         """Say what shows that the process is ready and has not happened; empty if it is ready, or has ended.
@@ -113,15 +100,15 @@ class Station:
         With an upper tester, its answer; else its first beacon (``heard``), or an open socket: a station that has
         nothing to say sends no beacon (BP-FMT-03).
         """
-        if self._process is None or self.ended():
+        if self.process is None or self.ended():
             return ""
         if self._upper_spec:
             return "" if self.connect() else "no answer of its upper tester"
         return "" if heard or self._listens() else "no beacon, and no packet or UDP socket"
 
     def _listens(self) -> bool:
-        assert self._process is not None
-        own = Path("/proc", str(self._process.pid))
+        assert self.process is not None
+        own = Path("/proc", str(self.process.pid))
         try:
             if not (own / "ns/net").samefile(Path("/run/netns", self._namespace)):
                 # It has not entered its namespace, and what it sees are sockets of others.

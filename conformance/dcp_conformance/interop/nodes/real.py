@@ -20,9 +20,10 @@ from dcp_conformance.interop.implementations import Implementation, codec_of, co
 from dcp_conformance.interop.judge import address_of, ether_frame
 from dcp_conformance.interop.world import Place, Received, Sent
 from dcp_conformance.upper_tester import Answer
-from dcp_stack.relay import INTERFACE, RelayError, RelayFabric
+from dcp_stack.relay import RelayError, RelayFabric
 from dcp_stack.sim.testbed import namespaces
-from dcp_stack.sim.virtual.network import node_id
+from dcp_stack.sim.testbed.place import INTERFACE
+from dcp_stack.virtual.world import node_id
 
 from .processes import Station
 from .taps import Taps
@@ -123,6 +124,7 @@ class RealWorld:
 
     # -- time ----------------------------------------------------------------------------------------------------------
 
+    @property
     def now(self) -> int:
         """Real ns since the start, without the time that processes took to start."""
         return time.monotonic_ns() - self._begin - self._paused
@@ -130,10 +132,10 @@ class RealWorld:
     def run(self, duration: int) -> None:
         """Let real time pass, after waiting for processes that are starting."""
         self._await_ready()
-        end = self.now() + duration
+        end = self.now + duration
         while True:
-            self._listen((end - self.now()) / 1e9)
-            if self.now() >= end:
+            self._listen((end - self.now) / 1e9)
+            if self.now >= end:
                 break
         self._watch()
 
@@ -170,14 +172,14 @@ class RealWorld:
         return "; ".join(told)
 
     def _listen(self, patience_s: float) -> None:
-        now, wall = self.now(), time.time_ns()
+        now, wall = self.now, time.time_ns()
         for each in self._taps.read(patience_s):
             place = self.places[each.place]
             framing = locate(each.frame, place.codec.profile.link)
             if isinstance(framing, OtherTraffic):
                 continue
-            moment = now + (each.wall - wall) if each.wall else self.now()
-            self._held = max(self._held, self.now() - moment)
+            moment = now + (each.wall - wall) if each.wall else self.now
+            self._held = max(self._held, self.now - moment)
             last = self._sent[-1].time if self._sent else 0
             self._sent.append(Sent(max(moment, last), each.place, each.frame[framing.start : framing.end]))
             self._heard.add(each.place)
@@ -192,7 +194,7 @@ class RealWorld:
     def _watch(self) -> None:
         for station in self._stations:
             if station.on and station.ended() and station.place not in self._deaths:
-                self._deaths[station.place] = f"at {self.now() / 1e9:.2f} s: {station.death}"
+                self._deaths[station.place] = f"at {self.now / 1e9:.2f} s: {station.death}"
 
     # -- stations ------------------------------------------------------------------------------------------------------
 
@@ -250,7 +252,7 @@ class RealWorld:
 
     def transmit(self, octets: bytes) -> None:
         """Broadcast from the tester's own station."""
-        self._sent.append(Sent(self.now(), len(self.places), octets))
+        self._sent.append(Sent(self.now, len(self.places), octets))
         frame = ether_frame(self.places[0].codec, self.tester_address, octets)
         with contextlib.suppress(OSError):
             # A full queue loses frames, as a radio channel does.

@@ -11,54 +11,44 @@ from typing import Any, Final
 
 import msgspec
 
-from dcp_codec.impairment import Impairment, Network
+from dcp_codec.impairment import Impairment
 from dcp_conformance.errors import UpperTesterError
 from dcp_conformance.interop.definition import Shape
 from dcp_conformance.interop.world import Limits, Place, Received, Sent
-from dcp_conformance.reference.inprocess import EPOCH
 from dcp_conformance.reference.surroundings import Setup, Tested
 from dcp_conformance.upper_tester import Answer
-from dcp_stack.sim.virtual.network import node_id
+from dcp_stack.virtual.medium import Arrival, ImpairedMedium
+from dcp_stack.virtual.world import EPOCH, LATER, World, node_id
 
 #: How long a frame takes, in ns: a receiver never answers at the instant of the transmission.
 _FLIGHT: Final = 20_000
 _PERFECT: Final = Impairment(delay=_FLIGHT)
-#: Events without time passing after which the world gives up.
-_MOST_EVENTS: Final = 20_000
 
 
 class _Station(Tested):
     """A node with its application, clock and upper tester; a slow upper tester lets time pass for the whole world."""
 
-    def __init__(self, world: VirtualWorld, place: int, setup: Setup, seed: int, now: int) -> None:
-        self._world = world
+    def __init__(self, world: VirtualWorld, place: int, setup: Setup, seed: int) -> None:
+        self._network = world
         self._place = place
-        super().__init__(setup, seed=seed, now=now)
+        self.rank = LATER + place
+        super().__init__(setup, seed=seed, world=world)
 
-    def node_wall(self) -> int:
-        """The node's clock in ns since 1970, with the offset that the test has set."""
-        return super().node_wall() + self._world.offsets[self._place]
+    def wall(self) -> int:
+        """Return the node's clock in ns since 1970, with the offset that the test has set."""
+        return super().wall() + self._network.offsets[self._place]
 
-    def elapse(self, duration: int) -> None:
-        """Let this time (ns) pass for all stations."""
-        self._world.run(duration)
+    def send(self, octets: bytes) -> None:
+        """Broadcast a beacon of the node."""
+        self._network.broadcast(self._place, octets)
 
-    def due(self) -> int | None:
-        """When the node or its application wants to be called next."""
-        if self.died:
-            return None
-        times = [self._due()]
-        if self._application is not None:
-            times.append(max(self._application.due(), self.now))
-        return min((time for time in times if time is not None), default=None)
-
-    def catch_up(self, until: int) -> None:
-        """Carry out everything that is due until ``until``."""
-        while self._step(until):
-            pass
+    def fail(self, error: Exception) -> None:
+        """Note the exception that ended the node, and its time."""
+        super().fail(error)
+        self._network.note_death(self._place, self.died)
 
 
-class VirtualWorld:
+class VirtualWorld(World):
     """See :class:`~dcp_conformance.interop.world.World`."""
 
     epoch = EPOCH
@@ -93,11 +83,9 @@ class VirtualWorld:
             )
             self.places.append(Place(number, name, codec, own, limits))
         everybody = [each for place in range(count) for each in ((place, count), (count, place))]
-        self._medium = Network(count + 1, default=_PERFECT, seed=seed, hears=[*shape.pairs, *everybody])
-        for sender, receiver in everybody:
-            self._medium.set(_PERFECT, sender, receiver)
+        self.medium = ImpairedMedium(count + 1, _PERFECT, seed=seed, pairs=[*shape.pairs, *everybody])
+        super().__init__(self.medium, self.arrive)
         self._pairs = shape.pairs
-        self._now = 0
         self._sent: list[Sent] = []
         self._received: list[Received] = []
         self._stations: list[_Station | None] = [None] * count
@@ -108,56 +96,26 @@ class VirtualWorld:
 
     # -- time ----------------------------------------------------------------------------------------------------------
 
-    def now(self) -> int:
-        """Virtual ns since the start."""
-        return self._now
-
     def run(self, duration: int) -> None:
         """Let virtual time pass."""
-        end, events = self._now + duration, 0
-        while True:
-            time = self._next()
-            if time is None or time > end:
-                break
-            events = events + 1 if time <= self._now else 0
-            if events > _MOST_EVENTS:
-                raise RuntimeError(f"{events} events at {self._now / 1e9:.6f} s: virtual time does not advance")
-            self._go_to(max(time, self._now))
-        self._go_to(max(end, self._now))
+        self.run_until(self.now + duration)
 
-    def _next(self) -> int | None:
-        times = [self._medium.poll_timeout()]
-        times += [station.due() for station in self._stations if station is not None]
-        return min((time for time in times if time is not None), default=None)
+    def arrive(self, arrival: Arrival) -> None:
+        """Deliver a frame to the stations that are switched on."""
+        for place in arrival.receivers:
+            station = None if place == len(self.places) else self._stations[place]
+            if station is not None:
+                self._received.append(Received(self.now, place, arrival.sender, arrival.octets))
+                station.deliver(arrival.octets)
 
-    def _go_to(self, time: int) -> None:
-        self._now = time
-        for transit in self._medium.due(time):
-            if transit.receiver == len(self.places):
-                continue
-            station = self._stations[transit.receiver]
-            if station is None:
-                continue
-            self._received.append(Received(time, transit.receiver, transit.sender, transit.octets))
-            station.now = max(station.now, time)
-            station.deliver(transit.octets)
-            self._collect(transit.receiver, station)
-        for place, station in enumerate(self._stations):
-            if station is None:
-                continue
-            due = station.due()
-            if due is not None and due <= time:
-                station.catch_up(time)
-            station.now = max(station.now, time)
-            self._collect(place, station)
+    def broadcast(self, place: int, octets: bytes) -> None:
+        """Broadcast from a station."""
+        self._sent.append(Sent(self.now, place, octets))
+        self.medium.broadcast(place, octets, self.now)
 
-    def _collect(self, place: int, station: _Station) -> None:
-        while station.arrivals:
-            octets = station.arrivals.popleft().octets
-            self._sent.append(Sent(self._now, place, octets))
-            self._medium.broadcast(place, octets, self._now)
-        if station.died and place not in self._deaths:
-            self._deaths[place] = f"at {self._now / 1e9:.3f} s: {station.died}"
+    def note_death(self, place: int, why: str) -> None:
+        """Note the first end of a node at a place."""
+        self._deaths.setdefault(place, f"at {self.now / 1e9:.3f} s: {why}")
 
     # -- stations ------------------------------------------------------------------------------------------------------
 
@@ -171,13 +129,13 @@ class VirtualWorld:
         if on and station is None:
             self._lives[place] += 1
             seed = (self._seed * 1009 + place) * 101 + self._lives[place]
-            self._stations[place] = station = _Station(self, place, self._setups[place], seed, self._now)
+            self._stations[place] = station = _Station(self, place, self._setups[place], seed)
             testing = self._setups[place].upper
             self._uppers[place] = None if station.died else station.connection(testing)
             upper = self._uppers[place]
             self._methods[place] = frozenset() if upper is None else upper.methods
-            self._collect(place, station)
-        elif not on:
+        elif not on and station is not None:
+            station.switch_off()
             self._stations[place] = self._uppers[place] = None
 
     def is_on(self, place: int) -> bool:
@@ -186,8 +144,8 @@ class VirtualWorld:
 
     def call(self, place: int, method: str, params: Mapping[str, Any]) -> Answer | None:
         """Call a service of the node."""
-        station, upper = self._stations[place], self._uppers[place]
-        if station is None or upper is None or method not in upper.methods:
+        upper = self._uppers[place]
+        if upper is None or method not in upper.methods:
             return None
         try:
             answer: Answer = upper.call(method, dict(params))
@@ -195,7 +153,6 @@ class VirtualWorld:
             # The node has died; deaths() has the reason.
             answer = Answer(code=-32603, message="the node ended")
         upper.poll()
-        self._collect(place, station)
         return answer
 
     def offers(self, place: int, method: str) -> bool | None:
@@ -215,16 +172,15 @@ class VirtualWorld:
             impairment = msgspec.structs.replace(impairment, delay=_FLIGHT)
         for each in self._pairs:
             if sender in (None, each[0]) and receiver in (None, each[1]):
-                self._medium.set(impairment, *each)
+                self.medium.set_quality(impairment, *each)
 
     def partition(self, groups: Sequence[Sequence[int]]) -> None:
         """Let frames stay within their groups."""
-        self._medium.partition(groups)
+        self.medium.partition(groups)
 
     def transmit(self, octets: bytes) -> None:
         """Broadcast from the tester's own station."""
-        self._sent.append(Sent(self._now, len(self.places), octets))
-        self._medium.broadcast(len(self.places), octets, self._now)
+        self.broadcast(len(self.places), octets)
 
     def deaths(self) -> Mapping[int, str]:
         """How nodes ended."""
@@ -233,7 +189,7 @@ class VirtualWorld:
     def link_counters(self) -> dict[str, Any]:
         """The counters of each direction between places."""
         pairs = {f"{a}>{b}" for a, b in self._pairs}
-        return {name: each for name, each in self._medium.counters().items() if name in pairs}
+        return {name: each for name, each in self.medium.directions().items() if name in pairs}
 
     def settle(self) -> None:
         """Nothing: every transmission is known."""

@@ -13,36 +13,16 @@ A failed check is one of two kinds:
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Sequence
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 from dcp_codec.codec import Codec
 from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.test_system.assumptions import Assumptions
+from dcp_conformance.test_system.known import Failure, Misread, RunFindings
 from dcp_conformance.test_system.steps import Clock
 from dcp_conformance.test_system.traffic import Traffic
 
-from .contact import Contact
 from .losses import Losses
-from .lost_containers import OWNERS as EXTRACTION
-from .lost_containers import sent_several
-from .misreading import (
-    CREATION_OWNERS,
-    backwards,
-    disordered,
-    sent_creation,
-    sent_report,
-)
-from .misreading import OWNERS as LAYOUTS
-from .misreading import Field as Misread
-
-
-class KnownFaults(Protocol):
-    """The faults of the implementation that were found at the start of the run."""
-
-    sut_id: bytes | None
-    contact: Contact | None
-    lost_container: str
-    misread: dict[Misread, str]
 
 
 class Excuse(NamedTuple):
@@ -63,7 +43,7 @@ class Excuses:
         traffic: Traffic,
         heard: Sequence[ReceivedBeacon],
         created: Collection[int],
-        faults: KnownFaults,
+        run: RunFindings,
         losses: Losses,
         assumptions: Assumptions,
     ) -> None:
@@ -73,9 +53,9 @@ class Excuses:
         self._traffic = traffic
         self._heard = heard
         self._created = created
-        self._faults = faults
-        self._losses = losses
-        self._assumptions = assumptions
+        self._run = run
+        self.losses = losses
+        self.assumptions = assumptions
         self._relied: set[Misread] = set()
         self._disturbed = False
         """Whether a failure of this case was excused by losses or assumptions."""
@@ -101,17 +81,21 @@ class Excuses:
         ``shown``, ``numbers``, ``patience``, ``field``: see :meth:`~.verdicts.Verdicts.check`. Once losses or
         assumptions have excused a failure, they excuse failures of both kinds: later ones may follow from it.
         """
-        if fault := self.misread(requirements, shown=shown, field=field):
-            return Excuse(f"this follows from another fault: {fault}")
+        relied = self._relied if field is None else self._relied | {field}
+        failure = Failure(
+            frozenset(requirements), shown, frozenset(relied), self._codec, self._traffic.events, self._heard,
+            self._created, self._run.sut_id, self._clock.wall(),
+        )  # fmt: skip
+        cause = self._run.known.cause(failure)
+        if cause is not None and cause.certain:
+            return Excuse(cause.text)
         # The tester has lost nothing: later failures that are proved by received octets still count.
         if not shown and not numbers and (fault := self.unreadable(requirements)):
             return Excuse(fault)
         if text := self.disturbance(shown=shown and not self._disturbed, numbers=numbers, patience=patience):
             self._disturbed = True
             return Excuse(text, self.only_disturbance(numbers=numbers))
-        if not shown and (fault := self.out_of_reach(requirements)):
-            return Excuse(fault)
-        return None
+        return None if cause is None else Excuse(cause.text)
 
     def disturbance(self, *, shown: bool = False, numbers: bool = False, patience: float = 1.0) -> str:
         """Describe losses and assumptions that excuse a failure; empty if there are none.
@@ -120,36 +104,20 @@ class Excuses:
         lateness of the tester, and assumptions about stimuli, excuse only something missing. Effects of an impaired
         link on stimuli, and on the order and the times of beacons, excuse both kinds.
         """
-        if shown and (misled := self._losses.misleading()):
+        if shown and (misled := self.losses.misleading()):
             return misled
-        if not shown and (lost := self._losses.own(numbers=numbers, patience=patience)):
+        if not shown and (lost := self.losses.own(numbers=numbers, patience=patience)):
             return f"the tester has lost something: {lost}"
-        return self._assumptions.text() or ("" if shown else "; ".join(self._assumptions.stimuli.values()))
+        return self.assumptions.text() or ("" if shown else "; ".join(self.assumptions.stimuli.values()))
 
     def only_disturbance(self, *, numbers: bool = False) -> str:
         """Return the faults of the tester or its link if nothing else keeps a check from being decided at this moment.
 
         Otherwise empty.
         """
-        if self._assumptions.text_of_all() or not self._losses.explain_all(numbers=numbers):
+        if self.assumptions.text_of_all() or not self.losses.explain_all(numbers=numbers):
             return ""
-        return ", ".join(self._losses.of_tester())
-
-    def held_up(self) -> str:
-        """Describe a delay of the tester or of an answer, after which a stimulus may have come too late; or empty."""
-        return self._losses.held_up()
-
-    def lateness(self) -> str:
-        """Describe delays of tester and implementation that are too short or too uncertain to be an excuse."""
-        return self._losses.lateness()
-
-    def overtaken(self) -> str:
-        """Describe frames that were received after data that were sent later; empty without any."""
-        return self._losses.overtaken()
-
-    def assumed(self) -> str:
-        """Return the texts of all assumptions of the case; empty if there are none."""
-        return self._assumptions.text_of_all()
+        return ", ".join(self.losses.of_tester())
 
     def unreadable(self, requirements: Iterable[str]) -> str:
         """Describe beacons of this case that cannot be read to their end, so that something in them may be missing.
@@ -165,41 +133,3 @@ class Excuses:
             and (not heard.salvaged.clear or (heard.report_problems if reports else heard.vardis_problems))
         ]
         return f"{len(bad)} of its {len(self._heard)} beacons cannot be read: {bad[0].problem}" if bad else ""
-
-    def misread(self, requirements: Collection[str], *, shown: bool = False, field: Misread | None = None) -> str:
-        """Return the text about the misread field that a failed check follows from; empty if there is none.
-
-        ``shown`` and ``field``: as for :meth:`find`.
-        """
-        if LAYOUTS & set(requirements):
-            return ""
-        found, events = self._faults.misread, self._traffic.events
-        relied = self._relied if field is None else {*self._relied, field}
-        for each in relied:
-            if each in found:
-                return found[each]
-        if "creationTime" in relied and backwards(self._codec, self._heard, self._faults.sut_id, self._clock.wall()):
-            return "its own creationTimes are times of today only with their octets swapped (DATA-01)"
-        if "creationTime" in found and disordered(self._codec, events):
-            return found["creationTime"]
-        if shown:
-            return ""
-        if "VarCreate" in found and not CREATION_OWNERS & set(requirements) and sent_creation(self._codec, events):
-            return found["VarCreate"]
-        return found["report"] if "report" in found and sent_report(self._codec, events) else ""
-
-    def out_of_reach(self, requirements: Collection[str]) -> str:
-        """Return why something missing follows from the findings of the sanity case; empty if it counts.
-
-        At the start of the run the implementation did not answer stimuli of the kind that this case has sent, or lost
-        containers of payloads like those of this case. Other cases fail for that.
-        """
-        lost = self._faults.lost_container
-        if lost and not EXTRACTION & set(requirements) and sent_several(self._codec, self._traffic.events):
-            return (
-                f"it loses the {lost} of two containers in a payload (VD-RX-04), and this case has sent such payloads"
-            )
-        contact = self._faults.contact
-        if contact is None or contact.good:
-            return ""
-        return contact.excuse(self._codec, self._traffic.events, self._heard, self._created, requirements)

@@ -17,11 +17,11 @@ from dcp_conformance.frames.received import Instruction, ReceivedBeacon
 from dcp_conformance.model.case import Case
 from dcp_conformance.model.results import Check, Mark, Table
 from dcp_conformance.model.verdict import Verdict, worst
+from dcp_conformance.test_system.known import Misread
 from dcp_conformance.test_system.steps import Clock
 from dcp_conformance.test_system.traffic import Traffic
 
 from .excuses import Excuses
-from .misreading import Field as Misread
 
 
 def in_force(requirements: Sequence[str], version: SpecVersion) -> tuple[str, ...]:
@@ -141,8 +141,8 @@ class Verdicts:
         ``overload``: why the machine of the tester is the reason. For this reason, and after losses and delays of the
         tester, the case is executed again.
         """
-        disturbance = overload or self._excuses.only_disturbance() or self._excuses.held_up()
-        if assumed := self._excuses.assumed():
+        disturbance = overload or self._excuses.only_disturbance() or self._excuses.losses.held_up()
+        if assumed := self._excuses.assumptions.text_of_all():
             observed, disturbance = f"{observed}; {assumed}", ""
         self._add(Verdict.INCONCLUSIVE, expected, observed, requirements, (), disturbance=disturbance)
         raise StopCase
@@ -188,7 +188,7 @@ class Verdicts:
 
         A frame that other data have overtaken can be received after the check that it would have changed.
         """
-        return self._excuses.overtaken() or ("" if self._proved else self._excuses.lateness())
+        return self._excuses.losses.overtaken() or ("" if self._proved else self._excuses.losses.lateness())
 
     @property
     def in_time(self) -> bool:
@@ -197,7 +197,7 @@ class Verdicts:
         For ``shown`` in checks that depend on this: after a delay, a record can be a late repetition of an earlier one,
         or can have been sent between two stimuli.
         """
-        return not self._excuses.lateness()
+        return not self._excuses.losses.lateness()
 
     def all_hold(self) -> bool:
         """Return whether no check of this case has failed so far."""

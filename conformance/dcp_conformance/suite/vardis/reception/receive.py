@@ -36,7 +36,7 @@ def _not_requested(bench: Bench, var_id: int, since: int, kinds: tuple[ICType, .
         *requirements,
         frames=found,
         # An implementation that lost a container has a reason to send a request.
-        shown=not bench.session.lost_container,
+        shown=not bench.session.known.lost_container,
     )
 
 

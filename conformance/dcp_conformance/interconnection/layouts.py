@@ -1,28 +1,44 @@
-"""Find out at the start of a run which fields the implementation reads differently from the profile."""
+"""Fields that the implementation reads differently from the profile, and the failures that follow from that.
+
+One such fault has many consequences: an implementation that compares creation times in the wrong byte order keeps the
+older of two variables, and one with another layout of state reports stores none of the tester's. The cases about data
+types and formats fail for the fault. Its consequences in other cases are inconclusive.
+"""
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Mapping
 from contextlib import suppress
 from typing import Final
 
 from dcp_spec.constants import ICType
 
+from dcp_codec.values import VarCreate
 from dcp_conformance.errors import UpperTesterError
 from dcp_conformance.test_system.bench import Bench
-from dcp_conformance.test_system.judgement.misreading import Field
+from dcp_conformance.test_system.known import Failure, Misread
+from dcp_conformance.test_system.traffic import payloads, records
 
+OWNERS: Final = frozenset(
+    {"DATA-01", "DATA-02", "DATA-03", "DATA-05", "SRP-FMT-01", "SRP-TYP-02", "SRP-TYP-03", "VD-TYP-05"}
+)
+"""The requirements about layouts: a misread field never excuses their failures."""
+_CREATION_OWNERS: Final = frozenset({"VD-PC-07", "VD-PC-09", "VD-CMP-06"})
+"""The requirements to forward a VarCreate: a misread VarCreate never excuses their failures."""
+_DAY: Final = 86_400 * 10**9
 _TABLE: Final = "SRP-NeighbourTable"
 _UPDATE: Final = "SRP-UpdateSafetyData"
 #: Number of attempts, because frames may be lost.
 _ATTEMPTS: Final = 2
 
 
-def misread_fields(bench: Bench) -> dict[Field, str]:
+def misread_fields(bench: Bench) -> dict[Misread, str]:
     """Return the fields that the implementation misreads, each with a text about the observation.
 
     Takes about six beacon periods and deletes its variables. Raises ``LowerTesterError``.
     """
-    found: dict[Field, str] = {}
+    found: dict[Misread, str] = {}
     if not _accepts_creations(bench):
         found["VarCreate"] = "it forwarded no VarCreate at the start of the run (VD-PC-09)"
     elif text := _creation_times(bench):
@@ -126,3 +142,62 @@ def _reports(bench: Bench) -> str:
         return ""
     bad = bench.until(lambda heard: heard.report_problems)
     return f"its own state reports are laid out otherwise: {bad[0]}" if bad else ""
+
+
+# -- consequences ------------------------------------------------------------------------------------------------------
+
+
+def cause(misread: Mapping[Misread, str], failure: Failure) -> str:
+    """Return the text about the misread field that a failed check follows from; empty if there is none."""
+    if OWNERS & failure.requirements:
+        return ""
+    for each in failure.relied:
+        if each in misread:
+            return misread[each]
+    if "creationTime" in failure.relied and _backwards(failure):
+        return "its own creationTimes are times of today only with their octets swapped (DATA-01)"
+    if "creationTime" in misread and _disordered(failure):
+        return misread["creationTime"]
+    if failure.shown or not misread:
+        return ""
+    sent = list(payloads(failure.codec, failure.events))
+    created = any(isinstance(record, VarCreate) for payload in sent for record in records(payload))
+    if "VarCreate" in misread and created and not _CREATION_OWNERS & failure.requirements:
+        return misread["VarCreate"]
+    return misread["report"] if "report" in misread and any(each.srp is not None for each in sent) else ""
+
+
+def _backwards(failure: Failure) -> bool:
+    """Return whether a VarCreate of the implementation's own variables has the current day only with swapped octets.
+
+    False if the clock of the profile has no epoch.
+    """
+    stamp = failure.codec.profile.types.timestamp
+    if stamp.epoch_ns is None:
+        return False
+
+    def today(ticks: int) -> bool:
+        assert stamp.epoch_ns is not None
+        return abs(stamp.epoch_ns + stamp.nanoseconds(ticks) - failure.wall) < _DAY
+
+    specs = [each.record.spec for one in failure.heard for each in one.instructions(ICType.CREATE_VARIABLES)]
+    times = [each.creation_time for each in specs if each.prod_id == failure.sut_id and each.creation_time is not None]
+    return any(not today(each) and any(map(today, _swapped(each, stamp.width))) for each in times)
+
+
+def _disordered(failure: Failure) -> bool:
+    """Return whether swapped octets change the order of two creationTimes of one variable, sent or received."""
+    times: dict[int, set[int]] = {}
+    for payload in payloads(failure.codec, failure.events, "heard"):
+        for each in records(payload):
+            if isinstance(each, VarCreate) and each.spec.creation_time is not None:
+                times.setdefault(each.spec.var_id, set()).add(each.spec.creation_time)
+    width = failure.codec.profile.types.timestamp.width
+    pairs = (pair for found in times.values() for pair in itertools.combinations(sorted(found), 2))
+    return any(a > b for one, two in pairs for a, b in zip(_swapped(one, width), _swapped(two, width), strict=True))
+
+
+def _swapped(value: int, width: int) -> tuple[int, int]:
+    """Return the number with its octets in the other order, as an unsigned and as a signed number."""
+    octets = (value % (1 << (8 * width))).to_bytes(width, "little")
+    return int.from_bytes(octets, "big"), int.from_bytes(octets, "big", signed=True)

@@ -1,4 +1,9 @@
-"""Find out at the start of a run whether the implementation processes all containers of a payload."""
+"""Containers of a payload that the implementation loses, and the failures that follow from that.
+
+An implementation that loses a container breaks the extraction rules (VD-RX-02 to VD-RX-04), and the cases about them
+fail. Many other cases send two containers in a payload: something missing in these cases may have been in the lost
+container.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +13,11 @@ from dcp_spec.constants import ICType
 
 from dcp_codec.values import VardisRecord
 from dcp_conformance.test_system.bench import Bench
+from dcp_conformance.test_system.known import Failure
+from dcp_conformance.test_system.traffic import payloads
 
+OWNERS: Final = frozenset({"VD-RX-02", "VD-RX-03", "VD-RX-04"})
+"""The requirements of extraction: a lost container never excuses their failures."""
 #: Number of payloads to send before a container counts as lost.
 _ATTEMPTS: Final = 2
 #: Octets of the value, or number of records, that make the first container longer than the second one.
@@ -45,3 +54,12 @@ def lost_container(bench: Bench) -> str:
             return ""
         lost.add({(True, False): "second", (False, True): "first"}.get(found, ""))
     return lost.pop() if len(lost) == 1 else ""
+
+
+def excuse(lost: str, failure: Failure) -> str:
+    """Return why something missing follows from the lost container; empty if it counts."""
+    if not lost or OWNERS & failure.requirements:
+        return ""
+    if not any(len(payload.vardis or ()) > 1 for payload in payloads(failure.codec, failure.events)):
+        return ""
+    return f"it loses the {lost} of two containers in a payload (VD-RX-04), and this case has sent such payloads"

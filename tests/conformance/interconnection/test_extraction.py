@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import pytest
 from dcp_conformance.execution.selection import ordered
+from dcp_conformance.interconnection.extraction import OWNERS
 from dcp_conformance.model.case import DECLARED, DENIED
 from dcp_conformance.model.verdict import Verdict
-from dcp_conformance.test_system.judgement.lost_containers import OWNERS
 
 from dcp_codec.errors import DecodeError
 from dcp_stack.vardis.wire import Extracted, Extractor
 
 from ..rig import known_cases
 from ..slow import runner_for
-from .test_vardis_reception_mutants import make_with
+from ..suite.test_vardis_reception_mutants import make_with
 
 
 class LosesContainers(Extractor):
@@ -58,7 +58,7 @@ def test_only_the_requirements_of_extraction_fail(extractor: type[Extractor], pr
         checks = [check for check in result.checks if check.verdict is Verdict.FAIL]
         failed.update(requirement for check in checks for requirement in check.requirements)
         assert failed <= OWNERS, (each.id, result.reason)
-    assert runner.session.lost_container == "second"
+    assert runner.session.known.lost_container == "second"
     assert failed >= {"VD-RX-02", "VD-RX-04"}
 
 
@@ -73,4 +73,4 @@ def test_lost_containers_are_reported() -> None:
 def test_a_conforming_node_loses_nothing() -> None:
     runner = runner_for()
     runner.run(known_cases()["TC_DCP_SANITY_BV_01"])
-    assert runner.session.lost_container == ""
+    assert runner.session.known.lost_container == ""

@@ -9,6 +9,7 @@ import msgspec
 import pytest
 from dcp_conformance.execution.runner import Runner
 from dcp_conformance.execution.selection import ordered
+from dcp_conformance.interconnection.findings import Findings
 from dcp_conformance.model.case import DECLARED, DENIED
 from dcp_conformance.model.pics import Pics
 from dcp_conformance.model.verdict import Verdict
@@ -52,7 +53,7 @@ def outcome_of(spoken: Profile, *, cases: tuple[str, ...] = ("",)) -> tuple[Runn
 def test_swapped_times_and_reports_in_memory_layout_are_reported_once() -> None:
     runner, failed, reasons = outcome_of(codec_of("cpp-2.0").profile)
     assert failed.keys() == {"DATA-01", "DATA-05", "SRP-FMT-01", "SRP-TYP-02"}
-    assert runner.session.misread.keys() == {"creationTime", "report"}
+    assert Findings.of(runner.session).misread.keys() == {"creationTime", "report"}
     for text in ("it compares creation times as if", "its own state reports are laid out otherwise"):
         assert any(f"but this follows from another fault: {text}" in each for each in reasons)
         assert sum(note.startswith(text) for note in runner.notes) == 1
@@ -71,7 +72,7 @@ def test_misread_creations_are_reported_once() -> None:
     runner, failed, _ = outcome_of(
         other(var_timeout={"width": 4}), cases=("TC_VD_CRT", "TC_VD_LEN", "TC_VD_ROB", "TC_NET_HOP", "TC_VD_FWD")
     )
-    assert "VarCreate" in runner.session.misread
+    assert "VarCreate" in Findings.of(runner.session).misread
     assert failed.keys() <= {"VD-PC-09", "VD-PC-07", "VD-CMP-06", "VD-SCP-02", "SRP-FMT-01"}
 
 
@@ -84,5 +85,5 @@ def test_a_node_that_sends_unreadable_payloads_is_alive() -> None:
 def test_a_conforming_node_misreads_nothing(profile: str) -> None:
     runner = runner_for(profile)
     runner.run(known_cases()["TC_DCP_SANITY_BV_01"])
-    assert runner.session.misread == {}
+    assert Findings.of(runner.session).misread == {}
     assert runner.notes == []

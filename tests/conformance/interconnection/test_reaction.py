@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import pytest
-from dcp_conformance.interconnection.reaction import measure, prepare
+from dcp_conformance.interconnection.findings import prepare
+from dcp_conformance.interconnection.reaction import measure
 from dcp_conformance.model.pics import Capabilities, Pics, Testing
 from dcp_conformance.test_system.bench import Bench
+from dcp_conformance.test_system.known import Reaction
 from dcp_conformance.test_system.session import FLOOR
 
 from ..rig import known_cases
@@ -41,8 +43,8 @@ def test_one_payload_per_poll_is_found():
 
 def test_while_payloads_wait_reactions_may_take_longer():
     bench = bench_of(make=polling(120))
-    found = prepare(bench.session)
-    assert found is bench.session.reaction
+    assert prepare(bench.session)
+    found = bench.session.known.reaction
     assert bench.sut.one_by_one
     bench.wait(50)
     assert bench.sut.reaction == found.periods
@@ -61,7 +63,7 @@ def test_the_reaction_time_is_measured_once_and_reported_if_relevant():
     assert note.startswith("reactions are waited for 8.5 beacon periods")
     runner = runner_for()
     runner.run(known_cases()["TC_DCP_SANITY_BV_01"])
-    assert runner.session.reaction is not None
+    assert runner.session.known.reaction.samples
     assert runner.notes == []
 
 
@@ -75,17 +77,15 @@ def test_the_pixit_overrides_the_measurement():
 
 def test_the_reaction_time_is_not_measured_without_an_implementation_to_ask():
     bench = bench_of(pics=Pics(pics=Capabilities(vardis=False)))
-    assert prepare(bench.session) is None
-    assert bench.session.reaction is None
+    assert not prepare(bench.session)
+    assert bench.session.known.reaction == Reaction()
     assert bench.sut.reaction == FLOOR
 
 
 def test_a_silent_implementation_gets_the_minimum_and_may_be_asked_again():
     bench = bench_of(buffer_check_period_ms=65_000)
-    found = prepare(bench.session)
-    assert found is not None
-    assert (found.samples, found.periods) == ((), FLOOR)
-    assert bench.session.reaction is None
+    assert not prepare(bench.session)
+    assert bench.session.known.reaction == Reaction(FLOOR, 0, ())
     assert bench.sut.reaction == FLOOR
 
 

@@ -6,21 +6,20 @@ Every other case that waits for such an answer without success is inconclusive.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, Literal
 
 from dcp_spec.constants import ICType
 
 from dcp_codec.codec import Codec
-from dcp_conformance.frames.received import KIND_OF, ReceivedBeacon, var_id_of
+from dcp_conformance.frames.received import KIND_OF, var_id_of
 from dcp_conformance.model.results import Mark
-from dcp_conformance.test_system.traffic import Event
+from dcp_conformance.test_system.known import Failure, Question
+from dcp_conformance.test_system.traffic import Event, payloads, records
 
 Stimulus = Literal["summary", "create", "request", "report", "payload", "transmit", "state", "variable"]
 """Kinds of stimulus to which an implementation can react."""
-Question = Literal["summary", "create", "request"]
-"""Kinds of stimulus that VarDis must answer with a beacon."""
 
 TOLD: Final[Mapping[Stimulus, str]] = {
     "summary": "a summary of an unknown variable",
@@ -121,43 +120,32 @@ class Contact:
             return f"{heard} none of {no}" if no else ""
         return f"it answers {yes}" + (f", but not {no}" if no else "")
 
-    def excuse(
-        self,
-        codec: Codec,
-        events: Iterable[Event],
-        heard: Sequence[ReceivedBeacon],
-        made: Collection[int],
-        requirements: Collection[str],
-    ) -> str:
-        """Return why something missing in a case does not count against ``requirements``; empty if it counts.
-
-        ``events`` and ``heard``: recording and beacons of the case; ``made``: the variables that it has created.
-        """
-        decided = set(requirements)
-        if self.good or decided <= self.blamed:
+    def excuse(self, failure: Failure) -> str:
+        """Return why something missing in a case does not count; empty if it counts."""
+        if self.good or failure.requirements <= self.blamed:
             return ""
         if self.mistaken:
             return f"the implementation could not be reached when the run began: {self.suspicion}"
-        if not self.readable and not any(not each.header_problems for each in heard):
-            what = "none of its frames could be read" if self.frames or heard else "nothing was heard of it"
+        if not self.readable and all(each.header_problems for each in failure.heard):
+            what = "none of its frames could be read" if self.frames or failure.heard else "nothing was heard of it"
             return f"{what} from the start of the run on{f': {self.suspicion}' if self.suspicion else ''}"
         if not self.unanswered:
             return ""
         mute = self.unanswered >= _QUESTIONS
-        answered = {each.var_id for one in heard for each in one.instructions(ICType.REQUEST_VARCREATES)}
-        for kind, var_id in sorted(set(stimuli(codec, events, made)), key=str):
+        answered = {each.var_id for one in failure.heard for each in one.instructions(ICType.REQUEST_VARCREATES)}
+        for kind, var_id in sorted(set(stimuli(failure.codec, failure.events, failure.created)), key=str):
             if mute and kind in _VARDIS:
                 return "VarDis answered nothing that could be read when the run began"
             if kind == "other" or kind not in self.unanswered or (kind == "summary" and var_id in answered):
                 continue
             # Wrong octets make every answer unreadable; without them, the missing answer itself is the fault.
-            if self.violations or not OWNERS[kind] & decided:
+            if self.violations or not OWNERS[kind] & failure.requirements:
                 return f"the implementation did not answer {TOLD[kind]} when the run began"
         return ""
 
 
 def stimuli(
-    codec: Codec, events: Iterable[Event], made: Collection[int]
+    codec: Codec, events: Sequence[Event], made: Collection[int]
 ) -> Iterator[tuple[Stimulus | Literal["other"], int | None]]:
     """Yield the kinds of stimulus among events, each with its variable; None if it is not about a variable.
 
@@ -169,30 +157,23 @@ def stimuli(
             yield _SERVICES[event.text], None
         elif event.direction == "call" and event.text.startswith("RTDB-"):
             yield "other", None
-        if event.direction != "sent":
-            continue
-        # Including beacons that are partly invalid.
-        beacon = codec.salvage(event.frame[event.start :]).beacon
-        if beacon is None:
-            continue
-        for payload in beacon.payloads:
-            if payload.srp is not None:
-                yield "report", None
-            if payload.data is not None:
-                yield "payload", None
-            for container in payload.vardis or ():
-                for record in container.records:
-                    if (kind := KIND_OF.get(type(record))) is None:
-                        continue
-                    var_id = var_id_of(record)
-                    if kind is ICType.CREATE_VARIABLES:
-                        yield "create", var_id
-                    elif kind is ICType.REQUEST_VARCREATES:
-                        yield "request", var_id
-                    elif kind is ICType.SUMMARIES and var_id not in made:
-                        yield "summary", var_id
-                    else:
-                        yield "other", var_id
+    for payload in payloads(codec, events):
+        if payload.srp is not None:
+            yield "report", None
+        if payload.data is not None:
+            yield "payload", None
+        for record in records(payload):
+            if (kind := KIND_OF.get(type(record))) is None:
+                continue
+            var_id = var_id_of(record)
+            if kind is ICType.CREATE_VARIABLES:
+                yield "create", var_id
+            elif kind is ICType.REQUEST_VARCREATES:
+                yield "request", var_id
+            elif kind is ICType.SUMMARIES and var_id not in made:
+                yield "summary", var_id
+            else:
+                yield "other", var_id
 
 
 def _listed(kinds: Collection[Stimulus]) -> str:

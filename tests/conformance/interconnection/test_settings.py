@@ -6,8 +6,9 @@ from collections.abc import Iterable
 from typing import Any
 
 import pytest
-from dcp_conformance.interconnection.other_settings import network_ids
+from dcp_conformance.interconnection.findings import Findings
 from dcp_conformance.interconnection.probe import draft
+from dcp_conformance.interconnection.settings import network_ids
 from dcp_conformance.model.case import SANITY, all_cases
 from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, VirtualLowerTester
@@ -15,7 +16,7 @@ from dcp_spec.profile.loading import profile_names
 
 from dcp_codec import Codec
 
-from .test_sanity import deaf, failed, node, runner_for, sanity
+from ..suite.test_sanity import deaf, failed, node, runner_for, sanity
 
 CANDIDATES = [Codec(name) for name in profile_names()]
 
@@ -29,7 +30,7 @@ def silent_with(**about: Any) -> Any:
     upper.methods = frozenset({"UT-Hello", "BP-GetParameters"})
     upper.about = {**upper.about, **about}
     result = runner.run(all_cases()[SANITY])
-    return result, runner.session.contact
+    return result, Findings.of(runner.session).contact
 
 
 def test_networks_to_try() -> None:

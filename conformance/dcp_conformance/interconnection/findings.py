@@ -1,0 +1,85 @@
+"""The findings about the implementation before the first case, and the failures that follow from them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Final
+
+from dcp_conformance.model.case import Case, Kind
+from dcp_conformance.model.pics import Testing
+from dcp_conformance.test_system.bench import Bench
+from dcp_conformance.test_system.known import Cause, Failure, Known, Misread, Question
+from dcp_conformance.test_system.session import FLOOR, Session
+
+from . import extraction, layouts
+from .contact import Contact
+from .reaction import measure
+
+#: A bench needs a case; this one is not part of the suite.
+_CASE: Final = Case(
+    "measurement", "How the implementation reacts", ("VD-PS-01",), Kind.VALID, "", "", 0, "", __name__, lambda _: None
+)
+
+
+@dataclass
+class Findings(Known):
+    """The findings of a run, which explain failures of cases that are about something else."""
+
+    contact: Contact | None = None
+    """Result of the basic interconnection test; None before it, and if it is omitted."""
+    misread: dict[Misread, str] = field(default_factory=dict)
+    """The fields that the implementation misreads, each with a text about the observation."""
+
+    @classmethod
+    def of(cls, session: Session) -> Findings:
+        """Return the findings of a session, which has none before the first call."""
+        found = session.known
+        if not isinstance(found, Findings):
+            session.known = found = cls()
+        return found
+
+    @property
+    def question(self) -> Question:
+        """The kind of stimulus for probes of VarDis: one that it answers, if there is one."""
+        return "summary" if self.contact is None else self.contact.question
+
+    def cause(self, failure: Failure) -> Cause | None:
+        """Return the finding that a failed check follows from; None if the failure counts."""
+        if text := layouts.cause(self.misread, failure):
+            return Cause(f"this follows from another fault: {text}", certain=True)
+        if failure.shown:
+            return None
+        text = extraction.excuse(self.lost_container, failure)
+        if not text and self.contact is not None:
+            text = self.contact.excuse(failure)
+        return Cause(text) if text else None
+
+    def notes(self, pixit: Testing) -> Iterator[str]:
+        """Yield notes for the results on findings that affect many cases."""
+        if pixit.reaction_periods is None and (self.reaction.periods > FLOOR or self.reaction.per_payload):
+            yield f"reactions are waited for {self.reaction}; pixit.reaction_periods overrides this"
+        if self.lost_container:
+            yield (
+                f"it loses the {self.lost_container} of two containers in a payload (VD-RX-04): in cases about other "
+                "requirements that send such payloads, missing reactions are inconclusive"
+            )
+        for text in self.misread.values():
+            yield f"{text}: consequences of that in other cases are inconclusive"
+
+
+def prepare(session: Session) -> bool:
+    """Measure how fast the implementation reacts; if it answers, find out what it loses and misreads.
+
+    Return whether it has answered now: nothing is done if it has answered before, or if there is no VarDis to ask.
+    Raises ``LowerTesterError``.
+    """
+    found = Findings.of(session)
+    if found.reaction.samples or session.pics.pics.vardis is False:
+        return False
+    found.reaction = measure(Bench(session, _CASE))
+    if not found.reaction.samples:
+        return False
+    found.lost_container = extraction.lost_container(Bench(session, _CASE))
+    found.misread = layouts.misread_fields(Bench(session, _CASE))
+    return True

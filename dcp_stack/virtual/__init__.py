@@ -1,0 +1,1 @@
+"""Networks in virtual time: a medium, a clock with its queue of events, and stations."""
