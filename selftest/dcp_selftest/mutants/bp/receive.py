@@ -136,7 +136,7 @@ class Ends(Receiver):
             super()._deliver(block, sender)
 
     def ends(self, block: Block) -> bool:
-        """Return whether this block and those behind it are not delivered."""
+        """Return whether this block and those after it are not delivered."""
         return block.protocol_id not in self._clients
 
 

@@ -166,7 +166,7 @@ class TooLarge(Composer):
 
 
 class Generates(Vardis):
-    """Encodes payloads in another way."""
+    """Changes the octets of payloads."""
 
     spared: ClassVar[int] = 0
     """Octets of the registered size that containers do not use."""
