@@ -13,17 +13,14 @@ from dcp_stack.srp.neighbour_table import NeighbourTable
 from dcp_stack.vardis.entity import Vardis
 from dcp_stack.vardis.wire import Extracted, Extractor
 
+from .family import around, instead
 from .mutant import mutant
 
-
-@mutant("thousand", "SRP-RX-03", "has 1000 entries for neighbours and never reuses one")
-class Thousand(NeighbourTable):
-    def record(
-        self, report: ExtendedSafetyData, sender_id: bytes, *, now: int, wall: int
-    ) -> Literal["new", "replaced", "full"]:
-        if report.node_id not in self._entries and len(self._entries) >= 1000:
-            return "full"
-        return super().record(report, sender_id, now=now, wall=wall)
+around(NeighbourTable, NeighbourTable.record)("thousand", "SRP-RX-03",
+    "has 1000 entries for neighbours and never reuses one",
+    lambda self, proceed, report, sender_id, *, now, wall: (
+        "full" if report.node_id not in self._entries
+        and len(self._entries) >= 1000 else proceed(report, sender_id, now=now, wall=wall)))  # fmt: skip
 
 
 @mutant("dies-of-1001", "SRP-RX-03 BP-RX-16", "crashes on the 1001st neighbour")
@@ -65,21 +62,11 @@ class Scrubs(Vardis):
         return timeout
 
 
-@mutant("signed", "VD-TYP-04 VD-SCR-01", "treats timeouts above 32,767 ms as none", since=SpecVersion.V2_0)
-class SignedTimeout(Scrubs):
-    def measured(self, timeout: int) -> int:
-        return timeout if timeout < 0x8000 else 0
-
-
-@mutant(
-    "minute",
-    "VD-TYP-04 VD-SCR-01",
-    "deletes variables after one minute even if their timeout is longer",
-    since=SpecVersion.V2_0,
-)
-class Minute(Scrubs):
-    def measured(self, timeout: int) -> int:
-        return min(timeout, 60_000)
+measured = instead(Scrubs, Scrubs.measured)
+measured("signed", "VD-TYP-04 VD-SCR-01", "treats timeouts above 32,767 ms as none",
+    lambda self, timeout: timeout if timeout < 0x8000 else 0, since=SpecVersion.V2_0)  # fmt: skip
+measured("minute", "VD-TYP-04 VD-SCR-01", "deletes variables after one minute even if their timeout is longer",
+    lambda self, timeout: min(timeout, 60_000), since=SpecVersion.V2_0)  # fmt: skip
 
 
 @mutant("gives-up", "UWB-01", "stops sending after it has received no beacon for 0.7 s")

@@ -2,18 +2,32 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from typing import Any
+
+_ARGUMENTS = ("prot_id", "name", "size", "mode", "entries", "several")
 
 
 class Port:
-    """Forwards every call; mutants override services, with the arguments of ``BeaconingProtocol``."""
+    """Forwards every call; mutants override services, with the arguments of ``BeaconingProtocol``.
 
-    def __init__(self, bp: Any) -> None:
+    ``registered`` are changed arguments of the registration, whose size is multiplied by ``factor``; ``payload``
+    changes the octets that are submitted.
+    """
+
+    def __init__(
+        self, bp: Any, registered: Mapping[str, Any], *, payload: Callable[[bytes], bytes] = bytes, factor: int = 1
+    ) -> None:
         self.bp = bp
+        self._registered = registered
+        self._payload = payload
+        self._factor = factor
 
     def register(self, *args: Any, **times: int) -> Any:
         """``BP-RegisterProtocol``."""
-        return self.bp.register(*args, **times)
+        given = dict(zip(_ARGUMENTS, args, strict=True))
+        changed = {**given, "size": self._factor * given["size"], **self._registered}
+        return self.bp.register(*changed.values(), **times)
 
     def deregister(self, prot_id: int) -> Any:
         """``BP-DeregisterProtocol``."""
@@ -21,7 +35,7 @@ class Port:
 
     def transmit_payload(self, prot_id: int, payload: bytes, *, now: int) -> Any:
         """``BP-TransmitPayload``."""
-        return self.bp.transmit_payload(prot_id, payload, now=now)
+        return self.bp.transmit_payload(prot_id, self._payload(payload), now=now)
 
     def query_number_buffered(self, prot_id: int) -> Any:
         """``BP-QueryNumberBufferedPayloads``."""
@@ -30,9 +44,3 @@ class Port:
     def next_beacon(self) -> Any:
         """The time at which BP prepares its next beacon."""
         return self.bp.next_beacon()
-
-
-def registration(args: tuple[Any, ...], **changes: Any) -> list[Any]:
-    """Return the arguments of ``BP-RegisterProtocol`` with some of them changed."""
-    names = ("prot_id", "name", "size", "mode", "entries", "several")
-    return [changes.get(name, value) for name, value in zip(names, args, strict=True)]

@@ -152,30 +152,12 @@ _SUMMARISED = (
 _NOT_FULL = r"^TC_VD_SCR_TI_15: payloads full of VarCreates, which this case needs: room for a VarReqUpdate$"
 
 VARIANTS = (
-    Variant(
-        "V-APP-reports-10Hz",
-        "has an application that submits safety data at 10 Hz",
-        _SRP_WHY,
-        _running(Pilot),
-        where=has_srp,
-        explains=(_NO_PAUSE, _REPLACED),
-    ),
-    Variant(
-        "V-APP-reports-50Hz",
-        "has an application that submits safety data at 50 Hz",
-        _SRP_WHY,
-        _running(FastPilot),
-        where=has_srp,
-        explains=(_NO_PAUSE, _REPLACED),
-    ),
-    Variant(
-        "V-APP-reports-1Hz",
-        "has an application that submits safety data at 1 Hz",
-        _SRP_WHY,
-        _running(SlowPilot),
-        where=has_srp,
-        explains=(_NO_PAUSE, _REPLACED),
-    ),
+    Variant("V-APP-reports-10Hz", "has an application that submits safety data at 10 Hz", _SRP_WHY, _running(Pilot),
+        where=has_srp, explains=(_NO_PAUSE, _REPLACED)),
+    Variant("V-APP-reports-50Hz", "has an application that submits safety data at 50 Hz", _SRP_WHY, _running(FastPilot),
+        where=has_srp, explains=(_NO_PAUSE, _REPLACED)),
+    Variant("V-APP-reports-1Hz", "has an application that submits safety data at 1 Hz", _SRP_WHY, _running(SlowPilot),
+        where=has_srp, explains=(_NO_PAUSE, _REPLACED)),
     Variant(
         "V-APP-initial-report",
         "submits configured safety data when it starts",
@@ -185,34 +167,12 @@ VARIANTS = (
         # Up to 1.2 the report is repeated.
         explains=(_NO_PAUSE,),
     ),
-    Variant(
-        "V-APP-variable",
-        "has an application that updates a variable once a second",
-        _VD_WHY,
-        _running(Sensor),
-        where=_one_octet_ids,
-        explains=(_NO_PAUSE, _SUMMARISED),
-    ),
-    Variant(
-        "V-APP-client",
-        "has a client of BP that submits a payload three times a second",
-        _BP_WHY,
-        _running(Chatter),
-        explains=(_NO_PAUSE,),
-    ),
-    Variant(
-        "V-APP-every-beacon",
-        "has a client of BP with a payload in every beacon",
-        _BP_WHY,
-        _running(Beacon),
-        explains=(_NO_PAUSE,),
-    ),
-    Variant(
-        "V-APP-everything",
-        "has reports at 10 Hz, a variable and a client of BP",
-        f"{_SRP_WHY}; {_VD_WHY}",
-        _running(Everything),
-        where=has_srp,
-        explains=(_NO_PAUSE, _SUMMARISED, _REPLACED, _NOT_FULL),
-    ),
-)
+    Variant("V-APP-variable", "has an application that updates a variable once a second", _VD_WHY, _running(Sensor),
+        where=_one_octet_ids, explains=(_NO_PAUSE, _SUMMARISED)),
+    Variant("V-APP-client", "has a client of BP that submits a payload three times a second", _BP_WHY,
+        _running(Chatter), explains=(_NO_PAUSE,)),
+    Variant("V-APP-every-beacon", "has a client of BP with a payload in every beacon", _BP_WHY, _running(Beacon),
+        explains=(_NO_PAUSE,)),
+    Variant("V-APP-everything", "has reports at 10 Hz, a variable and a client of BP", f"{_SRP_WHY}; {_VD_WHY}",
+        _running(Everything), where=has_srp, explains=(_NO_PAUSE, _SUMMARISED, _REPLACED, _NOT_FULL)),
+)  # fmt: skip

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, ClassVar
+from typing import Any
 
 import msgspec
 from dcp_conformance.model.pics import Capabilities
 from dcp_conformance.reference.surroundings import Setup
 from dcp_spec.constants import BP_PROTID_VARDIS, SpecVersion
-from dcp_spec.parameters import Violation
 
 from dcp_codec.values import Container
+from dcp_selftest.mutants.family import after, around, assign, before, skips
 from dcp_stack.bp.clients import Chosen, ClientList
-from dcp_stack.bp.parameters import BPParameters
+from dcp_stack.bp.parameters import PERIOD, BPParameters
 from dcp_stack.bp.receive import Receiver
 from dcp_stack.bp.statistics import LossTable
 from dcp_stack.bp.timing import BeaconSchedule
@@ -32,104 +32,6 @@ from .variant import Variant, has_srp, setup
 _V = SpecVersion
 
 # -- the content of beacons --------------------------------------------------------------------------------------------
-
-
-class _AtMost(ClientList):
-    """Puts at most :attr:`most` payloads into a beacon."""
-
-    most: ClassVar[int]
-
-    def take(self, room: int, size: Callable[[bytes], int], most: int) -> Chosen:
-        return super().take(room, size, min(most, self.most))
-
-
-class OneBlock(_AtMost):
-    """Puts one payload into a beacon."""
-
-    most = 1
-
-
-class TwoBlocks(_AtMost):
-    """Puts at most two payloads into a beacon."""
-
-    most = 2
-
-
-class TenBlocks(_AtMost):
-    """Puts at most ten payloads into a beacon."""
-
-    most = 10
-
-
-class _Priority(ClientList):
-    """Serves the clients of each beacon in the order of :meth:`rank`, the lowest first."""
-
-    def rank(self, protocol_id: int) -> int:
-        """Return the place of a client in the order."""
-        raise NotImplementedError
-
-    def take(self, room: int, size: Callable[[bytes], int], most: int) -> Chosen:
-        self._order.sort(key=lambda client: self.rank(client.protocol_id))
-        return super().take(room, size, most)
-
-
-class LowestFirst(_Priority):
-    """Serves clients in the order of their protocol identifiers."""
-
-    def rank(self, protocol_id: int) -> int:
-        return protocol_id
-
-
-class HighestFirst(_Priority):
-    """Serves clients in the reverse order of their protocol identifiers."""
-
-    def rank(self, protocol_id: int) -> int:
-        return -protocol_id
-
-
-class VardisFirst(_Priority):
-    """Serves VarDis before other clients."""
-
-    def rank(self, protocol_id: int) -> int:
-        return protocol_id != BP_PROTID_VARDIS
-
-
-class VardisLast(_Priority):
-    """Serves VarDis after other clients."""
-
-    def rank(self, protocol_id: int) -> int:
-        return protocol_id == BP_PROTID_VARDIS
-
-
-class PriorityOneBlock(LowestFirst):
-    """Puts one payload into a beacon: that of the client with the lowest protocol identifier."""
-
-    def take(self, room: int, size: Callable[[bytes], int], most: int) -> Chosen:
-        return super().take(room, size, min(most, 1))
-
-
-class DerivedValue(BPParameters):
-    """Reports a further value that is computed from a parameter."""
-
-    def as_dict(self) -> dict[str, Any]:
-        found = super().as_dict()
-        return {**found, "beaconsPerSecond": 1000 / found["BPPAR_BEACON_PERIOD"]}
-
-
-class CoarseValue(BPParameters):
-    """Rounds beacon periods down to multiples of 20 ms."""
-
-    def set(self, name: str, value: object) -> Violation | None:
-        if name == "BPPAR_BEACON_PERIOD" and isinstance(value, int) and value > 0:
-            value = max(20, value // 20 * 20)
-        return super().set(name, value)
-
-
-class SortedBlocks(ClientList):
-    """Sends the blocks of a beacon in the order of their protocol identifiers."""
-
-    def take(self, room: int, size: Callable[[bytes], int], most: int) -> Chosen:
-        return sorted(super().take(room, size, most), key=lambda block: block[0])
 
 
 class TwoContainers(Composer):
@@ -166,14 +68,6 @@ class CoarsePeriod(BeaconSchedule):
         super()._place()
         tick = 10 * MS
         self.due = -(-self.due // tick) * tick
-
-
-class ScrubsWhileActive(Vardis):
-    """Scrubs only while VarDis is active."""
-
-    def _scrub(self, now: int) -> None:
-        if self.active:
-            super()._scrub(now)
 
 
 class OneIndicationPerBeacon(Node):
@@ -217,22 +111,6 @@ class EmptyDelivered(Receiver):
         self._emit(PayloadReceived(block.protocol_id, b"", sender))
 
 
-class EmptyIgnored(Receiver):
-    """Does not deliver empty payload blocks."""
-
-    def _deliver(self, block: Block, sender: bytes) -> None:
-        if block.payload:
-            super()._deliver(block, sender)
-
-
-class NoLosses(Receiver):
-    """Ignores the sequence numbers of beacons, and so estimates no losses."""
-
-    def receive(self, octets: bytes, now: int) -> None:
-        self._losses = LossTable()
-        super().receive(octets, now)
-
-
 class NewestReport(StateReporting):
     """Ignores a report whose sequence number is before that of the stored one, modulo 2^32."""
 
@@ -252,26 +130,41 @@ class NewestReport(StateReporting):
 # -- VarDis ------------------------------------------------------------------------------------------------------------
 
 
-class LiteralVardis(Vardis):
-    """Uses the current system time as creationTime, even if the previous creation has the same or a later one."""
-
-    def _creation_time(self, entry: Any, wall: int) -> int | None:
-        del entry
-        return super()._creation_time(None, wall)
-
-
-class MillisecondCreation(Vardis):
-    """Truncates creationTime to whole milliseconds."""
-
-    def _creation_time(self, entry: Any, wall: int) -> int | None:
-        return super()._creation_time(entry, wall // MS * MS)
-
-
 # --------------------------------------------------------------------------------------------------------------------
 
 
 def _part(part: type, **more: Any) -> Callable[[str], Setup]:
     return lambda profile: setup(profile, part=part, **more)
+
+
+def _serving(rank: Callable[[int], int] | None = None, payloads: int = 1 << 16) -> Callable[[str], Setup]:
+    """Return nodes that put at most ``payloads`` into a beacon; ``rank`` of a protocol identifier: the lowest first."""
+
+    class Serving(ClientList):
+        def take(self, room: int, size: Callable[[bytes], int], most: int) -> Chosen:
+            if rank is not None:
+                self._order.sort(key=lambda client: rank(client.protocol_id))
+            return super().take(room, size, min(most, payloads))
+
+    return _part(Serving)
+
+
+_DERIVED_VALUE = after(BPParameters, BPParameters.as_dict).part(
+    lambda self, found: {**found, "beaconsPerSecond": 1000 / found["BPPAR_BEACON_PERIOD"]}
+)
+_COARSE_VALUE = around(BPParameters, BPParameters.set).part(
+    lambda self, proceed, name, value: proceed(
+        name, max(20, value // 20 * 20) if name == PERIOD and isinstance(value, int) and value > 0 else value
+    )
+)
+_SORTED_BLOCKS = after(ClientList, ClientList.take).part(
+    lambda self, chosen, room, size, most: sorted(chosen, key=lambda block: block[0])
+)
+_SCRUBS_WHILE_ACTIVE = skips(Vardis, Vardis._scrub).part(lambda self, now: not self.active)
+_NO_LOSSES = before(Receiver, Receiver.receive).part(lambda self, octets, now: assign(self, _losses=LossTable()))
+_creation_time = around(Vardis, Vardis._creation_time)
+_LITERAL_TIME = _creation_time.part(lambda self, proceed, entry, wall: proceed(None, wall))
+_MILLISECONDS = _creation_time.part(lambda self, proceed, entry, wall: proceed(entry, wall // MS * MS))
 
 
 def _bp(**changes: Any) -> Callable[[str], Setup]:
@@ -289,160 +182,72 @@ _TOO_CLOSE = "payloads full of VarCreates, which this case needs: room for a Var
 _TOO_FEW = r"^TC_BP_TX_TI_0[12].*: too few beacons for their variance"
 
 VARIANTS = (
-    Variant("V-BP-TX-one-block", "puts one payload into each beacon", _MANY, _part(OneBlock)),
-    Variant("V-BP-TX-two-blocks", "puts at most two payloads into a beacon", _MANY, _part(TwoBlocks)),
-    Variant("V-BP-TX-ten-blocks", "puts at most ten payloads into a beacon", _MANY, _part(TenBlocks)),
-    Variant(
-        "V-BP-TX-lowest-first", "serves clients by protocol identifier, the lowest first", _ORDER, _part(LowestFirst)
-    ),
-    Variant(
-        "V-BP-TX-highest-first", "serves clients by protocol identifier, the highest first", _ORDER, _part(HighestFirst)
-    ),
-    Variant("V-BP-TX-vardis-first", "serves VarDis before other clients", _ORDER, _part(VardisFirst)),
-    Variant("V-BP-TX-vardis-last", "serves VarDis after other clients", _ORDER, _part(VardisLast)),
+    Variant("V-BP-TX-one-block", "puts one payload into each beacon", _MANY, _serving(payloads=1)),
+    Variant("V-BP-TX-two-blocks", "puts at most two payloads into a beacon", _MANY, _serving(payloads=2)),
+    Variant("V-BP-TX-ten-blocks", "puts at most ten payloads into a beacon", _MANY, _serving(payloads=10)),
+    Variant("V-BP-TX-lowest-first", "serves clients by protocol identifier, the lowest first", _ORDER,
+        _serving(lambda protocol: protocol)),
+    Variant("V-BP-TX-highest-first", "serves clients by protocol identifier, the highest first", _ORDER,
+        _serving(lambda protocol: -protocol)),
+    Variant("V-BP-TX-vardis-first", "serves VarDis before other clients", _ORDER,
+        _serving(lambda protocol: protocol != BP_PROTID_VARDIS)),
+    Variant("V-BP-TX-vardis-last", "serves VarDis after other clients", _ORDER,
+        _serving(lambda protocol: protocol == BP_PROTID_VARDIS)),
     Variant(
         "V-BP-TX-priority-one-block",
         "puts one payload into each beacon, that of the lowest protocol identifier",
         _ORDER,
-        _part(PriorityOneBlock),
+        _serving(lambda protocol: protocol, payloads=1),
         # Up to 1.2 SRP repeats its reports, so that other clients would never be served.
         since=_V.V1_3,
     ),
-    Variant(
-        "V-BP-PAR-derived",
-        "reports a further value that is computed from one of its parameters",
-        "UPPER-TESTER.md: answers may have further members",
-        _part(DerivedValue),
-    ),
-    Variant(
-        "V-BP-PAR-ticks",
-        "rounds beacon periods down to multiples of 20 ms",
-        "dcp-bp.md: the resolution of time values is system-dependent",
-        _part(CoarseValue),
-    ),
-    Variant("V-BP-TX-sorted", "orders the blocks of a beacon by protocol identifier", _ORDER, _part(SortedBlocks)),
+    Variant("V-BP-PAR-derived", "reports a further value that is computed from one of its parameters",
+        "UPPER-TESTER.md: answers may have further members", _part(_DERIVED_VALUE)),
+    Variant("V-BP-PAR-ticks", "rounds beacon periods down to multiples of 20 ms",
+        "dcp-bp.md: the resolution of time values is system-dependent", _part(_COARSE_VALUE)),
+    Variant("V-BP-TX-sorted", "orders the blocks of a beacon by protocol identifier", _ORDER, _part(_SORTED_BLOCKS)),
     Variant("V-BP-TX-triggered", "sends a new payload at once", "BP-TXP-07", _bp(triggered=True), explains=(_NO_GAP,)),
-    Variant(
-        "V-BP-TX-triggered-denied",
-        "sends a new payload at once, and its PICS claims it",
-        "BP-TXP-07",
+    Variant("V-BP-TX-triggered-denied", "sends a new payload at once, and its PICS claims it", "BP-TXP-07",
         lambda profile: setup(profile, bp=BPConfig(triggered=True), pics=Capabilities(triggered_beacons=True)),
-        explains=(_NO_GAP,),
-    ),
+        explains=(_NO_GAP,)),
     Variant("V-BP-TX-jitter-0", "has no jitter", _INTERVALS, _bp(jitter=0.0)),
-    Variant(
-        "V-BP-TX-jitter-0-denied",
-        "has no jitter, and its PICS denies it",
-        _INTERVALS,
-        lambda profile: setup(profile, bp=BPConfig(jitter=0.0), pics=Capabilities(jitter=False)),
-    ),
+    Variant("V-BP-TX-jitter-0-denied", "has no jitter, and its PICS denies it", _INTERVALS,
+        lambda profile: setup(profile, bp=BPConfig(jitter=0.0), pics=Capabilities(jitter=False))),
     Variant("V-BP-TX-jitter-25", "varies intervals by a quarter to either side", _INTERVALS, _bp(jitter=0.25)),
-    Variant(
-        "V-BP-TX-jitter-50",
-        "varies intervals by half to either side",
-        _INTERVALS,
-        _bp(jitter=0.5),
-        explains=(_TOO_FEW,),
-    ),
-    Variant(
-        "V-BP-TX-jitter-95",
-        "varies intervals between almost zero and twice the period",
-        _INTERVALS,
-        _bp(jitter=0.95),
-        explains=(_TOO_FEW, _TOO_CLOSE),
-    ),
-    Variant(
-        "V-BP-TX-ticks",
-        "sends beacons at multiples of 10 ms",
-        "dcp-bp.md: the resolution of time values is system-dependent",
-        _part(CoarsePeriod),
-    ),
-    Variant(
-        "V-BP-PTI-per-beacon",
-        "sends one BP-PayloadTransmitted.indication for each client and beacon",
-        "BP-PTI-01",
-        _part(OneIndicationPerBeacon),
-    ),
-    Variant(
-        "V-BP-RX-count-checked",
-        "discards a beacon whose numPayloads is not the number of its blocks",
-        "dcp-bp.md, Receive Path: an implementation may check it and react (BP-RX-12)",
-        _part(CountChecked),
-        since=_V.V1_1,
-    ),
-    Variant(
-        "V-BP-RX-empty-delivered",
-        "delivers payload blocks without octets",
-        "dcp-bp.md, Receive Path, step 3",
-        _part(EmptyDelivered),
-    ),
-    Variant(
-        "V-BP-RX-no-losses",
-        "does not estimate losses",
-        "BP-RX-11",
-        _part(NoLosses, pics=Capabilities(loss_estimation=False)),
-    ),
-    Variant(
-        "V-SRP-RX-newest",
-        "keeps the report with the highest sequence number",
-        "SRP-RX-04",
-        _part(NewestReport, pics=Capabilities(srp_seqno_filter=True)),
-        where=has_srp,
-    ),
-    Variant(
-        "V-SRP-RX-newest-silent",
-        "keeps the report with the highest sequence number; its PICS does not declare it",
-        "SRP-RX-04",
-        _part(NewestReport),
-        where=has_srp,
-    ),
-    Variant(
-        "V-VD-IC-two-containers",
-        "sends two containers of a type instead of one",
-        "VD-IC-04",
-        _part(TwoContainers),
-        since=_V.V1_2,
-        where=lambda profile: profile.behaviour.containers_per_type == "several",
-    ),
-    Variant(
-        "V-VD-IC-two-containers-claimed",
-        "sends two containers of a type, and its PICS claims it",
-        "VD-IC-04",
-        _part(TwoContainers, pics=Capabilities(several_containers=True)),
-        since=_V.V1_2,
-        where=lambda profile: profile.behaviour.containers_per_type == "several",
-    ),
-    Variant(
-        "V-VD-RUN-just-before",
-        "composes a VarDis payload 2 ms before its beacon",
+    Variant("V-BP-TX-jitter-50", "varies intervals by half to either side", _INTERVALS, _bp(jitter=0.5),
+        explains=(_TOO_FEW,)),
+    Variant("V-BP-TX-jitter-95", "varies intervals between almost zero and twice the period", _INTERVALS,
+        _bp(jitter=0.95), explains=(_TOO_FEW, _TOO_CLOSE)),
+    Variant("V-BP-TX-ticks", "sends beacons at multiples of 10 ms",
+        "dcp-bp.md: the resolution of time values is system-dependent", _part(CoarsePeriod)),
+    Variant("V-BP-PTI-per-beacon", "sends one BP-PayloadTransmitted.indication for each client and beacon", "BP-PTI-01",
+        _part(OneIndicationPerBeacon)),
+    Variant("V-BP-RX-count-checked", "discards a beacon whose numPayloads is not the number of its blocks",
+        "dcp-bp.md, Receive Path: an implementation may check it and react (BP-RX-12)", _part(CountChecked),
+        since=_V.V1_1),
+    Variant("V-BP-RX-empty-delivered", "delivers payload blocks without octets", "dcp-bp.md, Receive Path, step 3",
+        _part(EmptyDelivered)),
+    Variant("V-BP-RX-no-losses", "does not estimate losses", "BP-RX-11",
+        _part(_NO_LOSSES, pics=Capabilities(loss_estimation=False))),
+    Variant("V-SRP-RX-newest", "keeps the report with the highest sequence number", "SRP-RX-04",
+        _part(NewestReport, pics=Capabilities(srp_seqno_filter=True)), where=has_srp),
+    Variant("V-SRP-RX-newest-silent", "keeps the report with the highest sequence number; its PICS does not declare it",
+        "SRP-RX-04", _part(NewestReport), where=has_srp),
+    Variant("V-VD-IC-two-containers", "sends two containers of a type instead of one", "VD-IC-04", _part(TwoContainers),
+        since=_V.V1_2, where=lambda profile: profile.behaviour.containers_per_type == "several"),
+    Variant("V-VD-IC-two-containers-claimed", "sends two containers of a type, and its PICS claims it", "VD-IC-04",
+        _part(TwoContainers, pics=Capabilities(several_containers=True)), since=_V.V1_2,
+        where=lambda profile: profile.behaviour.containers_per_type == "several"),
+    Variant("V-VD-RUN-just-before", "composes a VarDis payload 2 ms before its beacon",
         "VD-RUN-01: the indication announces the next beacon, so that payloads can be composed just before it",
-        lambda profile: setup(profile, vardis=VardisConfig(buffer_check_period_ms=150, compose_lead_ms=2.0)),
-    ),
-    Variant(
-        "V-VD-RUN-early",
-        "composes a VarDis payload 60 ms before its beacon",
+        lambda profile: setup(profile, vardis=VardisConfig(buffer_check_period_ms=150, compose_lead_ms=2.0))),
+    Variant("V-VD-RUN-early", "composes a VarDis payload 60 ms before its beacon",
         "X54: the time between composing a payload and its beacon is open",
-        lambda profile: setup(profile, vardis=VardisConfig(compose_lead_ms=60.0)),
-    ),
-    Variant(
-        "V-VD-SCR-while-active",
-        "scrubs only while VarDis is active",
-        "dcp-vardis.md, Deactivate: scrubbing is not mentioned",
-        _part(ScrubsWhileActive),
-        since=_V.V2_0,
-    ),
-    Variant(
-        "V-VD-CRE-literal-time",
-        "uses the current time as creation time, also for a second creation",
-        "VD-CRE-09",
-        _part(LiteralVardis),
-        since=_V.V2_0,
-    ),
-    Variant(
-        "V-VD-CRE-ms-clock",
-        "has a clock with a resolution of 1 ms",
-        "dcp-data-types.md: TimeStampT",
-        _part(MillisecondCreation),
-        since=_V.V2_0,
-    ),
-)
+        lambda profile: setup(profile, vardis=VardisConfig(compose_lead_ms=60.0))),
+    Variant("V-VD-SCR-while-active", "scrubs only while VarDis is active",
+        "dcp-vardis.md, Deactivate: scrubbing is not mentioned", _part(_SCRUBS_WHILE_ACTIVE), since=_V.V2_0),
+    Variant("V-VD-CRE-literal-time", "uses the current time as creation time, also for a second creation", "VD-CRE-09",
+        _part(_LITERAL_TIME), since=_V.V2_0),
+    Variant("V-VD-CRE-ms-clock", "has a clock with a resolution of 1 ms", "dcp-data-types.md: TimeStampT",
+        _part(_MILLISECONDS), since=_V.V2_0),
+)  # fmt: skip

@@ -210,7 +210,7 @@ class BusyLowerTester(VirtualLowerTester):
         self._machine.hold_tester()
         super().send_frame(frame)
 
-    def receive(self, until: int, also: Sequence[int] = ()) -> Arrival | None:  # noqa: ARG002 - nothing to wait on
+    def receive(self, until: int, also: Sequence[int] = ()) -> Arrival | None:
         """Return the next frame that can be read."""
         return self._machine.next_frame(until)
 

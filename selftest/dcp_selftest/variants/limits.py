@@ -50,30 +50,14 @@ VARIANTS = (
     _small("value-4", "has values of at most 4 octets", "VD-PAR-02", max_value_length=4),
     _small("value-8", "has values of at most 8 octets", "VD-PAR-02", max_value_length=8),
     _small("value-12", "has values of at most 12 octets", "VD-PAR-02", max_value_length=12),
-    _small(
-        "description-2",
-        "has descriptions of at most 2 octets (1 and a NUL in 1.0)",
-        "VD-PAR-03",
-        max_description_length=2,
-    ),
+    _small("description-2", "has descriptions of at most 2 octets (1 and a NUL in 1.0)", "VD-PAR-03",
+        max_description_length=2),
     _small("description-5", "has descriptions of at most 5 octets", "VD-PAR-03", max_description_length=5),
     _small("description-12", "has descriptions of at most 12 octets", "VD-PAR-03", max_description_length=12),
-    _small(
-        "payload-60",
-        "has VarDis payloads of at most 60 octets",
-        "VD-PAR-05",
-        max_payload_size=60,
-        max_value_length=10,
-        max_description_length=10,
-        max_summaries=10,
-    ),
-    _small(
-        "value-description-1",
-        "has values of one octet and the shortest descriptions",
-        "VD-PAR-02, VD-PAR-03",
-        max_value_length=1,
-        max_description_length=2,
-    ),
+    _small("payload-60", "has VarDis payloads of at most 60 octets", "VD-PAR-05", max_payload_size=60,
+        max_value_length=10, max_description_length=10, max_summaries=10),
+    _small("value-description-1", "has values of one octet and the shortest descriptions", "VD-PAR-02, VD-PAR-03",
+        max_value_length=1, max_description_length=2),
     Variant("V-LIM-all-small", "has small limits throughout", "VD-PAR-02 to VD-PAR-06", _all_small),
     Variant(
         "V-LIM-packet-200",
@@ -89,4 +73,4 @@ VARIANTS = (
     Variant("V-LIM-variables-200", "has room for 200 variables", _ROOM, _room(max_variables=200)),
     Variant("V-LIM-neighbours-50", "has room for 50 neighbours", _ROOM, _room(max_neighbours=50), where=has_srp),
     Variant("V-LIM-neighbours-10", "has room for 10 neighbours", _ROOM, _room(max_neighbours=10), where=has_srp),
-)
+)  # fmt: skip

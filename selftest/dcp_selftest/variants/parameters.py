@@ -50,53 +50,20 @@ _EXPLAINS: Final = {
 }
 
 _CORNERS = (
-    _Corner(
-        "value", "VARDISPAR_MAX_VALUE_LENGTH", "VD-PAR-02", _vardis("max_value_length"), "max_value_length", (16, 255)
-    ),
-    _Corner(
-        "description",
-        "VARDISPAR_MAX_DESCRIPTION_LENGTH",
-        "VD-PAR-03",
-        _vardis("max_description_length"),
-        "max_description_length",
-        (17, 255),
-    ),
-    _Corner(
-        "repetitions",
-        "VARDISPAR_MAX_REPETITIONS",
-        "VD-PAR-04",
-        _vardis("max_repetitions"),
-        "max_repetitions",
-        (1, 2, 3),
-    ),
-    _Corner(
-        "payload",
-        "VARDISPAR_MAX_PAYLOAD_SIZE",
-        "VD-PAR-05",
-        _vardis("max_payload_size"),
-        "max_payload_size",
-        (120, 400),
-    ),
-    _Corner(
-        "summaries", "VARDISPAR_MAX_SUMMARIES", "VD-PAR-06", _vardis("max_summaries"), "max_summaries", (0, 1, 100)
-    ),
-    _Corner(
-        "check",
-        "VARDISPAR_BUFFER_CHECK_PERIOD",
-        "VD-PAR-08",
-        _vardis("buffer_check_period_ms"),
-        "buffer_check_period_ms",
-        (3, 150),
-    ),
-    _Corner(
-        "scrubbing",
-        "VARDISPAR_SCRUBBING_PERIOD",
-        "VD-PAR-07",
-        _vardis("scrubbing_period_ms"),
-        "scrubbing_period_ms",
-        (10, 3000),
-        _V.V2_0,
-    ),
+    _Corner("value", "VARDISPAR_MAX_VALUE_LENGTH", "VD-PAR-02", _vardis("max_value_length"), "max_value_length",
+        (16, 255)),
+    _Corner("description", "VARDISPAR_MAX_DESCRIPTION_LENGTH", "VD-PAR-03", _vardis("max_description_length"),
+        "max_description_length", (17, 255)),
+    _Corner("repetitions", "VARDISPAR_MAX_REPETITIONS", "VD-PAR-04", _vardis("max_repetitions"), "max_repetitions",
+        (1, 2, 3)),
+    _Corner("payload", "VARDISPAR_MAX_PAYLOAD_SIZE", "VD-PAR-05", _vardis("max_payload_size"), "max_payload_size",
+        (120, 400)),
+    _Corner("summaries", "VARDISPAR_MAX_SUMMARIES", "VD-PAR-06", _vardis("max_summaries"), "max_summaries",
+        (0, 1, 100)),
+    _Corner("check", "VARDISPAR_BUFFER_CHECK_PERIOD", "VD-PAR-08", _vardis("buffer_check_period_ms"),
+        "buffer_check_period_ms", (3, 150)),
+    _Corner("scrubbing", "VARDISPAR_SCRUBBING_PERIOD", "VD-PAR-07", _vardis("scrubbing_period_ms"),
+        "scrubbing_period_ms", (10, 3000), _V.V2_0),
     _Corner(
         "packet",
         "BPPAR_MAXIMUM_PACKET_SIZE",
@@ -108,24 +75,12 @@ _CORNERS = (
         "max_packet_size",
         (300, 600, 1200),
     ),
-    _Corner(
-        "network",
-        "BPPAR_NETWORK_ID",
-        "BP-PAR-05",
-        lambda value: {"bp": BPConfig(network_id=value)},
-        "network_id",
-        (0, 0xFFFF),
-        _V.V2_0,
-    ),
-    _Corner(
-        "neighbours",
-        "SRPPAR_NEIGHBOUR_TABLE_TIMEOUT",
-        "SRP-PAR-01",
-        lambda value: {"srp": SRPConfig(neighbour_table_timeout_ms=value)},
-        "neighbour_timeout_ms",
-        (500, 5000, 20_000),
-    ),
-)
+    _Corner("network", "BPPAR_NETWORK_ID", "BP-PAR-05", lambda value: {"bp": BPConfig(network_id=value)}, "network_id",
+        (0, 0xFFFF), _V.V2_0),
+    _Corner("neighbours", "SRPPAR_NEIGHBOUR_TABLE_TIMEOUT", "SRP-PAR-01",
+        lambda value: {"srp": SRPConfig(neighbour_table_timeout_ms=value)}, "neighbour_timeout_ms",
+        (500, 5000, 20_000)),
+)  # fmt: skip
 
 
 def _payload_in(packet: int) -> int:
@@ -150,11 +105,7 @@ def _build(corner: _Corner, value: int, knowledge: str) -> Callable[[str], Setup
 
 
 #: Sources from which the tester gets the value.
-_SOURCES = {
-    "get": "reported by its upper tester",
-    "pixit": "stated in the PIXIT",
-    "unknown": "unknown to the tester",
-}
+_SOURCES = {"get": "reported by its upper tester", "pixit": "stated in the PIXIT", "unknown": "unknown to the tester"}
 
 
 def _variants() -> Iterator[Variant]:

@@ -79,10 +79,6 @@ def _every_other(profile: str) -> Setup:
 
 VARIANTS = (
     *_variants(),
-    Variant(
-        "V-X-every-other",
-        "follows the second alternative of every reading that has one",
-        "all readings",
-        _every_other,
-    ),
-)
+    Variant("V-X-every-other", "follows the second alternative of every reading that has one", "all readings",
+        _every_other),
+)  # fmt: skip

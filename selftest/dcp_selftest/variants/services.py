@@ -28,8 +28,8 @@ _CONTRACT = "UPPER-TESTER.md, Methods"
 _NEEDED_ONLY = "an upper tester may be incomplete: docs/dcp-conformance.md"
 
 
-def _lacking(*methods: str) -> Callable[[str], Setup]:
-    return lambda profile: setup(profile, upper=without(*methods))
+def _lacking(*methods: str, **more: Any) -> Callable[[str], Setup]:
+    return lambda profile: setup(profile, upper=without(*methods), **more)
 
 
 def _without_each() -> Iterator[Variant]:
@@ -56,24 +56,8 @@ def _slow() -> Iterator[Variant]:
         )
 
 
-def _no_reset(profile: str) -> Setup:
-    return setup(profile, upper=without("UT-Reset"), can_restart=False)
-
-
-def _only_restart(profile: str) -> Setup:
-    return setup(profile, upper=without("UT-Reset"), pixit=Testing(reset="restart"))
-
-
-def _no_upper(profile: str) -> Setup:
-    return setup(profile, upper=UpperTesting(there=False))
-
-
-def _no_upper_no_restart(profile: str) -> Setup:
-    return setup(profile, upper=UpperTesting(there=False), can_restart=False)
-
-
-def _one_connection(profile: str) -> Setup:
-    return setup(profile, upper=UpperTesting(one_connection=True))
+def _upper(testing: UpperTesting, **more: Any) -> Callable[[str], Setup]:
+    return lambda profile: setup(profile, upper=testing, **more)
 
 
 # -- answers -----------------------------------------------------------------------------------------------------------
@@ -241,113 +225,44 @@ VARIANTS = (
     *_without_each(),
     *_slow(),
     Variant("V-UT-no-optional", "has no optional method", _CONTRACT, _lacking(*OPTIONAL)),
-    Variant(
-        "V-UT-no-get",
-        "has an upper tester that cannot read parameters",
-        _NEEDED_ONLY,
-        _lacking(*GETTERS),
-        explains=(ASSUMED_VALUE,),
-    ),
+    Variant("V-UT-no-get", "has an upper tester that cannot read parameters", _NEEDED_ONLY, _lacking(*GETTERS),
+        explains=(ASSUMED_VALUE,)),
     Variant("V-UT-no-set", "has an upper tester that cannot set parameters", "BP-PAR-01", _lacking(*SETTERS)),
-    Variant(
-        "V-UT-no-get-no-set",
-        "has an upper tester that can neither read nor set parameters",
-        "BP-PAR-01",
-        _lacking(*GETTERS, *SETTERS),
-        explains=(ASSUMED_VALUE,),
-    ),
-    Variant(
-        "V-UT-no-reset",
-        "has neither UT-Reset nor a restart",
-        "PIXIT reset = none",
-        _no_reset,
-        explains=(_USED_UP, _REPORTS_REPEATED),
-    ),
-    Variant("V-UT-restart", "is restarted before each case", "PIXIT reset = restart", _only_restart),
-    Variant(
-        "V-UT-none", "has no upper tester", "docs/dcp-conformance.md", _no_upper, explains=(_USED_UP, ASSUMED_VALUE)
-    ),
-    Variant(
-        "V-UT-none-no-restart",
-        "has no upper tester and no restart",
-        "docs/dcp-conformance.md",
-        _no_upper_no_restart,
-        explains=(_USED_UP, ASSUMED_VALUE),
-    ),
-    Variant(
-        "V-UT-one-connection",
-        "has an upper tester with one connection",
-        "an upper tester that is a command has one connection",
-        _one_connection,
-    ),
+    Variant("V-UT-no-get-no-set", "has an upper tester that can neither read nor set parameters", "BP-PAR-01",
+        _lacking(*GETTERS, *SETTERS), explains=(ASSUMED_VALUE,)),
+    Variant("V-UT-no-reset", "has neither UT-Reset nor a restart", "PIXIT reset = none",
+        _lacking("UT-Reset", can_restart=False), explains=(_USED_UP, _REPORTS_REPEATED)),
+    Variant("V-UT-restart", "is restarted before each case", "PIXIT reset = restart",
+        _lacking("UT-Reset", pixit=Testing(reset="restart"))),
+    Variant("V-UT-none", "has no upper tester", "docs/dcp-conformance.md", _upper(UpperTesting(there=False)),
+        explains=(_USED_UP, ASSUMED_VALUE)),
+    Variant("V-UT-none-no-restart", "has no upper tester and no restart", "docs/dcp-conformance.md",
+        _upper(UpperTesting(there=False), can_restart=False), explains=(_USED_UP, ASSUMED_VALUE)),
+    Variant("V-UT-one-connection", "has an upper tester with one connection",
+        "an upper tester that is a command has one connection", _upper(UpperTesting(one_connection=True))),
     Variant("V-UT-specs-only", "lists only a VarSpecT for each variable", "VD-DDB-03", _answering(_specs_only)),
-    Variant(
-        "V-UT-specs-only-denied",
-        "lists only a VarSpecT for each variable, and its PICS denies further fields",
-        "VD-DDB-03",
-        _answering(_specs_only, pics=Capabilities(describe_extra_fields=False)),
-        since=_V.V1_0,
-    ),
-    Variant(
-        "V-UT-no-statistics",
-        "has no statistics of neighbours, and its PICS denies them",
-        "SRP-NT-04",
-        _answering(_no_statistics, pics=Capabilities(neighbour_statistics=False)),
-        where=has_srp,
-    ),
-    Variant(
-        "V-UT-further-members",
-        "adds members to its answers, among them a derived parameter",
-        "UPPER-TESTER.md: an implementation may add members",
-        _answering(_further_members),
-    ),
+    Variant("V-UT-specs-only-denied", "lists only a VarSpecT for each variable, and its PICS denies further fields",
+        "VD-DDB-03", _answering(_specs_only, pics=Capabilities(describe_extra_fields=False)), since=_V.V1_0),
+    Variant("V-UT-no-statistics", "has no statistics of neighbours, and its PICS denies them", "SRP-NT-04",
+        _answering(_no_statistics, pics=Capabilities(neighbour_statistics=False)), where=has_srp),
+    Variant("V-UT-further-members", "adds members to its answers, among them a derived parameter",
+        "UPPER-TESTER.md: an implementation may add members", _answering(_further_members)),
     Variant("V-UT-underscores", "spells statuses with underscores", "X07", _answering(_underscores)),
-    Variant(
-        "V-UT-ascii-names",
-        "accepts only ASCII names of client protocols",
-        "dcp-data-types.md: String is system-dependent",
-        _answering(_ascii_names),
-    ),
-    Variant(
-        "V-UT-silent-refusals",
-        "rejects a parameter value but confirms it with OK",
-        "BP-PAR-07",
-        _answering(_silent_refusals, pics=Capabilities(parameter_feedback=False)),
-    ),
-    Variant(
-        "V-UT-unconfirmed",
-        "does not confirm BP-TransmitPayload, and its PICS denies it",
-        "BP-TXP-08",
-        _answering(_unconfirmed, pics=Capabilities(transmit_payload_confirm=False)),
-        since=_V.V1_2,
-    ),
-    Variant(
-        "V-UT-whole-records",
-        "lists complete records of client protocols",
-        "BP-LST-02 in 1.0",
-        _answering(_whole_records),
-        until=_V.V1_0,
-    ),
+    Variant("V-UT-ascii-names", "accepts only ASCII names of client protocols",
+        "dcp-data-types.md: String is system-dependent", _answering(_ascii_names)),
+    Variant("V-UT-silent-refusals", "rejects a parameter value but confirms it with OK", "BP-PAR-07",
+        _answering(_silent_refusals, pics=Capabilities(parameter_feedback=False))),
+    Variant("V-UT-unconfirmed", "does not confirm BP-TransmitPayload, and its PICS denies it", "BP-TXP-08",
+        _answering(_unconfirmed, pics=Capabilities(transmit_payload_confirm=False)), since=_V.V1_2),
+    Variant("V-UT-whole-records", "lists complete records of client protocols", "BP-LST-02 in 1.0",
+        _answering(_whole_records), until=_V.V1_0),
     *map(_denied, ("triggered_beacons", "srp_seqno_filter")),
-    Variant(
-        "V-PICS-deny-all",
-        "has no optional capability, and its PICS denies all of them",
-        "BP-QM-08, VD-DDB-03, X21",
-        _deny_all,
-        since=_V.V1_1,
-    ),
-    Variant(
-        "V-PICS-one-payload",
-        "never puts several payloads of one client into a beacon, and its PICS denies it",
-        "BP-QM-08",
-        lambda profile: setup(profile, part=OneForEachClient, pics=Capabilities(multiple_payloads=False)),
-        since=_V.V1_1,
-    ),
-    Variant(
-        "V-PICS-one-payload-silent",
-        "never puts several payloads of one client into a beacon; its PICS does not declare it",
-        "BP-QM-08",
-        lambda profile: setup(profile, part=OneForEachClient),
-        since=_V.V1_1,
-    ),
-)
+    Variant("V-PICS-deny-all", "has no optional capability, and its PICS denies all of them",
+        "BP-QM-08, VD-DDB-03, X21", _deny_all, since=_V.V1_1),
+    Variant("V-PICS-one-payload", "never puts several payloads of one client into a beacon, and its PICS denies it",
+        "BP-QM-08", lambda profile: setup(profile, part=OneForEachClient, pics=Capabilities(multiple_payloads=False)),
+        since=_V.V1_1),
+    Variant("V-PICS-one-payload-silent",
+        "never puts several payloads of one client into a beacon; its PICS does not declare it", "BP-QM-08",
+        lambda profile: setup(profile, part=OneForEachClient), since=_V.V1_1),
+)  # fmt: skip

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 from dcp_conformance.model.pics import Testing
@@ -66,67 +66,39 @@ def polling(interval_ms: int, room: int | None = None) -> MakeNode:
     return node_of(Polling)
 
 
+def _changed(**changes: Any) -> Callable[[str], Setup]:
+    return lambda profile: setup(profile, **changes)
+
+
+def _check(period: int) -> VardisConfig:
+    return VardisConfig(buffer_check_period_ms=period)
+
+
 def _variants() -> Iterator[Variant]:
     for period in (20, 50, 200, 500, 1000, 5000):
-        yield Variant(
-            f"V-TIME-beacon-{period}",
-            f"has a beacon period of {period} ms, stated in the PIXIT",
-            "BP-PAR-03",
-            lambda profile, period=period: setup(  # type: ignore[misc]
-                profile, bp=BPConfig(beacon_period_ms=period), pixit=Testing(beacon_period_ms=period)
-            ),
-        )
+        what = f"has a beacon period of {period} ms, stated in the PIXIT"
+        made = _changed(bp=BPConfig(beacon_period_ms=period), pixit=Testing(beacon_period_ms=period))
+        yield Variant(f"V-TIME-beacon-{period}", what, "BP-PAR-03", made)
     for period in (1, 10, 200, 300, 400, 1000, 2000):
-        yield Variant(
-            f"V-TIME-check-{period}",
-            f"checks the buffer every {period} ms",
-            "VD-PAR-08",
-            lambda profile, period=period: setup(  # type: ignore[misc]
-                profile, vardis=VardisConfig(buffer_check_period_ms=period)
-            ),
-            explains=_TIMED_OUT if period >= 1000 else (),
-        )
+        late = _TIMED_OUT if period >= 1000 else ()
+        what = f"checks the buffer every {period} ms"
+        yield Variant(f"V-TIME-check-{period}", what, "VD-PAR-08", _changed(vardis=_check(period)), explains=late)
     for period in (1, 10, 300, 1000):
-        yield Variant(
-            f"V-TIME-check-{period}-after",
-            f"checks the buffer every {period} ms, and composes when it becomes empty",
-            "VD-PAR-08, X54",
-            lambda profile, period=period: setup(  # type: ignore[misc]
-                profile,
-                vardis=VardisConfig(buffer_check_period_ms=period),
-                readings={"X54": "after-the-beacon"},
-            ),
-            explains=_TIMED_OUT if period >= 1000 else (),
-        )
+        late = _TIMED_OUT if period >= 1000 else ()
+        what = f"checks the buffer every {period} ms, and composes when it becomes empty"
+        made = _changed(vardis=_check(period), readings={"X54": "after-the-beacon"})
+        yield Variant(f"V-TIME-check-{period}-after", what, "VD-PAR-08, X54", made, explains=late)
     for period in (1, 100, 2000, 5000):
-        yield Variant(
-            f"V-TIME-scrub-{period}",
-            f"scrubs every {period} ms",
-            "VD-PAR-07",
-            lambda profile, period=period: setup(  # type: ignore[misc]
-                profile, vardis=VardisConfig(scrubbing_period_ms=period)
-            ),
-            since=_V.V2_0,
-        )
+        made = _changed(vardis=VardisConfig(scrubbing_period_ms=period))
+        yield Variant(f"V-TIME-scrub-{period}", f"scrubs every {period} ms", "VD-PAR-07", made, since=_V.V2_0)
     for interval in (20, 100, 200):
-        yield Variant(
-            f"V-TIME-polling-{interval}",
-            f"processes one received payload every {interval} ms",
-            "the specification has no time limit for the processing of received payloads",
-            lambda profile, interval=interval: setup(profile, make=polling(interval)),  # type: ignore[misc]
-            explains=(_ONE_BY_ONE,),
-        )
-    yield Variant(
-        "V-TIME-all-slow",
-        "checks the buffer every 400 ms and has an upper tester that takes 100 ms for each call",
-        "VD-PAR-08",
-        _all_slow,
-        explains=(TOO_SLOW_FOR_A_GAP,),
-    )
-
-
-def _all_slow(profile: str) -> Setup:
-    return setup(profile, vardis=VardisConfig(buffer_check_period_ms=400), upper=slow(100))
+        what = f"processes one received payload every {interval} ms"
+        why = "the specification has no time limit for the processing of received payloads"
+        made = _changed(make=polling(interval))
+        yield Variant(f"V-TIME-polling-{interval}", what, why, made, explains=(_ONE_BY_ONE,))
+    what = "checks the buffer every 400 ms and has an upper tester that takes 100 ms for each call"
+    made = _changed(vardis=_check(400), upper=slow(100))
+    yield Variant("V-TIME-all-slow", what, "VD-PAR-08", made, explains=(TOO_SLOW_FOR_A_GAP,))
 
 
 VARIANTS = tuple(_variants())

@@ -62,25 +62,11 @@ VARIANTS = (
     _wider("network-id-3", "a BPNetworkIdentifierT of 3 octets", _V.V2_0, network_id=IntType(3)),
     _wider("network-id-4", "a BPNetworkIdentifierT of 4 octets", _V.V2_0, network_id=IntType(4)),
     Variant("V-TYPE-all-wide", "has wider types throughout", _WHY, _types(**_WIDE), since=_V.V1_1, where=by_letter),
-    Variant(
-        "V-TYPE-safety-integers",
-        "has safety data of integers",
-        _SAFETY_WHY,
+    Variant("V-TYPE-safety-integers", "has safety data of integers", _SAFETY_WHY,
         _safety(SafetyField("latitude", "i32"), SafetyField("longitude", "i32"), SafetyField("speed", "u16")),
-        where=by_letter,
-    ),
-    Variant(
-        "V-TYPE-safety-one",
-        "has safety data of one octet",
-        _SAFETY_WHY,
-        _safety(SafetyField("state", "u8")),
-        where=by_letter,
-    ),
-    Variant(
-        "V-TYPE-safety-large",
-        "has safety data of 96 octets",
-        _SAFETY_WHY,
-        _safety(*(SafetyField(f"f{number}", "f64") for number in range(12))),
-        where=by_letter,
-    ),
-)
+        where=by_letter),
+    Variant("V-TYPE-safety-one", "has safety data of one octet", _SAFETY_WHY, _safety(SafetyField("state", "u8")),
+        where=by_letter),
+    Variant("V-TYPE-safety-large", "has safety data of 96 octets", _SAFETY_WHY,
+        _safety(*(SafetyField(f"f{number}", "f64") for number in range(12))), where=by_letter),
+)  # fmt: skip

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Iterable
 
-from dcp_codec.values import Beacon, Payload
+from dcp_codec.values import Payload
 from dcp_selftest.mutants.air import Air
+from dcp_selftest.mutants.family import after, around, attributes, instead
 from dcp_selftest.mutants.mutant import mutant
 from dcp_selftest.mutants.unseen import NO_LENGTH, NO_NETWORK
 from dcp_stack.bp.entity import BeaconingProtocol
@@ -14,6 +14,11 @@ from dcp_stack.bp.wire import BPWire
 from dcp_stack.effects import SendBeacon
 
 Blocks = list[tuple[int, bytes]]
+
+
+def swapped(number: int) -> int:
+    """Return a number of two octets with its octets exchanged."""
+    return int.from_bytes(number.to_bytes(2, "little"), "big")
 
 
 class Wire(BPWire):
@@ -28,42 +33,19 @@ class Wire(BPWire):
             return octets
         return octets[: place.start] + self.other(octets[place], blocks) + octets[place.stop :]
 
-    def other(self, octets: bytes, blocks: Blocks) -> bytes:  # noqa: ARG002 - used by overrides
+    def other(self, octets: bytes, blocks: Blocks) -> bytes:
         """Return the octets to be sent in the field; by default in reverse order."""
         return octets[::-1]
 
 
-@mutant("two", "BP-HDR-01", "sends version 0x02")
-class OtherVersion(Wire):
-    field = "version"
-
-    def other(self, octets: bytes, blocks: Blocks) -> bytes:  # noqa: ARG002 - as above
-        return b"\x02"
-
-
-@mutant("swapped", "BP-HDR-02 DATA-01", "sends magicNo little-endian")
-class SwappedMagic(Wire):
-    field = "magicNo"
-
-
-@mutant("swapped-length", "DATA-01 BP-HDR-06", "sends the length little-endian", unseen=NO_LENGTH)
-class SwappedLength(Wire):
-    field = "length"
-
-
-@mutant("swapped-seqno", "DATA-01 BP-HDR-08", "sends the sequence number of beacons little-endian")
-class SwappedSeqno(Wire):
-    field = "seqno"
-
-
-@mutant(
-    "swapped-network",
-    "DATA-01 BP-HDR-04",
-    "sends the network identifier little-endian",
-    unseen=NO_NETWORK,
-)
-class SwappedNetwork(Wire):
-    field = "networkId"
+other = instead(Wire, Wire.other)
+other("two", "BP-HDR-01", "sends version 0x02", lambda self, octets, blocks: b"\x02", field="version")
+wire = attributes(Wire, __name__)
+wire("swapped", "BP-HDR-02 DATA-01", "sends magicNo little-endian", field="magicNo")
+wire("swapped-length", "DATA-01 BP-HDR-06", "sends the length little-endian", unseen=NO_LENGTH, field="length")
+wire("swapped-seqno", "DATA-01 BP-HDR-08", "sends the sequence number of beacons little-endian", field="seqno")
+wire("swapped-network", "DATA-01 BP-HDR-04", "sends the network identifier little-endian",
+    unseen=NO_NETWORK, field="networkId")  # fmt: skip
 
 
 @mutant("changes", "BP-PAR-09 BP-HDR-03 DATA-04", "sends another senderId in every third beacon")
@@ -71,56 +53,26 @@ class OtherSender(Wire):
     field = "senderId"
     count = 0
 
-    def other(self, octets: bytes, blocks: Blocks) -> bytes:  # noqa: ARG002 - as above
+    def other(self, octets: bytes, blocks: Blocks) -> bytes:
         self.count += 1
         return octets if self.count % 3 else octets[:-1] + bytes([octets[-1] ^ 0x80])
 
 
-@mutant("reversed", "BP-HDR-03", "sends its node identifier in reverse, like an integer of the machine")
-class ReversedSender(Wire):
-    field = "senderId"
-
-
-@mutant("with-header", "BP-HDR-06", "includes the header in the length in the header")
-class LengthWithHeader(Wire):
-    field = "length"
-
-    def other(self, octets: bytes, blocks: Blocks) -> bytes:  # noqa: ARG002 - as above
-        return (int.from_bytes(octets, self._block_length.order) + self.header_size).to_bytes(
-            2, self._block_length.order
-        )
-
-
-@mutant("payloads-only", "BP-HDR-06", "omits the headers of the blocks from the length")
-class LengthOfPayloads(Wire):
-    field = "length"
-
-    def other(self, octets: bytes, blocks: Blocks) -> bytes:  # noqa: ARG002 - as above
-        return sum(len(payload) for _, payload in blocks).to_bytes(2, self._block_length.order)
-
-
-@mutant("first-block", "BP-HDR-06", "includes only the first block in the length")
-class LengthOfFirst(Wire):
-    field = "length"
-
-    def other(self, octets: bytes, blocks: Blocks) -> bytes:  # noqa: ARG002 - as above
-        return self.block_size(blocks[0][1]).to_bytes(2, self._block_length.order)
-
-
-@mutant("one", "BP-HDR-07", "always sends numPayloads 1")
-class AlwaysOne(Wire):
-    field = "numPayloads"
-
-    def other(self, octets: bytes, blocks: Blocks) -> bytes:  # noqa: ARG002 - as above
-        return b"\x01"
-
-
-@mutant("one-more", "BP-HDR-07", "sends a numPayloads that is one too large")
-class OneMore(Wire):
-    field = "numPayloads"
-
-    def other(self, octets: bytes, blocks: Blocks) -> bytes:  # noqa: ARG002 - as above
-        return bytes([(len(blocks) + 1) % 256])
+# fmt: off
+wire("reversed", "BP-HDR-03", "sends its node identifier in reverse, like an integer of the machine", field="senderId")
+other("with-header", "BP-HDR-06", "includes the header in the length in the header",
+    lambda self, octets, blocks: (
+        (int.from_bytes(octets, self._block_length.order) + self.header_size).to_bytes(2, self._block_length.order)),
+    field="length")
+other("payloads-only", "BP-HDR-06", "omits the headers of the blocks from the length",
+    lambda self, octets, blocks: sum(len(payload) for _, payload in blocks).to_bytes(2, self._block_length.order),
+    field="length")
+other("first-block", "BP-HDR-06", "includes only the first block in the length",
+    lambda self, octets, blocks: self.block_size(blocks[0][1]).to_bytes(2, self._block_length.order), field="length")
+other("one", "BP-HDR-07", "always sends numPayloads 1", lambda self, octets, blocks: b"\x01", field="numPayloads")
+other("one-more", "BP-HDR-07", "sends a numPayloads that is one too large",
+    lambda self, octets, blocks: bytes([(len(blocks) + 1) % 256]), field="numPayloads")
+# fmt: on
 
 
 @mutant("seqno-first", "BP-HDR-10", "sends the sequence number before numPayloads")
@@ -132,11 +84,9 @@ class OtherOrder(BPWire):
         return octets[:start] + counter + number + octets[start + 5 :]
 
 
-@mutant("swapped-protocol", "BP-HDR-11 DATA-01", "sends protocol identifiers little-endian")
-class SwappedProtocol(BPWire):
-    def build(self, seqno: int, network_id: int | None, blocks: Blocks) -> bytes:
-        swapped = [(int.from_bytes(number.to_bytes(2, "little"), "big"), payload) for number, payload in blocks]
-        return super().build(seqno, network_id, swapped)
+around(BPWire, BPWire.build)("swapped-protocol", "BP-HDR-11 DATA-01", "sends protocol identifiers little-endian",
+    lambda self, proceed, seqno, network_id, blocks: (
+        proceed(seqno, network_id, [(swapped(number), payload) for number, payload in blocks])))  # fmt: skip
 
 
 @mutant("block-length-swapped", "DATA-01 BP-HDR-10 BP-FMT-01", "sends block lengths little-endian")
@@ -164,8 +114,7 @@ class BlockLengthWithHeader(BPWire):
 @mutant("all-swapped", "DATA-01", "sends all integers of the headers little-endian")
 class AllSwapped(SwappedBlockLength):
     def build(self, seqno: int, network_id: int | None, blocks: Blocks) -> bytes:
-        swapped = [(int.from_bytes(number.to_bytes(2, "little"), "big"), payload) for number, payload in blocks]
-        octets = super().build(seqno, network_id, swapped)
+        octets = super().build(seqno, network_id, [(swapped(number), payload) for number, payload in blocks])
         for field in ("magicNo", "networkId", "length", "seqno"):
             place = self._places.get(field)
             if place is not None:
@@ -185,18 +134,15 @@ class Aligned(BPWire):
         return result
 
 
-@mutant("checksum", "UWB-04 BP-FMT-01", "appends a checksum to each beacon")
-class Checksum(BPWire):
-    def build(self, seqno: int, network_id: int | None, blocks: Blocks) -> bytes:
-        octets = super().build(seqno, network_id, blocks)
-        return octets + zlib.crc32(octets).to_bytes(4, "big")
+after(BPWire, BPWire.build)("checksum", "UWB-04 BP-FMT-01", "appends a checksum to each beacon",
+    lambda self, octets, seqno, network_id, blocks: octets + zlib.crc32(octets).to_bytes(4, "big"))  # fmt: skip
 
 
 @mutant("checksum-in-length", "BP-FMT-01 UWB-04 BP-HDR-06", "appends a checksum to each beacon and counts it in length")
 class CountedChecksum(Wire):
     field = "length"
 
-    def other(self, octets: bytes, blocks: Blocks) -> bytes:  # noqa: ARG002 - as above
+    def other(self, octets: bytes, blocks: Blocks) -> bytes:
         return (int.from_bytes(octets, self._block_length.order) + 4).to_bytes(2, self._block_length.order)
 
     def build(self, seqno: int, network_id: int | None, blocks: Blocks) -> bytes:
@@ -218,42 +164,15 @@ class Numbers(BPWire):
         return seqno
 
 
-@mutant("starts-at-two", "BP-HDR-12 BP-INI-02", "starts with sequence number 2")
-class StartsAtTwo(Numbers):
-    def number(self, seqno: int) -> int:
-        return seqno + 2
-
-
-@mutant(
-    "starts-at-zero", "BP-HDR-13 BP-INI-02", "starts with sequence number 0, although 1.0 increments it before sending"
-)
-class StartsAtZero(Numbers):
-    def number(self, seqno: int) -> int:
-        return seqno - 1
-
-
-@mutant("by-two", "BP-HDR-08", "increments the sequence number of beacons by two")
-class ByTwo(Numbers):
-    def number(self, seqno: int) -> int:
-        return 2 * seqno
-
-
-@mutant("twice", "BP-HDR-08", "uses each sequence number for two beacons")
-class EachTwice(Numbers):
-    def number(self, seqno: int) -> int:
-        return seqno // 2
-
-
-@mutant("constant", "BP-HDR-08", "always sends sequence number 0")
-class NeverCounts(Numbers):
-    def number(self, seqno: int) -> int:  # noqa: ARG002 - on purpose
-        return 0
-
-
-@mutant("one-octet", "BP-HDR-08", "counts beacons in a single octet")
-class OneOctet(Numbers):
-    def number(self, seqno: int) -> int:
-        return seqno % 256
+number = instead(Numbers, Numbers.number)
+number("starts-at-two", "BP-HDR-12 BP-INI-02", "starts with sequence number 2", lambda self, seqno: seqno + 2)
+number("starts-at-zero", "BP-HDR-13 BP-INI-02",
+    "starts with sequence number 0, although 1.0 increments it before sending",
+    lambda self, seqno: seqno - 1)  # fmt: skip
+number("by-two", "BP-HDR-08", "increments the sequence number of beacons by two", lambda self, seqno: 2 * seqno)
+number("twice", "BP-HDR-08", "uses each sequence number for two beacons", lambda self, seqno: seqno // 2)
+number("constant", "BP-HDR-08", "always sends sequence number 0", lambda self, seqno: 0)
+number("one-octet", "BP-HDR-08", "counts beacons in a single octet", lambda self, seqno: seqno % 256)
 
 
 @mutant("idle", "BP-HDR-09", "uses up a sequence number when it has nothing to send")
@@ -277,14 +196,9 @@ class Survives(Air):
 # -- what is in a beacon -----------------------------------------------------------------------------------------------
 
 
-@mutant(
-    "no-limit",
-    "BP-FMT-02 BP-PAR-02",
+instead(BeaconingProtocol, BeaconingProtocol._room)("no-limit", "BP-FMT-02 BP-PAR-02",
     "fills beacons up to the bearer's limit, whatever the maximum packet size",
-)
-class NoLimit(BeaconingProtocol):
-    def _room(self) -> int:
-        return self._parameters.uwb_max_packet_size - self._wire.header_size
+    lambda self: self._parameters.uwb_max_packet_size - self._wire.header_size)  # fmt: skip
 
 
 @mutant("empty-beacons", "BP-FMT-03 BP-HDR-07 BP-HDR-09", "sends beacons without payloads when it has nothing to send")
@@ -304,8 +218,8 @@ class EmptyBeacons(BeaconingProtocol):
             self._emit(SendBeacon(bytes(octets), before, 0))
 
 
-@mutant("wrong-place", "BP-HDR-11", "exchanges the protocol identifiers of SRP and VarDis")
-class Exchanged(Air):
-    def blocks(self, beacon: Beacon) -> Iterable[Payload]:
-        for block in beacon.payloads:
-            yield Payload({1: 2, 2: 1}.get(block.protocol_id, block.protocol_id), block.content)
+# fmt: off
+instead(Air, Air.blocks)("wrong-place", "BP-HDR-11", "exchanges the protocol identifiers of SRP and VarDis",
+    lambda self, beacon: (
+        [Payload({1: 2, 2: 1}.get(each.protocol_id, each.protocol_id), each.content) for each in beacon.payloads]))
+# fmt: on

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import msgspec
 from dcp_spec.constants import SpecVersion
 from dcp_spec.status import BPStatus
 
+from dcp_selftest.mutants.bp.receive import Blocks
+from dcp_selftest.mutants.family import after, before, instead, skips, then
 from dcp_selftest.mutants.mutant import mutant
 from dcp_selftest.mutants.unseen import BP_ALWAYS_ACTIVE
 from dcp_stack.bp.clients import ClientList
@@ -15,7 +15,7 @@ from dcp_stack.bp.entity import BeaconingProtocol
 from dcp_stack.bp.queue import Client
 from dcp_stack.bp.receive import Receiver
 from dcp_stack.bp.services import ListConfirm, RegisterConfirm, Registration, StatusConfirm
-from dcp_stack.bp.wire import Block, BPWire, Reception
+from dcp_stack.bp.wire import Block
 
 
 def _others(clients: ClientList) -> list[Client]:
@@ -29,36 +29,22 @@ def _empty(clients: ClientList) -> None:
             client.queue.clear()
 
 
-@mutant("others-too", "BP-DRG-02 BP-QM-05", "clears all buffers when a client is deregistered")
-class DeregistrationEmpties(BeaconingProtocol):
-    def deregister(self, prot_id: int) -> StatusConfirm:
-        _empty(self._clients)
-        return super().deregister(prot_id)
-
-
-@mutant("unknown-empties", "BP-DRG-01 BP-QM-05", "clears all buffers when an unknown client is deregistered")
-class UnknownEmpties(BeaconingProtocol):
-    def deregister(self, prot_id: int) -> StatusConfirm:
-        confirm = super().deregister(prot_id)
-        if confirm.status is not BPStatus.OK:
-            _empty(self._clients)
-        return confirm
-
-
-@mutant("all", "BP-CLR-03 BP-QM-05", "clears the buffers of all clients")
-class ClearsAll(BeaconingProtocol):
-    def clear_buffer(self, prot_id: int) -> StatusConfirm:
-        _empty(self._clients)
-        return super().clear_buffer(prot_id)
-
-
-@mutant("refused-empties", "BP-TXP-02 BP-QM-05", "clears the buffer of a client whose payload is too large")
-class RefusedEmpties(BeaconingProtocol):
-    def _submit(self, client: Client | None, payload: bytes, now: int) -> BPStatus:
-        status = super()._submit(client, payload, now)
-        if status is BPStatus.PAYLOAD_TOO_LARGE and client is not None and client.queue is not None:
-            client.queue.clear()
-        return status
+# fmt: off
+before(BeaconingProtocol, BeaconingProtocol.deregister)("others-too", "BP-DRG-02 BP-QM-05",
+    "clears all buffers when a client is deregistered",
+    lambda self, prot_id: _empty(self._clients))
+then(BeaconingProtocol, BeaconingProtocol.deregister)("unknown-empties", "BP-DRG-01 BP-QM-05",
+    "clears all buffers when an unknown client is deregistered",
+    lambda self, confirm, prot_id: _empty(self._clients) if confirm.status is not BPStatus.OK else None)
+before(BeaconingProtocol, BeaconingProtocol.clear_buffer)("all", "BP-CLR-03 BP-QM-05",
+    "clears the buffers of all clients",
+    lambda self, prot_id: _empty(self._clients))
+then(BeaconingProtocol, BeaconingProtocol._submit)("refused-empties", "BP-TXP-02 BP-QM-05",
+    "clears the buffer of a client whose payload is too large",
+    lambda self, status, client, payload, now: (
+        client.queue.clear()
+        if status is BPStatus.PAYLOAD_TOO_LARGE and client is not None and client.queue is not None else None))
+# fmt: on
 
 
 @mutant("received-empties", "BP-QM-05", "clears the buffer of a client that receives a payload")
@@ -70,7 +56,7 @@ class ReceivedEmpties(Receiver):
         super()._deliver(block, sender)
 
 
-class _Lists(BeaconingProtocol):
+class Lists(BeaconingProtocol):
     """Changes the list of clients."""
 
     def listed(self, each: Registration) -> Registration:
@@ -82,26 +68,19 @@ class _Lists(BeaconingProtocol):
         return ListConfirm(confirm.status, tuple(map(self.listed, confirm.protocols)))
 
 
-@mutant("entries", "BP-LST-01", "lists maxEntries as 4 for every client", since=SpecVersion.V1_1)
-class ListsFour(_Lists):
-    def listed(self, each: Registration) -> Registration:
-        return msgspec.structs.replace(each, max_entries=4)
-
-
-@mutant("several", "BP-LST-01", "lists allowMultiplePayloads as false for every client", since=SpecVersion.V1_1)
-class ListsFalse(_Lists):
-    def listed(self, each: Registration) -> Registration:
-        return msgspec.structs.replace(each, allow_multiple_payloads=False)
-
-
-@mutant("names", "BP-LST-01", "lists only the first three characters of a name", since=SpecVersion.V1_1)
-class CutsNames(_Lists):
-    def listed(self, each: Registration) -> Registration:
-        return msgspec.structs.replace(each, protocol_name=each.protocol_name[:3])
+# fmt: off
+listed = instead(Lists, Lists.listed)
+listed("entries", "BP-LST-01", "lists maxEntries as 4 for every client",
+    lambda self, each: msgspec.structs.replace(each, max_entries=4), since=SpecVersion.V1_1)
+listed("several", "BP-LST-01", "lists allowMultiplePayloads as false for every client",
+    lambda self, each: msgspec.structs.replace(each, allow_multiple_payloads=False), since=SpecVersion.V1_1)
+listed("names", "BP-LST-01", "lists only the first three characters of a name",
+    lambda self, each: msgspec.structs.replace(each, protocol_name=each.protocol_name[:3]), since=SpecVersion.V1_1)
+# fmt: on
 
 
 @mutant("one-time", "BP-LST-01 BP-REG-06", "lists the time of the first registration for every client")
-class OneTime(_Lists):
+class OneTime(Lists):
     def list_registered(self) -> ListConfirm:
         confirm = super().list_registered()
         first = min((each.time_stamp_registration for each in confirm.protocols), default=0)
@@ -109,13 +88,10 @@ class OneTime(_Lists):
         return ListConfirm(confirm.status, tuple(same))
 
 
-@mutant(
-    "refused-without-id", "BP-REG-13", "returns its node identifier only in the confirms of successful registrations"
-)
-class RefusedWithoutId(BeaconingProtocol):
-    def register(self, prot_id: int, *rest: Any, now: int, wall: int) -> RegisterConfirm:
-        confirm = super().register(prot_id, *rest, now=now, wall=wall)
-        return confirm if confirm.status is BPStatus.OK else RegisterConfirm(confirm.status, None)
+after(BeaconingProtocol, BeaconingProtocol.register)("refused-without-id", "BP-REG-13",
+    "returns its node identifier only in the confirms of successful registrations",
+    lambda self, confirm, prot_id, *rest, now, wall: (
+        confirm if confirm.status is BPStatus.OK else RegisterConfirm(confirm.status, None)))  # fmt: skip
 
 
 @mutant("one-place", "BP-QM-01", "keeps no payload in a DROPTAIL queue of one entry", since=SpecVersion.V1_1)
@@ -160,22 +136,10 @@ class Arrears(BeaconingProtocol):
         super().handle_timeout(now, wall)
 
 
-@mutant("thirty", "BP-RX-07", "processes at most 30 blocks of a beacon")
-class ThirtyBlocks(BPWire):
-    def parse(self, octets: bytes) -> Reception:
-        found = super().parse(octets)
-        return Reception(found.header, found.blocks[:30], found.fault, found.refused, count_agrees=found.count_agrees)
-
-
-@mutant("limited-1000", "BP-RXP-01 UWB-06", "delivers no payload of more than 900 octets")
-class SmallPayloads(Receiver):
-    def _deliver(self, block: Block, sender: bytes) -> None:
-        if len(block.payload) <= 900:
-            super()._deliver(block, sender)
-
-
-@mutant("paused-empties", "BP-MGT-05 BP-QM-03", "clears queues when it is activated")
-class ActivationEmpties(BeaconingProtocol):
-    def activate(self, now: int) -> StatusConfirm:
-        _empty(self._clients)
-        return super().activate(now)
+instead(Blocks, Blocks.chosen)("thirty", "BP-RX-07", "processes at most 30 blocks of a beacon",
+    lambda self, blocks: blocks[:30])  # fmt: skip
+skips(Receiver, Receiver._deliver)("limited-1000", "BP-RXP-01 UWB-06", "delivers no payload of more than 900 octets",
+    lambda self, block, sender: len(block.payload) > 900)  # fmt: skip
+before(BeaconingProtocol, BeaconingProtocol.activate)("paused-empties", "BP-MGT-05 BP-QM-03",
+    "clears queues when it is activated",
+    lambda self, now: _empty(self._clients))  # fmt: skip

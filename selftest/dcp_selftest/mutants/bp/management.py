@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 from dcp_spec.parameters import Violation
 from dcp_spec.status import BPStatus
 
 from dcp_selftest.mutants.air import Air
+from dcp_selftest.mutants.family import around, attributes, before, instead, then
 from dcp_selftest.mutants.mutant import mutant
 from dcp_selftest.mutants.unseen import OTHERS_ACTIVE
 from dcp_stack.bp.entity import BeaconingProtocol
@@ -36,7 +37,7 @@ class SendsInactive(BeaconingProtocol):
         self.off = True
         return OK
 
-    def activate(self, now: int) -> StatusConfirm:  # noqa: ARG002 - the same call
+    def activate(self, now: int) -> StatusConfirm:
         self.off = False
         return OK
 
@@ -45,10 +46,9 @@ class SendsInactive(BeaconingProtocol):
             super().handle_beacon(octets, now=now, wall=wall)
 
 
-@mutant("receives", "BP-MGT-03 BP-RX-13", "delivers payloads received while it is inactive")
-class ReceivesInactive(BeaconingProtocol):
-    def handle_beacon(self, octets: bytes, *, now: int, wall: int) -> None:  # noqa: ARG002 - the same call
-        self._receiver.receive(bytes(octets), now)
+instead(BeaconingProtocol, BeaconingProtocol.handle_beacon)("receives", "BP-MGT-03 BP-RX-13",
+    "delivers payloads received while it is inactive",
+    lambda self, octets, *, now, wall: self._receiver.receive(bytes(octets), now))  # fmt: skip
 
 
 @mutant("later", "BP-MGT-03 BP-RX-13", "delivers payloads received while it was inactive when it is activated")
@@ -70,30 +70,18 @@ class DeliversLater(BeaconingProtocol):
         return confirm
 
 
-@mutant("starts-over", "BP-MGT-05 BP-TX-01", "starts a new interval whenever it is activated, even while it is active")
-class StartsOver(BeaconingProtocol):
-    def activate(self, now: int) -> StatusConfirm:
-        self._schedule.restart(now)
-        return super().activate(now)
-
-
-@mutant(
-    "on-the-side",
-    "BP-TX-01",
+# fmt: off
+before(BeaconingProtocol, BeaconingProtocol.activate)("starts-over", "BP-MGT-05 BP-TX-01",
+    "starts a new interval whenever it is activated, even while it is active",
+    lambda self, now: self._schedule.restart(now))
+instead(BeaconingProtocol, BeaconingProtocol.poll_timeout)("on-the-side", "BP-TX-01",
     "has no timer of its own and sends only when another protocol is active",
-    unseen=OTHERS_ACTIVE,
-)
-class OnTheSide(BeaconingProtocol):
-    def poll_timeout(self) -> int | None:
-        return None
-
-
-@mutant("refuses", "BP-MGT-04", "rejects payloads while it is inactive")
-class RefusesInactive(BeaconingProtocol):
-    def transmit_payload(self, prot_id: int, payload: bytes, *, now: int) -> StatusConfirm:
-        if not self._active:
-            return StatusConfirm(BPStatus.UNKNOWN_PROTOCOL)
-        return super().transmit_payload(prot_id, payload, now=now)
+    lambda self: None, unseen=OTHERS_ACTIVE)
+around(BeaconingProtocol, BeaconingProtocol.transmit_payload)("refuses", "BP-MGT-04",
+    "rejects payloads while it is inactive",
+    lambda self, proceed, prot_id, payload, *, now: (
+        StatusConfirm(BPStatus.UNKNOWN_PROTOCOL) if not self._active else proceed(prot_id, payload, now=now)))
+# fmt: on
 
 
 @mutant("forgets", "BP-MGT-04 BP-MGT-05", "clears all queues when it is deactivated")
@@ -105,18 +93,12 @@ class ForgetsPayloads(BeaconingProtocol):
         return super().deactivate()
 
 
-@mutant("no-resume", "BP-MGT-05", "confirms the activation of BP, which stays inactive")
-class NeverAgain(BeaconingProtocol):
-    def activate(self, now: int) -> StatusConfirm:  # noqa: ARG002 - the same call
-        return OK
-
-
-@mutant("receives-only", "BP-MGT-05", "receives again when it is activated, but does not send")
-class ReceivesOnly(BeaconingProtocol):
-    def activate(self, now: int) -> StatusConfirm:
-        confirm = super().activate(now)
-        self._schedule.restart(now + 10**15)
-        return confirm
+instead(BeaconingProtocol, BeaconingProtocol.activate)("no-resume", "BP-MGT-05",
+    "confirms the activation of BP, which stays inactive",
+    lambda self, now: OK)  # fmt: skip
+then(BeaconingProtocol, BeaconingProtocol.activate)("receives-only", "BP-MGT-05",
+    "receives again when it is activated, but does not send",
+    lambda self, confirm, now: self._schedule.restart(now + 10**15))  # fmt: skip
 
 
 @mutant("inactive", "BP-INI-03", "is inactive until it is activated")
@@ -138,10 +120,9 @@ class ClientsSurvive(Air):
 # -- parameters --------------------------------------------------------------------------------------------------------
 
 
-@mutant("ignored", "BP-PAR-02", "keeps using the initial beacon period")
-class PeriodStays(BeaconingProtocol):
-    def set_parameter(self, name: str, value: object) -> Violation | None:
-        return self._parameters.set(name, value)
+instead(BeaconingProtocol, BeaconingProtocol.set_parameter)("ignored", "BP-PAR-02",
+    "keeps using the initial beacon period",
+    lambda self, name, value: self._parameters.set(name, value))  # fmt: skip
 
 
 @mutant("network-stays", "BP-HDR-04 BP-PAR-05 BP-PAR-02", "keeps sending the initial network identifier")
@@ -164,24 +145,27 @@ class AnyPeriod(BPParameters):
         return super().period if self._values[PERIOD] else 100_000_000
 
 
-@mutant("no-upper-bound", "BP-PAR-04 BP-PAR-06", "accepts a maximum packet size larger than the bearer's")
-class NoUpperBound(BPParameters):
+class Unbound(BPParameters):
+    """Accepts some maximum packet sizes beyond the limits."""
+
+    wrong: ClassVar[range]
+
     def set(self, name: str, value: object) -> Violation | None:
         violation = super().set(name, value)
-        if violation is not None and name == MAX_PACKET and isinstance(value, int) and value > 1000:
+        if violation is not None and name == MAX_PACKET and isinstance(value, int) and value in self.wrong:
             self._values[name] = value
             return None
         return violation
 
 
-@mutant("no-lower-bound", "BP-PAR-04 BP-PAR-06", "accepts a maximum packet size smaller than the headers")
-class NoLowerBound(BPParameters):
-    def set(self, name: str, value: object) -> Violation | None:
-        violation = super().set(name, value)
-        if violation is not None and name == MAX_PACKET and isinstance(value, int) and value < 1000:
-            self._values[name] = value
-            return None
-        return violation
+TOO_LARGE = range(1001, 1 << 31)
+
+
+unbound = attributes(Unbound, __name__)
+unbound("no-upper-bound", "BP-PAR-04 BP-PAR-06", "accepts a maximum packet size larger than the bearer's",
+    wrong=TOO_LARGE)  # fmt: skip
+unbound("no-lower-bound", "BP-PAR-04 BP-PAR-06", "accepts a maximum packet size smaller than the headers",
+    wrong=range(-(1 << 31), 1000))  # fmt: skip
 
 
 @mutant("loses-old", "BP-PAR-06", "restores the default when a value is rejected")

@@ -9,6 +9,7 @@ import msgspec
 from dcp_spec.constants import QueueingMode, SpecVersion
 from dcp_spec.status import BPStatus
 
+from dcp_selftest.mutants.family import assign, attributes, before, instead, then
 from dcp_selftest.mutants.mutant import mutant
 from dcp_selftest.mutants.unseen import NO_MODE, NO_QUEUE
 from dcp_stack.bp.clients import Chosen, ClientList
@@ -42,73 +43,33 @@ class OtherRules(ClientList):
 # -- modes -------------------------------------------------------------------------------------------------------------
 
 
-@mutant("drops-head", "BP-QM-01 BP-TXP-04", "drops the oldest payload of a full DROPTAIL queue")
-class TailDropsHead(OtherRules):
-    rules = rule(DROPTAIL, when_full="displace-oldest")
-
-
-@mutant("discards-new", "BP-QM-02 BP-TXP-05", "discards a new payload for a full DROPHEAD queue")
-class HeadDiscardsNew(OtherRules):
-    rules = rule(DROPHEAD, when_full="discard-new")
-
-
-@mutant("repeats", "BP-QM-03 BP-TX-06", "sends the head of a DROPTAIL queue repeatedly", unseen=NO_MODE)
-class QueueRepeats(OtherRules):
-    rules = rule(DROPTAIL, when_sent="keep")
-
-
-@mutant("drophead-repeats", "BP-QM-03 BP-TX-06", "sends the head of a DROPHEAD queue repeatedly", unseen=NO_MODE)
-class HeadQueueRepeats(OtherRules):
-    rules = rule(DROPHEAD, when_sent="keep")
-
-
-@mutant(
-    "bounded", "BP-QM-03", "keeps only one payload in a queue of mode QUEUE", until=SpecVersion.V1_0, unseen=NO_QUEUE
-)
-class QueueBounded(OtherRules):
-    rules = rule(QueueingMode.QUEUE, places=QUEUEING[ONCE].places, when_full="displace-oldest")
-
-
-@mutant(
-    "queue-repeats",
-    "BP-QM-03",
-    "sends the head of a queue of mode QUEUE repeatedly",
-    until=SpecVersion.V1_0,
-    unseen=NO_QUEUE,
-)
-class OldQueueRepeats(OtherRules):
-    rules = rule(QueueingMode.QUEUE, when_sent="keep")
-
-
-@mutant(
-    "bounded-by-entries",
-    "BP-QM-03",
-    "drops payloads in excess of maxEntries, which 1.0 does not have",
-    until=SpecVersion.V1_0,
-    unseen=NO_QUEUE,
-)
-class QueueBoundedByEntries(OtherRules):
-    rules = rule(QueueingMode.QUEUE, places=Places.MAX_ENTRIES, when_full="discard-new")
-
-
-@mutant("keeps-oldest", "BP-QM-04 BP-TXP-06", "keeps the first payload in a ONCE buffer until it is sent")
-class OnceKeepsOldest(OtherRules):
-    rules = rule(ONCE, when_full="discard-new")
-
-
-@mutant("repeats", "BP-QM-04 BP-TX-05 BP-QRY-03", "keeps the payload of a ONCE buffer after it was sent")
-class OnceRepeats(OtherRules):
-    rules = rule(ONCE, when_sent="keep")
-
-
-@mutant("forgets", "BP-QM-05 BP-TX-05 BP-QRY-03", "clears a REPEAT buffer after its payload was sent")
-class RepeatForgets(OtherRules):
-    rules = rule(REPEAT, when_sent="remove")
-
-
-@mutant("keeps-oldest", "BP-QM-05 BP-TXP-06", "never replaces the payload of a REPEAT buffer")
-class RepeatKeepsOldest(OtherRules):
-    rules = rule(REPEAT, when_full="discard-new")
+# fmt: off
+other_rules = attributes(OtherRules, __name__)
+other_rules("drops-head", "BP-QM-01 BP-TXP-04", "drops the oldest payload of a full DROPTAIL queue",
+    rules=rule(DROPTAIL, when_full="displace-oldest"))
+other_rules("discards-new", "BP-QM-02 BP-TXP-05", "discards a new payload for a full DROPHEAD queue",
+    rules=rule(DROPHEAD, when_full="discard-new"))
+other_rules("repeats", "BP-QM-03 BP-TX-06", "sends the head of a DROPTAIL queue repeatedly",
+    unseen=NO_MODE, rules=rule(DROPTAIL, when_sent="keep"))
+other_rules("drophead-repeats", "BP-QM-03 BP-TX-06", "sends the head of a DROPHEAD queue repeatedly",
+    unseen=NO_MODE, rules=rule(DROPHEAD, when_sent="keep"))
+other_rules("bounded", "BP-QM-03", "keeps only one payload in a queue of mode QUEUE",
+    until=SpecVersion.V1_0, unseen=NO_QUEUE,
+    rules=rule(QueueingMode.QUEUE, places=QUEUEING[ONCE].places, when_full="displace-oldest"))
+other_rules("queue-repeats", "BP-QM-03", "sends the head of a queue of mode QUEUE repeatedly",
+    until=SpecVersion.V1_0, unseen=NO_QUEUE, rules=rule(QueueingMode.QUEUE, when_sent="keep"))
+other_rules("bounded-by-entries", "BP-QM-03", "drops payloads in excess of maxEntries, which 1.0 does not have",
+    until=SpecVersion.V1_0, unseen=NO_QUEUE,
+    rules=rule(QueueingMode.QUEUE, places=Places.MAX_ENTRIES, when_full="discard-new"))
+other_rules("keeps-oldest", "BP-QM-04 BP-TXP-06", "keeps the first payload in a ONCE buffer until it is sent",
+    rules=rule(ONCE, when_full="discard-new"))
+other_rules("repeats", "BP-QM-04 BP-TX-05 BP-QRY-03", "keeps the payload of a ONCE buffer after it was sent",
+    rules=rule(ONCE, when_sent="keep"))
+other_rules("forgets", "BP-QM-05 BP-TX-05 BP-QRY-03", "clears a REPEAT buffer after its payload was sent",
+    rules=rule(REPEAT, when_sent="remove"))
+other_rules("keeps-oldest", "BP-QM-05 BP-TXP-06", "never replaces the payload of a REPEAT buffer",
+    rules=rule(REPEAT, when_full="discard-new"))
+# fmt: on
 
 
 class OwnQueue(ClientList):
@@ -118,8 +79,12 @@ class OwnQueue(ClientList):
 
     def insert(self, client: Client) -> None:
         if client.queue is not None:
-            client.queue = self.queue(client.queue.rule, client.registration.max_entries)
+            client.queue = self.queue(client.queue.rule, self.places(client.registration.max_entries))
         super().insert(client)
+
+    def places(self, entries: int) -> int:
+        """Return the number of places of a queue with this maxEntries."""
+        return entries
 
 
 @mutant("newest-first", "BP-QM-03 BP-QM-02", "sends the newest payload of a queue first")
@@ -133,27 +98,13 @@ class NewestFirst(OwnQueue):
                 self._payloads.pop()
 
 
-@mutant(
-    "one-place-more", "BP-QM-01 BP-QM-02 BP-QRY-02", "keeps one payload more than maxEntries", since=SpecVersion.V1_1
-)
-class OnePlaceMore(OwnQueue):
-    class queue(PayloadQueue):  # noqa: N801 - as above
-        def __init__(self, rule: ModeRule, max_entries: int) -> None:
-            super().__init__(rule, max_entries + 1)
-
-
-@mutant("at-most-16", "BP-QM-01 BP-QM-02 BP-QM-03", "keeps 16 payloads of a longer queue", since=SpecVersion.V1_1)
-class SixteenPlaces(OwnQueue):
-    class queue(PayloadQueue):  # noqa: N801 - as above
-        def __init__(self, rule: ModeRule, max_entries: int) -> None:
-            super().__init__(rule, min(max_entries, 16))
-
-
-@mutant("six-bits", "BP-QM-02 BP-QM-01 BP-QM-03", "uses the length of a queue modulo 64", since=SpecVersion.V1_1)
-class SixBitsOfPlaces(OwnQueue):
-    class queue(PayloadQueue):  # noqa: N801 - as above
-        def __init__(self, rule: ModeRule, max_entries: int) -> None:
-            super().__init__(rule, max_entries % 64 or 1)
+places = instead(OwnQueue, OwnQueue.places)
+places("one-place-more", "BP-QM-01 BP-QM-02 BP-QRY-02", "keeps one payload more than maxEntries",
+    lambda self, entries: entries + 1, since=SpecVersion.V1_1)  # fmt: skip
+places("at-most-16", "BP-QM-01 BP-QM-02 BP-QM-03", "keeps 16 payloads of a longer queue",
+    lambda self, entries: min(entries, 16), since=SpecVersion.V1_1)  # fmt: skip
+places("six-bits", "BP-QM-02 BP-QM-01 BP-QM-03", "uses the length of a queue modulo 64",
+    lambda self, entries: entries % 64 or 1, since=SpecVersion.V1_1)  # fmt: skip
 
 
 @mutant("wraps-at-32", "BP-QM-03", "sends the 33rd and later payloads of a queue first")
@@ -166,11 +117,8 @@ class WrapsAt32(OwnQueue):
             return outcome
 
 
-@mutant("one-place-less", "BP-QM-02 BP-QM-01 BP-QRY-02", "keeps one payload less than maxEntries")
-class OnePlaceLess(OwnQueue):
-    class queue(PayloadQueue):  # noqa: N801 - as above
-        def __init__(self, rule: ModeRule, max_entries: int) -> None:
-            super().__init__(rule, max(max_entries - 1, 1))
+places("one-place-less", "BP-QM-02 BP-QM-01 BP-QRY-02", "keeps one payload less than maxEntries",
+    lambda self, entries: max(entries - 1, 1))  # fmt: skip
 
 
 @mutant("forgets-all", "BP-TXP-05 BP-QM-02", "clears a full DROPHEAD queue when a new payload is submitted")
@@ -184,11 +132,9 @@ class ForgetsAll(OwnQueue):
             return outcome
 
 
-@mutant("several", "BP-QM-07", "sends several payloads of a client in one beacon although the client allows one")
-class AlwaysSeveral(ClientList):
-    def insert(self, client: Client) -> None:
-        client.several = client.queue is not None and client.queue.rule.several
-        super().insert(client)
+before(ClientList, ClientList.insert)("several", "BP-QM-07",
+    "sends several payloads of a client in one beacon although the client allows one",
+    lambda self, client: assign(client, several=client.queue is not None and client.queue.rule.several))  # fmt: skip
 
 
 @mutant("entries-for-buffers", "BP-QM-09", "rejects registrations of modes without a queue if maxEntries is 0")
@@ -271,27 +217,20 @@ class Query(BeaconingProtocol):
             return confirm
         return NumberConfirm(confirm.status, self.number(confirm.number, client.queue))
 
-    def number(self, number: int, queue: PayloadQueue) -> int:  # noqa: ARG002 - used by overrides
+    def number(self, number: int, queue: PayloadQueue) -> int:
         """Return the number to be returned."""
         return number
 
 
-@mutant("one-at-most", "BP-QRY-02", "answers 1 for a queue with several payloads")
-class OneAtMost(Query):
-    def number(self, number: int, queue: PayloadQueue) -> int:  # noqa: ARG002 - as above
-        return min(number, 1)
-
-
-@mutant("one-more", "BP-QRY-02 BP-QRY-03", "counts the payload that was sent last as buffered")
-class OneMore(Query):
-    def number(self, number: int, queue: PayloadQueue) -> int:
-        return number + (queue.rule not in (QUEUEING[ONCE], QUEUEING[REPEAT]) and number > 0)
-
-
-@mutant("repeat-empty", "BP-QRY-03", "answers 0 for a REPEAT buffer that is occupied")
-class RepeatEmpty(Query):
-    def number(self, number: int, queue: PayloadQueue) -> int:
-        return 0 if queue.rule == QUEUEING[REPEAT] else number
+# fmt: off
+number = instead(Query, Query.number)
+number("one-at-most", "BP-QRY-02", "answers 1 for a queue with several payloads",
+    lambda self, number, queue: min(number, 1))
+number("one-more", "BP-QRY-02 BP-QRY-03", "counts the payload that was sent last as buffered",
+    lambda self, number, queue: number + (queue.rule not in (QUEUEING[ONCE], QUEUEING[REPEAT]) and number > 0))
+number("repeat-empty", "BP-QRY-03", "answers 0 for a REPEAT buffer that is occupied",
+    lambda self, number, queue: 0 if queue.rule == QUEUEING[REPEAT] else number)
+# fmt: on
 
 
 # -- timing ------------------------------------------------------------------------------------------------------------
@@ -312,10 +251,8 @@ class JitterAdded(BeaconSchedule):
         self._place()
 
 
-@mutant("bursts", "BP-TX-01", "prepares the next beacon soon after each one that it sends")
-class Bursts(BeaconSchedule):
-    def passed(self, now: int, *, sent: bool) -> int:
-        left_out = super().passed(now, sent=sent)
-        if sent:
-            self.due = min(self.due, now + self._gap)
-        return left_out
+# fmt: off
+then(BeaconSchedule, BeaconSchedule.passed)("bursts", "BP-TX-01",
+    "prepares the next beacon soon after each one that it sends",
+    lambda self, left_out, now, *, sent: assign(self, due=min(self.due, now + self._gap)) if sent else None)
+# fmt: on

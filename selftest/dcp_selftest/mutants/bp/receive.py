@@ -7,6 +7,7 @@ from typing import Any
 
 from dcp_codec.values import BPHeader
 from dcp_selftest.mutants.air import Air
+from dcp_selftest.mutants.family import after, around, attributes, crashes, instead
 from dcp_selftest.mutants.mutant import mutant
 from dcp_stack.bp.receive import Receiver
 from dcp_stack.bp.wire import Block, BPWire, Reception
@@ -29,76 +30,36 @@ class Lenient(BPWire):
         """Return an integer of the header."""
         return int.from_bytes(octets[self._places[field]], "big")
 
-    def put(self, octets: bytearray, field: str, value: int) -> None:
-        """Set an integer of the header."""
+    def put(self, octets: bytearray, field: str, value: int) -> bytearray:
+        """Set an integer of the header, and return the octets."""
         place = self._places[field]
         octets[place] = value.to_bytes(place.stop - place.start, "big")
-
-
-@mutant("any", "BP-RX-01", "accepts beacons of any version")
-class AnyVersion(Lenient):
-    def repaired(self, octets: bytearray) -> bytearray:
-        self.put(octets, "version", 1)
         return octets
 
 
-@mutant("newer", "BP-RX-01", "accepts beacons of newer versions")
-class NewerVersion(Lenient):
-    def repaired(self, octets: bytearray) -> bytearray:
-        self.put(octets, "version", min(self.number(octets, "version"), 1))
-        return octets
-
-
-@mutant("any", "BP-RX-02", "accepts beacons with any magicNo")
-class AnyMagic(Lenient):
-    def repaired(self, octets: bytearray) -> bytearray:
-        self.put(octets, "magicNo", 0x497E)
-        return octets
-
-
-@mutant("swapped", "BP-RX-02", "also accepts beacons with a little-endian magicNo")
-class EitherMagic(Lenient):
-    def repaired(self, octets: bytearray) -> bytearray:
-        if self.number(octets, "magicNo") == 0x7E49:
-            self.put(octets, "magicNo", 0x497E)
-        return octets
-
-
-@mutant("first-octet", "BP-RX-02", "checks only the first octet of magicNo")
-class HalfMagic(Lenient):
-    def repaired(self, octets: bytearray) -> bytearray:
-        if self.number(octets, "magicNo") >> 8 == 0x49:
-            self.put(octets, "magicNo", 0x497E)
-        return octets
-
-
-@mutant("whole-frame", "BP-RX-03", "treats length 0 as the length of the frame")
-class ZeroIsAll(Lenient):
-    def repaired(self, octets: bytearray) -> bytearray:
-        if not self.number(octets, "length"):
-            self.put(octets, "length", len(octets) - self.header_size)
-        return octets
-
-
-@mutant("processed", "BP-RX-04", "accepts beacons with numPayloads 0")
-class NonePayloads(Lenient):
-    def repaired(self, octets: bytearray) -> bytearray:
-        if not self.number(octets, "numPayloads"):
-            self.put(octets, "numPayloads", 1)
-        return octets
-
-
-@mutant("any", "BP-RX-05", "accepts beacons of any network")
-class AnyNetwork(Receiver):
-    def _for_this_node(self, header: BPHeader) -> bool:
-        return super()._for_this_node(BPHeader(header.sender_id, header.seqno, self._parameters.network_id))
-
-
-@mutant("zero", "BP-RX-05", "treats network 0 as any network")
-class ZeroIsAnyNetwork(Receiver):
-    def _for_this_node(self, header: BPHeader) -> bool:
-        network = header.network_id or self._parameters.network_id
-        return super()._for_this_node(BPHeader(header.sender_id, header.seqno, network))
+# fmt: off
+repaired = instead(Lenient, Lenient.repaired)
+repaired("any", "BP-RX-01", "accepts beacons of any version", lambda self, octets: self.put(octets, "version", 1))
+repaired("newer", "BP-RX-01", "accepts beacons of newer versions",
+    lambda self, octets: self.put(octets, "version", min(self.number(octets, "version"), 1)))
+repaired("any", "BP-RX-02", "accepts beacons with any magicNo",
+    lambda self, octets: self.put(octets, "magicNo", 0x497E))
+repaired("swapped", "BP-RX-02", "also accepts beacons with a little-endian magicNo",
+    lambda self, octets: self.put(octets, "magicNo", 0x497E) if self.number(octets, "magicNo") == 0x7E49 else octets)
+repaired("first-octet", "BP-RX-02", "checks only the first octet of magicNo",
+    lambda self, octets: self.put(octets, "magicNo", 0x497E) if self.number(octets, "magicNo") >> 8 == 0x49 else octets)
+repaired("whole-frame", "BP-RX-03", "treats length 0 as the length of the frame",
+    lambda self, octets: (
+        octets if self.number(octets, "length") else self.put(octets, "length", len(octets) - self.header_size)))
+repaired("processed", "BP-RX-04", "accepts beacons with numPayloads 0",
+    lambda self, octets: octets if self.number(octets, "numPayloads") else self.put(octets, "numPayloads", 1))
+around_for_this_node = around(Receiver, Receiver._for_this_node)
+around_for_this_node("any", "BP-RX-05", "accepts beacons of any network",
+    lambda self, proceed, header: proceed(BPHeader(header.sender_id, header.seqno, self._parameters.network_id)))
+around_for_this_node("zero", "BP-RX-05", "treats network 0 as any network",
+    lambda self, proceed, header: (
+        proceed(BPHeader(header.sender_id, header.seqno, (header.network_id or self._parameters.network_id)))))
+# fmt: on
 
 
 @mutant("low-octet", "BP-RX-05", "compares only the low octet of network identifiers")
@@ -124,25 +85,15 @@ class FirstNetwork(Receiver):
         return super()._for_this_node(BPHeader(header.sender_id, header.seqno, network))
 
 
-@mutant("processed", "BP-RX-06", "accepts beacons with its own senderId")
-class OwnBeacons(Receiver):
-    def _for_this_node(self, header: BPHeader) -> bool:
-        return super()._for_this_node(BPHeader(b"", header.seqno, header.network_id))
-
-
-@mutant("reserved-senders", "DATA-04", "ignores senders whose identifier has the group bit or is all zero")
-class ReservedSenders(Receiver):
-    def _for_this_node(self, header: BPHeader) -> bool:
-        plain = any(header.sender_id) and not header.sender_id[0] & 1
-        return plain and super()._for_this_node(header)
-
-
-@mutant(
-    "sender-prefix", "BP-RX-06 DATA-04", "treats senders with the same first octets as its own identifier as itself"
-)
-class SenderPrefix(Receiver):
-    def _for_this_node(self, header: BPHeader) -> bool:
-        return header.sender_id[:3] != self._node_id[:3] and super()._for_this_node(header)
+# fmt: off
+around_for_this_node("processed", "BP-RX-06", "accepts beacons with its own senderId",
+    lambda self, proceed, header: proceed(BPHeader(b"", header.seqno, header.network_id)))
+around_for_this_node("reserved-senders", "DATA-04", "ignores senders whose identifier has the group bit or is all zero",
+    lambda self, proceed, header: (any(header.sender_id) and not header.sender_id[0] & 1) and proceed(header))
+around_for_this_node("sender-prefix", "BP-RX-06 DATA-04",
+    "treats senders with the same first octets as its own identifier as itself",
+    lambda self, proceed, header: header.sender_id[:3] != self._node_id[:3] and proceed(header))
+# fmt: on
 
 
 # -- blocks ------------------------------------------------------------------------------------------------------------
@@ -160,32 +111,19 @@ class Blocks(BPWire):
         return blocks
 
 
-@mutant("first-only", "BP-RX-07", "processes only the first block of a beacon")
-class FirstBlock(Blocks):
-    def chosen(self, blocks: tuple[Block, ...]) -> tuple[Block, ...]:
-        return blocks[:1]
+chosen = instead(Blocks, Blocks.chosen)
+chosen("first-only", "BP-RX-07", "processes only the first block of a beacon", lambda self, blocks: blocks[:1])
+chosen("not-the-last", "BP-RX-07", "does not process the last of several blocks",
+    lambda self, blocks: blocks[:-1] if len(blocks) > 1 else blocks)  # fmt: skip
+chosen("one-of-each", "BP-RX-07", "processes one block of each protocol",
+    lambda self, blocks: tuple({block.protocol_id: block for block in reversed(blocks)}.values()))  # fmt: skip
+chosen("twice", "BP-RXP-02", "delivers every payload twice",
+    lambda self, blocks: tuple(block for each in blocks for block in (each, each)))  # fmt: skip
 
 
-@mutant("not-the-last", "BP-RX-07", "does not process the last of several blocks")
-class NotTheLast(Blocks):
-    def chosen(self, blocks: tuple[Block, ...]) -> tuple[Block, ...]:
-        return blocks[:-1] if len(blocks) > 1 else blocks
+class Ends(Receiver):
+    """Stops at some blocks."""
 
-
-@mutant("one-of-each", "BP-RX-07", "processes one block of each protocol")
-class OneOfEach(Blocks):
-    def chosen(self, blocks: tuple[Block, ...]) -> tuple[Block, ...]:
-        return tuple({block.protocol_id: block for block in reversed(blocks)}.values())
-
-
-@mutant("twice", "BP-RXP-02", "delivers every payload twice")
-class Twice(Blocks):
-    def chosen(self, blocks: tuple[Block, ...]) -> tuple[Block, ...]:
-        return tuple(block for each in blocks for block in (each, each))
-
-
-@mutant("unknown-ends", "BP-RX-08", "stops at a block of an unregistered protocol")
-class UnknownEnds(Receiver):
     stopped = False
 
     def receive(self, octets: bytes, now: int) -> None:
@@ -193,17 +131,20 @@ class UnknownEnds(Receiver):
         super().receive(octets, now)
 
     def _deliver(self, block: Block, sender: bytes) -> None:
-        self.stopped = self.stopped or block.protocol_id not in self._clients
+        self.stopped = self.stopped or self.ends(block)
         if not self.stopped:
             super()._deliver(block, sender)
 
+    def ends(self, block: Block) -> bool:
+        """Return whether this block and those after it are not delivered."""
+        return block.protocol_id not in self._clients
 
-@mutant("unknown-drops", "BP-RX-08", "ignores beacons with a block of an unregistered protocol")
-class UnknownDrops(BPWire):
-    def parse(self, octets: bytes) -> Reception:
-        found = super().parse(octets)
-        foreign = any(block.protocol_id > 0x1000 for block in found.blocks)
-        return Reception(found.header, () if foreign else found.blocks, found.fault, found.refused, found.count_agrees)
+
+attributes(Ends, __name__)("unknown-ends", "BP-RX-08", "stops at a block of an unregistered protocol")
+
+
+chosen("unknown-drops", "BP-RX-08", "ignores beacons with a block of an unregistered protocol",
+    lambda self, blocks: () if any(block.protocol_id > 0x1000 for block in blocks) else blocks)  # fmt: skip
 
 
 @mutant("cut-delivered", "BP-RX-09", "delivers the available part of a block that extends past the end")
@@ -222,11 +163,10 @@ class CutDelivered(BPWire):
         return Reception(found.header, (*found.blocks, block), None, count_agrees=found.count_agrees)
 
 
-@mutant("all-dropped", "BP-RX-09", "ignores all blocks before one that extends past the end")
-class AllDropped(BPWire):
-    def parse(self, octets: bytes) -> Reception:
-        found = super().parse(octets)
-        return found if found.fault is None else Reception(found.header, (), found.fault, found.refused)
+after_parse = after(BPWire, BPWire.parse)
+after_parse("all-dropped", "BP-RX-09", "ignores all blocks before one that extends past the end",
+    lambda self, found, octets: (
+        found if found.fault is None else Reception(found.header, (), found.fault, found.refused)))  # fmt: skip
 
 
 @mutant("repeated-dropped", "BP-RX-10", "ignores beacons with the same sequence number as the one before")
@@ -248,41 +188,21 @@ class OlderDropped(Receiver):
         return not older and super()._for_this_node(header)
 
 
-@mutant("padding-refused", "BP-RX-14", "ignores frames with padding after the beacon")
-class PaddingRefused(Lenient):
-    def repaired(self, octets: bytearray) -> bytearray:
-        exact = self.number(octets, "length") == len(octets) - self.header_size
-        return octets if exact else octets[:4]
-
-
-@mutant("dies", "BP-RX-15", "crashes on a length past the end of the frame")
-class CrashesOnLength(Lenient):
-    def repaired(self, octets: bytearray) -> bytearray:
-        if self.number(octets, "length") > len(octets) - self.header_size:
-            raise IndexError("a read past the end of the frame")
-        return octets
-
-
-@mutant("dies-of-short", "BP-RX-16", "crashes on a frame shorter than the header")
-class CrashesOnShort(BPWire):
-    def parse(self, octets: bytes) -> Reception:
-        if len(octets) < self.header_size:
-            raise IndexError("a read past the end of the frame")
-        return super().parse(octets)
-
-
-@mutant("dies-of-empty", "BP-RX-16", "crashes on a block without a payload")
-class CrashesOnEmpty(Blocks):
-    def chosen(self, blocks: tuple[Block, ...]) -> tuple[Block, ...]:
-        return tuple(block for block in blocks if block.payload[0] >= 0)
-
-
-@mutant("dies-of-nothing", "BP-RX-16", "crashes on an empty frame")
-class CrashesOnNothing(BPWire):
-    def parse(self, octets: bytes) -> Reception:
-        if not octets:
-            raise IndexError("a read of an empty frame")
-        return super().parse(octets)
+# fmt: off
+instead(Lenient, Lenient.repaired)("padding-refused", "BP-RX-14", "ignores frames with padding after the beacon",
+    lambda self, octets: octets if self.number(octets, "length") == len(octets) - self.header_size else octets[:4])
+crashes(Lenient, Lenient.repaired, IndexError("a read past the end of the frame"))("dies", "BP-RX-15",
+    "crashes on a length past the end of the frame",
+    lambda self, octets: self.number(octets, "length") > len(octets) - self.header_size)
+crashes(BPWire, BPWire.parse, IndexError("a read past the end of the frame"))("dies-of-short", "BP-RX-16",
+    "crashes on a frame shorter than the header",
+    lambda self, octets: len(octets) < self.header_size)
+chosen("dies-of-empty", "BP-RX-16", "crashes on a block without a payload",
+    lambda self, blocks: tuple(block for block in blocks if block.payload[0] >= 0))
+crashes(BPWire, BPWire.parse, IndexError("a read of an empty frame"))("dies-of-nothing", "BP-RX-16",
+    "crashes on an empty frame",
+    lambda self, octets: not octets)
+# fmt: on
 
 
 @mutant("mute", "BP-RX-16", "receives nothing after 20 frames that are not beacons")
@@ -310,22 +230,12 @@ class Deliveries(Receiver):
         return payload
 
 
-@mutant("nul-cut", "BP-RXP-01", "delivers payloads up to the first octet that is zero")
-class NulCut(Deliveries):
-    def payload(self, payload: bytes) -> bytes:
-        return payload.partition(b"\0")[0] or payload
-
-
-@mutant("limited", "BP-RXP-01", "delivers at most 255 octets of a payload")
-class Limited(Deliveries):
-    def payload(self, payload: bytes) -> bytes:
-        return payload[:255]
-
-
-@mutant("aligned", "BP-RXP-01", "delivers payloads padded to a multiple of four octets")
-class FilledUp(Deliveries):
-    def payload(self, payload: bytes) -> bytes:
-        return payload + bytes(-len(payload) % 4)
+payload = instead(Deliveries, Deliveries.payload)
+payload("nul-cut", "BP-RXP-01", "delivers payloads up to the first octet that is zero",
+    lambda self, payload: payload.partition(b"\0")[0] or payload)  # fmt: skip
+payload("limited", "BP-RXP-01", "delivers at most 255 octets of a payload", lambda self, payload: payload[:255])
+payload("aligned", "BP-RXP-01", "delivers payloads padded to a multiple of four octets",
+    lambda self, payload: payload + bytes(-len(payload) % 4))  # fmt: skip
 
 
 @mutant("everybody", "BP-RXP-03", "delivers payloads to all clients")
@@ -338,10 +248,10 @@ class DeliversToAllClients(Receiver):
                     self._emit(PayloadReceived(client.protocol_id, block.payload, sender))
 
 
-@mutant("low-octet", "BP-RXP-03 BP-RX-08 BP-HDR-11", "checks only the low octet of protocol identifiers")
-class LowOctetOfProtocol(Blocks):
-    def chosen(self, blocks: tuple[Block, ...]) -> tuple[Block, ...]:
-        return tuple(Block(block.protocol_id & 0xFF, block.payload, block.offset) for block in blocks)
+# fmt: off
+chosen("low-octet", "BP-RXP-03 BP-RX-08 BP-HDR-11", "checks only the low octet of protocol identifiers",
+    lambda self, blocks: tuple(Block(block.protocol_id & 0xFF, block.payload, block.offset) for block in blocks))
+# fmt: on
 
 
 @mutant("late", "BP-RXP-02", "delivers the last payload again with the next beacon")

@@ -9,6 +9,8 @@ import msgspec
 from dcp_spec.constants import SpecVersion
 from dcp_spec.status import BPStatus
 
+from dcp_selftest.mutants.bp.kept import Lists
+from dcp_selftest.mutants.family import after, around, assign, attributes, instead, then
 from dcp_selftest.mutants.mutant import mutant
 from dcp_selftest.mutants.unseen import RIGHT_SINCE_1_1
 from dcp_stack.bp.clients import ClientList
@@ -21,6 +23,7 @@ from dcp_stack.config import NodeConfig
 from dcp_stack.effects import Effect, PayloadTransmitted
 
 OK = StatusConfirm(BPStatus.OK)
+QUEUES = {mode for mode, rule in QUEUEING.items() if rule.several}
 
 
 class Registrations(BeaconingProtocol):
@@ -30,15 +33,16 @@ class Registrations(BeaconingProtocol):
         status = super()._registrable(registration, known=known)
         return status if registration.protocol_id <= 2 else self.judged(status, registration)
 
-    def judged(self, status: BPStatus, registration: Registration) -> BPStatus:  # noqa: ARG002 - used by overrides
+    def judged(self, status: BPStatus, registration: Registration) -> BPStatus:
         """Return the status to be confirmed."""
         return status
 
 
-@mutant("signed", "BP-REG-01", "rejects protocol identifiers with the first bit set")
-class SignedIdentifiers(Registrations):
-    def judged(self, status: BPStatus, registration: Registration) -> BPStatus:
-        return BPStatus.UNKNOWN_PROTOCOL if registration.protocol_id > 0x7FFF else status
+# fmt: off
+registrations_judged = instead(Registrations, Registrations.judged)
+registrations_judged("signed", "BP-REG-01", "rejects protocol identifiers with the first bit set",
+    lambda self, status, registration: BPStatus.UNKNOWN_PROTOCOL if registration.protocol_id > 0x7FFF else status)
+# fmt: on
 
 
 @mutant("replaces", "BP-REG-02", "lets a second registration replace the first")
@@ -59,29 +63,17 @@ class Forgets(Registrations):
         return status
 
 
-@mutant("nothing", "BP-REG-03", "registers clients with a maximum payload size of 0", since=SpecVersion.V1_1)
-class SizeOfNothing(Registrations):
-    def judged(self, status: BPStatus, registration: Registration) -> BPStatus:
-        return BPStatus.OK if not registration.max_payload_size else status
-
-
-@mutant(
-    "something",
-    "BP-REG-06",
-    "rejects a maximum payload size of 0, which 1.0 allows",
-    until=SpecVersion.V1_0,
-    unseen=RIGHT_SINCE_1_1,
-)
-class SizeOfSomething(Registrations):
-    def judged(self, status: BPStatus, registration: Registration) -> BPStatus:
-        return status if registration.max_payload_size else BPStatus.ILLEGAL_MAX_PAYLOAD_SIZE
-
-
-@mutant("no-bound", "BP-REG-04", "registers clients whose payloads do not fit into a beacon")
-class NoBound(Registrations):
-    def judged(self, status: BPStatus, registration: Registration) -> BPStatus:
-        large = registration.max_payload_size > 0
-        return BPStatus.OK if status is BPStatus.ILLEGAL_MAX_PAYLOAD_SIZE and large else status
+# fmt: off
+registrations_judged("nothing", "BP-REG-03", "registers clients with a maximum payload size of 0",
+    lambda self, status, registration: BPStatus.OK if not registration.max_payload_size else status,
+    since=SpecVersion.V1_1)
+registrations_judged("something", "BP-REG-06", "rejects a maximum payload size of 0, which 1.0 allows",
+    lambda self, status, registration: status if registration.max_payload_size else BPStatus.ILLEGAL_MAX_PAYLOAD_SIZE,
+    until=SpecVersion.V1_0, unseen=RIGHT_SINCE_1_1)
+registrations_judged("no-bound", "BP-REG-04", "registers clients whose payloads do not fit into a beacon",
+    lambda self, status, registration: (
+        BPStatus.OK if status is BPStatus.ILLEGAL_MAX_PAYLOAD_SIZE and (registration.max_payload_size > 0) else status))
+# fmt: on
 
 
 class Bound(Registrations):
@@ -97,48 +89,25 @@ class Bound(Registrations):
         return BPStatus.ILLEGAL_MAX_PAYLOAD_SIZE if registration.max_payload_size > bound else BPStatus.OK
 
 
-@mutant("one-more", "BP-REG-04", "registers clients with one octet more than fits")
-class BoundPlusOne(Bound):
-    more = 1
-
-
-@mutant("one-less", "BP-REG-04", "rejects clients with exactly as many octets as fit")
-class BoundMinusOne(Bound):
-    more = -1
-
-
-@mutant(
-    "block-only", "BP-REG-04", "ignores the header of the beacon in the limit for registrations", since=SpecVersion.V1_1
-)
-class BoundOfBlock(Bound):
-    more = 18
-
-
-@mutant("no-entries", "BP-REG-05", "registers queues without entries", since=SpecVersion.V1_1)
-class NoEntries(Registrations):
-    def judged(self, status: BPStatus, registration: Registration) -> BPStatus:  # noqa: ARG002 - as above
-        return BPStatus.OK if status is BPStatus.ILLEGAL_DROPPING_QUEUE_SIZE else status
-
-
-@mutant("at-most-32", "BP-REG-05", "registers no queues of more than 32 entries", since=SpecVersion.V1_1)
-class FewEntries(Registrations):
-    def judged(self, status: BPStatus, registration: Registration) -> BPStatus:
-        return BPStatus.ILLEGAL_DROPPING_QUEUE_SIZE if registration.max_entries > 32 else status
-
-
-@mutant("time", "BP-REG-06 BP-LST-01", "lists no registration time of clients")
-class NoTime(BeaconingProtocol):
-    def list_registered(self) -> ListConfirm:
-        confirm = super().list_registered()
-        listed = tuple(msgspec.structs.replace(each, time_stamp_registration=0) for each in confirm.protocols)
-        return ListConfirm(confirm.status, listed)
-
-
-@mutant("no-own-id", "BP-REG-07", "omits its node identifier from the confirms of registrations")
-class NoOwnIdentifier(BeaconingProtocol):
-    def register(self, prot_id: int, *rest: Any, now: int, wall: int) -> RegisterConfirm:
-        confirm = super().register(prot_id, *rest, now=now, wall=wall)
-        return confirm if prot_id <= 2 else RegisterConfirm(confirm.status, None)
+# fmt: off
+bound = attributes(Bound, __name__)
+bound("one-more", "BP-REG-04", "registers clients with one octet more than fits", more=1)
+bound("one-less", "BP-REG-04", "rejects clients with exactly as many octets as fit", more=-1)
+bound("block-only", "BP-REG-04", "ignores the header of the beacon in the limit for registrations",
+    since=SpecVersion.V1_1, more=18)
+registrations_judged("no-entries", "BP-REG-05", "registers queues without entries",
+    lambda self, status, registration: BPStatus.OK if status is BPStatus.ILLEGAL_DROPPING_QUEUE_SIZE else status,
+    since=SpecVersion.V1_1)
+registrations_judged("at-most-32", "BP-REG-05", "registers no queues of more than 32 entries",
+    lambda self, status, registration: (
+        BPStatus.ILLEGAL_DROPPING_QUEUE_SIZE if registration.max_entries > 32 else status), since=SpecVersion.V1_1)
+listed = instead(Lists, Lists.listed)
+listed("time", "BP-REG-06 BP-LST-01", "lists no registration time of clients",
+    lambda self, each: msgspec.structs.replace(each, time_stamp_registration=0))
+after(BeaconingProtocol, BeaconingProtocol.register)("no-own-id", "BP-REG-07",
+    "omits its node identifier from the confirms of registrations",
+    lambda self, confirm, prot_id, *rest, now, wall: confirm if prot_id <= 2 else RegisterConfirm(confirm.status, None))
+# fmt: on
 
 
 @mutant("other-id", "BP-REG-07", "confirms registrations with the identifier of another node")
@@ -149,36 +118,19 @@ class OtherIdentifier(BeaconingProtocol):
         return confirm if prot_id <= 2 or own is None else RegisterConfirm(confirm.status, own[:-1] + b"\x77")
 
 
-@mutant(
-    "size-first",
-    "BP-REG-09",
-    "checks the size in a registration before it checks for a duplicate",
-    unseen={"1.0": "1.0 rejects neither a size of 0 nor 0 entries"},
-)
-class SizeFirst(Registrations):
-    def judged(self, status: BPStatus, registration: Registration) -> BPStatus:
-        if registration.max_payload_size <= 0 and self._features.version >= SpecVersion.V1_1:
-            return BPStatus.ILLEGAL_MAX_PAYLOAD_SIZE
-        return status
-
-
-@mutant(
-    "queue-first",
-    "BP-REG-09",
-    "checks maxEntries in a registration before it checks the size",
-    unseen={"1.0": "1.0 rejects neither a size of 0 nor 0 entries"},
-)
-class QueueFirst(Registrations):
-    def judged(self, status: BPStatus, registration: Registration) -> BPStatus:
-        wrong = registration.max_entries <= 0 and QUEUEING[registration.queue_mode].several  # type: ignore[index]
-        return BPStatus.ILLEGAL_DROPPING_QUEUE_SIZE if wrong else status
-
-
-@mutant("ok", "BP-DRG-01", "confirms the deregistration of an unknown client with OK")
-class DeregistersUnknownClients(BeaconingProtocol):
-    def deregister(self, prot_id: int) -> StatusConfirm:
-        super().deregister(prot_id)
-        return OK
+registrations_judged("size-first", "BP-REG-09", "checks the size in a registration before it checks for a duplicate",
+    lambda self, status, registration: (
+        BPStatus.ILLEGAL_MAX_PAYLOAD_SIZE
+        if registration.max_payload_size <= 0 and self._features.version >= SpecVersion.V1_1 else status),
+    unseen={"1.0": "1.0 rejects neither a size of 0 nor 0 entries"})  # fmt: skip
+registrations_judged("queue-first", "BP-REG-09", "checks maxEntries in a registration before it checks the size",
+    lambda self, status, registration: (
+        BPStatus.ILLEGAL_DROPPING_QUEUE_SIZE
+        if registration.max_entries <= 0 and registration.queue_mode in QUEUES else status),
+    unseen={"1.0": "1.0 rejects neither a size of 0 nor 0 entries"})  # fmt: skip
+after(BeaconingProtocol, BeaconingProtocol.deregister)("ok", "BP-DRG-01",
+    "confirms the deregistration of an unknown client with OK",
+    lambda self, confirm, prot_id: OK)  # fmt: skip
 
 
 @mutant("stays-listed", "BP-DRG-02", "continues to list a client that was deregistered")
@@ -197,11 +149,9 @@ class StaysListed(BeaconingProtocol):
         return ListConfirm(confirm.status, (*confirm.protocols, *gone))
 
 
-@mutant("still-sends", "BP-DRG-03", "sends the buffered payloads of a client that was deregistered")
-class StillSends(ClientList):
-    def remove(self, protocol_id: int) -> None:
-        client = self._clients.pop(protocol_id)
-        client.stands = False
+instead(ClientList, ClientList.remove)("still-sends", "BP-DRG-03",
+    "sends the buffered payloads of a client that was deregistered",
+    lambda self, protocol_id: assign(self._clients.pop(protocol_id), stands=False))  # fmt: skip
 
 
 @mutant("still-delivers", "BP-DRG-04 BP-REG-10 BP-RX-08", "delivers payloads to clients that were deregistered")
@@ -254,42 +204,19 @@ class StumblesOverMode(BeaconingProtocol):
         return super()._registrable(registration, known=known)
 
 
-@mutant("one-missing", "BP-LST-01", "omits the client that registered last from the list")
-class OneMissing(BeaconingProtocol):
-    def list_registered(self) -> ListConfirm:
-        confirm = super().list_registered()
-        return ListConfirm(confirm.status, confirm.protocols[:-1])
-
-
-@mutant("wrong-size", "BP-LST-01", "includes the header of the block in the maximum payload size that it lists")
-class WrongSize(BeaconingProtocol):
-    def list_registered(self) -> ListConfirm:
-        confirm = super().list_registered()
-        listed = [
-            msgspec.structs.replace(each, max_payload_size=each.max_payload_size + 4) for each in confirm.protocols
-        ]
-        return ListConfirm(confirm.status, tuple(listed))
+after_list_registered = after(BeaconingProtocol, BeaconingProtocol.list_registered)
+after_list_registered("one-missing", "BP-LST-01", "omits the client that registered last from the list",
+    lambda self, confirm: ListConfirm(confirm.status, confirm.protocols[:-1]))  # fmt: skip
+listed("wrong-size", "BP-LST-01", "includes the header of the block in the maximum payload size that it lists",
+    lambda self, each: msgspec.structs.replace(each, max_payload_size=each.max_payload_size + 4))  # fmt: skip
 
 
 # -- payloads ----------------------------------------------------------------------------------------------------------
 
 
-class Transmissions(BeaconingProtocol):
-    """Changes the status of submissions."""
-
-    def _submit(self, client: Client | None, payload: bytes, now: int) -> BPStatus:
-        status = super()._submit(client, payload, now)
-        return self.judged(status, client, payload, now)
-
-    def judged(self, status: BPStatus, client: Client | None, payload: bytes, now: int) -> BPStatus:  # noqa: ARG002
-        """Return the status to be confirmed."""
-        return status
-
-
-@mutant("ok", "BP-TXP-01 BP-REG-10", "confirms a payload for an unregistered identifier with OK")
-class TakesUnknown(Transmissions):
-    def judged(self, status: BPStatus, client: Client | None, payload: bytes, now: int) -> BPStatus:  # noqa: ARG002
-        return BPStatus.OK if client is None else status
+after_submit = after(BeaconingProtocol, BeaconingProtocol._submit)
+after_submit("ok", "BP-TXP-01 BP-REG-10", "confirms a payload for an unregistered identifier with OK",
+    lambda self, status, client, payload, now: BPStatus.OK if client is None else status)  # fmt: skip
 
 
 @mutant("no-limit", "BP-TXP-02", "accepts payloads longer than the client registered")
@@ -301,39 +228,28 @@ class AnyLength(BeaconingProtocol):
         return super()._submit(client, payload, now)
 
 
-@mutant("one-less", "BP-TXP-02", "rejects payloads of exactly the length that the client registered")
-class OneLess(BeaconingProtocol):
-    def _submit(self, client: Client | None, payload: bytes, now: int) -> BPStatus:
-        if client is not None and client.protocol_id > 2 and len(payload) >= client.registration.max_payload_size:
-            return BPStatus.PAYLOAD_TOO_LARGE
-        return super()._submit(client, payload, now)
-
-
-@mutant("truncates", "BP-TXP-02", "truncates a payload that is too long, and confirms it with OK")
-class Truncates(BeaconingProtocol):
-    def _submit(self, client: Client | None, payload: bytes, now: int) -> BPStatus:
-        longest = len(payload) if client is None else client.registration.max_payload_size
-        return super()._submit(client, payload[:longest], now)
-
-
-@mutant("ok", "BP-TXP-03", "confirms an empty payload with OK", since=SpecVersion.V1_1)
-class EmptyIsOK(Transmissions):
-    def judged(self, status: BPStatus, client: Client | None, payload: bytes, now: int) -> BPStatus:  # noqa: ARG002
-        return BPStatus.OK if status is BPStatus.EMPTY_PAYLOAD else status
-
-
-@mutant("clears", "BP-TXP-03", "clears the buffer when an empty payload is submitted", since=SpecVersion.V1_1)
-class EmptyClears(Transmissions):
-    def judged(self, status: BPStatus, client: Client | None, payload: bytes, now: int) -> BPStatus:  # noqa: ARG002
-        if status is BPStatus.EMPTY_PAYLOAD and client is not None and client.queue is not None:
-            client.queue.clear()
-        return status
-
-
-@mutant("empty-refused", "BP-TXP-13", "rejects an empty payload, which in 1.0 clears a buffer")
-class EmptyRefused(BeaconingProtocol):
-    def _submit(self, client: Client | None, payload: bytes, now: int) -> BPStatus:
-        return BPStatus.EMPTY_PAYLOAD if client is not None and not payload else super()._submit(client, payload, now)
+# fmt: off
+around_submit = around(BeaconingProtocol, BeaconingProtocol._submit)
+around_submit("one-less", "BP-TXP-02", "rejects payloads of exactly the length that the client registered",
+    lambda self, proceed, client, payload, now: (
+        BPStatus.PAYLOAD_TOO_LARGE if client is not None and client.protocol_id > 2
+        and len(payload) >= client.registration.max_payload_size else proceed(client, payload, now)))
+around_submit("truncates", "BP-TXP-02", "truncates a payload that is too long, and confirms it with OK",
+    lambda self, proceed, client, payload, now: (
+        proceed(client, payload[:(len(payload) if client is None else client.registration.max_payload_size)], now)))
+after_submit("ok", "BP-TXP-03", "confirms an empty payload with OK",
+    lambda self, status, client, payload, now: BPStatus.OK if status is BPStatus.EMPTY_PAYLOAD else status,
+    since=SpecVersion.V1_1)
+then(BeaconingProtocol, BeaconingProtocol._submit)("clears", "BP-TXP-03",
+    "clears the buffer when an empty payload is submitted",
+    lambda self, status, client, payload, now: (
+        client.queue.clear()
+        if status is BPStatus.EMPTY_PAYLOAD and client is not None and client.queue is not None else None),
+    since=SpecVersion.V1_1)
+around_submit("empty-refused", "BP-TXP-13", "rejects an empty payload, which in 1.0 clears a buffer",
+    lambda self, proceed, client, payload, now: (
+        BPStatus.EMPTY_PAYLOAD if client is not None and not payload else proceed(client, payload, now)))
+# fmt: on
 
 
 @mutant(
@@ -362,17 +278,11 @@ class FullIsAnError(BeaconingProtocol):
         return status
 
 
-@mutant("empty-first", "BP-TXP-10", "checks for an empty payload before it checks for the client")
-class EmptyFirst(Transmissions):
-    def judged(self, status: BPStatus, client: Client | None, payload: bytes, now: int) -> BPStatus:  # noqa: ARG002
-        return BPStatus.EMPTY_PAYLOAD if not payload else status
-
-
-@mutant("ok", "BP-CLR-01", "confirms clearing the buffer of an unknown client with OK")
-class ClearsUnknownClients(BeaconingProtocol):
-    def clear_buffer(self, prot_id: int) -> StatusConfirm:
-        super().clear_buffer(prot_id)
-        return OK
+after_submit("empty-first", "BP-TXP-10", "checks for an empty payload before it checks for the client",
+    lambda self, status, client, payload, now: BPStatus.EMPTY_PAYLOAD if not payload else status)  # fmt: skip
+after(BeaconingProtocol, BeaconingProtocol.clear_buffer)("ok", "BP-CLR-01",
+    "confirms clearing the buffer of an unknown client with OK",
+    lambda self, confirm, prot_id: OK)  # fmt: skip
 
 
 @mutant("nothing", "BP-CLR-02", "does not clear queues")
@@ -401,11 +311,9 @@ class BuffersStay(BeaconingProtocol):
         return OK if buffer else super().clear_buffer(prot_id)
 
 
-@mutant("ok", "BP-QRY-01", "returns 0 payloads for an unknown client")
-class UnknownClientHasNone(BeaconingProtocol):
-    def query_number_buffered(self, prot_id: int) -> NumberConfirm:
-        confirm = super().query_number_buffered(prot_id)
-        return confirm if confirm.status.is_ok else NumberConfirm(BPStatus.OK, 0)
+after(BeaconingProtocol, BeaconingProtocol.query_number_buffered)("ok", "BP-QRY-01",
+    "returns 0 payloads for an unknown client",
+    lambda self, confirm, prot_id: confirm if confirm.status.is_ok else NumberConfirm(BPStatus.OK, 0))  # fmt: skip
 
 
 class Indications(BeaconingProtocol):
@@ -427,16 +335,10 @@ class Indications(BeaconingProtocol):
         return [effect]
 
 
-@mutant("missing", "BP-PTI-01", "sends no indication when a payload was transmitted")
-class NotTold(Indications):
-    def told(self, effect: PayloadTransmitted) -> list[Effect]:  # noqa: ARG002 - none of them
-        return []
-
-
-@mutant("twice", "BP-PTI-01", "sends two indications when a payload was transmitted")
-class ToldTwice(Indications):
-    def told(self, effect: PayloadTransmitted) -> list[Effect]:
-        return [effect, effect]
+told = instead(Indications, Indications.told)
+told("missing", "BP-PTI-01", "sends no indication when a payload was transmitted", lambda self, effect: [])
+told("twice", "BP-PTI-01", "sends two indications when a payload was transmitted",
+    lambda self, effect: [effect, effect])  # fmt: skip
 
 
 @mutant("epoch-passed", "BP-PTI-02", "indicates the time of the beacon just sent as that of the next one")
@@ -449,10 +351,8 @@ class EpochPassed(Indications):
         return [msgspec.structs.replace(effect, next_epoch=self.at)]
 
 
-@mutant("epoch-zero", "BP-PTI-02", "indicates time 0 for the next beacon")
-class EpochZero(Indications):
-    def told(self, effect: PayloadTransmitted) -> list[Effect]:
-        return [msgspec.structs.replace(effect, next_epoch=0)]
+told("epoch-zero", "BP-PTI-02", "indicates time 0 for the next beacon",
+    lambda self, effect: [msgspec.structs.replace(effect, next_epoch=0)])  # fmt: skip
 
 
 @mutant("first-only", "BP-PTI-03", "indicates only the first transmission of a REPEAT buffer")

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from dcp_selftest.mutants.bp.receive import Blocks, Ends
+from dcp_selftest.mutants.family import after, assign, attributes, before, instead
 from dcp_selftest.mutants.mutant import mutant
 from dcp_selftest.mutants.unseen import BP_ALWAYS_ACTIVE, ONE_PAYLOAD
 from dcp_stack.bp.clients import Chosen, ClientList
 from dcp_stack.bp.entity import BeaconingProtocol
-from dcp_stack.bp.receive import Receiver
 from dcp_stack.bp.services import StatusConfirm
-from dcp_stack.bp.wire import Block, BPWire, Reception
 
 
 class _Dummy(ClientList):
@@ -20,14 +20,10 @@ class _Dummy(ClientList):
         return super().take(room, size, most) or [(0xFFFF, self.dummy)]
 
 
-@mutant("heartbeat", "BP-FMT-03", "sends a block of an unregistered protocol when no client has a payload")
-class Heartbeat(_Dummy):
-    dummy = b"\0"
-
-
-@mutant("empty-heartbeat", "BP-FMT-03", "sends an empty block of an unregistered protocol when no client has a payload")
-class EmptyHeartbeat(_Dummy):
-    dummy = b""
+dummy = attributes(_Dummy, __name__)
+dummy("heartbeat", "BP-FMT-03", "sends a block of an unregistered protocol when no client has a payload", dummy=b"\0")
+dummy("empty-heartbeat", "BP-FMT-03", "sends an empty block of an unregistered protocol when no client has a payload",
+    dummy=b"")  # fmt: skip
 
 
 @mutant(
@@ -47,11 +43,9 @@ class SeveralIgnoresRoom(ClientList):
         return chosen
 
 
-@mutant("activated", "BP-HDR-08", "restarts sequence numbers when it is activated", unseen=BP_ALWAYS_ACTIVE)
-class SeqnoRestarts(BeaconingProtocol):
-    def activate(self, now: int) -> StatusConfirm:
-        self._seqno = 0
-        return super().activate(now)
+before(BeaconingProtocol, BeaconingProtocol.activate)("activated", "BP-HDR-08",
+    "restarts sequence numbers when it is activated",
+    lambda self, now: assign(self, _seqno=0), unseen=BP_ALWAYS_ACTIVE)  # fmt: skip
 
 
 @mutant("clears", "BP-MGT-05", "clears all buffers when it is activated although it is active")
@@ -63,22 +57,9 @@ class ReactivateClears(BeaconingProtocol):
         return super().activate(now)
 
 
-@mutant("eight", "BP-RX-07", "processes at most eight blocks of a beacon")
-class EightBlocks(BPWire):
-    def parse(self, octets: bytes) -> Reception:
-        found = super().parse(octets)
-        return Reception(found.header, found.blocks[:8], found.fault, found.refused, count_agrees=found.count_agrees)
+instead(Blocks, Blocks.chosen)("eight", "BP-RX-07", "processes at most eight blocks of a beacon",
+    lambda self, blocks: blocks[:8])  # fmt: skip
 
 
-@mutant("empty-ends", "BP-RX-08", "stops at a block of length 0 of an unregistered protocol")
-class StopsAtEmptyBlock(Receiver):
-    stopped = False
-
-    def receive(self, octets: bytes, now: int) -> None:
-        self.stopped = False
-        super().receive(octets, now)
-
-    def _deliver(self, block: Block, sender: bytes) -> None:
-        self.stopped = self.stopped or (not block.payload and block.protocol_id not in self._clients)
-        if not self.stopped:
-            super()._deliver(block, sender)
+after(Ends, Ends.ends)("empty-ends", "BP-RX-08", "stops at a block of length 0 of an unregistered protocol",
+    lambda self, unknown, block: unknown and not block.payload)  # fmt: skip

@@ -8,6 +8,8 @@ from typing import Any
 from dcp_spec.parameters import Violation
 from dcp_spec.status import BPStatus
 
+from dcp_selftest.mutants.bp.management import TOO_LARGE, Unbound
+from dcp_selftest.mutants.family import after, around, attributes, before
 from dcp_selftest.mutants.mutant import mutant
 from dcp_stack.bp.clients import Chosen, ClientList
 from dcp_stack.bp.entity import BeaconingProtocol
@@ -15,26 +17,17 @@ from dcp_stack.bp.parameters import MAX_PACKET, BPParameters
 from dcp_stack.bp.queue import Client
 from dcp_stack.bp.services import ListConfirm, RegisterConfirm
 
-
-@mutant("queue-ok", "BP-TXP-12", "confirms an empty payload for a queue with OK")
-class EmptyForQueueIsOK(BeaconingProtocol):
-    def _submit(self, client: Client | None, payload: bytes, now: int) -> BPStatus:
-        status = super()._submit(client, payload, now)
-        return BPStatus.OK if status is BPStatus.EMPTY_PAYLOAD else status
-
-
-@mutant("queue-cleared", "BP-TXP-12", "clears a queue when an empty payload is submitted")
-class EmptyClearsQueue(BeaconingProtocol):
-    def _submit(self, client: Client | None, payload: bytes, now: int) -> BPStatus:
-        if client is not None and client.queue is not None and not payload:
-            client.queue.clear()
-        return super()._submit(client, payload, now)
-
-
-@mutant("kept", "BP-TXP-13", "confirms an empty payload with OK, but keeps the buffered one")
-class EmptyKeeps(BeaconingProtocol):
-    def _submit(self, client: Client | None, payload: bytes, now: int) -> BPStatus:
-        return BPStatus.OK if client is not None and not payload else super()._submit(client, payload, now)
+after(BeaconingProtocol, BeaconingProtocol._submit)("queue-ok", "BP-TXP-12",
+    "confirms an empty payload for a queue with OK",
+    lambda self, status, client, payload, now: BPStatus.OK if status is BPStatus.EMPTY_PAYLOAD else status)  # fmt: skip
+before(BeaconingProtocol, BeaconingProtocol._submit)("queue-cleared", "BP-TXP-12",
+    "clears a queue when an empty payload is submitted",
+    lambda self, client, payload, now: (
+        client.queue.clear() if client is not None and client.queue is not None and not payload else None))  # fmt: skip
+around(BeaconingProtocol, BeaconingProtocol._submit)("kept", "BP-TXP-13",
+    "confirms an empty payload with OK, but keeps the buffered one",
+    lambda self, proceed, client, payload, now: (
+        BPStatus.OK if client is not None and not payload else proceed(client, payload, now)))  # fmt: skip
 
 
 @mutant("several", "BP-QM-10", "sends all payloads of a queue that fit in one beacon")
@@ -47,13 +40,12 @@ class WholeQueue(ClientList):
         return super().take(room, size, most)
 
 
-@mutant("whole-header", "BP-REG-11", "counts the whole header in the limit for registrations, as later versions do")
-class WholeHeader(BeaconingProtocol):
-    def register(self, prot_id: int, *rest: Any, now: int, wall: int) -> RegisterConfirm:
-        largest = self._parameters.max_packet_size - self._wire.block_header_size - self._wire.header_size
-        if rest[1] > largest and prot_id > 2:
-            return RegisterConfirm(BPStatus.ILLEGAL_MAX_PAYLOAD_SIZE, None)
-        return super().register(prot_id, *rest, now=now, wall=wall)
+around(BeaconingProtocol, BeaconingProtocol.register)("whole-header", "BP-REG-11",
+    "counts the whole header in the limit for registrations, as later versions do",
+    lambda self, proceed, prot_id, *rest, now, wall: (
+        RegisterConfirm(BPStatus.ILLEGAL_MAX_PAYLOAD_SIZE, None)
+        if rest[1] > (self._parameters.max_packet_size - self._wire.block_header_size - self._wire.header_size)
+        and prot_id > 2 else proceed(prot_id, *rest, now=now, wall=wall)))  # fmt: skip
 
 
 @mutant("as-once", "BP-REG-12", "registers every client with mode ONCE")
@@ -65,11 +57,9 @@ class AllOnce(BeaconingProtocol):
         return super().register(prot_id, *changed, now=now, wall=wall)
 
 
-@mutant("one-missing", "BP-LST-03", "omits the client that registered last from the list")
-class LastMissing(BeaconingProtocol):
-    def list_registered(self) -> ListConfirm:
-        confirm = super().list_registered()
-        return ListConfirm(confirm.status, confirm.protocols[:-1])
+after(BeaconingProtocol, BeaconingProtocol.list_registered)("one-missing", "BP-LST-03",
+    "omits the client that registered last from the list",
+    lambda self, confirm: ListConfirm(confirm.status, confirm.protocols[:-1]))  # fmt: skip
 
 
 @mutant("size-ignored", "BP-PAR-11", "uses the initial maximum packet size in the limit for registrations")
@@ -93,11 +83,5 @@ class NothingSet(BPParameters):
         return violation
 
 
-@mutant("no-upper-bound", "BP-PAR-13", "accepts a maximum packet size larger than the bearer's")
-class NoUpperBound(BPParameters):
-    def set(self, name: str, value: object) -> Violation | None:
-        violation = super().set(name, value)
-        if violation is not None and name == MAX_PACKET and isinstance(value, int) and value > 1000:
-            self._values[name] = value
-            return None
-        return violation
+attributes(Unbound, __name__)("no-upper-bound", "BP-PAR-13", "accepts a maximum packet size larger than the bearer's",
+    wrong=TOO_LARGE)  # fmt: skip

@@ -8,21 +8,17 @@ from typing import Any, Literal
 import msgspec
 
 from dcp_codec.values import ExtendedSafetyData, SafetyData
+from dcp_selftest.mutants.family import around, assign, then
 from dcp_selftest.mutants.mutant import mutant
 from dcp_selftest.mutants.unseen import BP_ALWAYS_ACTIVE
 from dcp_stack.srp.entity import StateReporting, UpdateSafetyDataConfirm
 from dcp_stack.srp.neighbour_table import NeighbourTable
 
-
-@mutant("touches-others", "SRP-RX-03", "renews the entries of all neighbours with every report")
-class TouchesOthers(NeighbourTable):
-    def record(
-        self, report: ExtendedSafetyData, sender_id: bytes, *, now: int, wall: int
-    ) -> Literal["new", "replaced", "full"]:
-        outcome = super().record(report, sender_id, now=now, wall=wall)
-        for node_id, entry in self._entries.items():
-            self._entries[node_id] = msgspec.structs.replace(entry, reception_time=wall, received_at=now)
-        return outcome
+then(NeighbourTable, NeighbourTable.record)("touches-others", "SRP-RX-03",
+    "renews the entries of all neighbours with every report",
+    lambda self, result, report, sender_id, *, now, wall: (
+        assign(self, _entries={node_id: msgspec.structs.replace(entry, reception_time=wall, received_at=now)
+        for node_id, entry in self._entries.items()})))  # fmt: skip
 
 
 @mutant("one-stamp", "SRP-RX-03", "stores the tStamp of the last report for all neighbours")
@@ -37,13 +33,12 @@ class OneStamp(NeighbourTable):
         return outcome
 
 
-@mutant("number-as-byte", "SRP-TYP-01 SRP-RX-03", "stores only the last two octets of received sequence numbers")
-class ShortNumbers(NeighbourTable):
-    def record(
-        self, report: ExtendedSafetyData, sender_id: bytes, *, now: int, wall: int
-    ) -> Literal["new", "replaced", "full"]:
-        short = msgspec.structs.replace(report, seqno=report.seqno % (1 << 16))
-        return super().record(short, sender_id, now=now, wall=wall)
+# fmt: off
+around(NeighbourTable, NeighbourTable.record)("number-as-byte", "SRP-TYP-01 SRP-RX-03",
+    "stores only the last two octets of received sequence numbers",
+    lambda self, proceed, report, sender_id, *, now, wall: (
+        proceed(msgspec.structs.replace(report, seqno=report.seqno % (1 << 16)), sender_id, now=now, wall=wall)))
+# fmt: on
 
 
 @mutant(

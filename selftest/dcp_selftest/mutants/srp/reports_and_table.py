@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import msgspec
 from dcp_spec.constants import BP_PROTID_SRP, QueueingMode
@@ -13,8 +13,9 @@ from dcp_spec.status import SRPStatus
 from dcp_codec.errors import DecodeError
 from dcp_codec.values import Beacon, ExtendedSafetyData, Payload
 from dcp_selftest.mutants.air import Air
+from dcp_selftest.mutants.family import after, around, assign, attributes, before, instead
 from dcp_selftest.mutants.mutant import mutant
-from dcp_selftest.mutants.port import Port, registration
+from dcp_selftest.mutants.port import Port
 from dcp_selftest.mutants.unseen import NO_MODE
 from dcp_stack.bp_port import BPPort
 from dcp_stack.config import NodeConfig
@@ -25,65 +26,31 @@ from dcp_stack.srp.neighbour_table import NeighbourTable, NeighbourTableEntry
 # -- reports -----------------------------------------------------------------------------------------------------------
 
 
-@mutant("other-id", "SRP-TYP-04 SRP-INI-06", "sends reports with the nodeId of another node")
-class OtherNode(Air):
-    def report(self, report: ExtendedSafetyData) -> ExtendedSafetyData:
-        return msgspec.structs.replace(report, node_id=report.node_id[:-1] + b"\x77")
-
-
-@mutant("when-sent", "SRP-TYP-05", "stamps reports with the time of their transmission")
-class StampedWhenSent(Air):
-    def report(self, report: ExtendedSafetyData) -> ExtendedSafetyData:
-        return msgspec.structs.replace(report, t_stamp=self.wall)
-
-
-@mutant("srp-milliseconds", "DATA-05 SRP-TYP-05", "stamps reports in ms although the profile has ns")
-class Milliseconds(Air):
-    def report(self, report: ExtendedSafetyData) -> ExtendedSafetyData:
-        return msgspec.structs.replace(report, t_stamp=report.t_stamp // 1_000_000)
-
-
-@mutant("srp-swapped-time", "DATA-01", "sends the time of reports little-endian")
-class SwappedTime(Air):
-    def report(self, report: ExtendedSafetyData) -> ExtendedSafetyData:
-        octets = report.t_stamp.to_bytes(8, "big")
-        return msgspec.structs.replace(report, t_stamp=int.from_bytes(octets, "little"))
-
-
-@mutant("srp-swapped-seqno", "DATA-01 SRP-SEQ-01", "sends the sequence number of reports little-endian")
-class SwappedNumber(Air):
-    def report(self, report: ExtendedSafetyData) -> ExtendedSafetyData:
-        return msgspec.structs.replace(report, seqno=int.from_bytes(report.seqno.to_bytes(4, "big"), "little"))
-
-
-@mutant("constant", "SRP-TYP-06 SRP-SEQ-01", "gives all reports the same sequence number")
-class SameNumber(Air):
-    def report(self, report: ExtendedSafetyData) -> ExtendedSafetyData:
-        return msgspec.structs.replace(report, seqno=7)
-
-
-@mutant("from-one", "SRP-SEQ-01", "starts the sequence numbers of reports at 1")
-class FromOne(Air):
-    def report(self, report: ExtendedSafetyData) -> ExtendedSafetyData:
-        return msgspec.structs.replace(report, seqno=report.seqno + 1)
-
-
-@mutant("four-bits", "SRP-SEQ-01 SRP-TYP-01", "counts reports modulo 16")
-class FourBits(Air):
-    def report(self, report: ExtendedSafetyData) -> ExtendedSafetyData:
-        return msgspec.structs.replace(report, seqno=report.seqno % 16)
-
-
-@mutant("eight-bits", "SRP-SEQ-01 SRP-TYP-01", "counts reports modulo 256")
-class EightBits(Air):
-    def report(self, report: ExtendedSafetyData) -> ExtendedSafetyData:
-        return msgspec.structs.replace(report, seqno=report.seqno % 256)
-
-
-@mutant("by-two", "SRP-SEQ-01", "increases the sequence number of reports by two")
-class ByTwo(Air):
-    def report(self, report: ExtendedSafetyData) -> ExtendedSafetyData:
-        return msgspec.structs.replace(report, seqno=2 * report.seqno)
+# fmt: off
+report = instead(Air, Air.report)
+report("other-id", "SRP-TYP-04 SRP-INI-06", "sends reports with the nodeId of another node",
+    lambda self, report: msgspec.structs.replace(report, node_id=report.node_id[:-1] + b"\x77"))
+report("when-sent", "SRP-TYP-05", "stamps reports with the time of their transmission",
+    lambda self, report: msgspec.structs.replace(report, t_stamp=self.wall))
+report("srp-milliseconds", "DATA-05 SRP-TYP-05", "stamps reports in ms although the profile has ns",
+    lambda self, report: msgspec.structs.replace(report, t_stamp=report.t_stamp // 1_000_000))
+report("srp-swapped-time", "DATA-01", "sends the time of reports little-endian",
+    lambda self, report: (
+        msgspec.structs.replace(report, t_stamp=int.from_bytes(report.t_stamp.to_bytes(8, "big"), "little"))))
+report("srp-swapped-seqno", "DATA-01 SRP-SEQ-01", "sends the sequence number of reports little-endian",
+    lambda self, report: (
+        msgspec.structs.replace(report, seqno=int.from_bytes(report.seqno.to_bytes(4, "big"), "little"))))
+report("constant", "SRP-TYP-06 SRP-SEQ-01", "gives all reports the same sequence number",
+    lambda self, report: msgspec.structs.replace(report, seqno=7))
+report("from-one", "SRP-SEQ-01", "starts the sequence numbers of reports at 1",
+    lambda self, report: msgspec.structs.replace(report, seqno=report.seqno + 1))
+report("four-bits", "SRP-SEQ-01 SRP-TYP-01", "counts reports modulo 16",
+    lambda self, report: msgspec.structs.replace(report, seqno=report.seqno % 16))
+report("eight-bits", "SRP-SEQ-01 SRP-TYP-01", "counts reports modulo 256",
+    lambda self, report: msgspec.structs.replace(report, seqno=report.seqno % 256))
+report("by-two", "SRP-SEQ-01", "increases the sequence number of reports by two",
+    lambda self, report: msgspec.structs.replace(report, seqno=2 * report.seqno))
+# fmt: on
 
 
 @mutant("beacon-number", "SRP-SEQ-01", "uses the sequence number of the beacon for the report in it")
@@ -102,43 +69,31 @@ class Reporting(StateReporting):
     """Changes calls to BP."""
 
     port: type[Port] = Port
+    registration: ClassVar[dict[str, Any]] = {}
+    """Changed arguments of the registration."""
+    doubled: ClassVar[bool] = False
+    """Whether twice the size of a report is registered."""
 
     def __init__(self, config: NodeConfig, bp: BPPort, *, emit: Callable[[Effect], None], now: int, wall: int) -> None:
-        port: Any = self.port(bp)
+        port: Any = self.port(bp, self.registration, payload=self.payload, factor=1 + self.doubled)
         super().__init__(config, port, emit=emit, now=now, wall=wall)
 
-
-@mutant("repeat", "SRP-INI-03 SRP-SRV-04", "registers with mode REPEAT instead of ONCE")
-class Repeats(Reporting):
-    class port(Port):  # noqa: N801 - takes the place of an attribute
-        def register(self, *args: Any, **times: int) -> Any:
-            return self.bp.register(*registration(args, mode=QueueingMode.REPEAT), **times)
+    def payload(self, payload: bytes) -> bytes:
+        """Return the octets to be submitted."""
+        return payload
 
 
-@mutant("once", "SRP-INI-08", "registers with mode ONCE instead of REPEAT, as in later versions")
-class Once(Reporting):
-    class port(Port):  # noqa: N801 - as above
-        def register(self, *args: Any, **times: int) -> Any:
-            return self.bp.register(*registration(args, mode=QueueingMode.ONCE), **times)
-
-
-@mutant(
-    "queue",
-    "SRP-TYP-07 SRP-INI-03",
-    "registers with a queue, and therefore sends old reports before new ones",
-    unseen=NO_MODE,
-)
-class Queues(Reporting):
-    class port(Port):  # noqa: N801 - as above
-        def register(self, *args: Any, **times: int) -> Any:
-            return self.bp.register(*registration(args, mode=QueueingMode.QUEUE_DROPTAIL, entries=10), **times)
-
-
-@mutant("other-name", "SRP-INI-01", "registers under the name of VarDis")
-class OtherName(Reporting):
-    class port(Port):  # noqa: N801 - as above
-        def register(self, *args: Any, **times: int) -> Any:
-            return self.bp.register(*registration(args, name="VarDis -- Variable Dissemination Protocol V2.0"), **times)
+# fmt: off
+reporting = attributes(Reporting, __name__)
+reporting("repeat", "SRP-INI-03 SRP-SRV-04", "registers with mode REPEAT instead of ONCE",
+    registration={"mode": QueueingMode.REPEAT})
+reporting("once", "SRP-INI-08", "registers with mode ONCE instead of REPEAT, as in later versions",
+    registration={"mode": QueueingMode.ONCE})
+reporting("queue", "SRP-TYP-07 SRP-INI-03", "registers with a queue, and therefore sends old reports before new ones",
+    unseen=NO_MODE, registration={"mode": QueueingMode.QUEUE_DROPTAIL, "entries": 10})
+reporting("other-name", "SRP-INI-01", "registers under the name of VarDis",
+    registration={"name": "VarDis -- Variable Dissemination Protocol V2.0"})
+# fmt: on
 
 
 @mutant(
@@ -147,9 +102,8 @@ class OtherName(Reporting):
 class Small(Reporting):
     class port(Port):  # noqa: N801 - as above
         def register(self, *args: Any, **times: int) -> Any:
-            return self.bp.register(
-                *registration(args, size=args[2] // 2 + 1, mode=QueueingMode.QUEUE_DROPTAIL, entries=2), **times
-            )
+            small = (*args[:2], args[2] // 2 + 1, QueueingMode.QUEUE_DROPTAIL, 2, *args[5:])
+            return self.bp.register(*small, **times)
 
         def transmit_payload(self, prot_id: int, payload: bytes, *, now: int) -> Any:
             half = len(payload) // 2
@@ -157,40 +111,14 @@ class Small(Reporting):
             return self.bp.transmit_payload(prot_id, payload[half:], now=now)
 
 
-class Longer(Reporting):
-    """Registers with more than the size of a report."""
-
-    class port(Port):  # noqa: N801 - as above
-        def register(self, *args: Any, **times: int) -> Any:
-            return self.bp.register(*registration(args, size=2 * args[2]), **times)
-
-
-@mutant("filled-up", "SRP-FMT-01 DATA-02", "pads reports to a multiple of eight octets")
-class FilledUp(Reporting):
-    class port(Longer.port):  # noqa: N801 - as above
-        def transmit_payload(self, prot_id: int, payload: bytes, *, now: int) -> Any:
-            return self.bp.transmit_payload(prot_id, payload + bytes(8 - len(payload) % 8), now=now)
-
-
-@mutant("two-more", "SRP-FMT-01", "appends two octets to each report")
-class TwoMore(Reporting):
-    class port(Longer.port):  # noqa: N801 - as above
-        def transmit_payload(self, prot_id: int, payload: bytes, *, now: int) -> Any:
-            return self.bp.transmit_payload(prot_id, payload + b"\xa5\x5a", now=now)
-
-
-@mutant("test-pattern", "SRP-FMT-01", "sends a test pattern of 40 octets instead of each report")
-class TestPattern(Reporting):
-    class port(Port):  # noqa: N801 - as above
-        def transmit_payload(self, prot_id: int, payload: bytes, *, now: int) -> Any:  # noqa: ARG002 - as above
-            return self.bp.transmit_payload(prot_id, bytes(range(0xA0, 0xA0 + 40)), now=now)
-
-
-@mutant("two", "SRP-FMT-01", "sends each report twice in one payload")
-class TwoReports(Reporting):
-    class port(Longer.port):  # noqa: N801 - as above
-        def transmit_payload(self, prot_id: int, payload: bytes, *, now: int) -> Any:
-            return self.bp.transmit_payload(prot_id, payload * 2, now=now)
+payload = instead(Reporting, Reporting.payload)
+payload("filled-up", "SRP-FMT-01 DATA-02", "pads reports to a multiple of eight octets",
+    lambda self, payload: payload + bytes(8 - len(payload) % 8), doubled=True)  # fmt: skip
+payload("two-more", "SRP-FMT-01", "appends two octets to each report",
+    lambda self, payload: payload + b"\xa5\x5a", doubled=True)  # fmt: skip
+payload("test-pattern", "SRP-FMT-01", "sends a test pattern of 40 octets instead of each report",
+    lambda self, payload: bytes(range(0xA0, 0xA0 + 40)))  # fmt: skip
+payload("two", "SRP-FMT-01", "sends each report twice in one payload", lambda self, payload: payload * 2, doubled=True)
 
 
 @mutant("half", "SRP-SRV-04 SRP-SRV-03", "sends only every other report")
@@ -213,11 +141,9 @@ class NextTime(Reporting):
             return self.bp.transmit_payload(prot_id, kept, now=now) if kept else None
 
 
-@mutant("ok", "SRP-SRV-01", "confirms safety data with OK while it is not registered with BP")
-class AlwaysOK(StateReporting):
-    def update_safety_data(self, *data: Any, now: int, wall: int) -> UpdateSafetyDataConfirm | None:
-        super().update_safety_data(*data, now=now, wall=wall)
-        return UpdateSafetyDataConfirm(SRPStatus.OK)
+after(StateReporting, StateReporting.update_safety_data)("ok", "SRP-SRV-01",
+    "confirms safety data with OK while it is not registered with BP",
+    lambda self, confirm, *data, now, wall: UpdateSafetyDataConfirm(SRPStatus.OK))  # fmt: skip
 
 
 @mutant("number-survives", "SRP-INI-05", "continues the sequence numbers of reports after a reset")
@@ -276,10 +202,10 @@ class OwnSender(StateReporting):
         self._node_id = node_id
 
 
-@mutant("longer", "SRP-RX-01", "accepts reports followed by further octets")
-class TakesLonger(StateReporting):
-    def handle_payload(self, payload: bytes, sender_id: bytes, *, now: int, wall: int) -> None:
-        super().handle_payload(payload[: self.record_size], sender_id, now=now, wall=wall)
+around(StateReporting, StateReporting.handle_payload)("longer", "SRP-RX-01",
+    "accepts reports followed by further octets",
+    lambda self, proceed, payload, sender_id, *, now, wall: (
+        proceed(payload[: self.record_size], sender_id, now=now, wall=wall)))  # fmt: skip
 
 
 @mutant("shorter", "SRP-RX-01", "accepts truncated reports")
@@ -305,41 +231,25 @@ class Table(NeighbourTable):
         return new if old is None else old
 
 
-@mutant("first-stays", "SRP-RX-03", "keeps the first report of a neighbour")
-class FirstStays(Table):
-    def entry(self, old: NeighbourTableEntry | None, new: NeighbourTableEntry) -> NeighbourTableEntry:
-        return new if old is None else msgspec.structs.replace(new, ext_sd=old.ext_sd)
-
-
-@mutant("time-stays", "SRP-RX-03 SRP-RUN-02", "computes the age of a neighbour from its first report")
-class TimeStays(Table):
-    def entry(self, old: NeighbourTableEntry | None, new: NeighbourTableEntry) -> NeighbourTableEntry:
-        if old is None:
-            return new
-        return msgspec.structs.replace(new, received_at=old.received_at, reception_time=old.reception_time)
-
-
-@mutant("sender", "SRP-RX-05", "uses the sender of the beacon as the key of neighbours")
-class BySender(NeighbourTable):
-    def record(
-        self, report: ExtendedSafetyData, sender_id: bytes, *, now: int, wall: int
-    ) -> Literal["new", "replaced", "full"]:
-        return super().record(msgspec.structs.replace(report, node_id=sender_id), sender_id, now=now, wall=wall)
-
-
-@mutant("one", "SRP-RX-03 SRP-NT-02", "stores only one neighbour")
-class OneNeighbour(NeighbourTable):
-    def record(
-        self, report: ExtendedSafetyData, sender_id: bytes, *, now: int, wall: int
-    ) -> Literal["new", "replaced", "full"]:
-        self._entries = {node_id: each for node_id, each in self._entries.items() if node_id == report.node_id}
-        return super().record(report, sender_id, now=now, wall=wall)
-
-
-@mutant("anybody", "SRP-NT-01", "answers a query for an unknown neighbour with another neighbour")
-class AnswersWithAnotherNeighbour(NeighbourTable):
-    def lookup(self, node_id: bytes) -> NeighbourTableEntry | None:
-        return super().lookup(node_id) or next(iter(self), None)
+# fmt: off
+entry = instead(Table, Table.entry)
+entry("first-stays", "SRP-RX-03", "keeps the first report of a neighbour",
+    lambda self, old, new: new if old is None else msgspec.structs.replace(new, ext_sd=old.ext_sd))
+entry("time-stays", "SRP-RX-03 SRP-RUN-02", "computes the age of a neighbour from its first report",
+    lambda self, old, new: (
+        new if old is None
+        else msgspec.structs.replace(new, received_at=old.received_at, reception_time=old.reception_time)))
+around(NeighbourTable, NeighbourTable.record)("sender", "SRP-RX-05",
+    "uses the sender of the beacon as the key of neighbours",
+    lambda self, proceed, report, sender_id, *, now, wall: (
+        proceed(msgspec.structs.replace(report, node_id=sender_id), sender_id, now=now, wall=wall)))
+before(NeighbourTable, NeighbourTable.record)("one", "SRP-RX-03 SRP-NT-02", "stores only one neighbour",
+    lambda self, report, sender_id, *, now, wall: (
+        assign(self, _entries={node_id: each for node_id, each in self._entries.items() if node_id == report.node_id})))
+after(NeighbourTable, NeighbourTable.lookup)("anybody", "SRP-NT-01",
+    "answers a query for an unknown neighbour with another neighbour",
+    lambda self, entry, node_id: entry or next(iter(self), None))
+# fmt: on
 
 
 @mutant("two-listed", "SRP-NT-02", "lists at most two neighbours")
@@ -348,16 +258,11 @@ class TwoListed(NeighbourTable):
         return iter(tuple(super().__iter__())[:2])
 
 
-@mutant("never", "SRP-RUN-02 SRP-RUN-01", "never removes a neighbour")
-class NeverForgets(NeighbourTable):
-    def expire(self, now: int, timeout: int) -> list[bytes]:  # noqa: ARG002 - nothing is old
-        return []
-
-
-@mutant("half", "SRP-RUN-02 SRP-PAR-01", "removes a neighbour after half of the timeout")
-class HalfTimeout(NeighbourTable):
-    def expire(self, now: int, timeout: int) -> list[bytes]:
-        return super().expire(now, timeout // 2)
+instead(NeighbourTable, NeighbourTable.expire)("never", "SRP-RUN-02 SRP-RUN-01", "never removes a neighbour",
+    lambda self, now, timeout: [])  # fmt: skip
+around(NeighbourTable, NeighbourTable.expire)("half", "SRP-RUN-02 SRP-PAR-01",
+    "removes a neighbour after half of the timeout",
+    lambda self, proceed, now, timeout: proceed(now, timeout // 2))  # fmt: skip
 
 
 @mutant("stamp", "SRP-RUN-02", "computes the age of a neighbour from the tStamp of its report")

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Literal
 
-from dcp_spec.parameters import Violation
 from dcp_spec.status import SRPStatus
 
 from dcp_codec.values import ExtendedSafetyData, SafetyData
+from dcp_selftest.mutants.family import assign, before, then
 from dcp_selftest.mutants.mutant import mutant
 from dcp_selftest.mutants.unseen import BP_ALWAYS_ACTIVE, OTHERS_ACTIVE
 from dcp_stack.srp.entity import StateReporting, UpdateSafetyDataConfirm
@@ -26,13 +26,8 @@ class StampFilter(NeighbourTable):
         return super().record(report, sender_id, now=now, wall=wall)
 
 
-@mutant("four", "SRP-RX-03 SRP-NT-02", "stores at most four neighbours")
-class CapacityFour(NeighbourTable):
-    def record(
-        self, report: ExtendedSafetyData, sender_id: bytes, *, now: int, wall: int
-    ) -> Literal["new", "replaced", "full"]:
-        self.capacity = 4
-        return super().record(report, sender_id, now=now, wall=wall)
+before(NeighbourTable, NeighbourTable.record)("four", "SRP-RX-03 SRP-NT-02", "stores at most four neighbours",
+    lambda self, report, sender_id, *, now, wall: assign(self, capacity=4))  # fmt: skip
 
 
 @mutant("bp-inactive", "SRP-SRV-01 SRP-SRV-03", "answers INACTIVE while BP is deactivated", unseen=BP_ALWAYS_ACTIVE)
@@ -47,11 +42,9 @@ class InactiveWithBP(StateReporting):
         return super().update_safety_data(data, now=now, wall=wall)
 
 
-@mutant("postponed", "SRP-RUN-01 SRP-RUN-02", "starts a new interval between traversals with each report")
-class Postponed(StateReporting):
-    def handle_payload(self, payload: bytes, sender_id: bytes, *, now: int, wall: int) -> None:
-        super().handle_payload(payload, sender_id, now=now, wall=wall)
-        self._traversed = now
+then(StateReporting, StateReporting.handle_payload)("postponed", "SRP-RUN-01 SRP-RUN-02",
+    "starts a new interval between traversals with each report",
+    lambda self, result, payload, sender_id, *, now, wall: assign(self, _traversed=now))  # fmt: skip
 
 
 @mutant(
@@ -64,7 +57,7 @@ class OnTheSide(StateReporting):
     def poll_timeout(self) -> int | None:
         return None
 
-    def handle_timeout(self, now: int, wall: int) -> None:  # noqa: ARG002 - the same call
+    def handle_timeout(self, now: int, wall: int) -> None:
         self._table.expire(now, self._timeout)
 
 
@@ -77,10 +70,6 @@ class StumblesOverNothing(StateReporting):
         return super().neighbours
 
 
-@mutant("takes-anyway", "SRP-PAR-01", "uses a timeout that it has rejected")
-class TakesAnyway(StateReporting):
-    def set_parameter(self, name: str, value: object) -> Violation | None:
-        violation = super().set_parameter(name, value)
-        if violation is not None and isinstance(value, int):
-            self._timeout_ms = value
-        return violation
+then(StateReporting, StateReporting.set_parameter)("takes-anyway", "SRP-PAR-01", "uses a timeout that it has rejected",
+    lambda self, violation, name, value: (
+        assign(self, _timeout_ms=value) if violation is not None and isinstance(value, int) else None))  # fmt: skip

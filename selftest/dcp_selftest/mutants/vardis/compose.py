@@ -7,13 +7,9 @@ from typing import Any, ClassVar
 
 from dcp_spec.constants import BP_PROTID_VARDIS, ICType, SpecVersion
 
-from dcp_codec.values import (
-    Container,
-    VarReqCreate,
-    VarReqUpdate,
-    VarSumm,
-)
+from dcp_codec.values import Container, VarReqCreate, VarReqUpdate, VarSumm
 from dcp_selftest.mutants.air import Air
+from dcp_selftest.mutants.family import after, around, attributes, instead
 from dcp_selftest.mutants.mutant import mutant
 from dcp_stack.vardis.compose import Composer
 from dcp_stack.vardis.database import IdQueue
@@ -50,12 +46,13 @@ class SummariesUnlimited(Composer):
         return chosen, self._sizes.ic_header + len(chosen) * self._sizes.var_summ
 
 
-@mutant("zero-is-all", "VD-CMP-01 VD-PAR-06", "sends all summaries when VARDISPAR_MAX_SUMMARIES is 0")
-class ZeroIsAll(SummariesUnlimited):
-    def _fitting(self, kind: ContainerType, queue: IdQueue, room: int, largest: int) -> tuple[list[int], int]:
-        if kind is S and not self._parameters.max_summaries:
-            return super()._fitting(kind, queue, room, largest)
-        return Composer._fitting(self, kind, queue, room, largest)
+# fmt: off
+around(SummariesUnlimited, SummariesUnlimited._fitting)("zero-is-all", "VD-CMP-01 VD-PAR-06",
+    "sends all summaries when VARDISPAR_MAX_SUMMARIES is 0",
+    lambda self, proceed, kind, queue, room, largest: (
+        proceed(kind, queue, room, largest)
+        if kind is S and not self._parameters.max_summaries else Composer._fitting(self, kind, queue, room, largest)))
+# fmt: on
 
 
 @mutant("stays", "VD-CMP-03", "summarises the same variables in every payload")
@@ -90,24 +87,13 @@ class Ordered(Composer):
         self._order = tuple((kind, self._queues[kind]) for kind in self.order)
 
 
-@mutant("reversed", "VD-PAY-01", "composes containers in the reverse order")
-class Reversed(Ordered):
-    order = (RU, U, S, RC, D, C)
-
-
-@mutant("updates-early", "VD-PAY-01", "composes updates before summaries, as 1.0 did", since=SpecVersion.V1_1)
-class UpdatesEarly(Ordered):
-    order = (C, D, U, S, RC, RU)
-
-
-@mutant("requests-late", "VD-PAY-01", "composes requests for variables after summaries", since=SpecVersion.V1_1)
-class RequestsLate(Ordered):
-    order = (C, D, S, RC, U, RU)
-
-
-@mutant("later-order", "VD-PAY-07", "composes containers in the order of later versions")
-class LaterOrder(Ordered):
-    """The inherited order is that of later versions."""
+ordered = attributes(Ordered, __name__)
+ordered("reversed", "VD-PAY-01", "composes containers in the reverse order", order=(RU, U, S, RC, D, C))
+ordered("updates-early", "VD-PAY-01", "composes updates before summaries, as 1.0 did",
+    since=SpecVersion.V1_1, order=(C, D, U, S, RC, RU))  # fmt: skip
+ordered("requests-late", "VD-PAY-01", "composes requests for variables after summaries",
+    since=SpecVersion.V1_1, order=(C, D, S, RC, U, RU))  # fmt: skip
+ordered("later-order", "VD-PAY-07", "composes containers in the order of later versions")
 
 
 @mutant("summaries-missing", "VD-PAY-01 VD-PAY-02", "sends no summaries while it has VarCreates to send")
@@ -130,33 +116,19 @@ class Fitting(Composer):
         size = sum(self._record_size(kind, each) for each in chosen)
         return chosen, size + self._sizes.ic_header * (-(-len(chosen) // 255))
 
-    def chosen(self, chosen: list[int], kind: ContainerType) -> list[int]:  # noqa: ARG002 - used by overrides
+    def chosen(self, chosen: list[int], kind: ContainerType) -> list[int]:
         """Return the variables whose records are sent."""
         return chosen
 
 
-@mutant("one-record", "VD-PAY-02", "sends only one record in each container")
-class OneRecord(Fitting):
-    def chosen(self, chosen: list[int], kind: ContainerType) -> list[int]:  # noqa: ARG002 - as above
-        return chosen[:1]
-
-
-@mutant("five-records", "VD-PAY-02", "sends at most five records in each container")
-class FiveRecords(Fitting):
-    def chosen(self, chosen: list[int], kind: ContainerType) -> list[int]:
-        return chosen if kind is S else chosen[:5]
-
-
-@mutant("one-request", "VD-PAY-02", "sends one request of each type in a payload")
-class OneRequest(Fitting):
-    def chosen(self, chosen: list[int], kind: ContainerType) -> list[int]:
-        return chosen[:1] if kind in (RC, RU) else chosen
-
-
-@mutant("sorted", "VD-PAY-06", "sends records in the order of their identifiers")
-class SortedRecords(Fitting):
-    def chosen(self, chosen: list[int], kind: ContainerType) -> list[int]:  # noqa: ARG002 - as above
-        return sorted(chosen, reverse=True)
+chosen = instead(Fitting, Fitting.chosen)
+chosen("one-record", "VD-PAY-02", "sends only one record in each container", lambda self, chosen, kind: chosen[:1])
+chosen("five-records", "VD-PAY-02", "sends at most five records in each container",
+    lambda self, chosen, kind: chosen if kind is S else chosen[:5])  # fmt: skip
+chosen("one-request", "VD-PAY-02", "sends one request of each type in a payload",
+    lambda self, chosen, kind: chosen[:1] if kind in (RC, RU) else chosen)  # fmt: skip
+chosen("sorted", "VD-PAY-06", "sends records in the order of their identifiers",
+    lambda self, chosen, kind: sorted(chosen, reverse=True))  # fmt: skip
 
 
 @mutant("skips", "VD-PAY-06 VD-CMP-08", "continues with the next record after one that does not fit")
@@ -174,18 +146,14 @@ class Skips(Composer):
         return chosen, used if chosen else 0
 
 
-@mutant("stops", "VD-CMP-08", "sends no further container after one whose first record does not fit")
-class Stops(Composer):
-    def _fitting(self, kind: ContainerType, queue: IdQueue, room: int, largest: int) -> tuple[list[int], int]:
-        chosen, used = super()._fitting(kind, queue, room, largest)
-        return (chosen, used) if chosen or kind is S else (chosen, room)
-
-
-@mutant("doubled", "VD-PAY-03", "sends each record twice in a container if there is room")
-class Doubled(Composer):
-    def compose(self, room: int) -> tuple[Container, ...]:
-        composed = super().compose(room // 2)
-        return tuple(Container(each.ic_type, (*each.records, *each.records)[:255]) for each in composed)
+# fmt: off
+after(Composer, Composer._fitting)("stops", "VD-CMP-08",
+    "sends no further container after one whose first record does not fit",
+    lambda self, fitting, kind, queue, room, largest: fitting if fitting[0] or kind is S else (fitting[0], room))
+around(Composer, Composer.compose)("doubled", "VD-PAY-03", "sends each record twice in a container if there is room",
+    lambda self, proceed, room: (
+        tuple(Container(each.ic_type, (*each.records, *each.records)[:255]) for each in proceed(room // 2))))
+# fmt: on
 
 
 @mutant("too-large", "VD-IC-05", "ignores the headers of containers when it fills a payload")
@@ -197,47 +165,37 @@ class TooLarge(Composer):
         return composed
 
 
-@mutant(
-    "parameter",
-    "VD-IC-05 VD-PAR-05",
-    "fills payloads to the size registered with BP, whatever the value of VARDISPAR_MAX_PAYLOAD_SIZE",
-)
-class RegisteredSize(Vardis):
-    def _generate(self, now: int, wall: int) -> None:  # noqa: ARG002 - the same call
-        if not self.active:
-            return
-        containers = self._composer.compose(self._registered_size)
+class Generates(Vardis):
+    """Changes the octets of payloads."""
+
+    spared: ClassVar[int] = 0
+    """Octets of the registered size that containers do not use."""
+
+    def _generate(self, now: int, wall: int) -> None:
+        containers = self._composer.compose(self._registered_size - self.spared) if self.active else ()
         if containers:
-            self._bp.transmit_payload(BP_PROTID_VARDIS, self._core.config.codec.encode_containers(containers), now=now)
+            self._bp.transmit_payload(BP_PROTID_VARDIS, self.payload(containers), now=now)
+
+    def payload(self, containers: tuple[Container, ...]) -> bytes:
+        """Return the octets of the payload."""
+        return self._core.config.codec.encode_containers(containers)
 
 
-@mutant("empty", "VD-IC-03", "sends an empty container for every type without records")
-class EmptyContainers(Vardis):
-    def _generate(self, now: int, wall: int) -> None:  # noqa: ARG002 - the same call
-        if not self.active:
-            return
-        containers = self._composer.compose(self._registered_size - 12)
-        if containers:
-            there = {each.ic_type for each in containers}
-            empty = b"".join(bytes([kind, 0]) for kind in range(1, 7) if kind not in there)
-            payload = self._core.config.codec.encode_containers(containers) + empty
-            self._bp.transmit_payload(BP_PROTID_VARDIS, payload, now=now)
-
-
-@mutant("unknown-behind", "VD-IC-02", "ends every payload with a container of an unknown type")
-class OwnContainer(Vardis):
-    def _generate(self, now: int, wall: int) -> None:  # noqa: ARG002 - the same call
-        if not self.active:
-            return
-        containers = self._composer.compose(self._registered_size - 4)
-        if containers:
-            payload = self._core.config.codec.encode_containers(containers) + b"\x77\x01\x05\x06"
-            self._bp.transmit_payload(BP_PROTID_VARDIS, payload, now=now)
+# fmt: off
+attributes(Generates, __name__)("parameter", "VD-IC-05 VD-PAR-05",
+    "fills payloads to the size registered with BP, whatever the value of VARDISPAR_MAX_PAYLOAD_SIZE")
+payload = after(Generates, Generates.payload)
+payload("empty", "VD-IC-03", "sends an empty container for every type without records",
+    lambda self, octets, containers: octets + b"".join(
+        bytes([kind, 0]) for kind in range(1, 7) if kind not in {each.ic_type for each in containers}), spared=12)
+payload("unknown-behind", "VD-IC-02", "ends every payload with a container of an unknown type",
+    lambda self, octets, containers: octets + b"\x77\x01\x05\x06", spared=4)
+# fmt: on
 
 
 @mutant("types-exchanged", "VD-IC-02", "exchanges the numbers of CREATE-VARIABLES and DELETE-VARIABLES")
 class TypesExchanged(Vardis):
-    def _generate(self, now: int, wall: int) -> None:  # noqa: ARG002 - the same call
+    def _generate(self, now: int, wall: int) -> None:
         if not self.active:
             return
         containers = self._composer.compose(min(self._parameters.max_payload_size, self._registered_size))

@@ -8,6 +8,7 @@ import msgspec
 from dcp_spec.status import VardisStatus
 
 from dcp_codec.values import VarSpec
+from dcp_selftest.mutants.family import after, attributes, instead
 from dcp_selftest.mutants.mutant import mutant
 from dcp_selftest.mutants.unseen import NO_TIMES
 from dcp_stack.vardis.confirms import DescribeDatabaseConfirm, DescribeVariableConfirm, ReadConfirm
@@ -62,16 +63,14 @@ def _others(
 
 _SPEC = {"prod_id": b"\2\0\0\0\0\x78", "rep_cnt": 0, "descr": b"", "creation_time": 0, "timeout": 0}
 _ENTRY = {"value": b"", "seqno": 255, "count_update": 255, "count_create": 255, "count_delete": 255}
+
+
 globals().update(
     _others(OtherList, "VD-DDB-02", "RTDB-DescribeDatabase", _SPEC)
     | _others(OtherEntry, "VD-DVA-03", "RTDB-DescribeVariable", _SPEC | _ENTRY | {"t_stamp": 0, "is_deleted": False})
-)
-
-
-@mutant("alive-deleted", "VD-DVA-03 VD-DB-02", "returns isDeleted true for every variable")
-class AliveDeleted(OtherEntry):
-    field = "is_deleted"
-    value = True
+)  # fmt: skip
+attributes(OtherEntry, __name__)("alive-deleted", "VD-DVA-03 VD-DB-02", "returns isDeleted true for every variable",
+    field="is_deleted", value=True)  # fmt: skip
 
 
 @mutant(
@@ -95,14 +94,11 @@ class CreationStamp(Vardis):
         return msgspec.structs.replace(confirm, entry=msgspec.structs.replace(confirm.entry, t_stamp=first))
 
 
-@mutant("value-with-error", "VD-SRV-03 VD-REA-03", "returns a value with every status of RTDB-Read other than OK")
-class ReadsValueAlways(Vardis):
-    def read(self, var_id: int) -> ReadConfirm:
-        confirm = super().read(var_id)
-        return confirm if confirm.status.is_ok else ReadConfirm(confirm.status, b"-", 0)
-
-
-@mutant("inactive", "VD-DDB-02", "answers RTDB-DescribeDatabase with INACTIVE although it is active")
-class DescribesNothing(Vardis):
-    def describe_database(self) -> DescribeDatabaseConfirm:
-        return DescribeDatabaseConfirm(VardisStatus.INACTIVE)
+# fmt: off
+after(Vardis, Vardis.read)("value-with-error", "VD-SRV-03 VD-REA-03",
+    "returns a value with every status of RTDB-Read other than OK",
+    lambda self, confirm, var_id: confirm if confirm.status.is_ok else ReadConfirm(confirm.status, b"-", 0))
+instead(Vardis, Vardis.describe_database)("inactive", "VD-DDB-02",
+    "answers RTDB-DescribeDatabase with INACTIVE although it is active",
+    lambda self: DescribeDatabaseConfirm(VardisStatus.INACTIVE))
+# fmt: on

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, ClassVar
 
-from dcp_selftest.mutants.mutant import mutant
+from dcp_selftest.mutants.family import attributes
 from dcp_stack.readings import ReceiveErrors
 from dcp_stack.vardis.wire import Extractor
 
@@ -19,16 +19,8 @@ class OtherPolicy(Extractor):
         self._policy = self.policy
 
 
-@mutant("payload", "VD-RX-10", "drops the whole payload because of one invalid container")
-class DropsPayload(OtherPolicy):
-    policy = "drop-payload"
-
-
-@mutant("payload", "VD-RX-11", "also drops the containers before the invalid one")
-class DropsAll(OtherPolicy):
-    policy = "drop-payload"
-
-
-@mutant("goes-on", "VD-RX-11", "continues with the container after an invalid one, as in 1.0")
-class ContinuesAfterError(OtherPolicy):
-    policy = "skip-container"
+other_policy = attributes(OtherPolicy, __name__)
+other_policy("payload", "VD-RX-10", "drops the whole payload because of one invalid container", policy="drop-payload")
+other_policy("payload", "VD-RX-11", "also drops the containers before the invalid one", policy="drop-payload")
+other_policy("goes-on", "VD-RX-11", "continues with the container after an invalid one, as in 1.0",
+    policy="skip-container")  # fmt: skip

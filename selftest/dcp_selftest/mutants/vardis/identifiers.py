@@ -6,8 +6,8 @@ from typing import Any, ClassVar
 
 from dcp_spec.status import VardisStatus
 
-from dcp_codec.values import VarCreate, VarSumm, VarUpdate
-from dcp_selftest.mutants.mutant import mutant
+from dcp_codec.values import VarCreate
+from dcp_selftest.mutants.family import attributes, skips
 from dcp_stack.vardis.confirms import Confirm
 from dcp_stack.vardis.entity import Vardis
 from dcp_stack.vardis.receive import Receiver
@@ -23,33 +23,20 @@ class IgnoresSome(Receiver):
             super()._create(record, offset, now, wall)
 
 
-@mutant("zero", "VD-TYP-01 VD-PC-09", "treats the identifier 0 of a received variable as none")
-class IgnoresZero(IgnoresSome):
-    ignored = range(1)
-
-
-@mutant("highest", "VD-TYP-01 VD-PC-09", "cannot store a received variable with the identifier 255")
-class IgnoresHighest(IgnoresSome):
-    ignored = range(255, 256)
-
-
-@mutant("signed", "VD-TYP-01 VD-PC-09", "decodes identifiers of received variables as signed")
-class IgnoresUpperHalf(IgnoresSome):
-    ignored = range(128, 256)
-
-
-@mutant("no-request-for-zero", "VD-PS-01 VD-TYP-01", "does not request the unknown variable with the identifier 0")
-class RequestsNotZero(Receiver):
-    def _summary(self, record: VarSumm, offset: int) -> None:
-        if record.var_id or self._database.lookup(0) is not None:
-            super()._summary(record, offset)
-
-
-@mutant("no-update-of-highest", "VD-PU-07 VD-TYP-01", "ignores updates of the variable with the identifier 255")
-class UpdatesNotHighest(Receiver):
-    def _update(self, record: VarUpdate, offset: int, now: int, wall: int) -> None:
-        if record.var_id != 255:
-            super()._update(record, offset, now, wall)
+# fmt: off
+ignores_some = attributes(IgnoresSome, __name__)
+ignores_some("zero", "VD-TYP-01 VD-PC-09", "treats the identifier 0 of a received variable as none", ignored=range(1))
+ignores_some("highest", "VD-TYP-01 VD-PC-09", "cannot store a received variable with the identifier 255",
+    ignored=range(255, 256))
+ignores_some("signed", "VD-TYP-01 VD-PC-09", "decodes identifiers of received variables as signed",
+    ignored=range(128, 256))
+skips(Receiver, Receiver._summary)("no-request-for-zero", "VD-PS-01 VD-TYP-01",
+    "does not request the unknown variable with the identifier 0",
+    lambda self, record, offset: not (record.var_id or self._database.lookup(0) is not None))
+skips(Receiver, Receiver._update)("no-update-of-highest", "VD-PU-07 VD-TYP-01",
+    "ignores updates of the variable with the identifier 255",
+    lambda self, record, offset, now, wall: record.var_id == 255)
+# fmt: on
 
 
 class RefusesSome(Vardis):
@@ -63,16 +50,9 @@ class RefusesSome(Vardis):
         return super().create(var_id, *args, **params)
 
 
-@mutant("own-zero", "VD-TYP-01 VD-CRE-14", "rejects RTDB-Create with the identifier 0")
-class RefusesZero(RefusesSome):
-    refused = range(1)
-
-
-@mutant("own-highest", "VD-TYP-01 VD-CRE-14", "rejects RTDB-Create with the identifier 255")
-class RefusesHighest(RefusesSome):
-    refused = range(255, 256)
-
-
-@mutant("own-signed", "VD-TYP-01 VD-CRE-14", "rejects RTDB-Create with identifiers above 127")
-class RefusesUpperHalf(RefusesSome):
-    refused = range(128, 256)
+refuses_some = attributes(RefusesSome, __name__)
+refuses_some("own-zero", "VD-TYP-01 VD-CRE-14", "rejects RTDB-Create with the identifier 0", refused=range(1))
+refuses_some("own-highest", "VD-TYP-01 VD-CRE-14", "rejects RTDB-Create with the identifier 255",
+    refused=range(255, 256))  # fmt: skip
+refuses_some("own-signed", "VD-TYP-01 VD-CRE-14", "rejects RTDB-Create with identifiers above 127",
+    refused=range(128, 256))  # fmt: skip

@@ -121,4 +121,4 @@ globals().update(
     | _pairs("delete", "VD-DEL-07", INACTIVE, UNKNOWN, NOT_PRODUCER, DELETED)
     | _pairs("read", "VD-REA-05", INACTIVE, UNKNOWN, DELETED)
     | _pairs("describe", "VD-DVA-01", INACTIVE, UNKNOWN)
-)
+)  # fmt: skip

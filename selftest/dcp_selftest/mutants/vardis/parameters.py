@@ -8,6 +8,7 @@ import msgspec
 from dcp_spec.constants import SpecVersion
 from dcp_spec.parameters import Violation
 
+from dcp_selftest.mutants.family import after, around, attributes
 from dcp_selftest.mutants.mutant import mutant
 from dcp_stack.config import NodeConfig
 from dcp_stack.vardis.entity import Vardis
@@ -40,113 +41,41 @@ class Unbound(VardisParameters):
         return violation
 
 
-@mutant("zero", "VD-PAR-02", "accepts 0 as the maximum length of values")
-class ValueZero(Unbound):
-    name = VALUE_LENGTH
-    wrong = range(1)
-
-
-@mutant("no-bound", "VD-PAR-02", "accepts a maximum length of values that does not fit into a payload")
-class ValueUnbound(Unbound):
-    name = VALUE_LENGTH
-
-
-@mutant("zero", "VD-PAR-03", "accepts 0 as the maximum length of descriptions")
-class DescriptionZero(Unbound):
-    name = DESCRIPTION_LENGTH
-    wrong = range(1)
-
-
-@mutant("no-bound", "VD-PAR-03", "accepts a maximum length of descriptions that does not fit into a payload")
-class DescriptionUnbound(Unbound):
-    name = DESCRIPTION_LENGTH
-
-
-@mutant("zero", "VD-PAR-04", "accepts 0 as the maximum repetition count", unseen={"1.1": "in 1.1 this is VD-PAR-10"})
-class RepetitionsZero(Unbound):
-    name = REPETITIONS
-    wrong = range(1)
-
-
-@mutant("sixteen", "VD-PAR-04", "accepts maximum repetition counts up to 255", unseen={"1.1": "1.1 has no upper limit"})
-class RepetitionsUnbound(Unbound):
-    name = REPETITIONS
-    wrong = range(16, 256)
-
-
-@mutant("fifteen", "VD-PAR-10", "accepts no maximum repetition count above 15, as in all other versions")
-class RepetitionsBound(VardisParameters):
-    def set(self, name: str, value: object) -> Violation | None:
-        if name == REPETITIONS and isinstance(value, int) and value > 15:
-            return super().set(name, 0)
-        return super().set(name, value)
-
-
-@mutant("zero", "VD-PAR-10", "accepts 0 as the maximum repetition count")
-class RepetitionsZeroToo(RepetitionsZero):
-    """In 1.1, the inherited fault violates this requirement."""
-
-
-@mutant("zero", "VD-PAR-05", "accepts 0 as the maximum payload size")
-class PayloadZero(Unbound):
-    name = PAYLOAD_SIZE
-    wrong = range(1)
-
-    @property
-    def max_payload_size(self) -> int:
-        return super().max_payload_size or 1000
-
-
-@mutant("no-bound", "VD-PAR-05", "accepts a maximum payload size that does not fit into a beacon")
-class PayloadUnbound(Unbound):
-    name = PAYLOAD_SIZE
-
-    @property
-    def max_payload_size(self) -> int:
-        return min(super().max_payload_size, 1000)
-
-
-@mutant("no-bound", "VD-PAR-06", "accepts a maximum number of summaries that does not fit into a payload")
-class SummariesUnbound(Unbound):
-    name = SUMMARIES
-
-
-@mutant("no-zero", "VD-PAR-06", "rejects 0 as the maximum number of summaries")
-class SummariesNoZero(VardisParameters):
-    def set(self, name: str, value: object) -> Violation | None:
-        if name == SUMMARIES and value == 0:
-            return Violation(parameter=name, value=value, bound="at least 1", requirement="VD-PAR-06")
-        return super().set(name, value)
-
-
-@mutant("zero", "VD-PAR-07", "accepts a scrubbing period of 0 ms", since=V2)
-class ScrubbingZero(Unbound):
-    name = SCRUBBING_PERIOD
-    wrong = range(1)
-
-    @property
-    def scrubbing_period_ms(self) -> int:
-        return super().scrubbing_period_ms or 1000
-
-
-@mutant("no-bound", "VD-PAR-07", "accepts a scrubbing period above 65000 ms", since=V2)
-class ScrubbingUnbound(Unbound):
-    name = SCRUBBING_PERIOD
-
-
-@mutant("no-bound", "VD-PAR-08", "accepts a buffer check period above 65000 ms")
-class CheckUnbound(Unbound):
-    name = BUFFER_CHECK_PERIOD
-
-
-@mutant("zero", "VD-PAR-08", "accepts a buffer check period of 0 ms")
-class CheckZero(Unbound):
-    name = BUFFER_CHECK_PERIOD
-    wrong = range(1)
-
-    @property
-    def buffer_check_period_ms(self) -> int:
-        return super().buffer_check_period_ms or 50
+# fmt: off
+unbound = attributes(Unbound, __name__)
+unbound("zero", "VD-PAR-02", "accepts 0 as the maximum length of values", name=VALUE_LENGTH, wrong=range(1))
+unbound("no-bound", "VD-PAR-02", "accepts a maximum length of values that does not fit into a payload",
+    name=VALUE_LENGTH)
+unbound("zero", "VD-PAR-03", "accepts 0 as the maximum length of descriptions", name=DESCRIPTION_LENGTH, wrong=range(1))
+unbound("no-bound", "VD-PAR-03", "accepts a maximum length of descriptions that does not fit into a payload",
+    name=DESCRIPTION_LENGTH)
+unbound("zero", "VD-PAR-04", "accepts 0 as the maximum repetition count",
+    unseen={"1.1": "in 1.1 this is VD-PAR-10"}, name=REPETITIONS, wrong=range(1))
+unbound("sixteen", "VD-PAR-04", "accepts maximum repetition counts up to 255",
+    unseen={"1.1": "1.1 has no upper limit"}, name=REPETITIONS, wrong=range(16, 256))
+around_set = around(VardisParameters, VardisParameters.set)
+around_set("fifteen", "VD-PAR-10", "accepts no maximum repetition count above 15, as in all other versions",
+    lambda self, proceed, name, value: (
+        proceed(name, 0) if name == REPETITIONS and isinstance(value, int) and value > 15 else proceed(name, value)))
+unbound("zero", "VD-PAR-10", "accepts 0 as the maximum repetition count", name=REPETITIONS, wrong=range(1))
+after_max_payload_size = after(Unbound, Unbound.max_payload_size)
+after_max_payload_size("zero", "VD-PAR-05", "accepts 0 as the maximum payload size",
+    lambda self, size: size or 1000, name=PAYLOAD_SIZE, wrong=range(1))
+after_max_payload_size("no-bound", "VD-PAR-05", "accepts a maximum payload size that does not fit into a beacon",
+    lambda self, size: min(size, 1000), name=PAYLOAD_SIZE)
+unbound("no-bound", "VD-PAR-06", "accepts a maximum number of summaries that does not fit into a payload",
+    name=SUMMARIES)
+around_set("no-zero", "VD-PAR-06", "rejects 0 as the maximum number of summaries",
+    lambda self, proceed, name, value: (
+        Violation(parameter=name, value=value, bound="at least 1", requirement="VD-PAR-06")
+        if name == SUMMARIES and value == 0 else proceed(name, value)))
+after(Unbound, Unbound.scrubbing_period_ms)("zero", "VD-PAR-07", "accepts a scrubbing period of 0 ms",
+    lambda self, period: period or 1000, since=V2, name=SCRUBBING_PERIOD, wrong=range(1))
+unbound("no-bound", "VD-PAR-07", "accepts a scrubbing period above 65000 ms", since=V2, name=SCRUBBING_PERIOD)
+unbound("no-bound", "VD-PAR-08", "accepts a buffer check period above 65000 ms", name=BUFFER_CHECK_PERIOD)
+after(Unbound, Unbound.buffer_check_period_ms)("zero", "VD-PAR-08", "accepts a buffer check period of 0 ms",
+    lambda self, period: period or 50, name=BUFFER_CHECK_PERIOD, wrong=range(1))
+# fmt: on
 
 
 @mutant("forgets", "VD-PAR-01", "keeps using the initial values of parameters")
@@ -184,10 +113,11 @@ class Retroactive(Vardis):
         return violation
 
 
-@mutant("check-period-fixed", "VD-PAR-09 VD-PAR-08", "has no VARDISPAR_BUFFER_CHECK_PERIOD that can be read or set")
-class NoCheckPeriod(VardisParameters):
-    def as_dict(self) -> dict[str, int]:
-        return {name: value for name, value in super().as_dict().items() if name != "VARDISPAR_BUFFER_CHECK_PERIOD"}
+# fmt: off
+around(VardisParameters, VardisParameters.as_dict)("check-period-fixed", "VD-PAR-09 VD-PAR-08",
+    "has no VARDISPAR_BUFFER_CHECK_PERIOD that can be read or set",
+    lambda self, proceed: {name: value for name, value in proceed().items() if name != "VARDISPAR_BUFFER_CHECK_PERIOD"})
+# fmt: on
 
 
 @mutant(

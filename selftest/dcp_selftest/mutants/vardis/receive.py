@@ -9,7 +9,8 @@ from typing import Any, ClassVar
 from dcp_spec.constants import ICType, SpecVersion
 
 from dcp_codec.errors import DecodeError
-from dcp_codec.values import Container, VarCreate
+from dcp_codec.values import Container
+from dcp_selftest.mutants.family import attributes, before, instead
 from dcp_selftest.mutants.mutant import mutant
 from dcp_stack.vardis.receive import Receiver
 from dcp_stack.vardis.wire import Extracted, Extractor, Records
@@ -38,16 +39,11 @@ class Containers(Extractor):
         return containers
 
 
-@mutant("first-half", "VD-RX-04", "processes only the first half of the containers of a payload")
-class FirstHalf(Containers):
-    def chosen(self, containers: tuple[Container, ...]) -> tuple[Container, ...]:
-        return containers[: (len(containers) + 1) // 2]
-
-
-@mutant("first-only", "VD-RX-04 VD-RX-03", "processes only the first container of a payload")
-class FirstContainer(Containers):
-    def chosen(self, containers: tuple[Container, ...]) -> tuple[Container, ...]:
-        return containers[:1]
+chosen = instead(Containers, Containers.chosen)
+chosen("first-half", "VD-RX-04", "processes only the first half of the containers of a payload",
+    lambda self, containers: containers[: (len(containers) + 1) // 2])  # fmt: skip
+chosen("first-only", "VD-RX-04 VD-RX-03", "processes only the first container of a payload",
+    lambda self, containers: containers[:1])  # fmt: skip
 
 
 @mutant("octets", "VD-RX-04", "processes only containers that start in the first half of the octets of a payload")
@@ -69,22 +65,16 @@ class LastOctets(Extractor):
         return Extracted(records, found.problems)
 
 
-@mutant("same-type-ignored", "VD-RX-03", "ignores a second container of a type", since=SpecVersion.V1_1)
-class SameTypeIgnored(Containers):
-    def chosen(self, containers: tuple[Container, ...]) -> tuple[Container, ...]:
-        return tuple({each.ic_type: each for each in reversed(containers)}.values())[::-1]
-
-
-@mutant("last-of-type", "VD-RX-03", "processes only the last container of a type", since=SpecVersion.V1_1)
-class LastOfType(Containers):
-    def chosen(self, containers: tuple[Container, ...]) -> tuple[Container, ...]:
-        return tuple({each.ic_type: each for each in containers}.values())
-
-
-@mutant("adjacent-merged", "VD-RX-03", "treats two adjacent containers of a type as one", since=SpecVersion.V1_1)
-class AdjacentIgnored(Containers):
-    def chosen(self, containers: tuple[Container, ...]) -> tuple[Container, ...]:
-        return containers[:1] + tuple(b for a, b in pairwise(containers) if a.ic_type != b.ic_type)
+# fmt: off
+chosen("same-type-ignored", "VD-RX-03", "ignores a second container of a type",
+    lambda self, containers: tuple({each.ic_type: each for each in reversed(containers)}.values())[::-1],
+    since=SpecVersion.V1_1)
+chosen("last-of-type", "VD-RX-03", "processes only the last container of a type",
+    lambda self, containers: tuple({each.ic_type: each for each in containers}.values()), since=SpecVersion.V1_1)
+chosen("adjacent-merged", "VD-RX-03", "treats two adjacent containers of a type as one",
+    lambda self, containers: containers[:1] + tuple(b for a, b in pairwise(containers) if a.ic_type != b.ic_type),
+    since=SpecVersion.V1_1)
+# fmt: on
 
 
 @mutant("sending-order", "VD-RX-02", "ignores containers that do not follow the order of composing")
@@ -99,22 +89,14 @@ class SendingOrder(Containers):
         return tuple(taken)
 
 
-@mutant("first-record", "VD-RX-09 VD-IC-01", "processes only the first record of a container")
-class FirstRecord(Containers):
-    def chosen(self, containers: tuple[Container, ...]) -> tuple[Container, ...]:
-        return tuple(Container(each.ic_type, each.records[:1], each.extra) for each in containers)
-
-
-@mutant("backwards", "VD-RX-09", "processes the records of a container in reverse order")
-class Backwards(Containers):
-    def chosen(self, containers: tuple[Container, ...]) -> tuple[Container, ...]:
-        return tuple(Container(each.ic_type, each.records[::-1], each.extra) for each in containers)
-
-
-@mutant("signed-count", "VD-RX-09 VD-PAY-05 VD-IC-01", "treats icNumRecords above 127 as negative")
-class SignedCount(Containers):
-    def chosen(self, containers: tuple[Container, ...]) -> tuple[Container, ...]:
-        return tuple(each for each in containers if len(each.records) < 128)
+# fmt: off
+chosen("first-record", "VD-RX-09 VD-IC-01", "processes only the first record of a container",
+    lambda self, containers: tuple(Container(each.ic_type, each.records[:1], each.extra) for each in containers))
+chosen("backwards", "VD-RX-09", "processes the records of a container in reverse order",
+    lambda self, containers: tuple(Container(each.ic_type, each.records[::-1], each.extra) for each in containers))
+chosen("signed-count", "VD-RX-09 VD-PAY-05 VD-IC-01", "treats icNumRecords above 127 as negative",
+    lambda self, containers: tuple(each for each in containers if len(each.records) < 128))
+# fmt: on
 
 
 class Fragile(Extractor):
@@ -130,14 +112,9 @@ class Fragile(Extractor):
         return found
 
 
-@mutant("dies-of-type", "VD-ROB-01 VD-RX-05", "crashes on an unknown container type")
-class CrashesOnType(Fragile):
-    reasons = ("unknown-type",)
-
-
-@mutant("dies-of-zero", "VD-ROB-01 VD-RX-06", "crashes on a container without records")
-class CrashesOnZero(Fragile):
-    reasons = ("zero-count",)
+fragile = attributes(Fragile, __name__)
+fragile("dies-of-type", "VD-ROB-01 VD-RX-05", "crashes on an unknown container type", reasons=("unknown-type",))
+fragile("dies-of-zero", "VD-ROB-01 VD-RX-06", "crashes on a container without records", reasons=("zero-count",))
 
 
 @mutant("dies-of-end", "VD-ROB-01 VD-RX-07", "crashes on a truncated record")
@@ -149,11 +126,8 @@ class CrashesOnEnd(Extractor):
         return found
 
 
-@mutant("dies-of-text", "VD-ROB-01", "crashes on a description that is not UTF-8")
-class CrashesOnText(Receiver):
-    def _create(self, record: VarCreate, offset: int, now: int, wall: int) -> None:
-        record.spec.descr.decode()
-        super()._create(record, offset, now, wall)
+before(Receiver, Receiver._create)("dies-of-text", "VD-ROB-01", "crashes on a description that is not UTF-8",
+    lambda self, record, offset, now, wall: record.spec.descr.decode())  # fmt: skip
 
 
 @mutant("mute", "VD-ROB-01", "ignores all payloads after ten payloads with an error")
@@ -204,21 +178,8 @@ class PayloadOrder(Receiver):
             super().process(Extracted(records), now=now, wall=wall)
 
 
-@mutant("updates-first", "VD-RX-08 VD-RX-01", "processes VarUpdates before VarCreates")
-class UpdatesFirst(Order):
-    order = (U, C, D, S, RC, RU)
-
-
-@mutant("deletes-first", "VD-RX-08", "processes VarDeletes before VarCreates")
-class DeletesFirst(Order):
-    order = (D, C, U, S, RC, RU)
-
-
-@mutant("summaries-first", "VD-RX-08", "processes summaries before VarUpdates")
-class SummariesFirst(Order):
-    order = (C, D, S, U, RC, RU)
-
-
-@mutant("deletes-last", "VD-RX-08", "processes VarDeletes after VarUpdates")
-class DeletesLast(Order):
-    order = (C, U, D, S, RC, RU)
+order = attributes(Order, __name__)
+order("updates-first", "VD-RX-08 VD-RX-01", "processes VarUpdates before VarCreates", order=(U, C, D, S, RC, RU))
+order("deletes-first", "VD-RX-08", "processes VarDeletes before VarCreates", order=(D, C, U, S, RC, RU))
+order("summaries-first", "VD-RX-08", "processes summaries before VarUpdates", order=(C, D, S, U, RC, RU))
+order("deletes-last", "VD-RX-08", "processes VarDeletes after VarUpdates", order=(C, U, D, S, RC, RU))

@@ -8,17 +8,9 @@ from typing import Any, ClassVar
 import msgspec
 from dcp_spec.constants import BP_PROTID_VARDIS, ICType, SpecVersion
 
-from dcp_codec.values import (
-    Beacon,
-    Container,
-    Payload,
-    VarCreate,
-    VarReqCreate,
-    VarReqUpdate,
-    VarSumm,
-    VarUpdate,
-)
+from dcp_codec.values import Beacon, Container, Payload, VarCreate, VarReqCreate, VarReqUpdate, VarSumm, VarUpdate
 from dcp_selftest.mutants.air import Air
+from dcp_selftest.mutants.family import assign, attributes, instead, skips, then
 from dcp_selftest.mutants.mutant import mutant
 from dcp_selftest.mutants.unseen import NO_TIMES
 from dcp_stack.vardis.compose import Composer
@@ -53,52 +45,19 @@ class Counts(Database):
             entry.count_delete += self.deletes if entry.count_delete > 1 or self.deletes > 0 else 0
 
 
-@mutant("one-more", "VD-CMP-06 VD-SCP-02 VD-CRE-12 VD-PC-09", "sends VarCreates once more than repCnt")
-class CreatesMore(Counts):
-    creates = 1
-
-
-@mutant("one-less", "VD-CMP-06 VD-SCP-02 VD-CRE-12 VD-PC-09", "sends VarCreates once less than repCnt")
-class CreatesLess(Counts):
-    creates = -1
-
-
-@mutant("one-more", "VD-CMP-09 VD-SCP-02 VD-UPD-08 VD-PU-07", "sends VarUpdates once more than repCnt")
-class UpdatesMore(Counts):
-    updates = 1
-
-
-@mutant("one-less", "VD-CMP-09 VD-SCP-02 VD-UPD-08 VD-PU-07", "sends VarUpdates once less than repCnt")
-class UpdatesLess(Counts):
-    updates = -1
-
-
-@mutant("one-more", "VD-CMP-10 VD-SCP-02 VD-DEL-05 VD-PD-04", "sends VarDeletes once more than repCnt")
-class DeletesMore(Counts):
-    deletes = 1
-
-
-@mutant("one-less", "VD-CMP-10 VD-SCP-02 VD-DEL-05 VD-PD-04", "sends VarDeletes once less than repCnt")
-class DeletesLess(Counts):
-    deletes = -1
-
-
-@mutant("capped", "VD-CMP-06 VD-SCP-02 VD-CRE-12 VD-PC-09", "sends VarCreates at most seven times")
-class Capped(Database):
-    def arm_create(self, entry: DBEntry) -> None:
-        super().arm_create(entry)
-        entry.count_create = min(entry.count_create, 7)
-
-
-@mutant(
-    "not-restarted",
-    "VD-UPD-08 VD-PU-07",
+counts = attributes(Counts, __name__)
+counts("one-more", "VD-CMP-06 VD-SCP-02 VD-CRE-12 VD-PC-09", "sends VarCreates once more than repCnt", creates=1)
+counts("one-less", "VD-CMP-06 VD-SCP-02 VD-CRE-12 VD-PC-09", "sends VarCreates once less than repCnt", creates=-1)
+counts("one-more", "VD-CMP-09 VD-SCP-02 VD-UPD-08 VD-PU-07", "sends VarUpdates once more than repCnt", updates=1)
+counts("one-less", "VD-CMP-09 VD-SCP-02 VD-UPD-08 VD-PU-07", "sends VarUpdates once less than repCnt", updates=-1)
+counts("one-more", "VD-CMP-10 VD-SCP-02 VD-DEL-05 VD-PD-04", "sends VarDeletes once more than repCnt", deletes=1)
+counts("one-less", "VD-CMP-10 VD-SCP-02 VD-DEL-05 VD-PD-04", "sends VarDeletes once less than repCnt", deletes=-1)
+then(Database, Database.arm_create)("capped", "VD-CMP-06 VD-SCP-02 VD-CRE-12 VD-PC-09",
+    "sends VarCreates at most seven times",
+    lambda self, result, entry: assign(entry, count_create=min(entry.count_create, 7)))  # fmt: skip
+skips(Database, Database.arm_update)("not-restarted", "VD-UPD-08 VD-PU-07",
     "does not restart the repetitions of a VarUpdate when the variable is updated again",
-)
-class NotRestarted(Database):
-    def arm_update(self, entry: DBEntry) -> None:
-        if not entry.count_update:
-            super().arm_update(entry)
+    lambda self, entry: bool(entry.count_update))  # fmt: skip
 
 
 @mutant("no-rotation", "VD-CMP-06 VD-PAY-06", "sends all repetitions of one VarCreate before it sends the next")
@@ -125,15 +84,15 @@ class Records(Composer):
     def _take(self, kind: ContainerType, var_id: int) -> Any:
         return self.record(super()._take(kind, var_id), self._database.lookup(var_id))
 
-    def record(self, record: Any, entry: DBEntry | None) -> Any:  # noqa: ARG002 - used by overrides
+    def record(self, record: Any, entry: DBEntry | None) -> Any:
         """Return the record to be sent."""
         return record
 
 
-@mutant("summary-behind", "VD-CMP-04", "summarises the sequence number before the current one")
-class SummaryOfPreviousNumber(Records):
-    def record(self, record: Any, entry: DBEntry | None) -> Any:  # noqa: ARG002 - as above
-        return VarSumm(record.var_id, max(record.seqno - 1, 0)) if isinstance(record, VarSumm) else record
+record = instead(Records, Records.record)
+record("summary-behind", "VD-CMP-04", "summarises the sequence number before the current one",
+    lambda self, record, entry: (
+        VarSumm(record.var_id, max(record.seqno - 1, 0)) if isinstance(record, VarSumm) else record))  # fmt: skip
 
 
 @mutant("first-number", "VD-CMP-04", "summarises the first sequence number of a variable")
@@ -148,12 +107,10 @@ class FirstNumber(Records):
         return VarSumm(record.var_id, self.first.setdefault((record.var_id, entry.spec.creation_time), record.seqno))
 
 
-@mutant("seqno-zero", "VD-CMP-07", "sends VarCreates with sequence number 0")
-class CreateZero(Records):
-    def record(self, record: Any, entry: DBEntry | None) -> Any:  # noqa: ARG002 - as above
-        if not isinstance(record, VarCreate):
-            return record
-        return VarCreate(record.spec, VarUpdate(record.upd.var_id, 0, record.upd.value))
+record("seqno-zero", "VD-CMP-07", "sends VarCreates with sequence number 0",
+    lambda self, record, entry: (
+        record if not isinstance(record, VarCreate)
+        else VarCreate(record.spec, VarUpdate(record.upd.var_id, 0, record.upd.value))))  # fmt: skip
 
 
 @mutant("first-value", "VD-CMP-07 VD-UPD-10", "sends VarCreates with the first value of the variable")
@@ -162,7 +119,7 @@ class FirstValue(Records):
         super().__init__(*args)
         self.first: dict[VarSpecKey, VarCreate] = {}
 
-    def record(self, record: Any, entry: DBEntry | None) -> Any:  # noqa: ARG002 - as above
+    def record(self, record: Any, entry: DBEntry | None) -> Any:
         if not isinstance(record, VarCreate):
             return record
         return self.first.setdefault((record.spec.var_id, record.spec.creation_time), record)
@@ -204,10 +161,11 @@ class WantedNumber(Air):
             yield Container(each.ic_type, tuple(wanted))
 
 
-@mutant("ahead", "VD-CMP-11", "requests updates with the sequence number after its own")
-class RequestsAhead(Records):
-    def record(self, record: Any, entry: DBEntry | None) -> Any:  # noqa: ARG002 - as above
-        return VarReqUpdate(record.var_id, (record.seqno + 1) % 256) if isinstance(record, VarReqUpdate) else record
+# fmt: off
+record("ahead", "VD-CMP-11", "requests updates with the sequence number after its own",
+    lambda self, record, entry: (
+        VarReqUpdate(record.var_id, (record.seqno + 1) % 256) if isinstance(record, VarReqUpdate) else record))
+# fmt: on
 
 
 class Again(Air):
@@ -232,32 +190,16 @@ class Again(Air):
             yield Payload(BP_PROTID_VARDIS, (again,))
 
 
-@mutant("twice", "VD-CMP-11", "sends each request for an update twice")
-class RequestsUpdatesTwice(Again):
-    kind_again = RU
-
-
-@mutant("twice", "VD-CMP-12 VD-PS-01", "sends each request for a variable twice")
-class RequestsVariablesTwice(Again):
-    kind_again = RC
-
-
-@mutant("until-answered", "VD-CMP-12", "requests a variable in every payload until it has it")
-class UntilAnswered(Composer):
-    def _take(self, kind: ContainerType, var_id: int) -> Any:
-        record = super()._take(kind, var_id)
-        if isinstance(record, VarReqCreate):
-            self._database.req_create_q.append(var_id)
-        return record
-
-
-@mutant("update-until-answered", "VD-CMP-11", "requests an update in every payload until it has it")
-class UpdateUntilAnswered(Composer):
-    def _take(self, kind: ContainerType, var_id: int) -> Any:
-        record = super()._take(kind, var_id)
-        if isinstance(record, VarReqUpdate):
-            self._database.req_upd_q.append(var_id)
-        return record
+again = attributes(Again, __name__)
+again("twice", "VD-CMP-11", "sends each request for an update twice", kind_again=RU)
+again("twice", "VD-CMP-12 VD-PS-01", "sends each request for a variable twice", kind_again=RC)
+then_take = then(Composer, Composer._take)
+then_take("until-answered", "VD-CMP-12", "requests a variable in every payload until it has it",
+    lambda self, record, kind, var_id: (
+        self._database.req_create_q.append(var_id) if isinstance(record, VarReqCreate) else None))  # fmt: skip
+then_take("update-until-answered", "VD-CMP-11", "requests an update in every payload until it has it",
+    lambda self, record, kind, var_id: (
+        self._database.req_upd_q.append(var_id) if isinstance(record, VarReqUpdate) else None))  # fmt: skip
 
 
 # -- own creations on the wire -----------------------------------------------------------------------------------------
@@ -266,12 +208,12 @@ class UpdateUntilAnswered(Composer):
 class OwnSpec(Records):
     """Changes the VarSpec in VarCreates."""
 
-    def record(self, record: Any, entry: DBEntry | None) -> Any:  # noqa: ARG002 - as above
+    def record(self, record: Any, entry: DBEntry | None) -> Any:
         if not isinstance(record, VarCreate):
             return record
         return VarCreate(msgspec.structs.replace(record.spec, **self.members(record)), record.upd)
 
-    def members(self, record: VarCreate) -> dict[str, Any]:  # noqa: ARG002 - used by overrides
+    def members(self, record: VarCreate) -> dict[str, Any]:
         """Return the changed members."""
         return {}
 
@@ -281,44 +223,18 @@ def swapped(number: int, width: int) -> int:
     return int.from_bytes(number.to_bytes(width, "big"), "little")
 
 
-@mutant("creation-time-swapped", "DATA-01", "sends creationTime little-endian", unseen=NO_TIMES)
-class SwappedCreationTime(OwnSpec):
-    def members(self, record: VarCreate) -> dict[str, Any]:
-        return {"creation_time": swapped(record.spec.creation_time or 0, 8)}
-
-
-@mutant(
-    "timeout-swapped",
-    "DATA-01 VD-TYP-04 VD-TYP-06",
-    "sends timeouts little-endian",
-    unseen=NO_TIMES,
-)
-class SwappedTimeout(OwnSpec):
-    def members(self, record: VarCreate) -> dict[str, Any]:
-        return {"timeout": swapped(record.spec.timeout or 0, 2)}
-
-
-@mutant(
-    "creation-time-ms", "DATA-05 VD-CRE-09", "sends creationTime in ms although the profile has ns", unseen=NO_TIMES
-)
-class CreationMilliseconds(OwnSpec):
-    def members(self, record: VarCreate) -> dict[str, Any]:
-        return {"creation_time": (record.spec.creation_time or 0) // 1_000_000}
-
-
-@mutant("timeout-seconds", "VD-TYP-04 VD-TYP-06", "sends timeouts in seconds", since=SpecVersion.V2_0)
-class TimeoutSeconds(OwnSpec):
-    def members(self, record: VarCreate) -> dict[str, Any]:
-        return {"timeout": (record.spec.timeout or 0) // 1000}
-
-
-@mutant("trailing-nul", "DATA-07", "ends descriptions with a zero octet", since=SpecVersion.V1_1)
-class TrailingNul(OwnSpec):
-    def members(self, record: VarCreate) -> dict[str, Any]:
-        return {"descr": record.spec.descr[:31] + b"\0"}
-
-
-@mutant("member-order", "VD-TYP-05", "exchanges repCnt and varId in VarSpecs")
-class MemberOrder(OwnSpec):
-    def members(self, record: VarCreate) -> dict[str, Any]:
-        return {"var_id": record.spec.rep_cnt, "rep_cnt": record.spec.var_id}
+# fmt: off
+members = instead(OwnSpec, OwnSpec.members)
+members("creation-time-swapped", "DATA-01", "sends creationTime little-endian",
+    lambda self, record: {"creation_time": swapped(record.spec.creation_time or 0, 8)}, unseen=NO_TIMES)
+members("timeout-swapped", "DATA-01 VD-TYP-04 VD-TYP-06", "sends timeouts little-endian",
+    lambda self, record: {"timeout": swapped(record.spec.timeout or 0, 2)}, unseen=NO_TIMES)
+members("creation-time-ms", "DATA-05 VD-CRE-09", "sends creationTime in ms although the profile has ns",
+    lambda self, record: {"creation_time": (record.spec.creation_time or 0) // 1_000_000}, unseen=NO_TIMES)
+members("timeout-seconds", "VD-TYP-04 VD-TYP-06", "sends timeouts in seconds",
+    lambda self, record: {"timeout": (record.spec.timeout or 0) // 1000}, since=SpecVersion.V2_0)
+members("trailing-nul", "DATA-07", "ends descriptions with a zero octet",
+    lambda self, record: {"descr": record.spec.descr[:31] + b"\0"}, since=SpecVersion.V1_1)
+members("member-order", "VD-TYP-05", "exchanges repCnt and varId in VarSpecs",
+    lambda self, record: {"var_id": record.spec.rep_cnt, "rep_cnt": record.spec.var_id})
+# fmt: on

@@ -6,6 +6,8 @@ from typing import Any, ClassVar
 
 from dcp_spec.constants import SpecVersion
 
+from dcp_selftest.mutants.entries import Expires
+from dcp_selftest.mutants.family import attributes, instead
 from dcp_selftest.mutants.mutant import mutant
 from dcp_selftest.mutants.unseen import ALWAYS_ACTIVE
 from dcp_stack.config import MS
@@ -44,24 +46,14 @@ class LeavesQueue(Vardis):
                     setattr(entry, self.counter, count)
 
 
-@mutant("updateQ", "VD-SCR-04", "continues to repeat the VarUpdate of a variable after its timeout", since=V2)
-class ScrubLeavesUpdate(LeavesQueue):
-    queue, counter = "updateQ", "count_update"
-
-
-@mutant("createQ", "VD-SCR-04", "continues to repeat the VarCreate of a variable after its timeout", since=V2)
-class ScrubLeavesCreate(LeavesQueue):
-    queue, counter = "createQ", "count_create"
-
-
-@mutant("summaryQ", "VD-SCR-04 VD-CMP-05", "continues to summarise a variable after its timeout", since=V2)
-class ScrubLeavesSummary(LeavesQueue):
-    queue = "summaryQ"
-
-
-@mutant("reqUpdQ", "VD-SCR-04", "requests an update of a variable after its timeout", since=V2)
-class ScrubLeavesRequest(LeavesQueue):
-    queue = "reqUpdQ"
+leaves_queue = attributes(LeavesQueue, __name__)
+leaves_queue("updateQ", "VD-SCR-04", "continues to repeat the VarUpdate of a variable after its timeout",
+    since=V2, queue="updateQ", counter="count_update")  # fmt: skip
+leaves_queue("createQ", "VD-SCR-04", "continues to repeat the VarCreate of a variable after its timeout",
+    since=V2, queue="createQ", counter="count_create")  # fmt: skip
+leaves_queue("summaryQ", "VD-SCR-04 VD-CMP-05", "continues to summarise a variable after its timeout",
+    since=V2, queue="summaryQ")  # fmt: skip
+leaves_queue("reqUpdQ", "VD-SCR-04", "requests an update of a variable after its timeout", since=V2, queue="reqUpdQ")
 
 
 @mutant("counts-left", "VD-SCR-04", "does not reset the counters of a variable after its timeout", since=V2)
@@ -79,28 +71,11 @@ class ScrubLeavesCounts(Vardis):
                 entry.count_create, entry.count_update = counts
 
 
-@mutant(
-    "signed-at-once",
-    "VD-TYP-04 VD-SCR-03",
-    "immediately deletes variables with timeouts of 32,768 ms and more",
-    since=V2,
-)
-class SignedTimeouts(Vardis):
-    def _scrub(self, now: int) -> None:
-        super()._scrub(now)
-        for entry in list(self._database.entries.values()):
-            if (entry.spec.timeout or 0) >= HALF and not entry.is_deleted:
-                self._database.mark_deleted(entry)
-
-
-@mutant("one-octet", "VD-TYP-04 VD-SCR-03", "uses timeouts modulo 256", since=V2)
-class OneOctetTimeouts(Vardis):
-    def _scrub(self, now: int) -> None:
-        super()._scrub(now)
-        for entry in list(self._database.entries.values()):
-            timeout = (entry.spec.timeout or 0) % 256 * MS
-            if timeout and not entry.is_deleted and now - entry.refreshed > timeout:
-                self._database.mark_deleted(entry)
+expired = instead(Expires, Expires.expired)
+expired("signed-at-once", "VD-TYP-04 VD-SCR-03", "immediately deletes variables with timeouts of 32,768 ms and more",
+    lambda self, timeout, age: timeout >= HALF, since=V2, also=True)  # fmt: skip
+expired("one-octet", "VD-TYP-04 VD-SCR-03", "uses timeouts modulo 256",
+    lambda self, timeout, age: 0 < timeout % 256 * MS < age, since=V2, also=True)  # fmt: skip
 
 
 # -- deactivation ------------------------------------------------------------------------------------------------------
@@ -141,33 +116,17 @@ class CheckingEnds(Vardis):
 # -- limits that are equal by default ----------------------------------------------------------------------------------
 
 
-@mutant(
-    "value-by-description",
-    "VD-PC-04 VD-PU-04 VD-CRE-05 VD-UPD-05",
-    "compares the length of values with the maximum of descriptions",
-)
-class ValueByDescription(VardisParameters):
-    @property
-    def max_value_length(self) -> int:
-        return self.longest_description
-
-
-@mutant("description-by-value", "VD-PC-05 VD-CRE-04", "compares the length of descriptions with the maximum of values")
-class DescriptionByValue(VardisParameters):
-    @property
-    def longest_description(self) -> int:
-        return self.max_value_length
-
-
-@mutant(
-    "received-by-description",
-    "VD-PC-04 VD-PU-04",
+instead(VardisParameters, VardisParameters.max_value_length)("value-by-description",
+    "VD-PC-04 VD-PU-04 VD-CRE-05 VD-UPD-05", "compares the length of values with the maximum of descriptions",
+    lambda self: self.longest_description)  # fmt: skip
+instead(VardisParameters, VardisParameters.longest_description)("description-by-value", "VD-PC-05 VD-CRE-04",
+    "compares the length of descriptions with the maximum of values",
+    lambda self: self.max_value_length)  # fmt: skip
+instead(Receiver, Receiver._is_bad_value)("received-by-description", "VD-PC-04 VD-PU-04",
     "compares the length of received values with the maximum of descriptions",
-)
-class ReceivedByDescription(Receiver):
-    def _is_bad_value(self, value: bytes) -> bool:
-        too_long = self._check_too_long and len(value) > self._parameters.longest_description
-        return too_long or (self._check_empty_and_repcnt and not value)
+    lambda self, value: (
+        (self._check_too_long and len(value) > self._parameters.longest_description)
+        or (self._check_empty_and_repcnt and not value)))  # fmt: skip
 
 
 @mutant("left-in-reqCreateQ", "VD-CRE-11", "continues to request a variable that its application has created")

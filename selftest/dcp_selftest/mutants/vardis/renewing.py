@@ -7,6 +7,7 @@ from typing import Any, ClassVar
 from dcp_spec.constants import SpecVersion
 
 from dcp_codec.values import VarCreate, VarSpec, VarUpdate
+from dcp_selftest.mutants.family import attributes
 from dcp_selftest.mutants.mutant import mutant
 from dcp_selftest.mutants.unseen import ALWAYS_ACTIVE, NOT_ANEW, NOT_REPLACED
 from dcp_stack.vardis.confirms import Confirm, DescribeVariableConfirm, ReadConfirm
@@ -66,49 +67,22 @@ class Renews(Receiver):
         super()._request_create(record, offset)
 
 
-@mutant(
-    "equal-create-renews",
-    "VD-SCR-06 VD-PC-01 VD-DB-03",
-    "renews tStamp when the same VarCreate is received again",
-    since=V2,
-)
-class EqualCreateRenews(Renews):
-    kinds = ("equal-create",)
-
-
-@mutant(
-    "earlier-create-renews",
-    "VD-SCR-06 VD-PC-01 VD-DB-03",
-    "renews tStamp when an earlier VarCreate is received",
-    since=V2,
-)
-class EarlierCreateRenews(Renews):
-    kinds = ("earlier-create",)
-
-
-@mutant("equal-update-renews", "VD-SCR-06 VD-PU-05 VD-DB-03", "renews tStamp when the same VarUpdate is received again")
-class EqualUpdateRenews(Renews):
-    kinds = ("equal-update",)
-
-
-@mutant("older-update-renews", "VD-SCR-06 VD-PU-06 VD-DB-03", "renews tStamp when an older VarUpdate is received")
-class OlderUpdateRenews(Renews):
-    kinds = ("older-update",)
-
-
-@mutant("summary-renews", "VD-SCR-06 VD-DB-03", "renews tStamp when a VarSumm is received")
-class SummaryRenews(Renews):
-    kinds = ("summary",)
-
-
-@mutant("update-request-renews", "VD-SCR-06 VD-DB-03", "renews tStamp when a VarReqUpdate is received")
-class UpdateRequestRenews(Renews):
-    kinds = ("update-request",)
-
-
-@mutant("create-request-renews", "VD-SCR-06 VD-DB-03", "renews tStamp when a VarReqCreate is received")
-class CreateRequestRenews(Renews):
-    kinds = ("create-request",)
+# fmt: off
+renews = attributes(Renews, __name__)
+renews("equal-create-renews", "VD-SCR-06 VD-PC-01 VD-DB-03", "renews tStamp when the same VarCreate is received again",
+    since=V2, kinds=("equal-create",))
+renews("earlier-create-renews", "VD-SCR-06 VD-PC-01 VD-DB-03", "renews tStamp when an earlier VarCreate is received",
+    since=V2, kinds=("earlier-create",))
+renews("equal-update-renews", "VD-SCR-06 VD-PU-05 VD-DB-03", "renews tStamp when the same VarUpdate is received again",
+    kinds=("equal-update",))
+renews("older-update-renews", "VD-SCR-06 VD-PU-06 VD-DB-03", "renews tStamp when an older VarUpdate is received",
+    kinds=("older-update",))
+renews("summary-renews", "VD-SCR-06 VD-DB-03", "renews tStamp when a VarSumm is received", kinds=("summary",))
+renews("update-request-renews", "VD-SCR-06 VD-DB-03", "renews tStamp when a VarReqUpdate is received",
+    kinds=("update-request",))
+renews("create-request-renews", "VD-SCR-06 VD-DB-03", "renews tStamp when a VarReqCreate is received",
+    kinds=("create-request",))
+# fmt: on
 
 
 class RenewsOwn(Renews):
@@ -122,19 +96,12 @@ class RenewsOwn(Renews):
             super()._seen(kind, var_id)
 
 
-@mutant(
-    "own-echo-renews",
-    "VD-SCR-06 VD-DB-03",
+renews_own = attributes(RenewsOwn, __name__)
+renews_own("own-echo-renews", "VD-SCR-06 VD-DB-03",
     "renews tStamp of its own variable when neighbours forward its records",
-    since=V2,
-)
-class OwnEchoRenews(RenewsOwn):
-    kinds = ("equal-create", "equal-update", "summary")
-
-
-@mutant("own-request-renews", "VD-SCR-06 VD-DB-03", "renews tStamp of its own variable when a neighbour requests it")
-class OwnRequestRenews(RenewsOwn):
-    kinds = ("create-request", "update-request")
+    since=V2, kinds=("equal-create", "equal-update", "summary"))  # fmt: skip
+renews_own("own-request-renews", "VD-SCR-06 VD-DB-03", "renews tStamp of its own variable when a neighbour requests it",
+    kinds=("create-request", "update-request"))  # fmt: skip
 
 
 @mutant("read-renews", "VD-DB-03 VD-SCR-06", "renews tStamp when RTDB-Read or RTDB-DescribeVariable is called")
@@ -202,21 +169,8 @@ class StaleAge(Database):
         return entry
 
 
-@mutant(
-    "own-age-kept",
-    "VD-CRE-10 VD-SCR-03 VD-DB-03",
-    "keeps tStamp when its application creates a variable again",
-    unseen=NOT_ANEW,
-)
-class OwnAgeKept(StaleAge):
-    own = True
-
-
-@mutant(
-    "age-kept",
-    "VD-PC-07 VD-SCR-03 VD-DB-03",
-    "keeps tStamp when a later VarCreate replaces a variable",
-    unseen=NOT_REPLACED,
-)
-class AgeKept(StaleAge):
-    own = False
+stale_age = attributes(StaleAge, __name__)
+stale_age("own-age-kept", "VD-CRE-10 VD-SCR-03 VD-DB-03", "keeps tStamp when its application creates a variable again",
+    unseen=NOT_ANEW, own=True)  # fmt: skip
+stale_age("age-kept", "VD-PC-07 VD-SCR-03 VD-DB-03", "keeps tStamp when a later VarCreate replaces a variable",
+    unseen=NOT_REPLACED, own=False)  # fmt: skip

@@ -6,7 +6,7 @@ from typing import ClassVar
 
 from dcp_spec.constants import ICType
 
-from dcp_selftest.mutants.mutant import mutant
+from dcp_selftest.mutants.family import after, around, attributes, instead
 from dcp_stack.vardis.compose import Composer
 from dcp_stack.vardis.database import IdQueue
 from dcp_stack.vardis.entity import Vardis
@@ -40,83 +40,37 @@ class LosesAllOrNone(Loses):
         return chosen, used
 
 
-@mutant("creates-lost", "VD-CMP-13 VD-CMP-06", "counts VarCreates that do not fit as sent")
-class LosesCreates(Loses):
-    kind = ICType.CREATE_VARIABLES
-
-
-@mutant("updates-lost", "VD-CMP-13 VD-CMP-09", "counts VarUpdates as sent if none of them fits")
-class LosesUpdates(LosesAllOrNone):
-    kind = ICType.UPDATES
-
-
-@mutant("deletes-lost", "VD-CMP-13 VD-CMP-10", "counts VarDeletes as sent if none of them fits")
-class LosesDeletes(LosesAllOrNone):
-    kind = ICType.DELETE_VARIABLES
-
-
-@mutant("create-requests-lost", "VD-CMP-13 VD-CMP-12", "drops requests for variables if none of them fits")
-class LosesCreateRequests(LosesAllOrNone):
-    kind = ICType.REQUEST_VARCREATES
-
-
-@mutant("update-requests-lost", "VD-CMP-13 VD-CMP-11", "drops requests for updates if none of them fits")
-class LosesUpdateRequests(LosesAllOrNone):
-    kind = ICType.REQUEST_VARUPDATES
-
-
-@mutant(
-    "summaries-lost", "VD-CMP-13 VD-CMP-03", "no longer summarises variables whose summary did not fit into a payload"
-)
-class LosesSummaries(LosesAllOrNone):
-    kind = ICType.SUMMARIES
-
-    def _lose(self, var_id: int) -> None:
-        self._database.summary_q.remove(var_id)
-
-
-@mutant("rest-of-updates-lost", "VD-CMP-13 VD-CMP-09", "counts the VarUpdates that do not fit as sent")
-class LosesRestOfUpdates(Loses):
-    kind = ICType.UPDATES
-
-
-@mutant("rest-of-deletes-lost", "VD-CMP-13 VD-CMP-10", "counts the VarDeletes that do not fit as sent")
-class LosesRestOfDeletes(Loses):
-    kind = ICType.DELETE_VARIABLES
-
-
-@mutant("rest-of-requests-lost", "VD-CMP-13 VD-CMP-12", "drops the requests for variables that do not fit")
-class LosesRestOfRequests(Loses):
-    kind = ICType.REQUEST_VARCREATES
-
-
-@mutant(
-    "rest-of-update-requests-lost",
-    "VD-CMP-13 VD-CMP-11",
-    "drops the requests for updates that do not fit",
-)
-class LosesRestOfUpdateRequests(Loses):
-    kind = ICType.REQUEST_VARUPDATES
-
-
-@mutant("exact-fit-skipped", "VD-PAY-02", "skips single records that exactly fill a payload")
-class SkipsExactFit(Composer):
-    def _fitting(self, kind: ContainerType, queue: IdQueue, room: int, largest: int) -> tuple[list[int], int]:
-        return super()._fitting(kind, queue, room, largest - 1)
-
-
-@mutant(
-    "exact-fit-refused",
-    "VD-CRE-14 VD-UPD-07",
+# fmt: off
+loses = attributes(Loses, __name__)
+loses("creates-lost", "VD-CMP-13 VD-CMP-06", "counts VarCreates that do not fit as sent", kind=ICType.CREATE_VARIABLES)
+loses_all_or_none = attributes(LosesAllOrNone, __name__)
+loses_all_or_none("updates-lost", "VD-CMP-13 VD-CMP-09", "counts VarUpdates as sent if none of them fits",
+    kind=ICType.UPDATES)
+loses_all_or_none("deletes-lost", "VD-CMP-13 VD-CMP-10", "counts VarDeletes as sent if none of them fits",
+    kind=ICType.DELETE_VARIABLES)
+loses_all_or_none("create-requests-lost", "VD-CMP-13 VD-CMP-12", "drops requests for variables if none of them fits",
+    kind=ICType.REQUEST_VARCREATES)
+loses_all_or_none("update-requests-lost", "VD-CMP-13 VD-CMP-11", "drops requests for updates if none of them fits",
+    kind=ICType.REQUEST_VARUPDATES)
+instead(LosesAllOrNone, LosesAllOrNone._lose)("summaries-lost", "VD-CMP-13 VD-CMP-03",
+    "no longer summarises variables whose summary did not fit into a payload",
+    lambda self, var_id: self._database.summary_q.remove(var_id), kind=ICType.SUMMARIES)
+loses("rest-of-updates-lost", "VD-CMP-13 VD-CMP-09", "counts the VarUpdates that do not fit as sent",
+    kind=ICType.UPDATES)
+loses("rest-of-deletes-lost", "VD-CMP-13 VD-CMP-10", "counts the VarDeletes that do not fit as sent",
+    kind=ICType.DELETE_VARIABLES)
+loses("rest-of-requests-lost", "VD-CMP-13 VD-CMP-12", "drops the requests for variables that do not fit",
+    kind=ICType.REQUEST_VARCREATES)
+loses("rest-of-update-requests-lost", "VD-CMP-13 VD-CMP-11", "drops the requests for updates that do not fit",
+    kind=ICType.REQUEST_VARUPDATES)
+around(Composer, Composer._fitting)("exact-fit-skipped", "VD-PAY-02",
+    "skips single records that exactly fill a payload",
+    lambda self, proceed, kind, queue, room, largest: proceed(kind, queue, room, largest - 1))
+after(Vardis, Vardis._room)("exact-fit-refused", "VD-CRE-14 VD-UPD-07",
     "rejects RTDB-Create and RTDB-Update if the record exactly fills a payload",
-)
-class RefusesExactFit(Vardis):
-    def _room(self) -> int:
-        return super()._room() - 1
-
-
-@mutant("small-records-too-large", "VD-PAY-02", "assumes one octet too many for each VarDelete and VarReqCreate")
-class WidensSmallRecords(Composer):
-    def _record_size(self, kind: ContainerType, var_id: int) -> int:
-        small = kind in (ICType.DELETE_VARIABLES, ICType.REQUEST_VARCREATES)
-        return super()._record_size(kind, var_id) + small
+    lambda self, result: result - 1)
+around(Composer, Composer._record_size)("small-records-too-large", "VD-PAY-02",
+    "assumes one octet too many for each VarDelete and VarReqCreate",
+    lambda self, proceed, kind, var_id: (
+        proceed(kind, var_id) + (kind in (ICType.DELETE_VARIABLES, ICType.REQUEST_VARCREATES))))
+# fmt: on

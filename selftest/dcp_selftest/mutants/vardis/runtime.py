@@ -8,20 +8,19 @@ from typing import Any, ClassVar
 from dcp_spec.constants import QueueingMode, SpecVersion
 from dcp_spec.status import VardisStatus
 
-from dcp_codec.values import VarUpdate
 from dcp_selftest.mutants.air import Air
-from dcp_selftest.mutants.cells import Cells
+from dcp_selftest.mutants.cells import Cells, within
+from dcp_selftest.mutants.entries import Expires, on_entry
+from dcp_selftest.mutants.family import after, around, assign, attributes, before, instead, skips, then
 from dcp_selftest.mutants.mutant import mutant
-from dcp_selftest.mutants.port import Port, registration
+from dcp_selftest.mutants.port import Port
 from dcp_selftest.mutants.unseen import ALWAYS_ACTIVE
 from dcp_stack.bp_port import BPPort
 from dcp_stack.config import MS, NodeConfig
 from dcp_stack.effects import Effect
 from dcp_stack.vardis.confirms import Confirm
 from dcp_stack.vardis.entity import Vardis
-from dcp_stack.vardis.parameters import (
-    VardisParameters,
-)
+from dcp_stack.vardis.parameters import VardisParameters
 from dcp_stack.vardis.receive import Receiver
 from dcp_stack.vardis.state_table import Action, Cell, Event, State
 from dcp_stack.vardis.wire import Extracted
@@ -37,69 +36,32 @@ class Ported(Vardis):
     """Changes calls to BP."""
 
     port: ClassVar[type[Port]] = Port
+    registration: ClassVar[dict[str, Any]] = {}
+    """Changed arguments of the registration."""
 
     def __init__(self, config: NodeConfig, bp: BPPort, *, emit: Callable[[Effect], None], now: int, wall: int) -> None:
-        port: Any = self.port(bp)
+        port: Any = self.port(bp, self.registration)
         super().__init__(config, port, emit=emit, now=now, wall=wall)
 
 
-@mutant("mode", "VD-INI-02", "registers with mode REPEAT")
-class OtherMode(Ported):
-    class port(Port):  # noqa: N801 - takes the place of an attribute
-        def register(self, *args: Any, **times: int) -> Any:
-            return self.bp.register(*registration(args, mode=QueueingMode.REPEAT), **times)
-
-
-@mutant("droptail", "VD-INI-02", "registers with mode DROPTAIL, as in 1.1", since=V1_2)
-class OldMode(Ported):
-    class port(Port):  # noqa: N801 - as above
-        def register(self, *args: Any, **times: int) -> Any:
-            return self.bp.register(*registration(args, mode=QueueingMode.QUEUE_DROPTAIL), **times)
-
-
-@mutant("repeat", "VD-INI-07", "registers with mode REPEAT")
-class RepeatMode(OtherMode):
-    """In 1.0, the inherited fault violates this requirement."""
-
-
-@mutant("drophead", "VD-INI-08", "registers with mode DROPHEAD, as in later versions")
-class LaterMode(Ported):
-    class port(Port):  # noqa: N801 - as above
-        def register(self, *args: Any, **times: int) -> Any:
-            return self.bp.register(*registration(args, mode=QueueingMode.QUEUE_DROPHEAD), **times)
-
-
-@mutant("several", "VD-INI-02 VD-INI-08", "registers with allowMultiplePayloads true", since=SpecVersion.V1_1)
-class OtherSeveral(Ported):
-    class port(Port):  # noqa: N801 - as above
-        def register(self, *args: Any, **times: int) -> Any:
-            return self.bp.register(*registration(args, several=True), **times)
-
-
-@mutant("name", "VD-INI-02", "registers without a name")
-class OtherName(Ported):
-    class port(Port):  # noqa: N801 - as above
-        def register(self, *args: Any, **times: int) -> Any:
-            return self.bp.register(*registration(args, name=""), **times)
-
-
-@mutant("size", "VD-INI-02", "registers with half of VARDISPAR_MAX_PAYLOAD_SIZE")
-class OtherSize(Vardis):
-    def _register(self, size: int, now: int, wall: int) -> Any:
-        return super()._register(size // 2, now, wall)
-
-
-@mutant(
-    "other-id",
-    "VD-INI-05 VD-CRE-08",
+# fmt: off
+ported = attributes(Ported, __name__)
+ported("mode", "VD-INI-02", "registers with mode REPEAT", registration={"mode": QueueingMode.REPEAT})
+ported("droptail", "VD-INI-02", "registers with mode DROPTAIL, as in 1.1",
+    since=V1_2, registration={"mode": QueueingMode.QUEUE_DROPTAIL})
+ported("repeat", "VD-INI-07", "registers with mode REPEAT", registration={"mode": QueueingMode.REPEAT})
+ported("drophead", "VD-INI-08", "registers with mode DROPHEAD, as in later versions",
+    registration={"mode": QueueingMode.QUEUE_DROPHEAD})
+ported("several", "VD-INI-02 VD-INI-08", "registers with allowMultiplePayloads true",
+    since=SpecVersion.V1_1, registration={"several": True})
+ported("name", "VD-INI-02", "registers without a name", registration={"name": ""})
+around(Vardis, Vardis._register)("size", "VD-INI-02", "registers with half of VARDISPAR_MAX_PAYLOAD_SIZE",
+    lambda self, proceed, size, now, wall: proceed(size // 2, now, wall))
+then(Vardis, Vardis._register)("other-id", "VD-INI-05 VD-CRE-08",
     "creates variables with another node identifier than the one that BP returned",
-    unseen={"1.1": "the application sets the producer up to 1.1"},
-)
-class OtherIdentifier(Vardis):
-    def _register(self, size: int, now: int, wall: int) -> Any:
-        status = super()._register(size, now, wall)
-        self._core.own_id = self._core.own_id[:-1] + b"\x78"
-        return status
+    lambda self, status, size, now, wall: assign(self._core, own_id=self._core.own_id[:-1] + b"\x78"),
+    unseen={"1.1": "the application sets the producer up to 1.1"})
+# fmt: on
 
 
 @mutant("survives", "VD-INI-04", "keeps its variables across a reset")
@@ -132,41 +94,22 @@ class SendsInactive(Vardis):
         self._core.active = active
 
 
-@mutant(
-    "ignored", "VD-MGT-01 VD-MGT-02 VD-MGT-04", "confirms the deactivation of VarDis, which stays active", since=V1_2
-)
-class NeverInactive(Vardis):
-    def deactivate(self) -> Confirm:
-        return Confirm(VardisStatus.OK)
-
-
-@mutant("forgets", "VD-MGT-05", "clears the database when it is activated", since=V1_2)
-class ActivationForgets(Vardis):
-    def activate(self) -> Confirm:
-        self._database.clear()
-        return super().activate()
-
-
-@mutant("stays", "VD-MGT-05", "confirms the activation of VarDis, which stays inactive", since=V1_2)
-class NeverActive(Vardis):
-    def activate(self) -> Confirm:
-        return Confirm(VardisStatus.OK)
+instead(Vardis, Vardis.deactivate)("ignored", "VD-MGT-01 VD-MGT-02 VD-MGT-04",
+    "confirms the deactivation of VarDis, which stays active",
+    lambda self: Confirm(VardisStatus.OK), since=V1_2)  # fmt: skip
+before(Vardis, Vardis.activate)("forgets", "VD-MGT-05", "clears the database when it is activated",
+    lambda self: self._database.clear(), since=V1_2)  # fmt: skip
+instead(Vardis, Vardis.activate)("stays", "VD-MGT-05", "confirms the activation of VarDis, which stays inactive",
+    lambda self: Confirm(VardisStatus.OK), since=V1_2)  # fmt: skip
 
 
 # -- running -----------------------------------------------------------------------------------------------------------
 
 
-@mutant("ignored", "VD-RUN-01", "composes payloads only at buffer checks")
-class IndicationIgnored(Vardis):
-    def payload_transmitted(self, now: int, wall: int) -> None:
-        pass
-
-
-@mutant("ignored", "VD-RUN-02", "composes payloads only after BP has sent one")
-class NeverChecks(Vardis):
-    def handle_timeout(self, now: int, wall: int) -> None:
-        self._last_check = now
-        super().handle_timeout(now, wall)
+skips(Vardis, Vardis.payload_transmitted)("ignored", "VD-RUN-01", "composes payloads only at buffer checks",
+    lambda self, now, wall: True)  # fmt: skip
+before(Vardis, Vardis.handle_timeout)("ignored", "VD-RUN-02", "composes payloads only after BP has sent one",
+    lambda self, now, wall: assign(self, _last_check=now))  # fmt: skip
 
 
 # A payload composed too early replaces the answer to a probe, so VarDis may seem to have stopped.
@@ -183,20 +126,15 @@ class AlwaysComposes(Ported):
             return type(confirm)(confirm.status, 0 if confirm.status.is_ok else None)
 
 
-@mutant("slow", "VD-RUN-02 VD-PAR-08", "checks the buffer ten times less often than the parameter requires")
-class ChecksSlowly(VardisParameters):
-    @property
-    def buffer_check_period_ms(self) -> int:
-        return super().buffer_check_period_ms * 10
+after(VardisParameters, VardisParameters.buffer_check_period_ms)("slow", "VD-RUN-02 VD-PAR-08",
+    "checks the buffer ten times less often than the parameter requires",
+    lambda self, period: period * 10)  # fmt: skip
 
 
 # -- scrubbing ---------------------------------------------------------------------------------------------------------
 
 
-@mutant("never", "VD-INI-06 VD-SCR-01", "never scrubs", since=V2)
-class NeverScrubs(Vardis):
-    def _scrub(self, now: int) -> None:
-        pass
+skips(Vardis, Vardis._scrub)("never", "VD-INI-06 VD-SCR-01", "never scrubs", lambda self, now: True, since=V2)
 
 
 @mutant("slow", "VD-SCR-01", "scrubs only in every third period", since=V2)
@@ -209,39 +147,18 @@ class ScrubsSlowly(Vardis):
             super()._scrub(now)
 
 
-@mutant("zero", "VD-SCR-02", "deletes variables with timeout 0", since=V2)
-class ScrubsZero(Vardis):
-    def _scrub(self, now: int) -> None:
-        super()._scrub(now)
-        for entry in list(self._database.entries.values()):
-            if not entry.spec.timeout and not entry.is_deleted and now > entry.refreshed:
-                self._database.mark_deleted(entry)
-
-
-@mutant("deleted", "VD-SCR-02", "repeats the VarDelete of deleted variables after their timeout", since=V2)
-class ScrubsDeleted(Cells):
-    cells: ClassVar = {
-        (Event.TIMED_OUT, State.DELETED_PRODUCER): Cell(Action.DELETE),
-        (Event.TIMED_OUT, State.DELETED_CONSUMER): Cell(Action.DELETE),
-    }
-
-
-@mutant("half", "VD-SCR-03", "deletes variables after half of their timeout", since=V2)
-class ScrubsEarly(Vardis):
-    def _scrub(self, now: int) -> None:
-        for entry in list(self._database.entries.values()):
-            timeout = (entry.spec.timeout or 0) * MS // 2
-            if timeout and now - entry.refreshed > timeout and not entry.is_deleted:
-                self._database.mark_deleted(entry)
-
-
-@mutant("double", "VD-SCR-01 VD-SCR-03", "deletes variables after twice their timeout", since=V2)
-class ScrubsLate(Vardis):
-    def _scrub(self, now: int) -> None:
-        for entry in list(self._database.entries.values()):
-            timeout = (entry.spec.timeout or 0) * MS * 2
-            if timeout and now - entry.refreshed > timeout and not entry.is_deleted:
-                self._database.mark_deleted(entry)
+# fmt: off
+expired = instead(Expires, Expires.expired)
+expired("zero", "VD-SCR-02", "deletes variables with timeout 0",
+    lambda self, timeout, age: not timeout and age > 0, since=V2, also=True)
+cells = attributes(Cells, __name__)
+cells("deleted", "VD-SCR-02", "repeats the VarDelete of deleted variables after their timeout",
+    since=V2, cells=within((State.DELETED_PRODUCER, State.DELETED_CONSUMER), Action.DELETE, Event.TIMED_OUT))
+expired("half", "VD-SCR-03", "deletes variables after half of their timeout",
+    lambda self, timeout, age: 0 < timeout * MS // 2 < age, since=V2)
+expired("double", "VD-SCR-01 VD-SCR-03", "deletes variables after twice their timeout",
+    lambda self, timeout, age: 0 < timeout * MS * 2 < age, since=V2)
+# fmt: on
 
 
 @mutant("silent", "VD-SCR-04", "deletes variables after their timeout without sending VarDeletes", since=V2)
@@ -268,40 +185,14 @@ class ScrubsAway(Vardis):
                 del self._database.entries[var_id]
 
 
-@mutant("foreign-only", "VD-SCR-05", "scrubs only variables of other nodes", since=V2)
-class ScrubsForeign(Cells):
-    cells: ClassVar = {(Event.TIMED_OUT, State.ALIVE_PRODUCER): Cell(Action.NONE)}
-
-
-@mutant(
-    "not-refreshed",
-    "VD-SCR-06",
+cells("foreign-only", "VD-SCR-05", "scrubs only variables of other nodes",
+    since=V2, cells={(Event.TIMED_OUT, State.ALIVE_PRODUCER): Cell(Action.NONE)})  # fmt: skip
+on_entry(Receiver, Receiver._update)("not-refreshed", "VD-SCR-06",
     "does not restart the timeout of a variable when it receives an update of it",
-    since=V2,
-)
-class NotRefreshed(Receiver):
-    def _update(self, record: VarUpdate, offset: int, now: int, wall: int) -> None:
-        entry = self._database.lookup(record.var_id)
-        before = None if entry is None else entry.refreshed
-        super()._update(record, offset, now, wall)
-        if entry is not None and before is not None:
-            entry.refreshed = before
-
-
-@mutant(
-    "own-not-refreshed",
-    "VD-SCR-03 VD-UPD-08",
+    lambda self, entry, before: assign(entry, refreshed=before.refreshed), since=V2)  # fmt: skip
+on_entry(Vardis, Vardis.update)("own-not-refreshed", "VD-SCR-03 VD-UPD-08",
     "does not restart the timeout of its own variable when it is updated",
-    since=V2,
-)
-class OwnNotRefreshed(Vardis):
-    def update(self, var_id: int, value: bytes, *, now: int, wall: int) -> Confirm:
-        entry = self._database.lookup(var_id)
-        before = None if entry is None else entry.refreshed
-        confirm = super().update(var_id, value, now=now, wall=wall)
-        if entry is not None and before is not None:
-            entry.refreshed = before
-        return confirm
+    lambda self, entry, before: assign(entry, refreshed=before.refreshed), since=V2)  # fmt: skip
 
 
 @mutant(

@@ -9,15 +9,11 @@ from dcp_spec.constants import SpecVersion
 from dcp_spec.status import VardisStatus
 
 from dcp_selftest.mutants.cells import Cells
+from dcp_selftest.mutants.entries import drop, on_entry
+from dcp_selftest.mutants.family import after, around, assign, attributes, instead
 from dcp_selftest.mutants.mutant import mutant
 from dcp_selftest.mutants.unseen import ALWAYS_ACTIVE
-from dcp_stack.vardis.confirms import (
-    Confirm,
-    DescribeDatabaseConfirm,
-    DescribeVariableConfirm,
-    NoResponseError,
-    ReadConfirm,
-)
+from dcp_stack.vardis.confirms import Confirm, DescribeVariableConfirm, NoResponseError, ReadConfirm
 from dcp_stack.vardis.core import Sequence
 from dcp_stack.vardis.entity import Vardis
 from dcp_stack.vardis.state_table import Action, Cell, Event, State
@@ -41,87 +37,43 @@ def _later(confirm: Confirm) -> Confirm:
 # -- RTDB-Delete, RTDB-Update, RTDB-Read -------------------------------------------------------------------------------
 
 
-@mutant("ok", "VD-DEL-02", "confirms the deletion of an unknown variable with OK")
-class DeletesUnknown(Vardis):
-    def delete(self, var_id: int, *, now: int, wall: int) -> Confirm:
-        confirm = super().delete(var_id, now=now, wall=wall)
-        return Confirm(OK) if confirm.status is DOES_NOT_EXIST else confirm
-
-
-@mutant("foreign", "VD-DEL-03", "deletes variables of other nodes")
-class DeletesForeign(Cells):
-    cells: ClassVar = {(Event.APP_DELETE, CONSUMED): Cell(Action.DELETE)}
-
-
-@mutant("status", "VD-DEL-03", "answers IS-DELETED for a deleted variable of another node")
-class DeleteStatus(Cells):
-    cells: ClassVar = _refused(Event.APP_DELETE, IS_DELETED, DELETED)
-
-
-@mutant("again", "VD-DEL-04", "deletes a deleted variable again", since=V2)
-class DeletesAgain(Cells):
-    cells: ClassVar = {(Event.APP_DELETE, DELETED_OWN): Cell(Action.DELETE)}
-
-
-@mutant("does-not-exist", "VD-DEL-04", "answers DOES-NOT-EXIST for its own deleted variable", since=V2)
-class DeletedDoesNotExist(Cells):
-    cells: ClassVar = _refused(Event.APP_DELETE, DOES_NOT_EXIST, DELETED_OWN)
-
-
-@mutant("silent", "VD-DEL-05", "deletes its own variables without sending VarDeletes")
-class DeletesSilently(Vardis):
-    def delete(self, var_id: int, *, now: int, wall: int) -> Confirm:
-        confirm = super().delete(var_id, now=now, wall=wall)
-        entry = self._database.lookup(var_id)
-        if confirm.status is OK and entry is not None:
-            self._database.delete_q.remove(var_id)
-            entry.count_delete = 0
-        return confirm
-
-
-@mutant("creates", "VD-UPD-02", "creates a variable that does not exist when it is to be updated")
-class UpdateCreates(Vardis):
-    def update(self, var_id: int, value: bytes, *, now: int, wall: int) -> Confirm:
-        confirm = super().update(var_id, value, now=now, wall=wall)
-        if confirm.status is DOES_NOT_EXIST:
-            return self.create(var_id, None, 1, b"updated", value, now=now, wall=wall)
-        return confirm
-
-
-@mutant("foreign", "VD-UPD-03", "updates variables of other nodes")
-class UpdatesForeign(Cells):
-    cells: ClassVar = {(Event.APP_UPDATE, CONSUMED): Cell(Action.UPDATE)}
-
-
-@mutant("status", "VD-UPD-03", "answers IS-DELETED for a deleted variable of another node")
-class UpdateStatus(Cells):
-    cells: ClassVar = _refused(Event.APP_UPDATE, IS_DELETED, DELETED)
-
-
-@mutant("later-status", "VD-UPD-12", "answers IS-DELETED for a variable that is being deleted, as in 2.0")
-class UpdateLaterStatus(Vardis):
-    def update(self, var_id: int, value: bytes, *, now: int, wall: int) -> Confirm:
-        return _later(super().update(var_id, value, now=now, wall=wall))
-
-
-@mutant("later-status", "VD-DEL-09", "answers IS-DELETED for a variable that is being deleted, as in 2.0")
-class DeleteLaterStatus(Vardis):
-    def delete(self, var_id: int, *, now: int, wall: int) -> Confirm:
-        return _later(super().delete(var_id, now=now, wall=wall))
-
-
-@mutant("later-status", "VD-REA-06", "answers IS-DELETED for a variable that is being deleted, as in 2.0")
-class ReadLaterStatus(Vardis):
-    def read(self, var_id: int) -> ReadConfirm:
-        confirm = super().read(var_id)
-        return ReadConfirm(IS_DELETED) if confirm.status is VardisStatus.VARIABLE_BEING_DELETED else confirm
-
-
-@mutant("ok", "VD-UPD-04", "confirms updates of its own deleted variables with OK", since=V2)
-class UpdatesDeleted(Vardis):
-    def update(self, var_id: int, value: bytes, *, now: int, wall: int) -> Confirm:
-        confirm = super().update(var_id, value, now=now, wall=wall)
-        return Confirm(OK) if confirm.status is IS_DELETED else confirm
+# fmt: off
+after(Vardis, Vardis.delete)("ok", "VD-DEL-02", "confirms the deletion of an unknown variable with OK",
+    lambda self, confirm, var_id, *, now, wall: Confirm(OK) if confirm.status is DOES_NOT_EXIST else confirm)
+cells = attributes(Cells, __name__)
+cells("foreign", "VD-DEL-03", "deletes variables of other nodes",
+    cells={(Event.APP_DELETE, CONSUMED): Cell(Action.DELETE)})
+cells("status", "VD-DEL-03", "answers IS-DELETED for a deleted variable of another node",
+    cells=_refused(Event.APP_DELETE, IS_DELETED, DELETED))
+cells("again", "VD-DEL-04", "deletes a deleted variable again",
+    since=V2, cells={(Event.APP_DELETE, DELETED_OWN): Cell(Action.DELETE)})
+cells("does-not-exist", "VD-DEL-04", "answers DOES-NOT-EXIST for its own deleted variable",
+    since=V2, cells=_refused(Event.APP_DELETE, DOES_NOT_EXIST, DELETED_OWN))
+on_entry(Vardis, Vardis.delete)("silent", "VD-DEL-05", "deletes its own variables without sending VarDeletes",
+    lambda self, entry, before: drop(self._database.delete_q, entry, count_delete=0))
+after_update = after(Vardis, Vardis.update)
+after_update("creates", "VD-UPD-02", "creates a variable that does not exist when it is to be updated",
+    lambda self, confirm, var_id, value, *, now, wall: (
+        self.create(var_id, None, 1, b"updated", value, now=now, wall=wall)
+        if confirm.status is DOES_NOT_EXIST else confirm))
+cells("foreign", "VD-UPD-03", "updates variables of other nodes",
+    cells={(Event.APP_UPDATE, CONSUMED): Cell(Action.UPDATE)})
+cells("status", "VD-UPD-03", "answers IS-DELETED for a deleted variable of another node",
+    cells=_refused(Event.APP_UPDATE, IS_DELETED, DELETED))
+around_update = around(Vardis, Vardis.update)
+around_update("later-status", "VD-UPD-12", "answers IS-DELETED for a variable that is being deleted, as in 2.0",
+    lambda self, proceed, var_id, value, *, now, wall: _later(proceed(var_id, value, now=now, wall=wall)))
+around(Vardis, Vardis.delete)("later-status", "VD-DEL-09",
+    "answers IS-DELETED for a variable that is being deleted, as in 2.0",
+    lambda self, proceed, var_id, *, now, wall: _later(proceed(var_id, now=now, wall=wall)))
+after_read = after(Vardis, Vardis.read)
+after_read("later-status", "VD-REA-06", "answers IS-DELETED for a variable that is being deleted, as in 2.0",
+    lambda self, confirm, var_id: (
+        ReadConfirm(IS_DELETED) if confirm.status is VardisStatus.VARIABLE_BEING_DELETED else confirm))
+after_update("ok", "VD-UPD-04", "confirms updates of its own deleted variables with OK",
+    lambda self, confirm, var_id, value, *, now, wall: Confirm(OK) if confirm.status is IS_DELETED else confirm,
+    since=V2)
+# fmt: on
 
 
 @mutant("revives", "VD-UPD-04", "restores its own deleted variable when it is updated", since=V2)
@@ -135,42 +87,22 @@ class UpdateRevives(Vardis):
         return confirm
 
 
-@mutant("cut", "VD-UPD-05", "truncates values of updates that are too long, and answers OK")
-class UpdateCut(Vardis):
-    def update(self, var_id: int, value: bytes, *, now: int, wall: int) -> Confirm:
-        return super().update(var_id, value[: self._parameters.max_value_length], now=now, wall=wall)
-
-
-@mutant("ok", "VD-UPD-06", "confirms an update with an empty value with OK")
-class UpdateEmpty(Vardis):
-    def update(self, var_id: int, value: bytes, *, now: int, wall: int) -> Confirm:
-        confirm = super().update(var_id, value, now=now, wall=wall)
-        empty = (VardisStatus.EMPTY_VALUE, VardisStatus.INVALID_VALUE)
-        return Confirm(OK) if confirm.status in empty else confirm
-
-
-@mutant("constant", "VD-UPD-07", "does not increase the sequence number with updates")
-class NumberStays(Sequence):
-    def after(self, seqno: int) -> int:
-        return seqno
-
-
-@mutant("by-two", "VD-UPD-07", "increases the sequence number by two with each update")
-class ByTwo(Sequence):
-    def after(self, seqno: int) -> int:
-        return (seqno + 2) % self._modulus
-
-
-@mutant("wraps-early", "VD-UPD-07 VD-TYP-03", "wraps sequence numbers to 0 after 254")
-class WrapsEarly(Sequence):
-    def after(self, seqno: int) -> int:
-        return (seqno + 1) % (self._modulus - 1)
-
-
-@mutant("wraps-to-one", "VD-UPD-07 VD-TYP-03", "wraps sequence numbers to 1 instead of 0")
-class WrapsToOne(Sequence):
-    def after(self, seqno: int) -> int:
-        return (seqno + 1) % self._modulus or 1
+# fmt: off
+around_update("cut", "VD-UPD-05", "truncates values of updates that are too long, and answers OK",
+    lambda self, proceed, var_id, value, *, now, wall: (
+        proceed(var_id, value[: self._parameters.max_value_length], now=now, wall=wall)))
+after_update("ok", "VD-UPD-06", "confirms an update with an empty value with OK",
+    lambda self, confirm, var_id, value, *, now, wall: (
+        Confirm(OK) if confirm.status in (VardisStatus.EMPTY_VALUE, VardisStatus.INVALID_VALUE) else confirm))
+afters = instead(Sequence, Sequence.after)
+afters("constant", "VD-UPD-07", "does not increase the sequence number with updates", lambda self, seqno: seqno)
+afters("by-two", "VD-UPD-07", "increases the sequence number by two with each update",
+    lambda self, seqno: (seqno + 2) % self._modulus)
+afters("wraps-early", "VD-UPD-07 VD-TYP-03", "wraps sequence numbers to 0 after 254",
+    lambda self, seqno: (seqno + 1) % (self._modulus - 1))
+afters("wraps-to-one", "VD-UPD-07 VD-TYP-03", "wraps sequence numbers to 1 instead of 0",
+    lambda self, seqno: (seqno + 1) % self._modulus or 1)
+# fmt: on
 
 
 @mutant("shared", "VD-TYP-03 VD-UPD-07", "uses one sequence of numbers for the updates of all variables")
@@ -186,42 +118,19 @@ class SharedCounter(Vardis):
         return confirm
 
 
-@mutant("once", "VD-UPD-08", "sends a VarUpdate once, whatever the repCnt")
-class UpdatedOnce(Vardis):
-    def update(self, var_id: int, value: bytes, *, now: int, wall: int) -> Confirm:
-        confirm = super().update(var_id, value, now=now, wall=wall)
-        entry = self._database.lookup(var_id)
-        if confirm.status is OK and entry is not None:
-            entry.count_update = 1
-        return confirm
-
-
-@mutant("stamp", "VD-UPD-08 VD-DB-03", "keeps the time stamp of the creation when a variable is updated")
-class UpdateStamp(Vardis):
-    def update(self, var_id: int, value: bytes, *, now: int, wall: int) -> Confirm:
-        entry = self._database.lookup(var_id)
-        stamp = None if entry is None else entry.t_stamp
-        confirm = super().update(var_id, value, now=now, wall=wall)
-        if entry is not None and stamp is not None:
-            entry.t_stamp = stamp
-        return confirm
-
-
-@mutant("unknown-empty", "VD-REA-02", "returns an empty value for a variable that does not exist")
-class ReadsUnknown(Vardis):
-    def read(self, var_id: int) -> ReadConfirm:
-        confirm = super().read(var_id)
-        return ReadConfirm(OK, b"", 0) if confirm.status is DOES_NOT_EXIST else confirm
-
-
-@mutant("deleted", "VD-REA-03", "returns the last value of a deleted variable", since=V2)
-class ReadsDeleted(Cells):
-    cells: ClassVar = {(Event.APP_READ, state): Cell(Action.READ) for state in (DELETED, DELETED_OWN)}
-
-
-@mutant("does-not-exist", "VD-REA-03", "answers DOES-NOT-EXIST for a deleted variable", since=V2)
-class ReadDoesNotExist(Cells):
-    cells: ClassVar = _refused(Event.APP_READ, DOES_NOT_EXIST, DELETED, DELETED_OWN)
+# fmt: off
+on_update = on_entry(Vardis, Vardis.update)
+on_update("once", "VD-UPD-08", "sends a VarUpdate once, whatever the repCnt",
+    lambda self, entry, before: assign(entry, count_update=1))
+on_update("stamp", "VD-UPD-08 VD-DB-03", "keeps the time stamp of the creation when a variable is updated",
+    lambda self, entry, before: assign(entry, t_stamp=before.t_stamp))
+after_read("unknown-empty", "VD-REA-02", "returns an empty value for a variable that does not exist",
+    lambda self, confirm, var_id: ReadConfirm(OK, b"", 0) if confirm.status is DOES_NOT_EXIST else confirm)
+cells("deleted", "VD-REA-03", "returns the last value of a deleted variable",
+    since=V2, cells={(Event.APP_READ, state): Cell(Action.READ) for state in (DELETED, DELETED_OWN)})
+cells("does-not-exist", "VD-REA-03", "answers DOES-NOT-EXIST for a deleted variable",
+    since=V2, cells=_refused(Event.APP_READ, DOES_NOT_EXIST, DELETED, DELETED_OWN))
+# fmt: on
 
 
 @mutant("with-value", "VD-REA-03", "returns the last value together with IS-DELETED", since=V2)
@@ -248,45 +157,29 @@ class ReadsFirst(Vardis):
         return self._first.setdefault((var_id, entry.spec.creation_time), confirm)
 
 
-@mutant("no-stamp", "VD-REA-04 VD-DB-03", "returns the value without a time stamp")
-class ReadsNoStamp(Vardis):
-    def read(self, var_id: int) -> ReadConfirm:
-        return msgspec.structs.replace(super().read(var_id), t_stamp=None)
+around(Vardis, Vardis.read)("no-stamp", "VD-REA-04 VD-DB-03", "returns the value without a time stamp",
+    lambda self, proceed, var_id: msgspec.structs.replace(proceed(var_id), t_stamp=None))  # fmt: skip
 
 
 # -- descriptions ------------------------------------------------------------------------------------------------------
 
 
-@mutant("hides-deleted", "VD-DDB-02 VD-DB-02", "omits deleted variables from RTDB-DescribeDatabase")
-class HidesDeleted(Vardis):
-    def describe_database(self) -> DescribeDatabaseConfirm:
-        confirm = super().describe_database()
-        return msgspec.structs.replace(
-            confirm, variables=tuple(each for each in confirm.variables if not each.is_deleted)
-        )
-
-
-@mutant("own-only", "VD-DDB-02", "describes only its own variables")
-class OwnOnly(Vardis):
-    def describe_database(self) -> DescribeDatabaseConfirm:
-        confirm = super().describe_database()
-        own = tuple(each for each in confirm.variables if each.spec.prod_id == self.own_node_identifier)
-        return msgspec.structs.replace(confirm, variables=own)
-
-
-@mutant("unknown-ok", "VD-DVA-02", "answers OK when a variable to be described does not exist")
-class DescribesUnknown(Vardis):
-    def describe_variable(self, var_id: int) -> DescribeVariableConfirm:
-        confirm = super().describe_variable(var_id)
-        return DescribeVariableConfirm(OK) if confirm.status is DOES_NOT_EXIST else confirm
-
-
-@mutant("deleted", "VD-DVA-03", "rejects RTDB-DescribeVariable for a deleted variable")
-class HidesEntry(Vardis):
-    def describe_variable(self, var_id: int) -> DescribeVariableConfirm:
-        confirm = super().describe_variable(var_id)
-        deleted = confirm.entry is not None and confirm.entry.is_deleted
-        return DescribeVariableConfirm(IS_DELETED) if deleted else confirm
+# fmt: off
+after_describe_database = after(Vardis, Vardis.describe_database)
+after_describe_database("hides-deleted", "VD-DDB-02 VD-DB-02", "omits deleted variables from RTDB-DescribeDatabase",
+    lambda self, confirm: (
+        msgspec.structs.replace(confirm, variables=tuple(each for each in confirm.variables if not each.is_deleted))))
+after_describe_database("own-only", "VD-DDB-02", "describes only its own variables",
+    lambda self, confirm: (
+        msgspec.structs.replace(confirm, variables=tuple(each for each in confirm.variables
+        if each.spec.prod_id == self.own_node_identifier))))
+after_describe_variable = after(Vardis, Vardis.describe_variable)
+after_describe_variable("unknown-ok", "VD-DVA-02", "answers OK when a variable to be described does not exist",
+    lambda self, confirm, var_id: DescribeVariableConfirm(OK) if confirm.status is DOES_NOT_EXIST else confirm)
+after_describe_variable("deleted", "VD-DVA-03", "rejects RTDB-DescribeVariable for a deleted variable",
+    lambda self, confirm, var_id: (
+        DescribeVariableConfirm(IS_DELETED) if confirm.entry is not None and confirm.entry.is_deleted else confirm))
+# fmt: on
 
 
 @mutant("no-answer", "DATA-10", "does not answer if a variable to be deleted does not exist")
@@ -321,34 +214,20 @@ class Inactive(Vardis):
         return served
 
 
-@mutant("served", "VD-DDB-01 VD-MGT-04", "executes RTDB-DescribeDatabase while it is inactive", unseen=ALWAYS_ACTIVE)
-class InactiveDatabase(Inactive):
-    serves = "describe_database"
-
-
-@mutant("served", "VD-DVA-01 VD-MGT-04", "executes RTDB-DescribeVariable while it is inactive", unseen=ALWAYS_ACTIVE)
-class InactiveVariable(Inactive):
-    serves = "describe_variable"
-
-
-@mutant("served", "VD-CRE-01 VD-MGT-04", "creates variables while it is inactive", unseen=ALWAYS_ACTIVE)
-class InactiveCreate(Inactive):
-    serves = "create"
-
-
-@mutant("served", "VD-DEL-01 VD-MGT-04", "deletes variables while it is inactive", unseen=ALWAYS_ACTIVE)
-class InactiveDelete(Inactive):
-    serves = "delete"
-
-
-@mutant("served", "VD-UPD-01 VD-MGT-04", "updates variables while it is inactive", unseen=ALWAYS_ACTIVE)
-class InactiveUpdate(Inactive):
-    serves = "update"
-
-
-@mutant("served", "VD-REA-01 VD-MGT-04", "reads variables while it is inactive", unseen=ALWAYS_ACTIVE)
-class InactiveRead(Inactive):
-    serves = "read"
+# fmt: off
+inactive = attributes(Inactive, __name__)
+inactive("served", "VD-DDB-01 VD-MGT-04", "executes RTDB-DescribeDatabase while it is inactive",
+    unseen=ALWAYS_ACTIVE, serves="describe_database")
+inactive("served", "VD-DVA-01 VD-MGT-04", "executes RTDB-DescribeVariable while it is inactive",
+    unseen=ALWAYS_ACTIVE, serves="describe_variable")
+inactive("served", "VD-CRE-01 VD-MGT-04", "creates variables while it is inactive",
+    unseen=ALWAYS_ACTIVE, serves="create")
+inactive("served", "VD-DEL-01 VD-MGT-04", "deletes variables while it is inactive",
+    unseen=ALWAYS_ACTIVE, serves="delete")
+inactive("served", "VD-UPD-01 VD-MGT-04", "updates variables while it is inactive",
+    unseen=ALWAYS_ACTIVE, serves="update")
+inactive("served", "VD-REA-01 VD-MGT-04", "reads variables while it is inactive", unseen=ALWAYS_ACTIVE, serves="read")
+# fmt: on
 
 
 @mutant("silently", "VD-MGT-04 VD-CRE-01", "answers INACTIVE, but creates the variable", unseen=ALWAYS_ACTIVE)

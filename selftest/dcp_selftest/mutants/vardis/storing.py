@@ -7,7 +7,9 @@ from typing import Any, ClassVar
 import msgspec
 from dcp_spec.constants import SpecVersion
 
-from dcp_codec.values import VarCreate, VarDelete, VarSpec, VarSumm, VarUpdate
+from dcp_codec.values import VarCreate, VarSpec, VarSumm, VarUpdate
+from dcp_selftest.mutants.entries import drop, on_entry
+from dcp_selftest.mutants.family import assign, attributes, instead
 from dcp_selftest.mutants.mutant import mutant
 from dcp_selftest.mutants.unseen import ALWAYS_ACTIVE, NO_TIMES, NOT_REPLACED, PURGED
 from dcp_stack.vardis.core import Core
@@ -24,7 +26,7 @@ class Stores(Receiver):
     def _create(self, record: VarCreate, offset: int, now: int, wall: int) -> None:
         super()._create(self.record(record, wall), offset, now, wall)
 
-    def record(self, record: VarCreate, wall: int) -> VarCreate:  # noqa: ARG002 - used by overrides
+    def record(self, record: VarCreate, wall: int) -> VarCreate:
         """Return the record to be stored."""
         return record
 
@@ -33,36 +35,20 @@ class Stores(Receiver):
         return VarCreate(msgspec.structs.replace(record.spec, **members), record.upd)
 
 
-@mutant("seqno-zero", "VD-PC-07", "stores variables of other nodes with sequence number 0")
-class SeqnoZero(Stores):
-    def record(self, record: VarCreate, wall: int) -> VarCreate:  # noqa: ARG002 - as above
-        return VarCreate(record.spec, VarUpdate(record.upd.var_id, 0, record.upd.value))
+record = instead(Stores, Stores.record)
+record("seqno-zero", "VD-PC-07", "stores variables of other nodes with sequence number 0",
+    lambda self, record, wall: VarCreate(record.spec, VarUpdate(record.upd.var_id, 0, record.upd.value)))  # fmt: skip
+record("nul-value", "VD-PC-07 DATA-06", "stores values only up to the first zero octet",
+    lambda self, record, wall: (
+        VarCreate(record.spec, VarUpdate(record.upd.var_id, record.upd.seqno,
+        record.upd.value[:1] + record.upd.value[1:].partition(b"\0")[0]))))  # fmt: skip
+record("producer", "VD-PC-10 VD-TYP-06", "forwards variables with itself as the producer",
+    lambda self, record, wall: (
+        record if record.spec.prod_id == self._core.own_id
+        else self.changed(record, prod_id=self._core.own_id[:-1] + b"\x77")))  # fmt: skip
 
 
-@mutant("nul-value", "VD-PC-07 DATA-06", "stores values only up to the first zero octet")
-class NulValue(Stores):
-    def record(self, record: VarCreate, wall: int) -> VarCreate:  # noqa: ARG002 - as above
-        value = record.upd.value[:1] + record.upd.value[1:].partition(b"\0")[0]
-        return VarCreate(record.spec, VarUpdate(record.upd.var_id, record.upd.seqno, value))
-
-
-@mutant(
-    "producer",
-    "VD-PC-10 VD-TYP-06",
-    "forwards variables with itself as the producer",
-)
-class OtherProducer(Stores):
-    def record(self, record: VarCreate, wall: int) -> VarCreate:  # noqa: ARG002 - as above
-        own = record.spec.prod_id == self._core.own_id
-        return record if own else self.changed(record, prod_id=self._core.own_id[:-1] + b"\x77")
-
-
-@mutant(
-    "creation-time",
-    "VD-PC-10 VD-TYP-06",
-    "forwards variables with its own creationTime",
-    unseen=NO_TIMES,
-)
+@mutant("creation-time", "VD-PC-10 VD-TYP-06", "forwards variables with its own creationTime", unseen=NO_TIMES)
 class OtherTime(Stores):
     def record(self, record: VarCreate, wall: int) -> VarCreate:
         entry = self._database.lookup(record.spec.var_id)
@@ -70,31 +56,20 @@ class OtherTime(Stores):
         return self.changed(record, creation_time=self._core.clock.stamp(wall)) if fresh else record
 
 
-@mutant("repcnt-down", "VD-TYP-06 VD-PC-09", "forwards variables with a decremented repCnt, like a hop count")
-class CountsHops(Stores):
-    def record(self, record: VarCreate, wall: int) -> VarCreate:  # noqa: ARG002 - as above
-        return self.changed(record, rep_cnt=max(record.spec.rep_cnt - 1, 1)) if record.spec.rep_cnt <= 15 else record
-
-
-@mutant("timeout-lost", "VD-TYP-06 VD-TYP-04", "forwards variables without their timeout", unseen=NO_TIMES)
-class TimeoutLost(Stores):
-    def record(self, record: VarCreate, wall: int) -> VarCreate:  # noqa: ARG002 - as above
-        return self.changed(record, timeout=0)
-
-
-@mutant(
-    "descr-nul", "DATA-07 VD-TYP-06", "forwards descriptions only up to the first zero octet", since=SpecVersion.V1_1
-)
-class DescriptionNul(Stores):
-    def record(self, record: VarCreate, wall: int) -> VarCreate:  # noqa: ARG002 - as above
-        return self.changed(record, descr=record.spec.descr.partition(b"\0")[0] or record.spec.descr)
-
-
-@mutant("descr-short", "VD-TYP-06", "forwards at most 16 octets of a description")
-class DescriptionShort(Stores):
-    def record(self, record: VarCreate, wall: int) -> VarCreate:  # noqa: ARG002 - as above
-        longest = self._parameters.longest_description
-        return self.changed(record, descr=record.spec.descr[:16]) if len(record.spec.descr) <= longest else record
+# fmt: off
+record("repcnt-down", "VD-TYP-06 VD-PC-09", "forwards variables with a decremented repCnt, like a hop count",
+    lambda self, record, wall: (
+        self.changed(record, rep_cnt=max(record.spec.rep_cnt - 1, 1)) if record.spec.rep_cnt <= 15 else record))
+record("timeout-lost", "VD-TYP-06 VD-TYP-04", "forwards variables without their timeout",
+    lambda self, record, wall: self.changed(record, timeout=0), unseen=NO_TIMES)
+record("descr-nul", "DATA-07 VD-TYP-06", "forwards descriptions only up to the first zero octet",
+    lambda self, record, wall: self.changed(record, descr=record.spec.descr.partition(b"\0")[0] or record.spec.descr),
+    since=SpecVersion.V1_1)
+record("descr-short", "VD-TYP-06", "forwards at most 16 octets of a description",
+    lambda self, record, wall: (
+        self.changed(record, descr=record.spec.descr[:16])
+        if len(record.spec.descr) <= self._parameters.longest_description else record))
+# fmt: on
 
 
 class Inserts(Database):
@@ -128,44 +103,22 @@ CREATED = "VD-PC-08 VD-CRE-11"
 DELETED = "VD-PD-04 VD-DEL-05"
 
 
-@mutant("deleteQ", CREATED, "leaves a variable in deleteQ when it is created again", unseen=NOT_REPLACED)
-class CreateKeepsDelete(Inserts):
-    forgets = "deleteQ"
-
-
-@mutant("updateQ", CREATED, "leaves a variable in updateQ when it is created again", unseen=NOT_REPLACED)
-class CreateKeepsUpdate(Inserts):
-    forgets = "updateQ"
-
-
-@mutant("reqUpdQ", CREATED, "leaves a variable in reqUpdQ when it is created again", unseen=NOT_REPLACED)
-class CreateKeepsRequest(Inserts):
-    forgets = "reqUpdQ"
-
-
-@mutant("reqCreateQ", CREATED, "continues to request a variable that it has received")
-class CreateKeepsCreate(Inserts):
-    forgets = "reqCreateQ"
-
-
-@mutant("createQ", DELETED, "leaves a variable in createQ when it is deleted")
-class DeleteKeepsCreate(Inserts):
-    forgets, at = "createQ", "delete"
-
-
-@mutant("updateQ", DELETED, "leaves a variable in updateQ when it is deleted")
-class DeleteKeepsUpdate(Inserts):
-    forgets, at = "updateQ", "delete"
-
-
-@mutant("summaryQ", DELETED + " VD-CMP-05", "leaves a variable in summaryQ when it is deleted", unseen=PURGED)
-class DeleteKeepsSummary(Inserts):
-    forgets, at = "summaryQ", "delete"
-
-
-@mutant("reqUpdQ", DELETED, "leaves a variable in reqUpdQ when it is deleted", unseen=PURGED)
-class DeleteKeepsRequest(Inserts):
-    forgets, at = "reqUpdQ", "delete"
+# fmt: off
+inserts = attributes(Inserts, __name__)
+inserts("deleteQ", CREATED, "leaves a variable in deleteQ when it is created again",
+    unseen=NOT_REPLACED, forgets="deleteQ")
+inserts("updateQ", CREATED, "leaves a variable in updateQ when it is created again",
+    unseen=NOT_REPLACED, forgets="updateQ")
+inserts("reqUpdQ", CREATED, "leaves a variable in reqUpdQ when it is created again",
+    unseen=NOT_REPLACED, forgets="reqUpdQ")
+inserts("reqCreateQ", CREATED, "continues to request a variable that it has received", forgets="reqCreateQ")
+inserts("createQ", DELETED, "leaves a variable in createQ when it is deleted", forgets="createQ", at="delete")
+inserts("updateQ", DELETED, "leaves a variable in updateQ when it is deleted", forgets="updateQ", at="delete")
+inserts("summaryQ", DELETED + " VD-CMP-05", "leaves a variable in summaryQ when it is deleted",
+    unseen=PURGED, forgets="summaryQ", at="delete")
+inserts("reqUpdQ", DELETED, "leaves a variable in reqUpdQ when it is deleted",
+    unseen=PURGED, forgets="reqUpdQ", at="delete")
+# fmt: on
 
 
 @mutant("request-kept", "VD-PU-08", "requests an update that it has received")
@@ -177,86 +130,29 @@ class RequestKept(Receiver):
             self._database.req_upd_q.append(record.var_id)
 
 
-@mutant("own-only", "VD-PC-09 VD-SCP-02", "does not forward variables of other nodes")
-class NotForwarded(Receiver):
-    def _create(self, record: VarCreate, offset: int, now: int, wall: int) -> None:
-        before = self._database.lookup(record.spec.var_id)
-        super()._create(record, offset, now, wall)
-        entry = self._database.lookup(record.spec.var_id)
-        if entry is not None and entry is not before:
-            entry.count_create = 0
-            self._database.create_q.remove(record.spec.var_id)
-
-
-@mutant("once", "VD-PC-09 VD-SCP-02", "forwards variables of other nodes once, whatever the repCnt")
-class ForwardedOnce(Receiver):
-    def _create(self, record: VarCreate, offset: int, now: int, wall: int) -> None:
-        before = self._database.lookup(record.spec.var_id)
-        super()._create(record, offset, now, wall)
-        entry = self._database.lookup(record.spec.var_id)
-        if entry is not None and entry is not before:
-            entry.count_create = 1
-
-
-@mutant("not-summarised", "VD-PC-09", "does not summarise variables of other nodes")
-class NotSummarised(Receiver):
-    def _create(self, record: VarCreate, offset: int, now: int, wall: int) -> None:
-        super()._create(record, offset, now, wall)
-        entry = self._database.lookup(record.spec.var_id)
-        if entry is not None and entry.spec.prod_id != self._core.own_id:
-            self._database.summary_q.remove(record.spec.var_id)
-
-
-@mutant("not-sent-on", "VD-PU-07 VD-SCP-02", "stores updates of other nodes without forwarding them")
-class UpdateNotForwarded(Receiver):
-    def _update(self, record: VarUpdate, offset: int, now: int, wall: int) -> None:
-        entry = self._database.lookup(record.var_id)
-        before = None if entry is None else entry.seqno
-        super()._update(record, offset, now, wall)
-        if entry is not None and entry.seqno != before:
-            entry.count_update = 0
-            self._database.update_q.remove(record.var_id)
-
-
-@mutant("number-kept", "VD-PU-07", "stores the value of a VarUpdate, but keeps its old sequence number")
-class NumberKept(Receiver):
-    def _update(self, record: VarUpdate, offset: int, now: int, wall: int) -> None:
-        entry = self._database.lookup(record.var_id)
-        before = None if entry is None else entry.seqno
-        super()._update(record, offset, now, wall)
-        if entry is not None and before is not None:
-            entry.seqno = before
-
-
-@mutant("value-kept", "VD-PU-07", "stores the sequence number of a VarUpdate, but not its value")
-class ValueKept(Receiver):
-    def _update(self, record: VarUpdate, offset: int, now: int, wall: int) -> None:
-        entry = self._database.lookup(record.var_id)
-        before = None if entry is None else entry.value
-        super()._update(record, offset, now, wall)
-        if entry is not None and before is not None:
-            entry.value = before
-
-
-@mutant("stamp-kept", "VD-DB-03 VD-PU-07 VD-REA-04", "keeps the time stamp of the creation when it receives an update")
-class StampKept(Receiver):
-    def _update(self, record: VarUpdate, offset: int, now: int, wall: int) -> None:
-        entry = self._database.lookup(record.var_id)
-        before = None if entry is None else entry.t_stamp
-        super()._update(record, offset, now, wall)
-        if entry is not None and before is not None:
-            entry.t_stamp = before
-
-
-@mutant("not-sent-on", "VD-PD-04 VD-SCP-02", "deletes variables of other nodes without forwarding the VarDelete")
-class DeleteNotForwarded(Receiver):
-    def _delete(self, record: VarDelete, offset: int) -> None:
-        entry = self._database.lookup(record.var_id)
-        known = entry is not None and not entry.is_deleted
-        super()._delete(record, offset)
-        if known and entry is not None and entry.is_deleted:
-            entry.count_delete = 0
-            self._database.delete_q.remove(record.var_id)
+# fmt: off
+on_create = on_entry(Receiver, Receiver._create)
+on_create("own-only", "VD-PC-09 VD-SCP-02", "does not forward variables of other nodes",
+    lambda self, entry, before: drop(self._database.create_q, entry, count_create=0))
+on_create("once", "VD-PC-09 VD-SCP-02", "forwards variables of other nodes once, whatever the repCnt",
+    lambda self, entry, before: assign(entry, count_create=1))
+on_create("not-summarised", "VD-PC-09", "does not summarise variables of other nodes",
+    lambda self, entry, before: drop(self._database.summary_q, entry))
+on_update = on_entry(Receiver, Receiver._update)
+on_update("not-sent-on", "VD-PU-07 VD-SCP-02", "stores updates of other nodes without forwarding them",
+    lambda self, entry, before: drop(self._database.update_q, entry, when=entry.seqno != before.seqno, count_update=0))
+on_update("number-kept", "VD-PU-07", "stores the value of a VarUpdate, but keeps its old sequence number",
+    lambda self, entry, before: assign(entry, seqno=before.seqno))
+on_update("value-kept", "VD-PU-07", "stores the sequence number of a VarUpdate, but not its value",
+    lambda self, entry, before: assign(entry, value=before.value))
+on_update("stamp-kept", "VD-DB-03 VD-PU-07 VD-REA-04",
+    "keeps the time stamp of the creation when it receives an update",
+    lambda self, entry, before: assign(entry, t_stamp=before.t_stamp))
+on_entry(Receiver, Receiver._delete)("not-sent-on", "VD-PD-04 VD-SCP-02",
+    "deletes variables of other nodes without forwarding the VarDelete",
+    lambda self, entry, before: (
+        drop(self._database.delete_q, entry, when=entry.is_deleted and not before.is_deleted, count_delete=0)))
+# fmt: on
 
 
 @mutant(
@@ -290,27 +186,17 @@ class CopiesSummaries(Receiver):
             entry.seqno = record.seqno
 
 
-@mutant("request-relayed", "VD-SCP-01", "forwards requests for updates that it can answer")
-class RelaysRequests(Receiver):
-    def _request_update(self, record: Any, offset: int) -> None:
-        super()._request_update(record, offset)
-        entry = self._database.lookup(record.var_id)
-        if entry is not None and not entry.is_deleted:
-            self._database.req_upd_q.append(record.var_id)
-
-
-@mutant("create-request-relayed", "VD-SCP-01 VD-RC-03", "forwards requests for variables that it can answer")
-class RelaysCreateRequests(Receiver):
-    def _request_create(self, record: Any, offset: int) -> None:
-        super()._request_create(record, offset)
-        if self._database.lookup(record.var_id) is not None:
-            self._database.req_create_q.append(record.var_id)
-
-
-@mutant("while-inactive", "VD-MGT-03", "processes payloads while it is inactive", unseen=ALWAYS_ACTIVE)
-class ReceivesInactive(Vardis):
-    def handle_payload(self, payload: bytes, *, now: int, wall: int) -> None:
-        self._receiver.process(self._extractor.extract(payload), now=now, wall=wall)
+# fmt: off
+on_entry(Receiver, Receiver._request_update)("request-relayed", "VD-SCP-01",
+    "forwards requests for updates that it can answer",
+    lambda self, entry, before: self._database.req_upd_q.append(entry.spec.var_id) if not entry.is_deleted else None)
+on_entry(Receiver, Receiver._request_create)("create-request-relayed", "VD-SCP-01 VD-RC-03",
+    "forwards requests for variables that it can answer",
+    lambda self, entry, before: self._database.req_create_q.append(entry.spec.var_id))
+instead(Vardis, Vardis.handle_payload)("while-inactive", "VD-MGT-03", "processes payloads while it is inactive",
+    lambda self, payload, *, now, wall: self._receiver.process(self._extractor.extract(payload), now=now, wall=wall),
+    unseen=ALWAYS_ACTIVE)
+# fmt: on
 
 
 @mutant(
