@@ -68,7 +68,7 @@ class SameSeed(InProcess):
     """Draws the same jitter after each start."""
 
     def restart(self) -> None:
-        self._rng = random.Random(7)
+        self.rng = random.Random(7)
         super().restart()
 
 
