@@ -109,8 +109,8 @@ class Registry(Generic[Entry]):
 def unknown(what: str, name: str, names: Iterable[str], listed_by: str) -> UsageError:
     """Return the error for a name that nothing has, with similar ones of ``names``."""
     near = get_close_matches(name, list(dict.fromkeys(names)), n=_NEAR)
-    hint = f"did you mean {', '.join(near)}?" if near else f"{listed_by!r} shows the {what}s"
-    return UsageError(f"no {what} is called {name!r}; {hint}")
+    hint = f"did you mean {', '.join(near)}? " if near else ""
+    return UsageError(f"no {what} is called {name!r}; {hint}{listed_by!r} shows the {what}s")
 
 
 def modules_of(package: str) -> list[str]:

@@ -151,15 +151,17 @@ def skips(base: type[Part], method: Callable[Concatenate[Part, P], None]) -> Fam
 def crashes(
     base: type[Part], method: Callable[Concatenate[Part, P], R], error: Exception
 ) -> Family[Concatenate[Part, P], object]:
-    """Return the family that raises ``error`` instead of ``method`` if a condition on object and arguments is true."""
+    """Return the family that raises a copy of ``error`` if a condition on object and arguments is true."""
 
     def override(behaviour: Callable[Concatenate[Part, P], object], made: type) -> object:
         def changed(self: Part, /, *args: P.args, **kwargs: P.kwargs) -> R:
             if behaviour(self, *args, **kwargs):
-                raise error
+                raise type(error)(*error.args)
             result: R = getattr(super(made, self), method.__name__)(*args, **kwargs)
             return result
 
+        # A finding is named by the function that raises.
+        changed.__code__ = changed.__code__.replace(co_name=method.__name__)
         return changed
 
     return Family(base, method.__name__, override)

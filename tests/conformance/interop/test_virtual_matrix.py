@@ -227,7 +227,7 @@ def test_seeds_are_all_played(tmp_path: Path) -> None:
         ("", "implementation"),
         ("[implementation.a]\nprofile = 'dcp-2.0'\n", "implementation.a: give either"),
         ("[implementation.a]\nstart = 'x {nowhere}'\n", "there is no placeholder {nowhere}"),
-        ("[implementation.a]\nbuilt_in = 'mutant:M-NO'\n", "there is no mutant 'M-NO'"),
+        ("[implementation.a]\nbuilt_in = 'mutant:M-NO'\n", "no mutant is called 'M-NO'"),
         ("[implementation.a]\nbuilt_in = 'node'\nprofile = 'dcp-9'\n", "implementation.a"),
         ("[implementation.a]\nbuilt_in = 'node'\n[matrix]\nrows = ['b']\n", "'b' is not described"),
         ("[implementation.a]\nbuilt_in = 'node'\nsize = 3\n", "size"),
