@@ -28,6 +28,8 @@ from dcp_codec import (
 from dcp_codec.plan.layout import walk
 from dcp_codec.plan.tree import Group, Many, Node, Scalar, Select, Text
 
+from ..chance import examples
+
 RECORDINGS = sorted((Path(__file__).parent.parent.parent / "captures").glob("*.mcap"))
 
 
@@ -146,11 +148,11 @@ def malformed(codec: Codec, octets: bytes) -> Iterator[bytes]:
 
 
 def drawn(strategy: Any, count: int) -> list[bytes]:
-    """Examples of a hypothesis strategy, the same in every run."""
+    """As many examples of a Hypothesis strategy as :func:`examples` allows, the same in every run."""
     found: list[bytes] = []
 
     @settings(
-        max_examples=count,
+        max_examples=examples(count),
         database=None,
         derandomize=True,
         phases=[Phase.generate],
