@@ -51,7 +51,7 @@ test-suite test-tools test-tables: $(STAMP)
 
 # Tests in real time wait more than they compute, hence more of them at a time.
 test-links: $(STAMP)
-	$(PYTEST) -n 6 --dist loadfile --part=links
+	$(PYTEST) -n 10 --dist loadfile --part=links
 
 FOR  ?= 3600
 N    ?= 10
