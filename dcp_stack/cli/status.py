@@ -87,4 +87,4 @@ def own_address(link: dict[str, Any]) -> str:
 
 def as_line(status: dict[str, Any]) -> str:
     """Return a status as one JSON line."""
-    return json.dumps(status, ensure_ascii=False)
+    return json.dumps(status)

@@ -16,8 +16,10 @@ from rich.console import Console
 
 from dcp_codec.network import interfaces
 from dcp_stack.cli import main
-from dcp_stack.cli.common import fitted, octets_given
+from dcp_stack.cli.common import finish, fitted, octets_given
 from dcp_stack.cli.monitor import Rates, view
+from dcp_stack.cli.status import as_line
+from dcp_stack.runtime import logs
 
 from ..control_rig import Rig
 
@@ -411,3 +413,15 @@ def test_a_narrow_monitor_leaves_columns_out_instead_of_numbers(width):
     (variable,) = (line.split() for line in lines if "this node" in line)
     assert variable[:3] == ["255", "this", "node"]
     assert any(each.startswith("00112233") for each in variable)
+
+
+def test_names_of_others_reach_no_terminal_unescaped(capsys):
+    name = "a\x9b31m\u202eb\u00e9"
+    finish("RTDB-DescribeDatabase", {"status": "VARDIS-STATUS-OK", "variables": [{"descr": name}]}, True)
+    print(as_line({"node": name}))
+    stream = io.StringIO()
+    logs.set_up("info", "text", stream)
+    logging.getLogger("test").info("heard %s", name)
+    lines = (capsys.readouterr().out + stream.getvalue()).splitlines()
+    assert len(lines) == 3
+    assert all(line.isprintable() for line in lines)
