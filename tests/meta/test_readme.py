@@ -70,3 +70,8 @@ def test_programs_run_unchanged(program, capsys):
 
 def test_there_are_programs():
     assert len(programs()) >= 2
+
+
+def test_the_page_that_explains_setcap_is_linked():
+    (place,) = re.findall(r"`setcap`[^;]*\]\(([^)#]+)[^)]*\)", (ROOT / "README.md").read_text(encoding="utf-8"))
+    assert "sudo setcap" in (ROOT / place).read_text(encoding="utf-8")
