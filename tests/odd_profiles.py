@@ -151,7 +151,7 @@ ODD_PROFILES: dict[str, str] = {
 #: The profiles for tests of every profile.
 NAMES = (*profile_names(), *ODD_PROFILES)
 #: The profiles among them that between them have every kind of field; the others are part of `make test-suite`.
-CORE = frozenset(("dcp-1.0", "dcp-2.0", "cpp-2.0", "student-2024", "odd-areas", "odd-own"))
+CORE = frozenset(("dcp-1.0", "dcp-2.0", "odd-areas", "odd-own"))
 #: ``NAMES`` as parameters of a test or fixture, and the built-in profiles among them.
 PARAMETERS = [each if each in CORE else also("suite", each)[0] for each in NAMES]
 BUILT_IN = PARAMETERS[: len(profile_names())]

@@ -182,7 +182,7 @@ def test_octets_that_the_codec_refuses_are_refused(codec: Codec, root_type: Any)
     octets = codec.encode(everything(codec))
     # Profiles take turns with the changes, as in test_lua.py.
     changes = list(malformed(codec, octets))[NAMES.index(codec.profile.name) % 3 :: 3]
-    wrong = [*changes, *drawn(strategies.mutations(beacons, codec.dissect), 240)]
+    wrong = [*changes, *drawn(strategies.mutations(beacons, codec.dissect), 300)]
     refused = 0
     for candidate in wrong:
         reason = refusal(codec, candidate)

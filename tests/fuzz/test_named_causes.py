@@ -170,7 +170,7 @@ def found_in_process(mutant: str, findings: int = 2) -> Campaign:
 @pytest.mark.parametrize(
     ("mutant", "requirement"),
     every(
-        6,
+        10,
         [
             ("M-BP-RX-07-first-only", "BP-RX-07"),
             ("M-BP-RX-07-one-of-each", "BP-RX-07"),
@@ -216,6 +216,7 @@ def test_a_container_that_is_skipped_is_named_from_outside_too():
     assert artefact.effect.requirements == ("VD-RX-04",)
 
 
+@pytest.mark.part("suite")
 def test_the_case_of_a_finding_fails_its_requirement_and_is_reproduced_by_the_printed_command(tmp_path):
     campaign = found_in_process("M-VD-RU-03-equal-answered", findings=1)
     [artefact] = campaign.artefacts

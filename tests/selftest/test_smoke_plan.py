@@ -19,7 +19,10 @@ from dcp_selftest.smoke_plan import choose
 
 from dcp_codec.codec import Codec
 
+from ..parts import also
 
+
+@pytest.mark.part("suite")
 def test_the_file_is_the_output_of_the_command() -> None:
     times = load()
     assert times.smoke == choose(cases(), times.seconds, load_dictionary())
@@ -49,7 +52,7 @@ def test_greedy_choice_prefers_more_faults_per_second() -> None:
     assert min(chosen.values()) >= 1
 
 
-@pytest.mark.parametrize("upper", [True, False])
+@pytest.mark.parametrize("upper", [True, *also("suite", False)])
 def test_the_smoke_plan_takes_less_than_ten_seconds_in_concurrent_execution(upper: bool) -> None:
     suite = Suite("dcp-2.0")
     if not upper:

@@ -119,6 +119,7 @@ def test_any_message(any_profile, decoder_of, reference, rows, differ):
     check()
 
 
+@pytest.mark.part("tables")
 @settings(max_examples=examples(60))
 @given(profiles().filter(lambda profile: not list(contradictions(profile))), st.data())
 def test_any_profile(reference, rows, differ, profile: Profile, data: st.DataObject) -> None:

@@ -70,6 +70,7 @@ def test_a_mutant_is_detected_in_a_concurrent_run(mutant: str) -> None:
     assert compare(mutants[mutant], mutants[mutant].profile, cases(), companions=20).killed == (True, True)
 
 
+@pytest.mark.part("suite")
 def test_most_cases_pass_concurrently_and_each_has_one_result() -> None:
     found = run(WIDTH)
     assert not found.trouble

@@ -325,8 +325,11 @@ def test_a_fault_in_the_header_is_reported_and_the_profile_found(identifier, tol
 @pytest.mark.parametrize(
     ("profile", "told"),
     [
-        ("dcp-2.0", True),
-        *also("suite", *((each, number % 2 == 1) for number, each in enumerate(PROFILES) if each != "dcp-2.0")),
+        *also(
+            "suite",
+            ("dcp-2.0", True),
+            *((each, number % 2 == 1) for number, each in enumerate(PROFILES) if each != "dcp-2.0"),
+        ),
         *also("suite", ("dcp-2.0", False)),
     ],
 )

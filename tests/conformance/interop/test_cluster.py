@@ -33,6 +33,7 @@ def test_a_cluster_gives_the_same_verdicts_as_this_machine(scheduler: str) -> No
         assert (one.a, one.b, one.test, one.verdict, one.reason) == (two.a, two.b, two.test, two.verdict, two.reason)
 
 
+@pytest.mark.part("suite")
 def test_an_interruption_keeps_what_the_cluster_has_finished(scheduler: str) -> None:
     cells = cells_of(resolve(NAMES, {}), [all_tests()[name] for name in TESTS])
 

@@ -24,6 +24,7 @@ from dcp_selftest.mutants import all_mutants
 from dcp_selftest.variants import all_variants
 from dcp_selftest.variants.busy import LOADS, Busy, Load, busy
 
+from ...parts import also
 from ..rig import codec_of, known_cases
 
 PROFILE = "dcp-2.0"
@@ -52,7 +53,7 @@ def wrong(found: Sequence[CaseResult]) -> list[tuple[str, str]]:
     return [(each.id, each.reason) for each in found if each.verdict in (Verdict.FAIL, Verdict.ERROR)]
 
 
-@pytest.mark.parametrize("upper", [True, False], ids=["upper", "wire"])
+@pytest.mark.parametrize("upper", [True, *also("suite", False)])
 @pytest.mark.parametrize("load", LOADS)
 def test_no_case_fails_for_lateness(load: str, upper: bool):
     found = results(LOADS[load], 1 + list(LOADS).index(load), upper=upper)

@@ -47,12 +47,10 @@ class _Worker:
             self._command.recv_bytes()
         deadline = time.monotonic() + _END
         signal.pthread_kill(main_thread, signal.SIGTERM)
-        parent = multiprocessing.parent_process()
-        while time.monotonic() < deadline:
-            if not self.busy and (parent is None or not parent.is_alive()):
-                break
+        time.sleep(0.1)
+        while self.busy and time.monotonic() < deadline:
             time.sleep(0.1)
-        # The main thread waits for a command that has died, or hangs in something that no signal ends.
+        # The main thread waits for a job, which the command no longer sends, or hangs in something that no signal ends.
         os._exit(1)
 
     def run(self, job: Callable[[Item, Stop], Result], item: Item) -> Result:
