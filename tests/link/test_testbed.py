@@ -120,7 +120,7 @@ class Runs:
         return report
 
     def errors(self, name: str) -> str:
-        """What a testbed with a report wrote to standard error."""
+        """Return what a testbed with a report wrote to standard error."""
         return self._outputs[name][1]
 
     def end(self) -> None:

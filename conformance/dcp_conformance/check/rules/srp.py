@@ -151,7 +151,7 @@ class ReportNumbers(Invariant):
         """Node -> the last regular report, and one after it whose number restarts or jumps. The next report decides
         whether the number was wrong."""
         self._jumps: Counter[bytes] = Counter()
-        """Node -> number of jumps to numbers from which it goes on."""
+        """Node -> number of jumps to numbers from which its numbers continue."""
         self._first_jump: dict[bytes, tuple[str, list[Evidence]]] = {}
         """Node -> the first of them, with its frames."""
         self._usual: dict[bytes, int] = {}
