@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Final
 
 #: reason -> (requirement, meaning)
@@ -47,3 +48,20 @@ DROPS: Final[dict[str, tuple[str, str]]] = {
     "create-request-deleted": ("VD-RC-02", "the requested variable is deleted"),
     "database-full": ("VD-PC-07", "the database has no room for another variable"),
 }
+
+#: Reasons that occur in every working network, because nodes repeat records and their summaries.
+ROUTINE: Final = frozenset(
+    f"vardis/{reason}"
+    for reason in (
+        *("not-newer-create", "own-create", "delete-unknown", "delete-deleted", "delete-own"),
+        *("update-unknown", "update-deleted", "update-own", "update-equal", "update-older"),
+        *("summary-own", "summary-deleted", "summary-equal"),
+        *("update-request-deleted", "update-request-not-behind", "create-request-deleted"),
+    )
+)
+
+
+def split(drops: Mapping[str, int]) -> tuple[dict[str, int], dict[str, int]]:
+    """Return the counts, by layer/reason, of what was ignored and of what was redundant."""
+    redundant = {name: drops[name] for name in drops if name in ROUTINE}
+    return {name: drops[name] for name in drops if name not in ROUTINE}, redundant

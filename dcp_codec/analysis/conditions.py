@@ -1,8 +1,9 @@
 """Conditions on frames, in the language of display filters: ``vardis.icType == 6 and bp.seqno > 100``.
 
 Names are those of the Wireshark dissector that ``dcp-codec export lua`` writes, and their prefixes ``dcp.`` and
-``payloads.`` can be omitted. A field can occur several times in a frame: a comparison holds if it holds for one
-occurrence, and ``!=`` holds if none is equal. A name alone holds if the field occurs.
+``payloads.`` can be omitted; the last parts of a name stand for all fields whose names end with them. A field can occur
+several times in a frame: a comparison holds if it holds for one occurrence, and ``!=`` holds if none is equal. A name
+alone holds if the field occurs.
 
 The text is parsed as a Python expression by :mod:`ast`, and a small set of node types is interpreted; no part of it is
 executed.
@@ -59,7 +60,8 @@ class Where:
     def __init__(self, text: str, profile: Profile, plan: Node) -> None:
         self._representation = profile.types.node_id.representation
         self._names = {name.lower(): name for name in field_names(plan)}
-        self._used: set[str] = set()
+        #: For each field that the condition uses, the keys under which its values are found.
+        self._used: dict[str, set[str]] = {}
         if len(text) > _LONGEST:
             raise WhereError(f"the condition has {len(text)} characters, more than {_LONGEST}")
         try:
@@ -125,8 +127,14 @@ class Where:
         plain = text.lower().removeprefix("dcp.")
         for name in (plain, f"payloads.{plain}", f"payloads.vardis.{plain}"):
             if name in self._names:
-                self._used.add(self._names[name])
-                return self._names[name]
+                whole = self._names[name]
+                self._used.setdefault(whole, set()).add(whole)
+                return whole
+        ending = [each for name, each in self._names.items() if name.endswith(f".{plain}") and each not in FRAME_FIELDS]
+        for each in ending:
+            self._used.setdefault(each, set()).add(plain)
+        if ending:
+            return plain
         short = [each.removeprefix("payloads.") for each in self._names.values()]
         near = difflib.get_close_matches(text.removeprefix("dcp."), short, n=3, cutoff=0.5)
         hint = f"; did you mean {' or '.join(near)}?" if near else "; dcp-codec filter --fields lists the names"
@@ -149,18 +157,16 @@ class Where:
         for kind, problems in (("errors", found.errors), ("warnings", found.warnings)):
             for part in ("reason", "path", "requirement"):
                 values[f"{kind}.{part}"] = [getattr(each, part) for each in problems]
-        if self._used <= values.keys():
+        if self._used.keys() <= values.keys():
             return values
         for field in found.root.walk():
             name = re.sub(r"\[\d+\]", "", field.path)
-            if name not in self._used:
-                continue
-            if isinstance(field.layout, Scalar | Text | Rest | Fill):
-                if field.value is not None:
+            for key in self._used.get(name, ()):
+                if not isinstance(field.layout, Scalar | Text | Rest | Fill):
+                    values.setdefault(key, []).append(True)
+                elif field.value is not None:
                     value = scalar_json(field.layout, field.value, self._representation)
-                    values.setdefault(name, []).append((value, field.label) if field.label else value)
-            else:
-                values.setdefault(name, []).append(True)
+                    values.setdefault(key, []).append((value, field.label) if field.label else value)
         return values
 
 

@@ -129,7 +129,7 @@ def _problem_row(problem: Problem) -> dict[str, Any]:
     return {"kind": "problem", **{name: getattr(problem, name) for name in names}}
 
 
-_encode_json = json.JSONEncoder(separators=(",", ":"), ensure_ascii=False).encode
+_encode_json = json.JSONEncoder(separators=(",", ":")).encode
 
 
 class JsonlRenderer:

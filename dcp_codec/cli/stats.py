@@ -130,6 +130,13 @@ def _show(name: str, data: dict[str, Any], examples: list[tuple[int, str]]) -> N
                 "intervals leave them out",
                 style="red",
             )
+        if repeated := sum(one["duplicates"] for one in data["senders"].values()):
+            what = "beacon repeats" if repeated == 1 else "beacons repeat"
+            console.print(
+                f"\n  {repeated} {what} the number of its sender's last one (merged recordings of several nodes?)",
+                style="red",
+                soft_wrap=True,
+            )
     if data["containers"]:
         table = Table("container", box=None, padding=padding, header_style="bold")
         table.add_column("containers", justify="right")

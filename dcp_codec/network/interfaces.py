@@ -12,7 +12,7 @@ import struct
 
 # From <linux/sockios.h> and <linux/if.h>; the socket module has none of them.
 _SIOCGIFFLAGS, _SIOCGIFADDR, _SIOCGIFMTU, _SIOCGIFHWADDR = 0x8913, 0x8915, 0x8921, 0x8927
-_IFF_UP = 0x1
+_IFF_UP, _IFF_RUNNING = 0x1, 0x40
 _LONGEST_NAME = 15
 
 
@@ -23,11 +23,12 @@ def names() -> list[str]:
 
 def is_up(interface: str) -> bool:
     """Return whether the interface exists and is switched on (it may still have no carrier)."""
-    try:
-        flags: int = struct.unpack("H", _ask(interface, _SIOCGIFFLAGS, 2))[0]
-    except OSError:
-        return False
-    return bool(flags & _IFF_UP)
+    return bool(_flags(interface) & _IFF_UP)
+
+
+def has_carrier(interface: str) -> bool:
+    """Return whether the interface exists, is switched on, and has a carrier: its cable or radio is connected."""
+    return bool(_flags(interface) & _IFF_RUNNING)
 
 
 def mtu(interface: str) -> int:
@@ -49,6 +50,15 @@ def hardware_address(interface: str) -> tuple[int, bytes]:
     answer = _ask(interface, _SIOCGIFHWADDR, 8)
     kind: int = struct.unpack("H", answer[:2])[0]
     return kind, answer[2:8]
+
+
+def _flags(interface: str) -> int:
+    """Return the flags of an interface, 0 if there is no such interface."""
+    try:
+        flags: int = struct.unpack("H", _ask(interface, _SIOCGIFFLAGS, 2))[0]
+    except OSError:
+        return 0
+    return flags
 
 
 def _ask(interface: str, request: int, length: int) -> bytes:

@@ -176,7 +176,7 @@ def is_ok(result: dict[str, Any]) -> bool:
 def finish(method: str, result: dict[str, Any], as_json: bool, text: str | None = None) -> int:
     """Show a result and return its exit status; ``text`` is shown instead of the status if it is OK."""
     if as_json:
-        click.echo(json.dumps(result, ensure_ascii=False))
+        click.echo(json.dumps(result))
     elif is_ok(result):
         click.echo(result["status"] if text is None else text)
     if is_ok(result):

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
+from dcp_stack.drops import split
+
 from .common import (
     EXIT_STATUS,
     Seconds,
@@ -109,7 +111,8 @@ def _line(status: dict[str, Any], rates: Rates) -> str:
     parts.append(f"neighbours={len(status['node'].get('srp', {}).get('neighbours', ()))}")
     variables = status["node"].get("vardis", {}).get("variables", {})
     parts.append(f"variables={sum(not each['isDeleted'] for each in variables.values())}")
-    parts.append(f"ignored={sum(status['drops'].values())}")
+    ignored, redundant = split(status["drops"])
+    parts += [f"ignored={sum(ignored.values())}", f"redundant={sum(redundant.values())}"]
     parts += [f"{name}={count}" for name, count in troubles(status["runtime"].get("link", {})).items()]
     return " ".join(parts)
 
@@ -241,13 +244,14 @@ def _variables(status: dict[str, Any], width: int) -> RenderableType:
 
 
 def _ignored(status: dict[str, Any], rates: Rates) -> RenderableType:
-    """Return the line with numbers and rates of ignored input."""
+    """Return the lines with numbers and rates of ignored and redundant input."""
     from rich.text import Text
 
-    text = Text("ignored  ", style="bold")
-    parts = [
-        f"{name} {count}{_per_second(rates.of(f'drop {name}', count, status['now']))}"
-        for name, count in status["drops"].items()
-    ]
-    text.append(", ".join(parts) or "nothing", style="not bold")
+    text = Text()
+    for title, counts in zip(("ignored    ", "\nredundant  "), split(status["drops"]), strict=True):
+        parts = [
+            f"{name} {count}{_per_second(rates.of(f'drop {name}', count, status['now']))}"
+            for name, count in counts.items()
+        ]
+        text.append(title, style="bold").append(", ".join(parts) or "nothing")
     return text

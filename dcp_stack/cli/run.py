@@ -84,11 +84,13 @@ def command(config: str | None, network_id: str | None, daemon: bool, print_conf
     except SettingsError as error:
         raise ExpectedError(str(error)) from None
     from dcp_stack.runtime.daemon import LogFileError, in_background, log_to
+    from dcp_stack.runtime.privileges import made_by_root
 
     if daemon and settings.control == "stdio":
         raise ExpectedError("--control stdio needs standard input, which --daemon closes")
     try:
-        if settings.log_file is not None:
+        # Otherwise open_node opens it as the user.
+        if settings.log_file is not None and (settings.user is None or made_by_root(settings.log_file)):
             log_to(settings.log_file)
     except LogFileError as error:
         raise ExpectedError(str(error)) from None

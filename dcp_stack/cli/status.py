@@ -7,6 +7,8 @@ from typing import Any
 
 import click
 
+from dcp_stack.drops import split
+
 from .common import EXIT_STATUS, counted, node_options, simple, span
 
 
@@ -49,8 +51,8 @@ def _lines(status: dict[str, Any]) -> list[str]:
     if "positions" in runtime:
         rows.append(("position", runtime["positions"]["source"]))
     rows += [("undelivered", each["text"]) for each in status.get("obstacles", ())]
-    drops = ", ".join(f"{name} {count}" for name, count in status["drops"].items())
-    rows.append(("ignored", drops or "nothing"))
+    for title, counts in zip(("ignored", "redundant"), split(status["drops"]), strict=True):
+        rows.append((title, ", ".join(f"{name} {count}" for name, count in counts.items()) or "nothing"))
     return [f"{name:<10} {text}" for name, text in rows]
 
 
@@ -87,4 +89,4 @@ def own_address(link: dict[str, Any]) -> str:
 
 def as_line(status: dict[str, Any]) -> str:
     """Return a status as one JSON line."""
-    return json.dumps(status, ensure_ascii=False)
+    return json.dumps(status)

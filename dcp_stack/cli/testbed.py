@@ -89,7 +89,7 @@ def command(
         with _signals(), Testbed(played, directory, keep=keep is not None, make_air=make_air) as testbed:
             if keep is not None:
                 note(f"control sockets are {directory}/node-*.sock")
-            report = testbed.run()
+            report = testbed.run(note)
     except (ScenarioError, NamespaceError, StartError) as error:
         raise ExpectedError(f"testbed: {error}") from None
     except _InterruptedError as stop:

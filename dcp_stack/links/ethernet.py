@@ -58,6 +58,11 @@ class EthernetLink(SocketLink):
         self._ethernet: sockets.EthernetSocket | None = None
         super().__init__(f"eth:{interface}")
 
+    @property
+    def up(self) -> bool:
+        """Whether the link can carry frames: the socket does not learn of the loss of a carrier."""
+        return super().up and interfaces.has_carrier(self._interface)
+
     def _open(self) -> socket.socket:
         try:
             opened = sockets.open_ethernet(self._interface, self._ether_type, instead="udp")

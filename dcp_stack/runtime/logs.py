@@ -9,6 +9,8 @@ import sys
 import time
 from typing import Any, Final, Literal, TextIO
 
+from dcp_codec.common.printable import plain
+
 LogFormat = Literal["text", "json"]
 
 _BARE: Final = re.compile(r"[\w./:@%+-]+")
@@ -40,7 +42,7 @@ class _Formatter(logging.Formatter):
 def _quoted(value: Any) -> str:
     text = str(value)
     # Quoted if necessary, so that an event is always one line.
-    return text if _BARE.fullmatch(text) else json.dumps(text, ensure_ascii=False)
+    return text if _BARE.fullmatch(text) else plain(json.dumps(text, ensure_ascii=False))
 
 
 def set_up(level: str, form: LogFormat, stream: TextIO | None = None) -> None:

@@ -24,9 +24,10 @@ from dcp_stack.node import Node
 from dcp_stack.positions import PositionSource, SourceError, open_source
 
 from .channels import ControlSocket, ControlSocketError, StandardStreams
+from .daemon import LogFileError, log_to
 from .driver import Driver
 from .memory import settle
-from .privileges import PrivilegeError, become, find_user, roots_alone
+from .privileges import PrivilegeError, become, find_user, made_by_root
 from .settings import Settings, SettingsError, codec_of, node_config
 from .sharing import share
 
@@ -59,7 +60,15 @@ def open_node(settings: Settings, make: MakeNode = Node) -> Iterator[Driver]:
             # From here on the driver closes everything, in its own order.
             stack.pop_all()
         yield driver
-    except (SettingsError, LinkError, ControlSocketError, SourceError, NeighbourFileError, PrivilegeError) as error:
+    except (
+        SettingsError,
+        LinkError,
+        ControlSocketError,
+        SourceError,
+        NeighbourFileError,
+        PrivilegeError,
+        LogFileError,
+    ) as error:
         raise NodeError(str(error)) from None
 
 
@@ -97,14 +106,15 @@ def _open(settings: Settings, make: MakeNode, stack: contextlib.ExitStack) -> Dr
         stack.callback(metrics.close)
     control: ControlSocket | None = None
     neighbours: NeighbourFileWriter | None = None
-    # Objects with a name in the file system are created as the unprivileged user: root could be made to follow a link
-    # of that user to another place. In a folder that only root can change there is no such link, and root creates them.
     names = [each for each in (settings.control, settings.neighbour_file) if each is not None and each != STDIO]
-    of_root = {each for each in names if user is not None and roots_alone(Path(each).parent)}
+    of_root = {each for each in names if user is not None and made_by_root(each)}
     for made_now in (of_root, set(names) - of_root):
         if user is not None and made_now is not of_root:
             _load_what_follows(settings)
+            logged_by_user = settings.log_file if settings.log_file and not made_by_root(settings.log_file) else None
             become(user)
+            if logged_by_user is not None:
+                log_to(logged_by_user)
         if settings.control in made_now:
             control = ControlSocket(settings.control)
             stack.callback(control.close)

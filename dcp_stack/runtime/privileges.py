@@ -42,6 +42,15 @@ def roots_alone(folder: Path) -> bool:
         return False
 
 
+def made_by_root(path: str) -> bool:
+    """Return whether root opens a file for writing before it changes to a user, who opens all others.
+
+    Root could be made to follow a link of that user to another place. In a folder that only root can change there is no
+    such link.
+    """
+    return roots_alone(Path(path).parent)
+
+
 def become(user: User) -> None:
     """Change to ``user`` permanently. Raises PrivilegeError if the system refuses."""
     try:

@@ -64,6 +64,18 @@ def test_stats_count_loss_restart_and_duplicates(run, tmp_path, codec):
     one = json.loads(result.out)["senders"]["02:00:00:00:00:01"]
     assert (one["lost"], one["duplicates"], one["restarts"]) == (2, 1, 1)
     assert (one["first_seqno"], one["last_seqno"]) == (10, 1)
+    shown = run("stats", "-p", "cpp-2.0", tmp_path / "a.pcap").out
+    assert "1 beacon repeats the number of its sender's last one (merged recordings of several nodes?)" in shown
+
+
+def test_stats_name_the_beacons_that_a_merged_recording_has_twice(run, tmp_path, codec):
+    frames = [ETHERNET + codec.encode(beacon(seqno)) for seqno in range(5)]
+    one, two, both = tmp_path / "1.pcap", tmp_path / "2.pcap", tmp_path / "both.pcapng"
+    write(one, *frames)
+    write(two, *frames)
+    assert "last one" not in run("stats", "-p", "cpp-2.0", one).out
+    assert run("merge", one, two, "-o", both).status == 0
+    assert "5 beacons repeat the number" in run("stats", "-p", "cpp-2.0", both).out
 
 
 def test_stats_wrap_of_the_sequence_number_is_not_a_loss(run, tmp_path, codec):

@@ -11,7 +11,10 @@ from pathlib import Path
 
 import pytest
 
-from .conftest import ETHERNET, START_NS, beacon, write
+from dcp_codec import Codec
+from dcp_codec.values import Beacon, BPHeader, Container, Payload, VarCreate, VarSpec, VarUpdate
+
+from .conftest import ETHERNET, NODE, START_NS, beacon, write
 
 
 def test_jsonl_has_the_documented_members(run, tmp_path, good):
@@ -339,3 +342,13 @@ def test_captures_of_the_repository_decode(run):
         result = run("decode", "-f", "list", capture)
         assert result.status == 0, result.err
         assert "ERROR" not in result.out
+
+
+def test_jsonl_escapes_what_a_terminal_would_interpret(run, tmp_path):
+    name = "a\x9b31m\u202eb\u00e9"
+    spec = VarSpec(7, NODE, 2, name.encode(), creation_time=START_NS, timeout=5000)
+    payload = Payload(2, (Container(5, (VarCreate(spec, VarUpdate(7, 3, b"ABCD")),)),))
+    frame = ETHERNET + Codec("cpp-2.0").encode(Beacon(BPHeader(NODE, 0, network_id=0x1111), (payload,)))
+    shown = run("decode", "-p", "cpp-2.0", "-f", "jsonl", write(tmp_path / "a.pcap", frame)).out
+    assert shown.rstrip("\n").isprintable()
+    assert json.loads(shown)["payloads"][0]["vardis"][0]["records"][0]["spec"]["descr"] == name

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -34,6 +35,12 @@ def kinds(frame: DissectedFrame) -> set[int]:
     return {field.value for field in frame.dissection.root.walk() if field.name == "icType"}
 
 
+def held(frame: DissectedFrame, ending: str) -> set[Any]:
+    """Values of the fields whose paths end so; descriptions as text."""
+    found = {each.value for each in frame.dissection.root.walk() if each.path.endswith(f".{ending}")}
+    return {each.decode() if isinstance(each, bytes) else each for each in found}
+
+
 def seqno(frame: DissectedFrame) -> int:
     header = frame.header
     assert header is not None
@@ -56,6 +63,11 @@ def seqno(frame: DissectedFrame) -> int:
         ("bp.senderId == 02:00:00:00:00:02", lambda f: f.sender == "02:00:00:00:00:02"),
         ("bp.senderId == '020000000002' || bp.seqno == 0", lambda f: f.sender[-1] == "2" or seqno(f) == 0),
         ("records.spec.descr", lambda f: 5 in kinds(f)),
+        ("descr", lambda f: 5 in kinds(f)),
+        ('descr == "rep15"', lambda f: "rep15" in held(f, "descr")),
+        ("varId == 15", lambda f: 15 in held(f, "varId")),
+        ("varId != 15", lambda f: 15 not in held(f, "varId")),
+        ("spec.varId == 33", lambda f: 33 in held(f, "spec.varId")),
         ("frame.number > 100 and not errors.reason", lambda f: f.frame.number > 100),
         ("eth.src == 02:00:00:00:00:03", lambda f: f.framing.src[-1] == 3),
     ],

@@ -230,6 +230,17 @@ def test_a_full_queue_of_the_interface_loses_frames_but_not_the_link(ear, inside
     assert len(far.hear(sent)) == sent
 
 
+def test_a_link_without_a_carrier_is_not_up(ear, inside):
+    near = ear("near")
+    assert near.link.up
+    # The other end: this interface stays switched on.
+    inside.ip("link", "set", "far", "down")
+    eventually(lambda: not near.link.up, "the carrier is lost")
+    assert near.link.counters.outages == 0
+    inside.ip("link", "set", "far", "up")
+    eventually(lambda: near.link.up, "the carrier is back")
+
+
 def narrow(inside, interface: str) -> None:
     """Let few frames wait before the interface, and pass slowly."""
     queue = ["tbf", "rate", "400kbit", "burst", "2000", "limit", "4000"]

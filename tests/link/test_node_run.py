@@ -66,6 +66,19 @@ def patient(folder: Path) -> tuple[str, str]:
     return "--config", str(path)
 
 
+def test_nodes_with_the_settings_of_the_installation_hear_each_other(node, tmp_path):
+    """The settings as documented, but for the interface, and for names that exist only on a drone."""
+    text = (Path(__file__).parents[2] / "docs" / "installation.md").read_text().partition("```toml\n")[2]
+    text = text.partition("```")[0].replace('"dcp"', f'"{os.getgid()}"').replace("/var/lib/dcp/", f"{tmp_path}/")
+    config = tmp_path / "node.toml"
+    config.write_text(f"{text}[srp]\nneighbour_table_timeout_ms = 600000\n")
+    started = [node("--config", str(config)) for _ in range(2)]
+    for each, other in zip(started, reversed(started), strict=True):
+        with each.client() as client:
+            eventually(lambda client=client: client.call("SRP-NeighbourTable")["neighbours"], "it hears the other")
+        assert other.node_id in command("neighbours", "--control", each.path).stdout
+
+
 def test_two_nodes_and_the_commands(node, tmp_path):
     second = node(*patient(tmp_path))
     first = node("--position", "track:circle,radius=5")

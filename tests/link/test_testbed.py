@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -118,6 +119,10 @@ class Runs:
         assert process.returncode == (0 if report["met"] else 1)
         return report
 
+    def errors(self, name: str) -> str:
+        """Return what a testbed with a report wrote to standard error."""
+        return self._outputs[name][1]
+
     def end(self) -> None:
         """End the processes that have not been waited for."""
         for name, process in self.processes.items():
@@ -148,6 +153,13 @@ def too_busy(report: dict) -> bool:
 def timeless(finding: dict) -> bool:
     """Whether a finding is about how it is at the end, or whether something can be at all."""
     return "at the end" in finding["what"] or finding["what"] in ("no node ends unexpectedly", "every event succeeds")
+
+
+def test_a_testbed_says_how_long_it_takes_and_how_far_it_is(runs):
+    runs.report("lossy")
+    _, begin, progress = re.findall("dcp-node: (.*)", runs.errors("lossy"))[:3]
+    assert begin == "starting 3 nodes; the scenario takes 10 s"
+    assert re.fullmatch(r"\d+ s of 10 s", progress)
 
 
 @pytest.fixture

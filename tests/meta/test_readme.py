@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+import itertools
 import re
-import struct
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 from dcp_conformance.cli import main as conformance
 
-from dcp_codec.capture import convert
 from dcp_codec.cli import main
 
 ROOT = Path(__file__).parents[2]
 _SESSION = re.compile(
-    r"^\$ (dcp-codec (?:decode|stats|guess)|dcp-conformance check)( [^\n#]*)\n((?:(?!\$ |```).*\n)*)", re.MULTILINE
+    r"^\$ (dcp-codec (?:decode|stats|guess)|dcp-conformance check)( [^\n#>]*)\n((?:(?!\$ |```).*\n)*)", re.MULTILINE
 )
 _COMMANDS = {"dcp-codec": main, "dcp-conformance": conformance}
 
@@ -26,14 +27,25 @@ def sessions() -> list[tuple[str, list[str]]]:
 
 
 def damaged_flight(folder: Path) -> None:
-    """The recording of the README: c_latejoin with the container type of frame 5 set to 9."""
-    convert(ROOT / "captures" / "c_latejoin.mcap", folder / "flight.pcap")
-    data = bytearray((folder / "flight.pcap").read_bytes())
-    position = 24
-    for _ in range(4):
-        position += 16 + struct.unpack_from("<I", data, position + 8)[0]
-    data[position + 16 + 36] = 9
-    (folder / "flight.pcap").write_bytes(data)
+    """Make the recording of the README by the two commands that it shows for this."""
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    (made,) = re.findall(r"^\$ (dcp-codec convert .*)\n\$ (printf .*)", text, re.MULTILINE)
+    for command in made:
+        words = command.replace("dcp-codec", str(Path(sys.executable).parent / "dcp-codec"))
+        subprocess.run(words, shell=True, cwd=folder, check=True, capture_output=True)
+
+
+def test_commands_name_files_that_exist():
+    """Recordings, profiles and values are bundled, or made by an earlier command."""
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    made: set[str] = set()
+    for line in re.findall(r"^\$ ((?:dcp-codec|dcp-conformance check|cat|printf) .*)", text, re.MULTILINE):
+        words = line.partition("  #")[0].split()
+        for before, word in itertools.pairwise(words):
+            if before in (">", "-o", "--out") or (words[1] == "convert" and word == words[-1]):
+                made.add(word)
+            elif re.search(r"\.(mcap|pcap|toml|json)$|/$", word) and not word.startswith("of="):
+                assert word in made or (ROOT / word).exists(), line
 
 
 def test_there_are_sessions():
@@ -70,3 +82,8 @@ def test_programs_run_unchanged(program, capsys):
 
 def test_there_are_programs():
     assert len(programs()) >= 2
+
+
+def test_the_page_that_explains_setcap_is_linked():
+    (place,) = re.findall(r"`setcap`[^;]*\]\(([^)#]+)[^)]*\)", (ROOT / "README.md").read_text(encoding="utf-8"))
+    assert "sudo setcap" in (ROOT / place).read_text(encoding="utf-8")

@@ -68,11 +68,13 @@ def judge_versions(
     command: str = "",
     period_known: bool = False,
     show_progress: bool = False,
+    name_damage: bool = False,
 ) -> list[tuple[RunResult, Codec]]:
     """Judge one recording like :func:`judge_recording`; return two results if it has beacons of two versions.
 
     Each frame is judged by the profile of its version, together with the other frames of that version only. If the
-    profile is a weak guess, every verdict is replaced by inconclusive.
+    profile is a weak guess, every verdict is replaced by inconclusive. ``name_damage``: print on standard error what
+    cannot be read of the file; the notes of the results have it, too.
 
     Raises :class:`UsageError` as :func:`judge_recording` does.
     """
@@ -94,6 +96,8 @@ def judge_versions(
                     judges[0 if versions is None else versions.of(frame)].feed(frame)
                     advance()
             notes += [problem.message for problem in reader.problems]
+            for each in notes if name_damage else ():
+                say(f"{path}: {each}", err=True)
     except CaptureError as error:
         raise UsageError(str(error)) from None
     if not any(judge.frames for judge in judges):

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 import click
 import msgspec
 
-from dcp_codec.common.commandline import ETHER_TYPE_HELP, PROFILE_HELP, say
+from dcp_codec.common.commandline import ETHER_TYPE_HELP, PROFILE_HELP, UNUSABLE, say
+from dcp_conformance.errors import UsageError
 
 from .options import EXIT_STATUS, Factor, as_typed
 
@@ -37,7 +38,7 @@ if TYPE_CHECKING:
 @click.option("--expected", type=click.Path(path_type=Path), metavar="FILE", help="TOML file with expected results.")
 @click.option("--report-dir", type=click.Path(path_type=Path), metavar="DIR", help="Write the report there.")
 @click.option("--requirements", "show_requirements", is_flag=True, help="Show which requirements were exercised.")
-@click.option("--quiet", "-q", is_flag=True, help="Show only findings.")
+@click.option("--quiet", "-q", is_flag=True, help="Show only findings and damage of the files.")
 def command(
     captures: tuple[Path, ...],
     profile: str | None,
@@ -62,7 +63,7 @@ def command(
     from dcp_conformance.model.pics import Pics, load_pics
     from dcp_conformance.reporting import write_report
 
-    from .display import console, print_summary
+    from .display import console, print_findings, print_summary
 
     known = load_pics(pics) if pics is not None else Pics()
     stated = beacon_period is not None or (pics is not None and _states_period(pics))
@@ -77,15 +78,22 @@ def command(
         for option, value in (("profile", profile), ("ether-type", ether_type), ("pics", pics)):
             words += [f"--{option}", str(value)] if value is not None else []
         words += ["--beacon-period", exact(beacon_period)] if beacon_period is not None else []
-        runs = judge_versions(
-            capture,
-            profile,
-            known,
-            ether_type=ether_type,
-            command=as_typed(*words),
-            period_known=stated,
-            show_progress=True,
-        )
+        try:
+            runs = judge_versions(
+                capture,
+                profile,
+                known,
+                ether_type=ether_type,
+                command=as_typed(*words),
+                period_known=stated,
+                show_progress=True,
+                name_damage=quiet,
+            )
+        except UsageError as error:
+            # The other recordings are judged all the same.
+            say(f"dcp-conformance: {error}", err=True)
+            worst_status = max(worst_status, UNUSABLE)
+            continue
         for run, codec in runs:
             report = ""
             if report_dir is not None:
@@ -93,8 +101,10 @@ def command(
                 # Write a separate report for each version in the recording.
                 directory = directory if len(runs) == 1 else directory / codec.profile.name
                 report = str(write_report(run, directory, codec))
-            shown = msgspec.structs.replace(run, notes=()) if quiet else run
-            print_summary(shown, report=report)
+            if quiet:
+                print_findings(run)
+            else:
+                print_summary(run, report=report)
             if show_requirements:
                 from dcp_spec.catalogue.requirements import requirements
 

@@ -152,16 +152,7 @@ def print_summary(run: RunResult, *, report: str = "") -> None:
     out = console()
     if run.cases:
         out.print(_sections(run))
-    alike = deaths(run)
-    for group in alike:
-        _print_death(out, group)
-    printed = {id(case) for group in alike for case in group.cases}
-    for cases in _errors_alike(run):
-        _print_errors(out, cases)
-        printed.update(map(id, cases))
-    for case in run.cases:
-        if case.verdict in (Verdict.FAIL, Verdict.ERROR) and id(case) not in printed:
-            _print_finding(out, case)
+    print_findings(run)
     if run.kind == "check":
         _print_observations(out, run)
     counts = {verdict: sum(each is verdict for each in run.requirements.values()) for verdict in Verdict}
@@ -194,6 +185,21 @@ def print_summary(run: RunResult, *, report: str = "") -> None:
     count = sum(case.counted for case in run.cases)
     number = f"{count} case" + ("" if count == 1 else "s")
     out.print(f"{number} in {run.duration:.1f} s" + (f"; report: {data(report)}" if report else ""))
+
+
+def print_findings(run: RunResult) -> None:
+    """Print the failures of a run, those with the same cause together, with commands to repeat them."""
+    out = console()
+    alike = deaths(run)
+    for group in alike:
+        _print_death(out, group)
+    printed = {id(case) for group in alike for case in group.cases}
+    for cases in _errors_alike(run):
+        _print_errors(out, cases)
+        printed.update(map(id, cases))
+    for case in run.cases:
+        if case.verdict in (Verdict.FAIL, Verdict.ERROR) and id(case) not in printed:
+            _print_finding(out, case)
 
 
 def _print_diagnosis(out: Console, run: RunResult) -> None:
@@ -250,10 +256,17 @@ def _readings(run: RunResult) -> Iterator[str]:
 
 def _print_observations(out: Console, run: RunResult) -> None:
     """Print the observations from a recording that are not verdicts."""
-    seen = [(case, check) for case in run.cases for check in case.checks if check.verdict is Verdict.INFO]
+    seen = [check for case in run.cases for check in case.checks if check.verdict is Verdict.INFO]
     if seen:
         out.print("\n[cyan]observed[/]")
-    for _, check in seen[:_OBSERVATIONS]:
+    # A question that has an answer for every sender must not displace the others.
+    asked: Counter[str] = Counter()
+    turns: list[tuple[int, int]] = []
+    for place, check in enumerate(seen):
+        turns.append((asked[check.expected], place))
+        asked[check.expected] += 1
+    for place in sorted(place for _, place in sorted(turns)[:_OBSERVATIONS]):
+        check = seen[place]
         out.print(f"  {data(check.expected)}: {data(check.observed)}{_frames(check)}", soft_wrap=True)
     if len(seen) > _OBSERVATIONS:
         out.print(f"  ... and {len(seen) - _OBSERVATIONS} more, which the report shows")

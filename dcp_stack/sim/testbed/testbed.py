@@ -45,6 +45,8 @@ log = logging.getLogger(__name__)
 
 #: Time in s between two queries of all nodes: the resolution of measured convergence.
 LOOK_INTERVAL = 0.05
+#: Minimum time in ns between two reports of how far the scenario is.
+TOLD_EVERY = 5 * NS_PER_S
 #: Maximum time in s for the start of a node; on a busy machine the start of Python takes several of them.
 START_PATIENCE = 30.0
 
@@ -83,6 +85,8 @@ class Testbed:
         self.nodes: list[NodeProcess] = []
         self._problems: list[str] = []
         self._begin = 0.0
+        self._tell: Callable[[str], None] = lambda _text: None
+        self._told, self._told_every = 0, max(self.scenario.duration // 10, TOLD_EVERY)
         self._late = self._slowest_start = 0.0
         sweep()
         prefix = own_prefix()
@@ -153,12 +157,16 @@ class Testbed:
         """Current time of the scenario in ns."""
         return round((time.monotonic() - self._begin) * NS_PER_S)
 
-    def run(self) -> Report:
+    def run(self, tell: Callable[[str], None] = lambda _text: None) -> Report:
         """Start the nodes, execute the scenario, end the nodes, and return the report.
 
-        Raises :class:`StartError`.
+        ``tell`` is called with how long the scenario takes, and now and then with the time that has passed. Raises
+        :class:`StartError`.
         """
         started = time.perf_counter()
+        self._tell = tell
+        seconds = self.scenario.duration / NS_PER_S
+        tell(f"starting {len(self.nodes)} node{'' if len(self.nodes) == 1 else 's'}; the scenario takes {seconds:g} s")
         self.start()
         started_before = [len(node.starts) for node in self.nodes]
         for at, act in self._timeline():
@@ -188,6 +196,9 @@ class Testbed:
         """Query the nodes until a time of the scenario (ns), and note how late this ends."""
         while True:
             self._look_around()
+            if self.now >= self._told + self._told_every:
+                self._told = self.now
+                self._tell(f"{self.now // NS_PER_S} s of {self.scenario.duration / NS_PER_S:g} s")
             left = (at - self.now) / NS_PER_S
             if left <= 0:
                 self._late = max(self._late, -left)

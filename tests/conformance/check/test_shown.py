@@ -16,7 +16,9 @@ from dcp_conformance.check.base import Invariant
 from dcp_conformance.check.judge import LEAST_BEACONS, RULES, Judge
 from dcp_conformance.check.wording import CONSEQUENCES, differences, moment, spec_text
 from dcp_conformance.cli.check import command
+from dcp_conformance.cli.display import print_summary
 from dcp_conformance.model.pics import Pics
+from dcp_conformance.model.results import Check
 from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reporting.page import render
 
@@ -24,7 +26,7 @@ from dcp_codec import Beacon, BPHeader, Container, Payload, VarSpec, VarSumm, ge
 from dcp_codec.capture import Frame, create_capture, open_capture
 from dcp_codec.framing.envelope import Envelope
 
-from ..air import case_of, judged
+from ..air import Script, case_of, judged
 
 CAPTURES = Path(__file__).resolve().parents[3] / "captures"
 
@@ -119,6 +121,50 @@ def test_the_command_shows_occasions(tmp_path):
     assert "too little" in page
 
 
+def check(*words: object) -> tuple[int, str]:
+    """Call ``dcp-conformance check``; return its exit status and output."""
+    done = CliRunner().invoke(command, [str(each) for each in words], env={"COLUMNS": "200"}, standalone_mode=False)
+    assert done.exception is None
+    return done.return_value, done.output
+
+
+def test_quiet_shows_findings_and_damage_alone(tmp_path):
+    whole = CAPTURES / "b_crud.mcap"
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(whole.read_bytes()[: whole.stat().st_size * 2 // 3])
+    status, told = check("-q", cut)
+    assert status == 1
+    first, _, findings = told.partition("\n")
+    assert re.match(re.escape(f"{cut}: ") + r"\w", first)
+    assert "\nfail CK_" in findings
+    assert "CK_DATA" in findings
+    for absent in ("observed\n", "requirements:", "note:", "robustness"):
+        assert absent not in told
+    assert f"{whole}: " not in check("-q", whole)[1]
+
+
+def test_a_file_that_cannot_be_read_does_not_hide_the_others(tmp_path):
+    bad = tmp_path / "bad.mcap"
+    bad.write_bytes(b"")
+    alone = check(CAPTURES / "b_crud.mcap")[1]
+    status, told = check(bad, CAPTURES / "b_crud.mcap")
+    assert status == 2
+    assert told.startswith(f"dcp-conformance: {bad}: ")
+    assert re.findall("fail CK_.*", told) == re.findall("fail CK_.*", alone) != []
+
+
+def test_one_question_does_not_displace_the_other_observations(capsys):
+    checks = [Check(Verdict.INFO, (), "mean interval", f"of node {each}") for each in range(30)]
+    checks.append(Check(Verdict.INFO, (), "requests without end", "of node 7"))
+    run = judged(frames_of("b_crud.mcap")[:12], "cpp-2.0")
+    run = msgspec.structs.replace(run, cases=(msgspec.structs.replace(run.cases[0], checks=tuple(checks)),))
+    print_summary(run)
+    shown = capsys.readouterr().out
+    assert "requests without end: of node 7" in shown
+    assert shown.count("mean interval: of node") == 11
+    assert "... and 19 more" in shown
+
+
 def test_the_page_shows_who_holds_what_and_who_hears_whom():
     """The data of the page is that of the results, and cannot end the element that it is in."""
     run = judged(frames_of("b_crud.mcap"), "cpp-2.0", enough=None)
@@ -176,3 +222,13 @@ def test_a_bad_payload_is_not_evidence_of_padding():
     assert case_of(run, "CK_DATA_PACKED").verdict is Verdict.NOT_APPLICABLE
     # The remaining contents of the beacon are judged.
     assert case_of(run, "CK_VD_SEQNO").occasions["VD-TYP-03"] == 39
+
+
+def test_jumps_of_a_node_are_one_observation():
+    air = Script("cpp-2.0")
+    for number in range(1, 40):
+        air.say(1, report=air.report(1, seqno=number << 24))
+    run = judged(air.frames, "cpp-2.0", enough=None)
+    jumps = [each for each in case_of(run, "CK_SRP_SEQNO").checks if "a jump" in each.expected]
+    assert len(jumps) == 1
+    assert re.search(r": 33554432 after 16777216; \d\d jumps in all", jumps[0].observed)

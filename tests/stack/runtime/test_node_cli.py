@@ -16,8 +16,11 @@ from rich.console import Console
 
 from dcp_codec.network import interfaces
 from dcp_stack.cli import main
-from dcp_stack.cli.common import fitted, octets_given
-from dcp_stack.cli.monitor import Rates, view
+from dcp_stack.cli.common import finish, fitted, octets_given
+from dcp_stack.cli.monitor import Rates, _line, view
+from dcp_stack.cli.status import _lines, as_line
+from dcp_stack.drops import DROPS, ROUTINE
+from dcp_stack.runtime import logs
 
 from ..control_rig import Rig
 
@@ -411,3 +414,29 @@ def test_a_narrow_monitor_leaves_columns_out_instead_of_numbers(width):
     (variable,) = (line.split() for line in lines if "this node" in line)
     assert variable[:3] == ["255", "this", "node"]
     assert any(each.startswith("00112233") for each in variable)
+
+
+def test_names_of_others_reach_no_terminal_unescaped(capsys):
+    name = "a\x9b31m\u202eb\u00e9"
+    finish("RTDB-DescribeDatabase", {"status": "VARDIS-STATUS-OK", "variables": [{"descr": name}]}, True)
+    print(as_line({"node": name}))
+    stream = io.StringIO()
+    logs.set_up("info", "text", stream)
+    logging.getLogger("test").info("heard %s", name)
+    lines = (capsys.readouterr().out + stream.getvalue()).splitlines()
+    assert len(lines) == 3
+    assert all(line.isprintable() for line in lines)
+
+
+def test_repetitions_are_not_shown_as_ignored():
+    drops = {"bp/foreign-network": 2, "vardis/summary-equal": 34, "vardis/summary-own": 31}
+    status = Rig().client().call("UT-Status") | {"runtime": {"uptime_ms": 1}, "drops": drops}
+    assert _lines(status)[-2:] == [
+        "ignored    bp/foreign-network 2",
+        "redundant  vardis/summary-equal 34, vardis/summary-own 31",
+    ]
+    assert " ignored=2 redundant=65" in _line(status, Rates())
+    console = Console(width=80, file=io.StringIO(), highlight=False)
+    console.print(view(status, Rates(), 80))
+    assert [line.rstrip() for line in console.file.getvalue().splitlines()][-2:] == _lines(status)[-2:]
+    assert {f"vardis/{reason}" for reason in DROPS} >= ROUTINE

@@ -10,9 +10,11 @@ from typing import Any
 
 import pytest
 
+from dcp_stack.cli import main
 from dcp_stack.node import Node
-from dcp_stack.runtime import opening
+from dcp_stack.runtime import daemon, opening
 from dcp_stack.runtime.channels import ControlSocket, ControlSocketError
+from dcp_stack.runtime.driver import Driver
 from dcp_stack.runtime.privileges import User, roots_alone
 from dcp_stack.runtime.settings import Settings, load_settings
 
@@ -107,6 +109,25 @@ def test_files_in_a_folder_of_root_are_created_as_root(tmp_path: Path, monkeypat
     names = {"control": str(tmp_path / "control"), "neighbour_file": str(tmp_path / "table")}
     opened = _Opened(monkeypatch, **names)
     assert opened.then == opened.after == {"control", "table"}
+
+
+@needs_root
+def test_root_does_not_open_the_log_file_in_a_folder_of_the_user(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    steps: list[str] = []
+    monkeypatch.setattr(opening, "become", lambda user: steps.append(user.name))
+    monkeypatch.setattr(daemon, "log_to", steps.append)
+    monkeypatch.setattr(opening, "log_to", steps.append)
+    monkeypatch.setattr(Driver, "run", lambda self, ready: self._close())
+    started = ["run", "--link", "udp:239.255.73.9:34567", "--user", "nobody", "--control", "none", "--log-file"]
+    for owner, order in ((NOBODY, ["nobody", "log"]), (0, ["log", "nobody"])):
+        os.chown(tmp_path, owner, owner)
+        with pytest.raises(SystemExit) as stop:
+            main([*started, str(tmp_path / "log")])
+        assert not stop.value.code
+        assert [Path(each).name for each in steps] == order
+        steps.clear()
 
 
 def test_a_socket_can_be_connected_to(tmp_path: Path) -> None:

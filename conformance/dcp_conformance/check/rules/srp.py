@@ -150,6 +150,10 @@ class ReportNumbers(Invariant):
         self._odd: dict[bytes, tuple[_Last, _Last]] = {}
         """Node -> the last regular report, and one after it whose number restarts or jumps. The next report decides
         whether the number was wrong."""
+        self._jumps: Counter[bytes] = Counter()
+        """Node -> number of jumps to numbers from which its numbers continue."""
+        self._first_jump: dict[bytes, tuple[str, list[Evidence]]] = {}
+        """Node -> the first of them, with its frames."""
         self._usual: dict[bytes, int] = {}
         """Node -> the largest step between the numbers of successive reports that was not a jump."""
 
@@ -267,7 +271,8 @@ class ReportNumbers(Invariant):
             self.note("a node that restarts its reports", who, frames[:2])
         else:
             text = f"{who}: {between.report.seqno} after {before.report.seqno}"
-            self.note("a jump of the numbers of state reports", text, frames[:2], "SRP-SEQ-01")
+            self._jumps[report.node_id] += 1
+            self._first_jump.setdefault(report.node_id, (text, frames[:2]))
         return False
 
     def _clock(self, report: ExtendedSafetyData, seen: Seen, who: str, step: int) -> None:
@@ -286,6 +291,10 @@ class ReportNumbers(Invariant):
         for node_id, (before, last) in self._odd.items():
             if last.report.seqno <= _RESTART:
                 self.note("a node that restarts its reports", name(node_id), [before.seen, last.seen])
+        for node_id, (text, frames) in self._first_jump.items():
+            count = self._jumps[node_id]
+            again = f"; {count} jumps in all" if count > 1 else ""
+            self.note("a jump of the numbers of state reports", f"{text}{again}", frames, "SRP-SEQ-01")
         for node_id, count in self._lost.items():
             self.note("state reports missing in the recording", f"{name(node_id)}: {count}", [])
 
