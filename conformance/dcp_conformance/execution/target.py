@@ -288,6 +288,20 @@ def _node_on_link(session: Session) -> str:
     return session.sut_id.hex(":") if there and session.sut_id is not None else ""
 
 
+def require_answer(session: Session) -> None:
+    """Determine the identifier of the implementation from its beacons.
+
+    Raise :class:`ConformanceError` if neither a beacon nor an answer to a stimulus arrives.
+    """
+    from dcp_conformance.suite import sanity
+
+    bench = Bench(session, next(cases_of(sanity)))
+    if not bench.beacons(1, 5) and not bench.probes.probe(10) and not bench.heard:
+        raise ConformanceError(
+            f"no implementation answers on {session.lower.name}: neither its beacons nor reactions arrive there"
+        )
+
+
 def _udp_port(options: TargetOptions, codec: Codec) -> int:
     """Return the UDP port of the link. Raise :class:`UsageError` for an invalid ``--link``."""
     from dcp_conformance.lower_tester.udp import DEFAULT_PORT, parse_udp
