@@ -26,10 +26,10 @@ def open_ethernet(
     """Open a link for frames with ``ether_type`` on ``interface``.
 
     The kernel passes only frames of this type. Of these the link ignores and counts: frames to other stations, frames
-    with a VLAN identifier, frames that are too long for a beacon, and on loopback interfaces those from our own address.
-    On other interfaces the link counts and delivers frames from our own address: BP recognises its own beacons by their
-    senderId (BP-RX-06), and another node may use the same address. ``source`` is the
-    source address of sent frames (6 octets), by default that of the interface, or a random one if it has none (``lo``).
+    with a VLAN identifier, frames that are too long for a beacon, and, on loopback interfaces, frames from our own
+    address. Other interfaces deliver frames from our own address, counted: BP recognises its own beacons by their
+    senderId (BP-RX-06), and another node may use the same address. ``source`` is the source address of sent frames (6
+    octets), by default that of the interface, or a random one if it has none (``lo``).
     ``max_packet_size`` is the longest bearer payload in octets, by default the MTU of the interface.
 
     Raises :class:`LinkError` if the interface does not exist, is down or is not Ethernet, if the privilege or scapy is
