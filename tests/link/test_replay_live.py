@@ -24,11 +24,11 @@ def command(capsys) -> Command:
     return Command(capsys, main)
 
 
-def udp_with(node_id: str, profile: str = "cpp-2.0") -> tuple[object, ...]:
-    """Return options that start our node, without an upper tester, on a UDP link of its own."""
+def udp_with(node_id: str, program: str = "dcp_stack.cli run") -> tuple[object, ...]:
+    """Return options that start a node, without an upper tester, on a UDP link of its own."""
     link = f"udp:{DEFAULT_GROUP}:{free_port()}"
-    node = f"{sys.executable} -m dcp_stack.cli run --link {link} --node-id {node_id} --profile {profile}"
-    return "--link", link, "--profile", profile, "--start", node
+    node = f"{sys.executable} -m {program} --link {link} --node-id {node_id} --profile cpp-2.0"
+    return "--link", link, "--profile", "cpp-2.0", "--start", node
 
 
 @pytest.mark.parametrize("node", [FIRST, LAST])
@@ -43,6 +43,13 @@ def test_our_node_passes_over_ethernet(command, node):
 def test_our_node_passes_over_udp_without_an_upper_tester(command):
     done = command("replay", CAPTURES / "c_latejoin.mcap", "--speed", SPEED, *udp_with(LAST))
     assert done.status == 0, done.out + done.err
+
+
+def test_a_mutant_fails_over_udp(command):
+    mutant = "dcp_selftest.mutants M-VD-PU-07-ignored"
+    done = command("replay", CAPTURES / "c_latejoin.mcap", "--node", LAST, "--speed", SPEED, *udp_with(LAST, mutant))
+    assert done.status == 1, done.out + done.err
+    assert "VD-CMP-04" in done.out
 
 
 def test_an_absent_implementation_is_named(command):
