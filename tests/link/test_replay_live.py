@@ -15,7 +15,7 @@ from .test_conformance_live import ethernet_or_skip
 
 CAPTURES = Path(__file__).resolve().parents[2] / "captures"
 #: Faster than recorded, but slow enough for a busy machine.
-SPEED = 8
+SPEED = 10
 FIRST, LAST = "02:00:00:00:00:01", "02:00:00:00:00:03"
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import time
 from pathlib import Path
 from typing import Any
@@ -70,7 +71,7 @@ def command(capture: Path, **options: Any) -> int:
         make_folder(report)
     with open_target(target_options) as target:
         target.runner.prepare()
-        require_answer(target.runner.session)
+        require_answer(target.runner, functools.partial(say, err=True))
         replay.take_part(codec, target.runner.session.sut_id)
         _warn_of_length(replay.cast.seconds, options["speed"])
         cases = [target.runner.run(case) for case in replay.cases()]
