@@ -84,7 +84,7 @@ def own_address(link: dict[str, Any]) -> str:
     count = link.get("own_address", 0)
     if not count or link.get("name") == "eth:lo":
         return ""
-    return f"{counted(count, 'frame')} from its own address ignored (another node with this MAC address?)"
+    return f"{counted(count, 'frame')} from its own address (another node with this MAC address?)"
 
 
 def as_line(status: dict[str, Any]) -> str:

@@ -24,7 +24,7 @@ class LinkCounters(msgspec.Struct):
     kernel_drops: int = 0
     outages: int = 0
     own_address: int = 0
-    """The part of ``ignored`` that had our own source address: another node uses the same one, or it is loopback."""
+    """Frames with our own source address: of another node that uses it, reflected by a network, or on loopback."""
 
 
 class Reception(msgspec.Struct, frozen=True, gc=False):
@@ -38,8 +38,8 @@ class Reception(msgspec.Struct, frozen=True, gc=False):
 class Link(Protocol):
     """Unacknowledged single-hop broadcast (UWB-01).
 
-    A link never delivers its own transmissions. After it was opened it raises nothing: failed transmissions are
-    counted, and it resumes by itself when its interface returns.
+    A link does not deliver its own transmissions, unless a network reflects them: BP drops these. After it was opened
+    it raises nothing: failed transmissions are counted, and it resumes by itself when its interface returns.
     """
 
     @property

@@ -26,8 +26,10 @@ def open_ethernet(
     """Open a link for frames with ``ether_type`` on ``interface``.
 
     The kernel passes only frames of this type. Of these the link ignores and counts: frames to other stations, frames
-    with a VLAN identifier, frames from our own address, and frames that are too long for a beacon. ``source`` is the
-    source address of sent frames (6 octets), by default that of the interface, or a random one if it has none (``lo``).
+    with a VLAN identifier, frames that are too long for a beacon, and, on loopback interfaces, frames from our own
+    address. Other interfaces deliver frames from our own address, counted: BP recognises its own beacons by their
+    senderId (BP-RX-06), and another node may use the same address. ``source`` is the source address of sent frames (6
+    octets), by default that of the interface, or a random one if it has none (``lo``).
     ``max_packet_size`` is the longest bearer payload in octets, by default the MTU of the interface.
 
     Raises :class:`LinkError` if the interface does not exist, is down or is not Ethernet, if the privilege or scapy is
@@ -94,20 +96,22 @@ class EthernetLink(SocketLink):
 
     def _drain(self, source: socket.socket, receptions: list[Reception]) -> None:
         receive, own = source.recvmsg, self.source
+        loops = self._ethernet is not None and self._ethernet.loops
         for _ in range(PORTION):
             frame, ancillary, flags, (_, _, kind, _, sender) = receive(LONGEST, ANCILLARY)
-            # Sockets of one EtherType do not receive frames that leave on this interface. Loopback interfaces and
-            # networks that reflect frames deliver them again. The kernel reports frames with a VLAN tag as frames to
-            # another station, unless the tag has only a priority.
+            # Sockets of one EtherType do not receive frames that leave on this interface; only loopback interfaces
+            # deliver all of them again. The kernel reports frames with a VLAN tag as frames to another station, unless
+            # the tag has only a priority.
+            if sender == own and kind != OUTGOING:
+                self._counters.own_address += 1
             if (
                 kind == OUTGOING
-                or sender == own
+                or (loops and sender == own)
                 or len(frame) < ETHERNET_HEADER
                 or flags & CUT_OFF
                 or (kind == OTHERHOST and frame[:6] != self._foreign)
             ):
                 self._counters.ignored += 1
-                self._counters.own_address += sender == own and kind != OUTGOING
                 continue
             receptions.append(Reception(frame[ETHERNET_HEADER:], stamp_of(ancillary) or time.time_ns(), sender))
 

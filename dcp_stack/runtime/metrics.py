@@ -55,10 +55,10 @@ _MEANINGS: Final = {
     "sent": "Frames that the system accepted for transmission.",
     "received": "Frames read from the system.",
     "send_errors": "Frames that were too long or that the system refused.",
-    "ignored": "Frames of other protocols, too long to be read, or from our own address.",
+    "ignored": "Frames of other protocols, too long to be read, or our own ones on a loopback interface.",
     "kernel_drops": "Frames that the system dropped before they were read.",
     "outages": "Number of times that the interface went down.",
-    "own_address": "Ignored frames from our own address; another node may use the same one.",
+    "own_address": "Frames from our own address; another node may use the same one.",
 }
 
 _RECORDING: Final = {

@@ -129,20 +129,20 @@ def test_other_ether_types_do_not_pass_the_kernel(ear, raw):
     assert near.hear() == [b"ours"]
 
 
-def test_frames_for_others_tagged_frames_and_reflections_are_ignored(ear, raw, inside):
+def test_frames_for_others_and_tagged_frames_are_ignored_and_own_addresses_counted(ear, raw, inside):
     near = ear("near", source=b"\x02\0\0\0\0\x01")
     # So that the kernel shows frames for other stations at all.
     inside.ip("link", "set", "near", "promisc", "on")
     raw(frame(b"for another", to=b"\x02\0\0\0\0\x77"))
     raw(frame(struct.pack(">HH", 5, ETHER_TYPE) + b"tagged", ether_type=0x8100))
     raw(frame(struct.pack(">HH", 5, ETHER_TYPE) + b"tagged", ether_type=0x8100, to=b"\x33\x33\0\0\0\x01"))
-    raw(b"\xff" * 6 + near.link.source + b"\x49\x53" + b"reflected")
+    raw(b"\xff" * 6 + near.link.source + b"\x49\x53" + b"from our address")
     raw(frame(b"for us", to=near.link.source))
     raw(frame(b"multicast", to=b"\x33\x33\0\0\0\x01"))
     raw(frame(b"for all"))
-    assert near.hear(3) == [b"for us", b"multicast", b"for all"]
-    assert near.link.counters.ignored == 4
-    # Of these the reflection, which could as well be of another node with the same address.
+    # Only BP can tell a reflection from the frame of another node with the same address, by the senderId.
+    assert near.hear(4) == [b"from our address", b"for us", b"multicast", b"for all"]
+    assert near.link.counters.ignored == 3
     assert near.link.counters.own_address == 1
 
 

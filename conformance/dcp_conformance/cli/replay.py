@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import time
 from pathlib import Path
 from typing import Any
@@ -41,7 +42,7 @@ def command(capture: Path, **options: Any) -> int:
     reactions, and the final state is compared with that of the recorded node.
     """
     from dcp_conformance.execution.replay import Replay, ReplayOptions, choose_node, decided, recorded_nodes
-    from dcp_conformance.execution.target import describe, open_target
+    from dcp_conformance.execution.target import describe, open_target, require_answer
     from dcp_conformance.model.moment import timestamp
     from dcp_conformance.model.outcome import assemble, exit_status
     from dcp_conformance.reporting import make_folder, write_report
@@ -70,6 +71,7 @@ def command(capture: Path, **options: Any) -> int:
         make_folder(report)
     with open_target(target_options) as target:
         target.runner.prepare()
+        require_answer(target.runner, functools.partial(say, err=True))
         replay.take_part(codec, target.runner.session.sut_id)
         _warn_of_length(replay.cast.seconds, options["speed"])
         cases = [target.runner.run(case) for case in replay.cases()]

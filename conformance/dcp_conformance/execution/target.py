@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -286,6 +286,22 @@ def _node_on_link(session: Session) -> str:
     bench = Bench(session, next(cases_of(sanity)))
     there = bench.beacons(1, 5) if bench.sut.pics.vardis is False else bench.probes.probe()
     return session.sut_id.hex(":") if there and session.sut_id is not None else ""
+
+
+def require_answer(runner: Runner, say: Callable[[str], None]) -> None:
+    """Determine the identifier of the implementation from its beacons, after waiting for a start.
+
+    ``say`` is called with a message for the user if the start takes long.
+    Raise :class:`ConformanceError` if neither a beacon nor an answer to a stimulus arrives.
+    """
+    from dcp_conformance.suite import sanity
+
+    session, case = runner.session, next(cases_of(sanity))
+    why = runner.life.await_start(case, say) if runner.control is not None else ""
+    bench = Bench(session, case)
+    if not bench.beacons(1, 5) and not bench.probes.probe(10) and not bench.heard:
+        why = why or "neither its beacons nor reactions arrive there"
+        raise ConformanceError(f"no implementation answers on {session.lower.name}: {why}")
 
 
 def _udp_port(options: TargetOptions, codec: Codec) -> int:

@@ -72,7 +72,7 @@ def reference_process(
         stack.enter_context(_ended_by_sigterm())
         directory = Path(tempfile.mkdtemp(prefix="dcp-conformance-"))
         stack.callback(shutil.rmtree, directory, ignore_errors=True)
-        lower, link_options, namespace, about = _open_link(codec, link, stack)
+        lower, link_options, namespace, about = _open_link(codec, link, node_id, stack)
         stack.callback(lower.close)
         path, settings = directory / "node.sock", directory / "node.toml"
         settings.write_text(_settings(beacon_period_ms), encoding="utf-8")
@@ -170,7 +170,7 @@ def _answers(control: SutControl, path: Path, deadline: float) -> bool:
 
 
 def _open_link(
-    codec: Codec, kind: LinkKind, stack: contextlib.ExitStack
+    codec: Codec, kind: LinkKind, node_id: bytes, stack: contextlib.ExitStack
 ) -> tuple[LowerTester, list[str], Namespace | None, str]:
     """The tester's end, the node's options for the other end, where that is, and what to tell people."""
     link = codec.profile.link
@@ -179,7 +179,8 @@ def _open_link(
         why = f"the profile {codec.profile.name} has no frames of its own on Ethernet"
     elif kind != "udp":
         try:
-            namespace = Namespace(NODE_ID)
+            # The tester also sends from addresses of other nodes, for example those of a recording.
+            namespace = Namespace(node_id if _is_address(node_id) else NODE_ID)
             stack.callback(namespace.close)
             ether_type = link.ether_type or EXPERIMENTAL
             with namespace.entered():
@@ -195,6 +196,11 @@ def _open_link(
     port = free_port()
     about = f"UDP multicast over the loopback interface ({why})"
     return open_udp(DEFAULT_GROUP, port, link=link), ["--link", f"udp:{DEFAULT_GROUP}:{port}"], None, about
+
+
+def _is_address(node_id: bytes) -> bool:
+    """Return whether an interface can have the node identifier as its address: 6 octets, unicast, not all zeros."""
+    return len(node_id) == 6 and not node_id[0] & 1 and any(node_id)
 
 
 def free_port() -> int:

@@ -1,0 +1,65 @@
+"""Replays of the bundled recordings over virtual Ethernet and UDP, at our node as a process."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+from dcp_conformance.cli import main
+from dcp_conformance.lower_tester.udp import DEFAULT_GROUP
+from dcp_conformance.reference.process import free_port
+
+from ..conformance.command import Command
+from .test_conformance_live import ethernet_or_skip
+
+CAPTURES = Path(__file__).resolve().parents[2] / "captures"
+#: Faster than recorded, but slow enough for a busy machine.
+SPEED = 10
+FIRST, LAST = "02:00:00:00:00:01", "02:00:00:00:00:03"
+
+
+@pytest.fixture
+def command(capsys) -> Command:
+    return Command(capsys, main)
+
+
+def udp_with(node_id: str, program: str = "dcp_stack.cli run") -> tuple[object, ...]:
+    """Return options that start a node, without an upper tester, on a UDP link of its own."""
+    link = f"udp:{DEFAULT_GROUP}:{free_port()}"
+    node = f"{sys.executable} -m {program} --link {link} --node-id {node_id} --profile cpp-2.0"
+    return "--link", link, "--profile", "cpp-2.0", "--start", node
+
+
+@pytest.mark.parametrize("node", [FIRST, LAST])
+def test_our_node_passes_over_ethernet(command, node):
+    """The recorded senders include the address that the interface has by default."""
+    ethernet_or_skip()
+    done = command("replay", CAPTURES / "c_latejoin.mcap", "--node", node, "--speed", SPEED)
+    assert "over eth:" in done.out
+    assert done.status == 0, done.out
+
+
+def test_our_node_passes_over_udp_without_an_upper_tester(command):
+    done = command("replay", CAPTURES / "c_latejoin.mcap", "--speed", SPEED, *udp_with(LAST))
+    assert done.status == 0, done.out + done.err
+
+
+def test_a_mutant_fails_over_udp(command):
+    mutant = "dcp_selftest.mutants M-VD-PU-07-ignored"
+    done = command("replay", CAPTURES / "c_latejoin.mcap", "--node", LAST, "--speed", SPEED, *udp_with(LAST, mutant))
+    assert done.status == 1, done.out + done.err
+    assert "VD-CMP-04" in done.out
+
+
+def test_an_absent_implementation_is_named(command):
+    link = f"udp:{DEFAULT_GROUP}:{free_port()}"
+    done = command("replay", CAPTURES / "c_latejoin.mcap", "--link", link)
+    assert (done.status, done.out) == (2, "")
+    assert f"no implementation answers on {link}" in done.err
+
+
+def test_a_colliding_identifier_is_named(command):
+    done = command("replay", CAPTURES / "c_latejoin.mcap", "--node", LAST, *udp_with(FIRST))
+    assert (done.status, done.out) == (2, "")
+    assert f"the implementation has the identifier {FIRST} of another recorded node" in done.err
