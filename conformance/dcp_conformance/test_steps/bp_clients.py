@@ -21,6 +21,7 @@ from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.upper_tester import Answer, Notification
 
 from .beacon_gaps import between_beacons
+from .kept_payloads import unused_protocol_id as unused_protocol_id
 
 #: Maximum delay of a notification in ns that waits allow for.
 _MOST_DELAY = 1_000_000_000
@@ -129,7 +130,11 @@ def largest_payload(bench: Bench) -> int:
 
 
 def room(bench: Bench) -> int:
-    """Return the number of octets for payload blocks, including their headers, in one beacon."""
+    """Return the number of octets for payload blocks, including their headers, in one beacon.
+
+    Raise ``CouldNotAskError`` beside other cases, whose payloads take a part of it.
+    """
+    bench.needs_whole_beacons()
     return bench.sut.bound("BPPAR_MAXIMUM_PACKET_SIZE") - header_octets(bench)
 
 
@@ -141,22 +146,6 @@ def areas_of_fixed_size(bench: Bench) -> str | None:
 
 
 # -- clients -----------------------------------------------------------------------------------------------------------
-
-
-def unused_protocol_id(bench: Bench) -> int:
-    """Return an unregistered protocol identifier, the one that the tester used least recently.
-
-    Raises ``NamesUsedUp`` if all of them may still be registered.
-    """
-    width = bench.profile.types.protocol_id.width
-    first, size = (0x7000, 0x0F00) if width > 1 else (0x70, 0x60)
-    session = bench.session
-    numbers = (first + (session.next_protocol + 1 + step) % size for step in range(size))
-    number = next((each for each in numbers if each not in session.held_protocols), None)
-    if number is None:
-        bench.identifiers.used_up("an unregistered protocol identifier", 0, size)
-    session.next_protocol = number - first
-    return number
 
 
 class BPClient:

@@ -35,7 +35,9 @@ def filling(bench: Bench, peer: Peer, kind: ICType, octets: int, *, seqno: int =
     """Return VarCreates of new variables whose records of a kind have exactly ``octets`` octets in total.
 
     ``kind``: CREATE-VARIABLES or UPDATES. Uses as few records as possible, of about equal length; None if impossible.
+    Raise ``CouldNotAskError`` beside other cases.
     """
+    bench.needs_whole_beacons()
     value, description = longest(bench)
 
     def made(var_id: int, value_length: int, length: int) -> VarCreate:

@@ -89,8 +89,12 @@ class Session:
         """
         self.call_times: deque[int] = deque(maxlen=_CALLS)
         """Durations in ns of the last calls of the upper tester that were executed."""
+        self.beside = False
+        """Whether a case is executed beside others, whose payloads share the beacons with its own."""
         self.pausing_fails = False
         """Whether the implementation failed or crashed when BP was deactivated only as a means of a case."""
+        self.keeps_payloads: bool | None = None
+        """Whether it keeps buffered payloads while BP is deactivated; None: not tried yet."""
         self.counting = Counting()
         """The steps between the sequence numbers of its beacons."""
         overload = lower.overload if isinstance(lower, OnThisMachine) else None

@@ -15,6 +15,7 @@ _AT_ONCE = 25
     "TC_SRP_NT_BV_04",
     "A node survives 1,001 neighbours, and the table is correct for the first and last of them",
     requirements="SRP-RX-03 BP-RX-16",
+    alone="it fills the neighbour table",
     stimulus="a record of each of 1,001 neighbours; then another one of the first three and the last three",
     expect=(
         "entries of these six with the newer records; the case reports the total number of entries (if the profile "

@@ -16,7 +16,7 @@ from dcp_spec.constants import BP_SEQNO_MODULUS
 
 from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.lower_tester import OnThisMachine
-from dcp_conformance.model.case import Needs, case
+from dcp_conformance.model.case import LISTENS, Needs, case
 from dcp_conformance.suite.bp.services.indications import no_indication
 from dcp_conformance.test_steps.bp_clients import (
     CLIENT,
@@ -181,6 +181,7 @@ def other_period(bench: Bench, factor: float) -> None:
     "TC_BP_TX_TI_03",
     "Reports the time from the submission of a payload to its beacon",
     requirements="BP-TXP-07 BP-TX-02",
+    alone=LISTENS,
     stimulus="a client submits five payloads at different phases of the beacon period, without other traffic",
     expect="a beacon with each payload; the case reports the delays",
     window=20,

@@ -11,7 +11,7 @@ from dcp_spec.constants import ICType
 
 from dcp_codec.values import VarCreate, VardisRecord
 from dcp_conformance.frames.received import ReceivedBeacon
-from dcp_conformance.model.case import Needs, case
+from dcp_conformance.model.case import FILLS, Needs, case
 from dcp_conformance.suite.vardis.reception.payload import all_of, request, size_of
 from dcp_conformance.test_steps.full_payloads import PAYLOAD_SIZE, filling, longest, settable
 from dcp_conformance.test_steps.sequences import part_of
@@ -48,6 +48,7 @@ def largest_create(bench: Bench) -> int:
     "TC_VD_PAY_BV_07",
     ("Records that exactly fill a payload share it; with one octet less the last one is sent separately ({variant})"),
     requirements="VD-PAY-02 VD-IC-05",
+    alone=FILLS,
     stimulus=(
         "in one beacon, requests for records that need exactly VARDISPAR_MAX_PAYLOAD_SIZE octets; the parameter is "
         "set if possible"
@@ -140,6 +141,7 @@ def _summaries(bench: Bench, peer: Peer) -> int:
     "TC_VD_SUM_BV_05",
     "Summaries after a VarCreate need room for their container and one summary ({variant})",
     requirements="VD-CMP-01 VD-IC-05",
+    alone=FILLS,
     stimulus=(
         "requests for VarCreates that leave room for exactly one summary, or one octet less, in a payload of "
         "VARDISPAR_MAX_PAYLOAD_SIZE octets; the parameter is set if possible"
@@ -196,6 +198,7 @@ def _never_fits(bench: Bench) -> str | None:
     "TC_VD_CMP_BV_12",
     "If the record at the head of a queue does not fit, its container is omitted and others follow",
     requirements="VD-CMP-08",
+    alone=FILLS,
     stimulus=(
         "requests for a VarCreate larger than VARDISPAR_MAX_PAYLOAD_SIZE (set if possible), and a summary of an "
         "unknown variable"
