@@ -16,6 +16,7 @@ from dcp_conformance.model.pics import Pics
 from dcp_conformance.passive import PassiveTester
 from dcp_conformance.upper_tester import UpperTester
 
+from .foreign_reports import ForeignReports
 from .identifiers.pool import IdentifierPool
 from .judgement.counting import Counting
 from .known import Known
@@ -95,6 +96,8 @@ class Session:
         """Whether the implementation failed or crashed when BP was deactivated only as a means of a case."""
         self.keeps_payloads: bool | None = None
         """Whether it keeps buffered payloads while BP is deactivated; None: not tried yet."""
+        self.foreign_reports = ForeignReports(lower.now())
+        """What shows that an application on the node submits safety data."""
         self.counting = Counting()
         """The steps between the sequence numbers of its beacons."""
         overload = lower.overload if isinstance(lower, OnThisMachine) else None
@@ -120,18 +123,22 @@ class Session:
         :meth:`dcp_conformance.test_system.identifiers.allocation.Identifiers.departure`.
         """
         self.counting.heard(heard.seqno)
+        self.foreign_reports.heard(heard.report, arrival.time)
         self.passive.heard(heard, arrival.frame, len(arrival.frame) - len(arrival.octets), case, traffic)
         gone = {each.var_id for each in heard.instructions(ICType.DELETE_VARIABLES)}
         self.identifier_pool.heard(heard.known - gone, gone, departure)
 
     def called(self, method: str, params: Mapping[str, Any], case: str) -> None:
         """Take a call of a service into account that a case is about to make."""
+        if method == "SRP-UpdateSafetyData":
+            self.foreign_reports.submitted(params.get("sData"), self.lower.now())
         self.passive.called(method, params, case)
 
     def forget(self) -> None:
         """Record that the implementation is in its initial state: it knows nothing from before."""
         self.identifier_pool.forget()
         self.held_protocols.clear()
+        self.foreign_reports.forget(self.lower.now())
         self.interrupted()
 
     def interrupted(self) -> None:

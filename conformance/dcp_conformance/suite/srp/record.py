@@ -107,15 +107,15 @@ def values_arrive(bench: Bench) -> None:
     bench.expect_status("SRP-STATUS-OK", "SRP-UpdateSafetyData", "SRP-SRV-02", "SRP-SRV-03", sData=values)
     reporter.noted(values, Moment(before, bench.lower.wall()))
     if (first := reporter.find(values)) is None:
-        others = [] if reporter.application() else _reports(bench, start)
+        others = [each for each in _reports(bench, start) if not reporter.foreign(each)]
         if not others:
             reporter.lost("a beacon with the safety data", "SRP-TYP-03", "SRP-SRV-03")
         bench.fail(
             f"a record with sData {values}",
-            f"a record with sData {reported_safety_data(bench, others[-1].report)}",
+            f"a record with sData {reported_safety_data(bench, others[0].report)}",
             "SRP-TYP-03",
             "SRP-SRV-03",
-            frames=others[-1:],
+            frames=others[:1],
             # Otherwise it may belong to an earlier submission, and the record of this one was lost.
             shown=silent,
         )

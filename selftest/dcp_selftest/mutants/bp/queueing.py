@@ -187,7 +187,7 @@ class Cuts(ClientList):
         return chosen
 
 
-@mutant("hangs", "BP-TX-04 BP-FMT-02",
+@mutant("hangs", "BP-TX-04 BP-FMT-02 BP-TXP-09",
     "stops sending when the payloads for a beacon fit into it and their blocks, with headers, do not")  # fmt: skip
 class Hangs(ClientList):
     _hung = False
