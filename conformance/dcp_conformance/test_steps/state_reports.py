@@ -50,8 +50,8 @@ class Reporter:
         """Number of submissions so far."""
         self._handed: list[dict[str, Any]] = []
         self._moments: list[tuple[Moment, int]] = []
-        self._submitted = 0
-        """Number of the beacons received before the last submission."""
+        self._begun = len(bench.heard)
+        """Number of the beacons received before the first submission."""
         self._application: bool | None = None
 
     def next_values(self) -> dict[str, Any]:
@@ -67,7 +67,6 @@ class Reporter:
     def noted(self, values: dict[str, Any], moment: Moment) -> None:
         """Record a submission that was made without :meth:`submit`."""
         self.count += 1
-        self._submitted = len(self.bench.heard)
         self._handed.append(values)
         self._moments.append((moment, self.count))
 
@@ -152,11 +151,11 @@ class Reporter:
 
     def lost(self, what: str, *requirements: str) -> NoReturn:
         """Fail and stop the case because a report is missing; inconclusive if an application has replaced it."""
-        if any(self.foreign(each) for each in self.bench.heard[self._submitted :]):
+        if any(self.foreign(each) for each in self.bench.heard[self._begun :]):
             self.bench.inconclusive(what, "an application on the node replaces the data by its own", *requirements)
         known = self.bench.session.foreign_reports
-        reports = [each for each in self.bench.heard[self._submitted :] if each.report is not None]
-        mixed = [each for each in reports if known.is_own(each.report) and not self.is_own(each)]
+        since = self.bench.heard[self._begun :]
+        mixed = [each for each in since if each.report and known.is_own(each.report) and not self.is_own(each)]
         text = f"; {len(mixed)} with the values of submitted data in other fields" if mixed else ""
         self.bench.fail(what, f"none in time{text}", *requirements, frames=mixed[:4], shown=mixed)
 
