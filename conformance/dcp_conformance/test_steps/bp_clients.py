@@ -13,7 +13,7 @@ from typing import Any, Self
 
 from dcp_spec.constants import QueueingMode, SpecVersion
 
-from dcp_conformance.errors import UpperTesterError
+from dcp_conformance.errors import CouldNotAskError, UpperTesterError
 from dcp_conformance.frames.builder import Block
 from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.model.case import Needs, Variant
@@ -172,14 +172,25 @@ class BPClient:
             "maxEntries": entries,
             "allowMultiplePayloads": several,
         }
+        self._queues = mode in (DROPTAIL, DROPHEAD, QueueingMode.QUEUE)
         self.answer = Answer()
         self._number = 0
 
     def __enter__(self) -> Self:
-        self.answer = self.bench.must(REGISTER, **self.registration)
+        bench = self.bench
+        if why := bench.sut.lacks("queue_entries", self.registration["maxEntries"] if self._queues else 0):
+            bench.verdicts.not_applicable(f"{why}, and this case needs more")
+        self.answer = bench.call(REGISTER, **self.registration)
+        if not self.answer.ok and bench.session.beside and bench.sut.capacity("clients"):
+            raise CouldNotAskError("other cases are executed at the same time, and have clients")
+        if not self.answer.ok and (why := bench.sut.lacks("clients", bench.clients + 1)):
+            bench.verdicts.not_applicable(f"{why}, and this case needs more")
+        bench.services.require_success(REGISTER, self.answer)
+        bench.clients += 1
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self.bench.clients -= 1
         # If the upper tester has stopped answering, an earlier call has reported it.
         with contextlib.suppress(UpperTesterError):
             self.bench.call(DEREGISTER, protId=self.prot_id)
@@ -305,11 +316,11 @@ def octets_of(notification: Notification) -> bytes:
 
 
 def notification_delay(bench: Bench) -> int:
-    """Return the time in ns by which the upper tester may delay a notification: that of a slow call.
+    """Return the time in ns by which the upper tester may delay a notification: that of a slow call, or as measured.
 
     The specification does not limit how long the implementation's adapter takes.
     """
-    return min(bench.session.slow_call, _MOST_DELAY)
+    return min(max(bench.session.slow_call, bench.session.notifications), _MOST_DELAY)
 
 
 def wait_for_notifications(bench: Bench) -> None:

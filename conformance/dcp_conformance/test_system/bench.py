@@ -53,6 +53,8 @@ class Bench:
         """The recording of the case."""
         self.heard: list[ReceivedBeacon] = []
         """The implementation's frames since the case began."""
+        self.clients = 0
+        """Number of clients of BP that the case has registered, and not deregistered."""
 
         # The parts. Each knows only the parts before it.
         created: set[int] = set()

@@ -20,7 +20,7 @@ from .foreign_reports import ForeignReports
 from .identifiers.pool import IdentifierPool
 from .judgement.counting import Counting
 from .known import Known
-from .sut_properties import FLOOR, PeriodOverride
+from .sut_properties import FLOOR, PeriodOverride, capacity
 
 __all__ = ["FLOOR", "Session"]
 
@@ -80,6 +80,7 @@ class Session:
             leave=known.removed_after_deletion,
             timed=known.creation_time,
             kept=self.boundaries.values() if last - first >= _MANY else (),
+            capacity=capacity(pics.pixit, profile, "variables"),
         )
         self.creation_time = 0
         """The last time stamp in a record of the tester, in ticks of the profile's clock."""
@@ -92,6 +93,8 @@ class Session:
         """Durations in ns of the last calls of the upper tester that were executed."""
         self.beside = False
         """Whether a case is executed beside others, whose payloads share the beacons with its own."""
+        self.notifications = 0
+        """The time in ns by which notifications are late."""
         self.pausing_fails = False
         """Whether the implementation failed or crashed when BP was deactivated only as a means of a case."""
         self.keeps_payloads: bool | None = None

@@ -87,6 +87,12 @@ class Sensor(_Periodic):
             vardis.create(_VARIABLE, None, self.repetitions, b"load", value, now=now, wall=wall)
 
 
+class FastSensor(Sensor):
+    """Updates its variable in each beacon period."""
+
+    period_ms = 103
+
+
 class Chatter(_Periodic):
     """A client of BP that submits a payload three times a second."""
 
@@ -169,6 +175,12 @@ VARIANTS = (
     ),
     Variant("V-APP-variable", "has an application that updates a variable once a second", _VD_WHY, _running(Sensor),
         where=_one_octet_ids, explains=(_NO_PAUSE, _SUMMARISED)),
+    Variant("V-APP-variable-10Hz", "has an application that updates a variable ten times a second", _VD_WHY,
+        _running(FastSensor), where=_one_octet_ids, explains=(_NO_PAUSE, _SUMMARISED)),
+    Variant("V-APP-variable-10Hz-untold",
+        "has an application that updates a variable ten times a second, which the PIXIT does not mention", _VD_WHY,
+        lambda profile: setup(profile, application=FastSensor), where=_one_octet_ids,
+        explains=(_NO_PAUSE, _SUMMARISED)),
     Variant("V-APP-client", "has a client of BP that submits a payload three times a second", _BP_WHY,
         _running(Chatter), explains=(_NO_PAUSE,)),
     Variant("V-APP-every-beacon", "has a client of BP with a payload in every beacon", _BP_WHY, _running(Beacon),

@@ -34,7 +34,7 @@ _FEW = 4
     stimulus="30 peers create three variables each, and summarise them, within one beacon period",
     expect="each of the 90 VarCreates in exactly one beacon; each variable in the summaries eventually",
     window=30,
-    needs=Needs(when=lambda bench: bench.sut.lacks_room(90) or None),
+    needs=Needs(when=lambda bench: bench.sut.lacks("variables", 90) or None),
 )
 def many_variables(bench: Bench) -> None:
     peers = [bench.peer() for _ in range(30)]

@@ -35,7 +35,7 @@ def many_neighbours(bench: Bench) -> None:
             bench.wait(0.05)
     listed = len(neighbours(bench))
     # If the profile limits the table, the entries that it can hold must be correct.
-    limit = bench.profile.limits.max_neighbours
+    limit = bench.sut.capacity("neighbours")
     room = _MANY if limit is None else min(_MANY, limit - before)
     for peer in (*peers[:3], *peers[room - 3 : room]):
         # The older entries may have timed out by now, or may have been replaced by others.

@@ -165,6 +165,9 @@ class Identifiers:
     # -- none left -----------------------------------------------------------------------------------------------------
 
     def _no_variables_left(self, expected: str) -> NoReturn:
+        # One more is needed for signs of life.
+        if why := self._sut.lacks("variables", len(self.created | self.called_unknown) + 2):
+            self._verdicts.not_applicable(f"{why}, and this case needs more")
         self.used_up(expected, self._pool.left(self._clock.now(), self.created), self._pool.size)
 
     def used_up(self, expected: str, left: int, size: int) -> NoReturn:

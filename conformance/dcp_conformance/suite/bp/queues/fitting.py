@@ -269,8 +269,12 @@ def several_clients(bench: Bench) -> None:
 def most_blocks(bench: Bench) -> None:
     clients = [BPClient(bench, ONCE, size=1) for _ in range(BP_MAX_PAYLOADS + 5)]
     for client in clients:
-        if not client.register().ok:
-            bench.info("How many clients can register?", f"{clients.index(client)}")
+        if not (answer := client.register()).ok:
+            registered = clients.index(client)
+            declared = bench.sut.capacity("clients") or 0
+            what = f"registrations of {declared} clients, as declared"
+            bench.check(registered >= declared, what, f"{registered}, then {answer}", "BP-REG-01", shown=True)
+            bench.info("How many clients can register?", f"{registered}")
             return
     start = 0
     ids = {client.prot_id for client in clients}

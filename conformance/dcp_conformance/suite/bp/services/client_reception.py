@@ -321,7 +321,7 @@ def deaf_for_clients(bench: Bench) -> None:
         peer, early = bench.peer(), b"while inactive"
         with bench.services.deactivated("BP"):
             peer.send(Block(client.prot_id, early))
-            bench.wait(1)
+            bench.wait(max(1, bench.sut.processing))
         received = after(bench, client, peer, "a time of inactivity", "BP-MGT-05")
         bench.check(
             early not in received,

@@ -343,7 +343,7 @@ def _room_for_256(bench: Bench) -> str | None:
         return f"a payload has no room for {IC_MAX_RECORDS + 1} records of any kind"
     if bench.session.identifier_pool.size <= IC_MAX_RECORDS:
         return f"the tester may only use {bench.session.identifier_pool.size} identifiers (pixit.var_ids)"
-    return bench.sut.lacks_room(IC_MAX_RECORDS + 1) or None
+    return bench.sut.lacks("variables", IC_MAX_RECORDS + 1) or None
 
 
 def _names(bench: Bench) -> set[int]:
