@@ -16,7 +16,7 @@ import click
 
 from dcp_codec.capture import Frame
 from dcp_codec.codec import get_codec
-from dcp_codec.common.commandline import ExpectedError
+from dcp_codec.common.commandline import ExpectedError, SectionedCommand
 from dcp_codec.framing.frames import DissectedFrame, FrameDissector
 from dcp_codec.framing.locate import OtherTraffic
 
@@ -55,6 +55,12 @@ class _Renderer(Protocol):
 
 @click.command(
     "decode",
+    cls=SectionedCommand,
+    sections={
+        "Input": "hex_text interface profile ether_type",
+        "Selection": "where frames start end errors_only count",
+        "Output": "form hexdump clock color",
+    },
     epilog="FILE is an MCAP, pcap or pcapng recording, or - for standard input. Exit status: 0 all good, 1 malformed "
     "DCP frames were seen, 2 wrong usage or input that could not be read to its end.",
 )
