@@ -59,8 +59,8 @@ def test_shown_output_is_printed(command, shown, tmp_path, monkeypatch, capsys):
     damaged_flight(tmp_path)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "100")
+    words = shlex.split(command)
     with pytest.raises(SystemExit):
-        words = shlex.split(command)
         _COMMANDS[words[0]](words[1:])
     printed = capsys.readouterr()
     lines = [line.rstrip() for line in (printed.err + printed.out).splitlines()]
