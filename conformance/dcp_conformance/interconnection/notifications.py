@@ -11,6 +11,8 @@ from dcp_conformance.test_system.bench import Bench
 
 #: Number of measurements, the factor for the longest time, and the longest wait for an indication in ns.
 _ATTEMPTS, _FACTOR, _PATIENCE = 2, 1.5, 1_000_000_000
+#: Delays in ns up to which notifications count as immediate, and the interval of looking for them.
+_IMMEDIATE, _LOOK = 30_000_000, 5_000_000
 
 
 def notification_delay(bench: Bench) -> int:
@@ -31,9 +33,9 @@ def notification_delay(bench: Bench) -> int:
                 while len(client.received()) <= number:
                     if bench.now() - begun > _PATIENCE:
                         return 0
-                    bench.waiting.wait_ns(bench.period // 20)
+                    bench.waiting.wait_ns(_LOOK)
                 longest = max(longest, bench.now() - begun)
     except (StopCase, UpperTesterError):
         # Cases about these services will report it.
         return 0
-    return round(_FACTOR * longest) if longest > bench.period // 4 else 0
+    return round(_FACTOR * longest) if longest > _IMMEDIATE else 0

@@ -13,7 +13,7 @@ from dcp_codec.values import VarCreate, VardisRecord
 from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.model.case import FILLS, Needs, case
 from dcp_conformance.suite.vardis.reception.payload import all_of, request, size_of
-from dcp_conformance.test_steps.full_payloads import PAYLOAD_SIZE, filling, longest, settable
+from dcp_conformance.test_steps.full_payloads import PAYLOAD_SIZE, filling, longest, settable, undisturbed
 from dcp_conformance.test_steps.sequences import part_of
 from dcp_conformance.test_steps.services import OK, create_request, produced, settled
 from dcp_conformance.test_system.bench import Bench
@@ -67,8 +67,7 @@ def to_the_last_octet(bench: Bench, variant: tuple[ICType, int]) -> None:
     kind, less = variant
     peer = bench.peer()
     creates, limit = (_two if settable(bench) else _as_many_as_fit)(bench, peer, kind, less)
-    mark = request(bench, peer, kind, creates)
-    _, frames = all_of(bench, kind, creates, mark)
+    frames = undisturbed(bench, kind, lambda: all_of(bench, kind, creates, request(bench, peer, kind, creates))[1])
     counts = [len(each.instructions(kind)) for each in frames]
     right = [len(creates) - 1, 1] if less else [len(creates)]
     bench.check(
@@ -319,9 +318,14 @@ def without_values(bench: Bench, variant: tuple[ICType, int]) -> None:
         sample = peer.request_update(names[0], 5)
     bench.must("VD-SetParameter", name=SUMMARIES, value=0)
     _lower(bench, number * bench.builder.record_size(sample) - less)
-    mark = bench.mark()
-    peer.send(*stimuli)
-    frames = bench.until_quiet(lambda heard: heard.instructions(kind), since=mark)
+
+    def caused() -> list[ReceivedBeacon]:
+        mark = bench.mark()
+        peer.send(*stimuli)
+        return bench.until_quiet(lambda heard: heard.instructions(kind), since=mark)
+
+    # Deletions have an effect only once, and requests each time.
+    frames = caused() if kind is _DELETE else undisturbed(bench, kind, caused)
     counts = [len(each.instructions(kind)) for each in frames]
     right = [number - 1, 1] if less else [number]
     # One of two payloads alone may be what is left after a loss.
