@@ -65,7 +65,7 @@ def filling(bench: Bench, peer: Peer, kind: ICType, octets: int, *, seqno: int =
     ``kind``: CREATE-VARIABLES or UPDATES. Uses as few records as possible, of about equal length; None if impossible.
     Raise ``CouldNotAskError`` beside other cases.
     """
-    bench.needs_whole_beacons()
+    bench.control.needs_whole_beacons()
     value, description = longest(bench)
 
     def made(var_id: int, value_length: int, length: int) -> VarCreate:

@@ -34,7 +34,7 @@ def stock(
 
     With ``mixed``, every third one is short.
     """
-    bench.needs_whole_beacons()
+    bench.control.needs_whole_beacons()
     value, description = longest(bench)
     creates: list[VarCreate] = []
     octets = 0
