@@ -142,7 +142,7 @@ class Reporter:
         """Fail and stop the case because a report is missing; inconclusive if an application replaces it."""
         if self.application():
             self.bench.inconclusive(what, "an application on the node replaces the data by its own", *requirements)
-        self.bench.fail(what, "none in time", *requirements)
+        self.bench.missing(what, "none in time", *requirements)
 
     def _insist(self, since: int) -> ReceivedBeacon | None:
         """Submit safety data repeatedly until a beacon is sent before an application replaces them."""
@@ -169,11 +169,10 @@ class Reporter:
         count = last.submissions - first.submissions
         exact = grown == count or not self.application()
         right = grown == count if exact else count <= grown < 1 << 16
-        return self.bench.check(
+        return self.bench.proved(
             right,
             f"a sequence number increased by {'' if exact else 'at least '}{count}",
             f"from {first.report.seqno} to {last.report.seqno}",
             *requirements,
             frames=[first.heard, last.heard],
-            shown=True,
         )

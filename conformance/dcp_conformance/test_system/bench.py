@@ -99,6 +99,7 @@ class Bench:
         self.every = matchers.every
         self.answered = matchers.answered
         self.fields = matchers.fields
+        self.present = matchers.present
         self.proved = matchers.proved
         self.equal = matchers.equal
         self.only = matchers.only
@@ -108,6 +109,8 @@ class Bench:
         self.within = matchers.within
         self.successive = matchers.successive
         self.passed = matchers.passed
+        self.missing = matchers.missing
+        self.wrong = matchers.wrong
         # Stimuli:
         self.peer = self.peers.new
         self.var_id = self.identifiers.var_id

@@ -3,9 +3,11 @@
 A failed statement is *shown* (received octets or an answer prove the fault) or something is *missing*, which losses and
 lateness of the tester may explain (:mod:`.excuses`). Which of the two follows from the form of the statement:
 
-* what was not received is missing: :meth:`Matchers.some`, :meth:`Matchers.required`, :meth:`Matchers.complete`;
+* what was not received is missing: :meth:`Matchers.some`, :meth:`Matchers.required`, :meth:`Matchers.complete`,
+  :meth:`Matchers.missing`;
 * what must not be there, or has the wrong value, is shown: :meth:`Matchers.none`, :meth:`Matchers.every`,
-  :meth:`Matchers.answered`, :meth:`Matchers.fields`, :meth:`Matchers.proved`;
+  :meth:`Matchers.one_each`, :meth:`Matchers.answered`, :meth:`Matchers.fields`, :meth:`Matchers.present`,
+  :meth:`Matchers.proved`, :meth:`Matchers.wrong`;
 * others can fail in both ways: :meth:`Matchers.equal`, :meth:`Matchers.only`, :meth:`Matchers.in_order`,
   :meth:`Matchers.repeated`, :meth:`Matchers.within`.
 
@@ -18,7 +20,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from typing import Any, Final, Literal, TypeVar
+from typing import Any, Final, Literal, NoReturn, TypeVar
 
 from dcp_spec.constants import BP_SEQNO_MODULUS
 
@@ -39,6 +41,8 @@ NOTHING: Final = "none in time"
 #: Maximum number of frames that a check marks, and of values in an observation.
 _FRAMES: Final = 32
 _VALUES: Final = 8
+#: Maximum number of octets of a value in an observation.
+_OCTETS: Final = 64
 
 
 class Matchers:
@@ -74,10 +78,17 @@ class Matchers:
         return self._check(found, expected, content(seen), requirements, frames=frames, patience=patience)
 
     def required(
-        self, found: T | None, expected: str, /, *requirements: str, seen: object = NOTHING, patience: float = 1.0
+        self,
+        found: T | None,
+        expected: str,
+        /,
+        *requirements: str,
+        seen: object = NOTHING,
+        frames: Iterable[Evidence] = (),
+        patience: float = 1.0,
     ) -> T:
         """As :meth:`some`; return what was found, and stop the case if there is nothing."""
-        if not self.some(found, expected, *requirements, seen=seen, patience=patience) or found is None:
+        if not self.some(found, expected, *requirements, seen=seen, frames=frames, patience=patience) or found is None:
             raise StopCase
         return found
 
@@ -143,6 +154,12 @@ class Matchers:
         good = [self.answered(answer.get(name), value, name, *requirements) for name, value in right.items()]
         return all(good)
 
+    def present(self, found: T | None, expected: str, /, *requirements: str, seen: object = "none") -> T:
+        """Return what an answer must have, without a check; its absence is shown, and stops the case."""
+        if found is None:
+            self.wrong(expected, seen, *requirements)
+        return found
+
     def proved(
         self,
         holds: object,
@@ -151,11 +168,10 @@ class Matchers:
         /,
         *requirements: str,
         frames: Iterable[Evidence] = (),
-        given: object = True,
         stop: bool = False,
     ) -> bool:
         """Check any other property of received data. ``seen``: the data."""
-        return self._check(holds, expected, content(seen), requirements, frames=frames, shown=given, stop=stop)
+        return self._check(holds, expected, content(seen), requirements, frames=frames, shown=True, stop=stop)
 
     # -- both ----------------------------------------------------------------------------------------------------------
 
@@ -187,10 +203,14 @@ class Matchers:
         seen: object = "",
         frames: Iterable[Evidence] = (),
     ) -> bool:
-        """Check that exactly these values were received, in any order and number; any other value is shown."""
-        came, wanted = [*found], [*right]
-        surplus = [each for each in came if each not in wanted]
-        lacking = [each for each in wanted if each not in came]
+        """Check that exactly these values were received, each as often as here, in any order; others are shown."""
+        came, lacking = [*found], [*right]
+        surplus = []
+        for each in came:
+            if each in lacking:
+                lacking.remove(each)
+            else:
+                surplus.append(each)
         observed = content(seen) or described(came)
         return self._check(not surplus + lacking, expected, observed, requirements, frames=frames, shown=surplus)
 
@@ -212,7 +232,7 @@ class Matchers:
 
     def repeated(
         self,
-        found: Collection[object],
+        found: Collection[object] | int,
         count: int,
         what: str,
         /,
@@ -227,15 +247,16 @@ class Matchers:
         (:attr:`.Verdicts.in_time`). ``what`` is a plural: "beacons with the VarUpdate". ``most``: the largest number,
         if it is not ``count``.
         """
+        number = found if isinstance(found, int) else len(found)
         limit = count if most is None else most
-        number = {count: f"exactly {count}", math.inf: f"at least {count}"}.get(limit, f"{count} to {limit}")
+        right = {count: f"{count}", math.inf: f"at least {count}"}.get(limit, f"{count} to {limit}")
         return self._check(
-            count <= len(found) <= limit,
-            f"{number} {what}",
-            f"{len(found)}",
+            count <= number <= limit,
+            f"{what}: {right}",
+            f"{number}",
             requirements,
             frames=evidence_in(found) if frames is None else frames,
-            shown=len(found) > limit and given and self._verdicts.in_time,
+            shown=number > limit and given and self._verdicts.in_time,
         )
 
     def one_each(self, found: Collection[Instruction], expected: str, /, *requirements: str) -> bool:
@@ -290,6 +311,16 @@ class Matchers:
         """Record a statement that has already been established."""
         self._check(True, expected, "", requirements, frames=frames)
 
+    def missing(self, expected: str, seen: object = NOTHING, /, *requirements: str, patience: float = 1.0) -> NoReturn:
+        """Stop the case because something was not received."""
+        self._check(False, expected, content(seen), requirements, frames=(), patience=patience)
+        raise StopCase
+
+    def wrong(self, expected: str, seen: object, /, *requirements: str, frames: Iterable[Evidence] = ()) -> NoReturn:
+        """Stop the case because received data are wrong."""
+        self._check(False, expected, content(seen), requirements, frames=frames, shown=True)
+        raise StopCase
+
     def _check(
         self,
         holds: object,
@@ -322,7 +353,7 @@ def part_of(found: Iterable[object], whole: Iterable[object]) -> bool:
 def content(value: object) -> str:
     """Return a received value for a message: octets in hexadecimal, and the record of an instruction."""
     if isinstance(value, bytes):
-        return value.hex()
+        return value.hex() if len(value) <= _OCTETS else f"{len(value)} octets, {value[:_OCTETS].hex()}..."
     if isinstance(value, Instruction):
         return f"{value.record}"
     if isinstance(value, ReceivedBeacon):

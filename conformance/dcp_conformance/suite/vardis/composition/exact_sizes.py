@@ -14,7 +14,6 @@ from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.model.case import Needs, case
 from dcp_conformance.suite.vardis.reception.payload import all_of, request, size_of
 from dcp_conformance.test_steps.full_payloads import PAYLOAD_SIZE, filling, longest, settable
-from dcp_conformance.test_steps.sequences import part_of
 from dcp_conformance.test_steps.services import OK, create_request, produced, settled
 from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.test_system.sending.peers import Peer
@@ -70,18 +69,11 @@ def to_the_last_octet(bench: Bench, variant: tuple[ICType, int]) -> None:
     _, frames = all_of(bench, kind, creates, mark)
     counts = [len(each.instructions(kind)) for each in frames]
     right = [len(creates) - 1, 1] if less else [len(creates)]
-    bench.check(
-        counts == right,
-        f"payloads of at most {limit} octets with {right} records",
-        f"{counts}",
-        "VD-PAY-02",
-        frames=frames,
-        shown=max(counts) > max(right),
-    )
+    what = f"records in payloads of at most {limit} octets"
+    bench.none(max(counts) > max(right), what, "VD-PAY-02", seen=counts, frames=frames)
+    bench.some(counts == right, f"{what}: {right}", "VD-PAY-02", seen=counts, frames=frames)
     largest = max(size_of(bench, each) for each in frames)
-    bench.check(
-        largest <= limit, f"payloads of at most {limit} octets", f"{largest}", "VD-IC-05", frames=frames, shown=True
-    )
+    bench.proved(largest <= limit, f"payloads of at most {limit} octets", largest, "VD-IC-05", frames=frames)
 
 
 def _two(bench: Bench, peer: Peer, kind: ICType, less: int) -> tuple[Sequence[VarCreate], int]:
@@ -170,16 +162,14 @@ def room_for_a_summary(bench: Bench, less: int) -> None:
     def has_all(heard: ReceivedBeacon) -> ReceivedBeacon | None:
         return heard if wanted <= {each.var_id for each in heard.instructions(_CREATE)} else None
 
-    heard = bench.until(has_all)
-    if heard is None:
-        bench.fail("the requested VarCreates in one payload", "no payload with all of them")
+    heard = bench.required(
+        bench.until(has_all), "the requested VarCreates in one payload", seen="no payload with all of them"
+    )
     # 1.0 composes updates and summaries in another order, but VarCreates come first in every version.
     count = len(heard.instructions(_SUMMARY))
-    bench.check(count == 1 - less, f"{1 - less} summaries after the VarCreates", f"{count}", frames=[heard], shown=True)
+    bench.answered(count, 1 - less, "summaries after the VarCreates", frames=[heard])
     octets = size_of(bench, heard)
-    bench.check(
-        octets <= limit, f"a payload of at most {limit} octets", f"{octets}", "VD-IC-05", frames=[heard], shown=True
-    )
+    bench.proved(octets <= limit, f"a payload of at most {limit} octets", octets, "VD-IC-05", frames=[heard])
 
 
 def _never_fits(bench: Bench) -> str | None:
@@ -226,21 +216,18 @@ def head_does_not_fit(bench: Bench) -> None:
     mark = bench.mark()
     peer.send(peer.request_create(large), peer.summary(unknown, 1))
     asked = bench.until_instruction(ICType.REQUEST_VARCREATES, unknown)
-    bench.check(
+    bench.some(
         asked,
         "other containers, although the VarCreate at the head of createQ does not fit",
-        "no request for the unknown variable",
+        seen="no request for the unknown variable",
     )
     bench.beacons(3)
     if bench.instructions(ICType.REQUEST_VARCREATES, large, mark):
         bench.inconclusive("an implementation that knows the variable, which this case needs", "a request for it")
     found = bench.instructions(_CREATE, large, mark)
     what = f"no VarCreate of more than {limit} octets"
-    bench.check(not found, what, f"{len(found)} VarCreates", frames=found[:4], shown=True)
-    broken = [each for each in bench.heard[mark:] if each.vardis_problems]
-    bench.check(
-        not broken, "no container without records", f"{len(broken)} beacons with one", frames=broken[:4], shown=True
-    )
+    bench.none(found, what)
+    bench.every(bench.heard[mark:], lambda each: not each.vardis_problems, "no container without records")
 
 
 @case(
@@ -263,12 +250,10 @@ def alone_to_the_last_octet(bench: Bench, kind: ICType) -> None:
     _lower(bench, bench.builder.record_size(create if kind is _CREATE else create.upd))
     mark = request(bench, peer, kind, [create])
     found = bench.until_instruction(kind, create.spec.var_id)
-    bench.check(found, "the record, which exactly fills a payload", "none in time")
+    bench.some(found, "the record, which exactly fills a payload")
     frames = [each for each in bench.heard[mark:] if each.instructions(kind)]
     others = [named for each in frames for named in each.containers if named.ic_type != bench.builder.ic_type(kind)]
-    bench.check(
-        not others, "no other container in its payload", f"{len(others)} more containers", frames=frames, shown=True
-    )
+    bench.none(others, "no other container in its payload", frames=frames)
 
 
 def _lower(bench: Bench, octets: int) -> None:
@@ -322,9 +307,7 @@ def without_values(bench: Bench, variant: tuple[ICType, int]) -> None:
     counts = [len(each.instructions(kind)) for each in frames]
     right = [number - 1, 1] if less else [number]
     # One of two payloads alone may be what is left after a loss.
-    bench.check(
-        counts == right, f"payloads with {right} records", f"{counts}", frames=frames, shown=not part_of(counts, right)
-    )
+    bench.in_order(counts, right, f"payloads with {right} records", frames=frames)
 
 
 @case(
@@ -348,7 +331,7 @@ def created_to_the_last_octet(bench: Bench, length: int) -> None:
     _lower(bench, bench.builder.record_size(sample))
     bench.expect_status(OK, "RTDB-Create", **create_request(bench, var_id, descr="d", value=value))
     found = bench.until_instruction(_CREATE, var_id)
-    bench.check(found, "its VarCreate, which exactly fills a payload", "none in time", "VD-PAY-02")
+    bench.some(found, "its VarCreate, which exactly fills a payload", "VD-PAY-02")
 
 
 @case(
@@ -371,6 +354,4 @@ def updated_to_the_last_octet(bench: Bench) -> None:
     _lower(bench, bench.builder.record_size(bench.records.sample(value=value).upd))
     bench.expect_status(OK, "RTDB-Update", varId=var_id, value=value.hex())
     found = bench.until_instruction(_UPDATE, var_id)
-    bench.check(
-        found and found.value == value, "its VarUpdate, which exactly fills a payload", "none in time", "VD-PAY-02"
-    )
+    bench.some(found and found.value == value, "its VarUpdate, which exactly fills a payload", "VD-PAY-02")

@@ -13,7 +13,7 @@ from dcp_spec.constants import ICType
 from dcp_codec.values import VardisRecord
 from dcp_conformance.model.case import Needs, Variant, case
 from dcp_conformance.test_steps.services import max_repetitions, teach_variable
-from dcp_conformance.test_steps.variable_queries import INSTRUCTIONS, ask, stepped, traces
+from dcp_conformance.test_steps.variable_queries import INSTRUCTIONS, ask, check_stored, stepped, traces
 from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.test_system.sending.peers import Peer
 
@@ -345,9 +345,7 @@ def newest_value(bench: Bench) -> None:
     updated = bench.until_instruction(UPDATES, var_id)
     for what in ("after the update", "after a VarCreate with the first value"):
         held = ask(bench, var_id)
-        upd = held.record.upd if held.record is not None else None
-        right = upd is not None and (upd.seqno, upd.value) == (1, bench.records.value(b"newer"))
-        bench.proved(right, f"{what}: sequence number and value of the VarUpdate", held, given=updated and held.record)
-        specs = held.record is None or held.record.spec == create.spec
-        bench.proved(specs, "the specification as sent", held.record.spec if held.record else "")
+        check_stored(bench, held, 1, b"newer", f"sequence number and value {what}", given=updated)
+        if held.record is not None:
+            bench.answered(held.record.spec, create.spec, "the specification")
         peer.send(create)

@@ -26,7 +26,7 @@ from dcp_conformance.test_steps.timeouts import (
     shorten_scrubbing,
     updated_in_time,
 )
-from dcp_conformance.test_steps.variable_queries import ask
+from dcp_conformance.test_steps.variable_queries import ask, check_state
 from dcp_conformance.test_system.bench import MS, Bench
 from dcp_conformance.test_system.sending.peers import Peer
 
@@ -73,7 +73,7 @@ def not_kept_by_creates(bench: Bench, make: Callable[[Peer, VarCreate], VarCreat
     if not found and not bench.instructions(_DELETE, silent.spec.var_id):
         not_by_consumers(bench, name)
         return
-    bench.require(found, "a VarDelete of the variable, as of the one without further VarCreates", "none in time")
+    bench.required(found, "a VarDelete of the variable, as of the one without further VarCreates")
     check_time(bench, found[0], since, timeout_ms)
 
 
@@ -119,8 +119,7 @@ def restarted_timeout(bench: Bench, create: Callable[[Bench, Peer, int, int], Ch
     if found is None and not own:
         not_by_consumers(bench, name)
         return
-    if found is None:
-        bench.fail("a VarDelete of the variable", "none in time", "VD-SCR-01")
+    found = bench.required(found, "a VarDelete of the variable", "VD-SCR-01")
     took, requirements = found.heard.time - since.before, bench.case.requirements
     check_time(bench, found, since, timeout_ms, *(requirements if took < (timeout_ms - 2) * MS else ("VD-SCR-01",)))
 
@@ -149,13 +148,13 @@ def update_cancelled(bench: Bench) -> None:
         entry = described(bench.must("RTDB-DescribeVariable", varId=name))
     for counter in ("countCreate", "countUpdate"):
         value = entry.get(counter, 0)
-        bench.check(value == 0, f"{counter} is 0", f"{value}", shown=True)
+        bench.answered(value, 0, f"{counter} is 0")
     bench.check_repeated(_DELETE, name, count, 0)
     begun = bench.heard.index(found.heard)
     for kind in (_UPDATE, _CREATE, _SUMMARY):
         late = bench.instructions(kind, name, begun)
         what = f"no {kind.label} record after the first VarDelete"
-        bench.check(not late, what, f"{len(late)} records", frames=late[:4], shown=True)
+        bench.none(late, what)
 
 
 @case(
@@ -176,9 +175,9 @@ def long_timeout(bench: Bench, timeout_ms: int) -> None:
     bench.waiting.wait_ns(round((2 * period + tolerance) * MS))
     bench.beacons(2)
     found = bench.instructions(_DELETE, name)
-    bench.check(not found, "no VarDelete of the variable", f"{len(found)} VarDeletes", frames=found[:2], shown=True)
+    bench.none(found, "no VarDelete of the variable")
     held = ask(bench, name)
-    bench.check(held.state == "alive", "the variable exists", str(held), shown=held.shown)
+    check_state(bench, held, "alive", "state of the variable")
 
 
 @case(
@@ -196,9 +195,11 @@ def after_deactivation(bench: Bench) -> None:
         bench.wait(3)
     name, timeout_ms = bench.identifiers.own_var_id(), 300
     since = create_own(bench, name, timeout_ms)
-    found = deleted(bench, name, since, timeout_ms)
-    if found is None:
-        bench.fail("a VarDelete of the node's own variable", f"none in {latest(bench, timeout_ms) / MS:.0f} ms")
+    found = bench.required(
+        deleted(bench, name, since, timeout_ms),
+        "a VarDelete of the node's own variable",
+        seen=f"none in {latest(bench, timeout_ms) / MS:.0f} ms",
+    )
     check_time(bench, found, since, timeout_ms, "VD-SCR-01")
 
 
@@ -225,8 +226,10 @@ def while_inactive(bench: Bench) -> None:
     activated = bench.now()
     tolerance = bench.sut.pixit.timer_tolerance_ms * bench.session.timing_scale
     most = (period + tolerance) * MS / bench.period + bench.sut.reaction
-    found = bench.until_instruction(_DELETE, name, most) or bench.instructions(_DELETE, name, mark)
-    bench.require(found, "a VarDelete of the node's own variable after the activation", "none in time")
+    bench.required(
+        bench.until_instruction(_DELETE, name, most) or bench.instructions(_DELETE, name, mark),
+        "a VarDelete of the node's own variable after the activation",
+    )
     took = bench.instructions(_DELETE, name)[0].heard.time - activated
     at_once = took <= 2.5 * bench.period and period * MS > 3 * bench.period
     bench.info(
