@@ -370,8 +370,7 @@ def length_of_text(bench: Bench) -> None:
     bench.expect_status("VARDIS-STATUS-OK", CREATE, "DATA-08", **create_request(bench, var_id, descr=text))
     record: Any = bench.until_instruction(ICType.CREATE_VARIABLES, var_id)
     bench.required(record, "a VarCreate of the variable", "DATA-08")
-    descr = record.spec.descr
-    bench.answered(descr, text.encode(), f"{len(text.encode())} octets of UTF-8", "DATA-07 DATA-08")
+    bench.answered(record.spec.descr, text.encode(), f"{len(text.encode())} octets of UTF-8", "DATA-07 DATA-08")
     # Fewer characters than the maximum, but more octets.
     longer = "\u00e9" * (longest // 2 + 1)
     bench.expect_status(
@@ -432,8 +431,7 @@ def other_type(bench: Bench, number: int) -> None:
     own = bench.profile.link.ether_type or 0x4953
 
     def send(peer: Peer, summary: Any) -> None:
-        ether_type = own + 1 if number == 1 else number
-        head = b"\xff" * 6 + peer.address + ether_type.to_bytes(2, "big")
+        head = b"\xff" * 6 + peer.address + (own + 1 if number == 1 else number).to_bytes(2, "big")
         bench.transmission.send_frame(head + peer.beacon(summary), len(head))
 
     check_dropped(bench, send, "a frame with another EtherType")

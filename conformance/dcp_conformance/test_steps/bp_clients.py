@@ -260,8 +260,7 @@ class BPClient:
 
     def check_silent(self, after: int) -> None:
         """Check that no beacon since a time (ns) has a payload of this client."""
-        frames = self.frames(after=after)
-        self.bench.none(frames, "no beacon with a payload of the client")
+        self.bench.none(self.frames(after=after), "no beacon with a payload of the client")
 
     def until_sent(self, payload: bytes | None = None, periods: float | None = None) -> ReceivedBeacon | None:
         """Wait for a beacon with this payload, or with any of this client."""

@@ -105,8 +105,7 @@ class Reporter:
 
         Stops as inconclusive if an application replaces them each time.
         """
-        values = self.submit()
-        return self.awaited(values, *requirements, what=what)
+        return self.awaited(self.submit(), *requirements, what=what)
 
     def awaited(
         self,
@@ -134,8 +133,7 @@ class Reporter:
         if heard is None or heard.report is None:
             return None
         found = reported_safety_data(self.bench, heard.report)
-        index = len(self._handed) - 1 - self._handed[::-1].index(found)
-        moment, count = self._moments[index]
+        moment, count = self._moments[(len(self._handed) - 1 - self._handed[::-1].index(found))]
         return Sent(heard, heard.report, found, moment, count)
 
     def lost(self, what: str, *requirements: str) -> NoReturn:
@@ -168,9 +166,8 @@ class Reporter:
         grown = (last.report.seqno - first.report.seqno) % SRP_SEQNO_MODULUS
         count = last.submissions - first.submissions
         exact = grown == count or not self.application()
-        right = grown == count if exact else count <= grown < 1 << 16
         return self.bench.proved(
-            right,
+            grown == count if exact else count <= grown < 1 << 16,
             f"a sequence number increased by {'' if exact else 'at least '}{count}",
             f"from {first.report.seqno} to {last.report.seqno}",
             *requirements,

@@ -64,5 +64,4 @@ def check_now(bench: Bench, what: str, stamp: int, request: Moment) -> None:
     slack = round(bench.sut.pixit.clock_tolerance_ms * MS) + nanoseconds(bench, 1)
     near = request.before - slack <= stamp <= request.after + slack
     off = (stamp - request.before) / MS
-    expected = f"{what} within {slack / MS:.0f} ms of the time of the request"
-    bench.proved(near, expected, f"{off:.0f} ms off")
+    bench.proved(near, f"{what} within {slack / MS:.0f} ms of the time of the request", f"{off:.0f} ms off")

@@ -196,8 +196,7 @@ def only(situation: VariableState, since: int, kind: ICType, record: VardisRecor
         f"the {kind.label} record {record}",
     )
     others = traces(bench, var_id, since, [each for each in INSTRUCTIONS if each is not kind])
-    what = f"no records other than {kind.label}"
-    bench.none(others, what)
+    bench.none(others, f"no records other than {kind.label}")
 
 
 def requests_variable(situation: VariableState, since: int, sent: VardisRecord) -> None:  # noqa: ARG001
@@ -229,8 +228,7 @@ def stores(situation: VariableState, since: int, sent: VardisRecord) -> None:
     bench.identifiers.created.add(situation.var_id)
     only(situation, since, ICType.CREATE_VARIABLES if creates else ICType.UPDATES, sent)
     held = ask(bench, situation.var_id)
-    record = held.record if creates or held.record is None else held.record.upd
-    bench.equal(record, sent, "the record in the database")
+    bench.equal(held.record if creates or held.record is None else held.record.upd, sent, "the record in the database")
 
 
 def deletes(situation: VariableState, since: int, sent: VardisRecord) -> None:
@@ -240,8 +238,7 @@ def deletes(situation: VariableState, since: int, sent: VardisRecord) -> None:
     first = next(
         (index for index, heard in enumerate(bench.heard) if heard.instructions(ICType.DELETE_VARIABLES, var_id)), since
     )
-    summaries = bench.instructions(ICType.SUMMARIES, var_id, first)
-    bench.none(summaries, "no summary after the VarDelete")
+    bench.none(bench.instructions(ICType.SUMMARIES, var_id, first), "no summary after the VarDelete")
     # Up to 1.3 the variable is removed from the database with the last repetition.
     after = "unknown" if bench.features.removed_after_deletion else "deleted"
     check_state(bench, ask(bench, var_id), after, "state of the variable")

@@ -36,8 +36,7 @@ def check_deleted(bench: Bench, name: int, *requirements: str) -> None:
     asking, mark = bench.peer(), bench.mark()
     asking.send(asking.request_create(name))
     bench.require_alive("a request for a deleted variable", *requirements)
-    found = bench.instructions(_CREATE, name, mark)
-    bench.none(found, "no VarCreate of the deleted variable", *requirements)
+    bench.none(bench.instructions(_CREATE, name, mark), "no VarCreate of the deleted variable", *requirements)
 
 
 @case(
@@ -100,7 +99,7 @@ def two_producers(bench: Bench, difference: int) -> None:
         times = sum(each.record == two for each in found)
         bench.repeated(times, count, "beacons with the later VarCreate", "VD-PC-01", frames=found)
     else:
-        bench.every(found, lambda each: each.record == one, "no VarCreate other than the first")
+        bench.every(found, one, "no VarCreate other than the first")
         bench.repeated(found, count, "beacons with the first VarCreate")
     record = held(bench, name)
     bench.equal(record, wanted, f"{wanted.spec.prod_id.hex(':')} {wanted.upd.value!r} in the database", "VD-PC-01")
@@ -134,8 +133,7 @@ def deletion_and_update(bench: Bench, beacons: tuple[str, ...]) -> None:
     found = bench.check_repeated(_DELETE, name, count, mark, "VD-PD-04", absent="VD-RX-04" if together else "")
     if found:
         late = bench.instructions(_UPDATE, name, bench.heard.index(found[0].heard))
-        rule = "VD-RX-08" if together else "VD-PU-02"
-        bench.none(late, "no VarUpdate of the deleted variable", rule)
+        bench.none(late, "no VarUpdate of the deleted variable", "VD-RX-08" if together else "VD-PU-02")
     elif together:
         return
     if not bench.features.removed_after_deletion:
@@ -159,8 +157,7 @@ def created_and_deleted(bench: Bench, step: int) -> None:
     peer.send(*records[::step])
     bench.check_repeated(_DELETE, name, count, mark, "VD-PD-04")
     for kind in (_CREATE, ICType.SUMMARIES):
-        found = bench.instructions(kind, name, mark)
-        bench.none(found, f"no {kind.label} record of the variable", "VD-RX-08")
+        bench.none(bench.instructions(kind, name, mark), f"no {kind.label} record of the variable", "VD-RX-08")
 
 
 @case(

@@ -260,8 +260,7 @@ def one_request(bench: Bench, variant: tuple[str, ICType, str]) -> None:
         mark = bench.mark()
         _send_ten(bench, record)
         bench.require_alive("requests for an unknown variable", rule)
-        found = bench.instructions(kind, name, mark)
-        bench.none(found, "no request: 1.0 ignores requests for unknown variables", rule)
+        bench.none(bench.instructions(kind, name, mark), "no request: 1.0 ignores requests for unknown variables", rule)
         return
     bench.repeated(_answers(bench, prepare, kind, 2), 1, "requests", rule, most=2)
 
@@ -287,8 +286,7 @@ def lasting_storm(bench: Bench) -> None:
     found = bench.waiting.repeated(_CREATE, name, mark)
     passed = sum(heard.time <= taken for heard in bench.heard[mark:])
     # Two for payloads that were composed before the last request but not yet sent.
-    most = passed + count + 2
-    bench.repeated(found, count, "answers", most=most)
+    bench.repeated(found, count, "answers", most=passed + count + 2)
 
 
 @case(

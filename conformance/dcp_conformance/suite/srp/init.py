@@ -196,7 +196,6 @@ def not_registered(bench: Bench) -> None:
             # SRP has been initialized before: a node that answers nothing before its initialization may answer now.
             bench.reading("X10", "confirm-inactive", "no-response")
         bench.beacons(3, 3)
-        frames = [heard for heard in bench.heard[mark:] if srp_blocks(heard)]
-        bench.none(frames, "no beacon with a state report")
+        bench.none([heard for heard in bench.heard[mark:] if srp_blocks(heard)], "no beacon with a state report")
     finally:
         bring_back(bench)

@@ -65,8 +65,7 @@ def own_entries(bench: Bench) -> None:
     for peer, report, data in zip(peers, reports, values, strict=True):
         entry = first[peer.node_id]
         observed = ({name: entry.get("sData", {}).get(name) for name in data}, entry.get("tStamp"), entry.get("seqno"))
-        right = (data, report.t_stamp, report.seqno)
-        bench.answered(observed, right, "sData, tStamp and seqno")
+        bench.answered(observed, (data, report.t_stamp, report.seqno), "sData, tStamp and seqno")
     bench.wait(0.5)
     peers[1].send(bench.records.report(peers[1].node_id, 2001, **values[0]))
     # A single query: entries time out while a slow upper tester answers.

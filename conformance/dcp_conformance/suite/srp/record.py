@@ -95,12 +95,12 @@ def values_arrive(bench: Bench) -> None:
     values = reporter.next_values()
     silent = not any(heard.report for heard in bench.wait(2))
     start, before = bench.mark(), bench.lower.wall()
-    bench.expect_status("SRP-STATUS-OK", "SRP-UpdateSafetyData", "SRP-SRV-02", "SRP-SRV-03", sData=values)
+    bench.expect_status("SRP-STATUS-OK", "SRP-UpdateSafetyData", "SRP-SRV-02 SRP-SRV-03", sData=values)
     reporter.noted(values, Moment(before, bench.lower.wall()))
     if (first := reporter.find(values)) is None:
         others = [] if reporter.application() else _reports(bench, start)
         if not others:
-            reporter.lost("a beacon with the safety data", "SRP-TYP-03", "SRP-SRV-03")
+            reporter.lost("a beacon with the safety data", "SRP-TYP-03 SRP-SRV-03")
         # Without silence it may belong to an earlier submission, and the record of this one was lost.
         other = reported_safety_data(bench, others[-1].report)
         bench.equal(other, values, "sData", "SRP-TYP-03 SRP-SRV-03", frames=others[-1:], given=silent, stop=True)
@@ -146,9 +146,7 @@ def _stamps(bench: Bench, first: Sent, second: Sent) -> Stamps:
     expect="the difference between the two time stamps is that of the submissions, not of the beacons",
     window=20,
     needs=Needs(
-        since=SpecVersion.V1_2,
-        ut=("SRP-UpdateSafetyData", "BP-MGMT-Deactivate", "BP-MGMT-Activate"),
-        entities=("srp",),
+        since=SpecVersion.V1_2, ut=("SRP-UpdateSafetyData", "BP-MGMT-Deactivate", "BP-MGMT-Activate"), entities=("srp",)
     ),
 )
 def time_stamp_of_late_record(bench: Bench) -> None:

@@ -164,13 +164,7 @@ def silent_among_others(bench: Bench) -> None:
     window=45,
     needs=Needs(
         since=SpecVersion.V1_2,
-        ut=(
-            "SRP-NeighbourTable",
-            "BP-MGMT-Activate",
-            "BP-MGMT-Deactivate",
-            "VD-MGMT-Activate",
-            "VD-MGMT-Deactivate",
-        ),
+        ut=("SRP-NeighbourTable", "BP-MGMT-Activate", "BP-MGMT-Deactivate", "VD-MGMT-Activate", "VD-MGMT-Deactivate"),
         entities=("srp", "vardis"),
     ),
 )

@@ -69,9 +69,7 @@ def small_swarm(bench: Bench) -> None:
     stimulus="SRP-UpdateSafetyData while BP is inactive",
     expect="SRP-STATUS-OK",
     needs=Needs(
-        since=SpecVersion.V1_2,
-        ut=("SRP-UpdateSafetyData", "BP-MGMT-Deactivate", "BP-MGMT-Activate"),
-        entities=("srp",),
+        since=SpecVersion.V1_2, ut=("SRP-UpdateSafetyData", "BP-MGMT-Deactivate", "BP-MGMT-Activate"), entities=("srp",)
     ),
 )
 def bp_inactive(bench: Bench) -> None:

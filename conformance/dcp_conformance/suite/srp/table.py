@@ -55,8 +55,7 @@ def stored(bench: Bench) -> None:
     peer.send(report)
     entry = bench.required(until_neighbour(bench, peer.node_id), "an entry of the record's node")
     came = bench.lower.wall()
-    observed = {name: entry.get("sData", {}).get(name) for name in values}
-    bench.answered(observed, values, "sData", "SRP-RX-03")
+    bench.answered({name: entry.get("sData", {}).get(name) for name in values}, values, "sData", "SRP-RX-03")
     bench.fields(entry, "SRP-RX-03", seqno=77, tStamp=report.t_stamp)
     time, slack = entry.get("receptionTime"), bench.sut.pixit.clock_tolerance_ms * MS
     near = isinstance(time, int) and sent - slack <= time <= came + slack
@@ -86,8 +85,7 @@ def replaced(bench: Bench) -> None:
         second = bench.required(
             until_neighbour(bench, peer.node_id, number), "an entry with the newer record", "SRP-RX-03"
         )
-        observed = {name: second.get("sData", {}).get(name) for name in values}
-        bench.answered(observed, values, "sData", "SRP-RX-03")
+        bench.answered({name: second.get("sData", {}).get(name) for name in values}, values, "sData", "SRP-RX-03")
         entries.append(second)
         return int(second.get("receptionTime", 0) - entries[-2].get("receptionTime", 0))
 
@@ -242,8 +240,7 @@ def list_and_look_up(bench: Bench) -> None:
     for number, peer in enumerate(peers):
         peer.send(bench.records.report(peer.node_id, number))
     for peer in peers:
-        entry = until_neighbour(bench, peer.node_id)
-        bench.some(entry, f"{peer.node_id.hex(':')} in the list", "SRP-NT-02")
+        bench.some(until_neighbour(bench, peer.node_id), f"{peer.node_id.hex(':')} in the list", "SRP-NT-02")
     for node_id, expected in ((peers[1].node_id, [1]), (bench.identifiers.node_id(), [])):
         found = rows(bench.must("SRP-NeighbourTable", nodeId=node_id.hex(":")), "neighbours")
         numbers = [row.get("seqno") for row in found]

@@ -119,15 +119,22 @@ class Matchers:
     def every(
         self,
         found: Iterable[T],
-        right: Callable[[T], object],
+        right: Callable[[T], object] | object,
         expected: str,
         /,
         *requirements: str,
         seen: object = "",
         given: object = True,
     ) -> bool:
-        """Check that each of these received frames, records or values is right; true for none of them."""
-        wrong = [each for each in found if not right(each)]
+        """Check that each of these received frames, records or values is right; true for none of them.
+
+        ``right``: a predicate, or the record or value that each of them must be.
+        """
+        if callable(right):
+            wrong = [each for each in found if not right(each)]
+        else:
+            wrong = [each for each in found if (each.record if isinstance(each, Instruction) else each) != right]
+            expected = f"{expected}: {content(right)}"
         observed = seen or (f"{content(wrong[0])} ({described(wrong)})" if wrong else "")
         return self.none(wrong, expected, *requirements, seen=observed, given=given)
 
@@ -303,7 +310,7 @@ class Matchers:
         right = (before.seqno + 1) % BP_SEQNO_MODULUS
         expected = f"seqno {right} after {before.seqno}{when}"
         return self._verdicts.check(
-            after.seqno == right, expected, f"seqno {after.seqno}", *_ids(requirements), frames=[before, after],
+            after.seqno == right, expected, f"seqno {after.seqno}", *requirements, frames=[before, after],
             numbers=True,
         )  # fmt: skip
 
@@ -335,9 +342,8 @@ class Matchers:
         stop: bool = False,
     ) -> bool:
         evidence = [*frames][:_FRAMES]
-        decided = _ids(requirements)
         good = self._verdicts.check(
-            holds, expected, observed, *decided, frames=evidence, shown=shown, patience=patience, field=field
+            holds, expected, observed, *requirements, frames=evidence, shown=shown, patience=patience, field=field
         )
         if stop and not good:
             raise StopCase
@@ -387,7 +393,3 @@ def _counted(number: int, name: str) -> str:
 
 def _beacons(found: Iterable[Instruction]) -> str:
     return _counted(len({id(each.heard) for each in found}), "beacon")
-
-
-def _ids(requirements: Sequence[str]) -> tuple[str, ...]:
-    return tuple(one for each in requirements for one in each.split())

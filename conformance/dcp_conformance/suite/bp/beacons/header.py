@@ -161,8 +161,7 @@ def order_of_fields(bench: Bench) -> None:
     frames = [each.heard for each in strange[:8]]
     expected = "blocks of registered protocols, each with the announced length"
     bench.none(strange, expected, seen=f"blocks of protocols {sorted(ids)} in {len(strange)} beacons", frames=frames)
-    bare = [each.heard for each in wires if not each.counted]
-    bench.none(bare, "numPayloads of at least 1")
+    bench.none([each.heard for each in wires if not each.counted], "numPayloads of at least 1")
 
 
 @case(
@@ -189,8 +188,7 @@ def predefined_identifiers(bench: Bench) -> None:
     # The report may have been sent before the call was confirmed.
     wires = [read(bench, heard) for heard in bench.heard[start:]]
     ids = {prot_id for each in wires for prot_id, _ in each.counted}
-    width = bench.profile.types.protocol_id.width
-    bench.answered(width, 2, "a protocolId of two octets")
+    bench.answered(bench.profile.types.protocol_id.width, 2, "a protocolId of two octets")
     bench.some(BP_PROTID_VARDIS in ids, "blocks of protocol 2 (VarDis)", seen=f"protocols {sorted(ids)}")
     if reports:
         bench.some(BP_PROTID_SRP in ids, "a block of protocol 1 (SRP)", seen=f"protocols {sorted(ids)}")
@@ -222,8 +220,7 @@ def sender(bench: Bench) -> None:
     # Frames from the same link address with another senderId: they are not attributed to the implementation.
     sources = {heard.source for heard in bench.heard} - {peer.address for peer in bench.peers.made}
     other = [heard for heard in bench.receiver.others if heard.source in sources]
-    expected = "no beacon with another senderId from the same link address"
-    bench.none(other, expected)
+    bench.none(other, "no beacon with another senderId from the same link address")
 
 
 def _named_by_another(bench: Bench) -> None:

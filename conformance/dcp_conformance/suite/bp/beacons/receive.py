@@ -32,8 +32,7 @@ def check_dropped(bench: Bench, send: Send, what: str, *requirements: str) -> No
 
 def check_unknown(bench: Bench, var_id: int, what: str, *requirements: str) -> None:
     """Check that the implementation has not requested the variable so far."""
-    found = bench.instructions(ICType.REQUEST_VARCREATES, var_id)
-    bench.none(found, f"{what} is not processed", *requirements)
+    bench.none(bench.instructions(ICType.REQUEST_VARCREATES, var_id), f"{what} is not processed", *requirements)
 
 
 def check_processed(bench: Bench, var_ids: Sequence[int], since: int, what: str, *requirements: str) -> None:
@@ -291,7 +290,7 @@ def other_protocol_ids(bench: Bench, prot_id: int) -> None:
     def send(peer: Peer, summary: VarSumm) -> None:
         peer.send(Block(prot_id, bench.builder.vardis(summary).octets))
 
-    check_dropped(bench, send, f"a block of protocol {prot_id:#06x}", "BP-HDR-11", "BP-RX-08")
+    check_dropped(bench, send, f"a block of protocol {prot_id:#06x}", "BP-HDR-11 BP-RX-08")
 
 
 @case(
@@ -388,13 +387,11 @@ def cut_payload_header(bench: Bench, count: int) -> None:
 )
 def empty_block(bench: Bench, prot_id: int | None) -> None:
     peer, var_id = bench.peer(), bench.unknown_id()
-    empty = Block(unused_protocol_id(bench) if prot_id is None else prot_id, b"")
-    peer.send(empty, summary_block(bench, peer, var_id))
+    peer.send(Block(unused_protocol_id(bench) if prot_id is None else prot_id, b""), summary_block(bench, peer, var_id))
     processed = bench.until_instruction(ICType.REQUEST_VARCREATES, var_id) is not None
     if prot_id is None:
         # Such a block is skipped like any other block of an unregistered protocol.
-        expected = "the block after an empty one of an unregistered protocol is processed"
-        bench.some(processed, expected, "BP-RX-08")
+        bench.some(processed, "the block after an empty one of an unregistered protocol is processed", "BP-RX-08")
     else:
         bench.info("Is the block after a VarDis block of length 0 processed?", "yes" if processed else "no")
     bench.require_alive("a block of length 0")

@@ -43,12 +43,11 @@ def broken_rule(bench: Bench, octets: bytes) -> str:
         path: field.value for path in _CHECKED if (field := root.find(path)) is not None and field.value is not None
     }
     for path, value in says.items():
-        right = {
+        if not {
             "bp.version": value == BP_VERSION,
             "bp.magicNo": value == BP_MAGIC_NO,
             "bp.networkId": value == network,
-        }
-        if not right.get(path, value != 0):
+        }.get(path, value != 0):
             return _CHECKED[path]
     return ""
 

@@ -69,8 +69,7 @@ def one_from_the_queue(bench: Bench) -> None:
 
         start = bench.mark()
         payloads, numbers = between_beacons(bench, "submission of six payloads", act, client.in_frame)
-        right = list(range(1, 7))
-        bench.answered(numbers, right, "buffered payloads after the submissions", "BP-QRY-02")
+        bench.answered(numbers, list(range(1, 7)), "buffered payloads after the submissions", "BP-QRY-02")
         bench.until_quiet(client.in_frame, since=start)
         frames = client.frames(start)
         needed(bench, frames, "beacons with the payloads")

@@ -93,8 +93,7 @@ def settable(bench: Bench) -> None:
     bench.proved(isinstance(before, int | float), f"{_PERIOD} in the answer to BP-GetParameters", before, stop=True)
     try:
         bench.expect_status("BP-STATUS-OK", "BP-SetParameter", name=_PERIOD, value=before * 2)
-        after = bench.must("BP-GetParameters").result.get("parameters", {}).get(_PERIOD)
-        bench.answered(after, before * 2, _PERIOD)
+        bench.answered(bench.must("BP-GetParameters").result.get("parameters", {}).get(_PERIOD), before * 2, _PERIOD)
     finally:
         bench.expect_status("BP-STATUS-OK", "BP-SetParameter", name=_PERIOD, value=before)
 
@@ -107,10 +106,7 @@ def settable(bench: Bench) -> None:
     expect="a status other than OK, and the old value",
     window=2,
     needs=Needs(
-        since=SpecVersion.V1_1,
-        entities=(),
-        ut=("BP-GetParameters", "BP-SetParameter"),
-        pics=("parameter_feedback",),
+        since=SpecVersion.V1_1, entities=(), ut=("BP-GetParameters", "BP-SetParameter"), pics=("parameter_feedback",)
     ),
 )
 def reported(bench: Bench) -> None:

@@ -88,8 +88,7 @@ def fitting(bench: Bench, octets: int, *, together: bool) -> None:
         )
         start = starts[-1]
         bench.until(lambda _: one.frames(start) and two.frames(start), 2 * bench.sut.reaction)
-        sent = [*one.sent(start), *two.sent(start)]
-        bench.only(sent, payloads, "both payloads, each sent once", "BP-TX-04")
+        bench.only([*one.sent(start), *two.sent(start)], payloads, "both payloads, each sent once", "BP-TX-04")
         shared = [heard for heard in one.frames(start) if two.in_frame(heard)]
         if together:
             bench.info("Do payloads share a beacon that just has room for them?", "yes" if shared else "no", "BP-TX-03")
@@ -176,17 +175,15 @@ def several_clients(bench: Bench) -> None:
             bench.call(DEREGISTER, protId=clients[1].prot_id)
             bench.until(lambda _: all(client.frames(start) for client in clients), 2 * bench.sut.reaction)
         for client, payload in zip(clients, payloads, strict=True):
-            sent = set(client.sent(start))
-            bench.only(sent, {payload}, "the payload as submitted, and no other", "BP-FMT-01")
+            bench.only(set(client.sent(start)), {payload}, "the payload as submitted, and no other", "BP-FMT-01")
         first = next(
             (heard for heard in bench.heard[start:] if any(client.in_frame(heard) for client in clients)), None
         )
         if first is not None:
             ids = [client.prot_id for client in clients]
-            order = [ids.index(prot_id) + 1 for prot_id, _ in first.blocks if prot_id in ids]
             bench.info(
                 "Which of four clients does the first beacon serve, and in which order?",
-                ", ".join(map(str, order)),
+                ", ".join(map(str, [ids.index(prot_id) + 1 for prot_id, _ in first.blocks if prot_id in ids])),
                 "BP-TX-03",
             )
 

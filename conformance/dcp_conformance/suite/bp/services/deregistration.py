@@ -105,8 +105,7 @@ def registers_again(bench: Bench, mode: QueueingMode) -> None:
     bench.must(DEREGISTER, protId=client.prot_id)
     quiet_from = bench.now() + bench.period // 5
     with client:
-        number = client.number()
-        bench.answered(number, 0, "buffered payload")
+        bench.answered(client.number(), 0, "buffered payload")
         bench.wait(3)
         client.check_silent(quiet_from)
 
@@ -126,7 +125,7 @@ def list_clients(bench: Bench) -> None:
         payloads = [client.payload(24) for client in clients]
         for client, payload in zip(clients, payloads, strict=True):
             client.transmit(payload)
-        answer = bench.expect_status(OK, LIST, "BP-LST-01", "BP-LST-03")
+        answer = bench.expect_status(OK, LIST, "BP-LST-01 BP-LST-03")
         listed = [each.get("protocolId") for each in answer.result.get("protocols") or [] if isinstance(each, dict)]
         for client in clients:
             count = listed.count(client.prot_id)

@@ -83,8 +83,7 @@ def unchanged(bench: Bench, size: int) -> None:
         )
         bench.answered(observed, len(octets), "length", "BP-RXP-01")
         bench.wait(_AFTERWARDS)
-        count = len(client.received())
-        bench.repeated(count, 1, "indication", "BP-RXP-02")
+        bench.repeated(len(client.received()), 1, "indication", "BP-RXP-02")
 
 
 @case(
@@ -328,8 +327,7 @@ def told_of_transmission(bench: Bench, mode: QueueingMode) -> None:
         bench.some(told, "an indication of the transmission", seen="no indication within one period after the beacon")
         if mode is not REPEAT:
             bench.wait(_AFTERWARDS)
-            count = len(indications(bench, TRANSMITTED, client.prot_id))
-            bench.repeated(count, 1, "indication for one payload")
+            bench.repeated(len(indications(bench, TRANSMITTED, client.prot_id)), 1, "indication for one payload")
 
 
 @case(

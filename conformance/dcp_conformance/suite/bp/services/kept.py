@@ -130,9 +130,8 @@ def kept(bench: Bench, act: Callable[[Bench, BPClient], object]) -> None:
         bench.answered(after, before, "the list entry, as before", *own, "BP-REG-06")
         bench.answered(now, number, "buffered payloads, as before", *own, "BP-QM-05")
         start = bench.mark()
-        found = client.until_sent()
-        bench.some(found, "further beacons with the payload", *own, "BP-QM-05")
-        bench.every(client.sent(start), lambda each: each == payload, "the payload unchanged", *own, "BP-QM-05")
+        bench.some(client.until_sent(), "further beacons with the payload", *own, "BP-QM-05")
+        bench.every(client.sent(start), payload, "the payload unchanged", *own, "BP-QM-05")
 
 
 @case(
@@ -171,8 +170,7 @@ def own_fields(bench: Bench) -> None:
         was, is_now = first.get(client.prot_id), second.get(client.prot_id)
         named = {name: (was or {}).get(name) for name in ("timeStampRegistration", *_fields(bench, client))}
         same = all((is_now or {}).get(name) == value for name, value in named.items())
-        observed = f"{is_now}"
-        bench.proved(same, f"{named}, as before", observed, "BP-LST-01 BP-LST-03")
+        bench.proved(same, f"{named}, as before", f"{is_now}", "BP-LST-01 BP-LST-03")
 
 
 def _fields(bench: Bench, client: BPClient) -> dict[str, Any]:
@@ -190,8 +188,7 @@ def _check_fields(bench: Bench, clients: list[BPClient], entries: dict[int, dict
         entry = entries.get(client.prot_id) or {}
         stamps.append(entry.get("timeStampRegistration"))
         for name, right in _fields(bench, client).items():
-            observed = entry.get(name)
-            bench.answered(observed, right, name, "BP-LST-01 BP-LST-03")
+            bench.answered(entry.get(name), right, name, "BP-LST-01 BP-LST-03")
     # The clock may be set in between, so only the difference of the times is checked.
     good = None not in stamps and len(set(stamps)) == len(clients)
     bench.proved(good, "a different registration time for each client", stamps, "BP-REG-06 BP-LST-01 BP-LST-03")
@@ -292,8 +289,7 @@ def identifier_of_refused(bench: Bench) -> None:
             bench.services.require_asked(answer, "a confirm of BP-RegisterProtocol")
             if answer.ok:
                 bench.inconclusive("a rejected registration", f"{answer}")
-            observed = answer.result.get("ownNodeIdentifier")
-            bench.answered(observed, told, "ownNodeIdentifier")
+            bench.answered(answer.result.get("ownNodeIdentifier"), told, "ownNodeIdentifier")
 
 
 _IMMEDIATE: dict[str, tuple[str, str, SpecVersion]] = {

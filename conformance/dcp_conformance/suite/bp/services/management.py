@@ -54,8 +54,7 @@ def switched_off(bench: Bench) -> None:
         quiet_from = bench.now() + bench.period // 5
         try:
             bench.wait(5)
-            frames = [heard for heard in bench.heard if heard.time >= quiet_from]
-            bench.none(frames, "silence", "BP-MGT-02 BP-TX-07")
+            bench.none([heard for heard in bench.heard if heard.time >= quiet_from], "silence", "BP-MGT-02 BP-TX-07")
         finally:
             bench.expect_status(OK, ACTIVATE, "BP-MGT-05")
         bench.some(client.until_sent(payload), "beacons with the payload after activation", "BP-MGT-05")
@@ -112,11 +111,10 @@ def serves_while_inactive(bench: Bench) -> None:
             (1, TRANSMIT, {"payload": payload.hex()}),
         ):
             if method != TRANSMIT or bench.sut.pics.transmit_payload_confirm is not False:
-                bench.expect_status(OK, method, "BP-MGT-04", "BP-TXP-09", protId=prot_id, **params)
+                bench.expect_status(OK, method, "BP-MGT-04 BP-TXP-09", protId=prot_id, **params)
             else:
                 bench.call(method, protId=prot_id, **params)
-            observed = client.number()
-            bench.answered(observed, number, f"buffered payloads after {method}", "BP-MGT-04")
+            bench.answered(client.number(), number, f"buffered payloads after {method}", "BP-MGT-04")
         bench.wait(2)
         bench.none(
             client.sent(), "no payload sent while BP is inactive", "BP-MGT-02 BP-TXP-09", seen="the payload was sent"
@@ -158,8 +156,7 @@ def switched_twice(bench: Bench) -> None:
 )
 def activated_again_and_again(bench: Bench) -> None:
     with BPClient(bench, REPEAT) as client:
-        payload = client.payload()
-        client.transmit(payload)
+        client.transmit(client.payload())
         needed(bench, client.until_sent(), "beacons before the first activation")
         since = bench.now()
         # A slow upper tester calls less often, which only makes the test easier.
@@ -208,8 +205,7 @@ def no_clients(bench: Bench) -> None:
     client = BPClient(bench, ONCE)
     bench.must(REGISTER, **client.registration)
     bench.must("UT-Reset")
-    ids = set(registered(bench)) - {BP_PROTID_SRP, BP_PROTID_VARDIS}
-    bench.none(ids, "no protocols other than SRP and VarDis")
+    bench.none(set(registered(bench)) - {BP_PROTID_SRP, BP_PROTID_VARDIS}, "no protocols other than SRP and VarDis")
 
 
 @case(

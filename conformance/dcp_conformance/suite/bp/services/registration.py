@@ -62,7 +62,7 @@ def expect(bench: Bench, status: str, client: BPClient, /, *requirements: str, *
 def register(bench: Bench, mode: QueueingMode) -> None:
     client = BPClient(bench, mode, size=48, entries=3, several=True, name="tester of this mode")
     before = bench.lower.wall()
-    answer = bench.expect_status(OK, REGISTER, "BP-REG-01", "BP-REG-06", "BP-REG-12", **client.registration)
+    answer = bench.expect_status(OK, REGISTER, "BP-REG-01 BP-REG-06 BP-REG-12", **client.registration)
     after = bench.lower.wall()
     if not answer.ok:
         return
@@ -241,15 +241,12 @@ def no_entries(bench: Bench, mode: QueueingMode) -> None:
 )
 def already_registered(bench: Bench) -> None:
     with BPClient(bench, REPEAT, size=20) as client:
-        payload = client.payload()
-        client.transmit(payload)
+        client.transmit(client.payload())
         before = client.fields()
         changes: dict[str, Any] = {"maxPayloadSize": 40, "queueingMode": str(ONCE), "name": "other"}
         bench.expect_status(ALREADY_REGISTERED, REGISTER, **{**client.registration, **changes})
-        after = client.fields()
-        bench.answered(after, before, "the registration unchanged")
-        number = client.number()
-        bench.answered(number, 1, "buffered payload, as before")
+        bench.answered(client.fields(), before, "the registration unchanged")
+        bench.answered(client.number(), 1, "buffered payload, as before")
         start = bench.mark()
         client.until_sent()
         bench.beacons(1)
@@ -266,11 +263,7 @@ _DOUBLE: Mapping[str, tuple[str, Callable[[Bench], dict[str, Any]]]] = {
     ),
     "too-large-and-no-entries": (
         ILLEGAL_SIZE,
-        lambda bench: {
-            "maxPayloadSize": largest_payload(bench) + 1,
-            "queueingMode": str(DROPTAIL),
-            "maxEntries": 0,
-        },
+        lambda bench: {"maxPayloadSize": largest_payload(bench) + 1, "queueingMode": str(DROPTAIL), "maxEntries": 0},
     ),
 }
 
@@ -328,7 +321,7 @@ def unknown_mode(bench: Bench, mode: str) -> None:
         if bench.some(answer.code != INTERNAL_ERROR, "a rejection of the registration", "BP-QM-06", seen=answer):
             bench.reading("X06", "refuse-at-registration")
         return
-    cleared = bench.expect_status(UNKNOWN_MODE, CLEAR, "BP-QM-06", "BP-CLR-04", protId=client.prot_id)
+    cleared = bench.expect_status(UNKNOWN_MODE, CLEAR, "BP-QM-06 BP-CLR-04", protId=client.prot_id)
     if cleared.is_status(UNKNOWN_MODE):
         bench.reading("X06", "refuse-at-clear")
     bench.call(DEREGISTER, protId=client.prot_id)

@@ -107,8 +107,7 @@ def too_large(bench: Bench, more: int) -> None:
         answer = bench.call(TRANSMIT, protId=client.prot_id, payload=octets.hex())
         if no_confirm(bench) is None:
             bench.services.check_status(answer, (TOO_LARGE,), TRANSMIT)
-        number = client.number()
-        bench.answered(number, 0, "buffered payload")
+        bench.answered(client.number(), 0, "buffered payload")
         bench.wait(2)
         bench.none(
             client.sent(),
@@ -159,8 +158,7 @@ def empty_payload_clears(bench: Bench, mode: QueueingMode) -> None:
     with BPClient(bench, mode) as client:
         client.transmit(client.payload())
         bench.expect_status(OK, TRANSMIT, protId=client.prot_id, payload="")
-        number = client.number()
-        bench.answered(number, 0, "buffered payload")
+        bench.answered(client.number(), 0, "buffered payload")
 
 
 @case(
@@ -179,8 +177,7 @@ def empty_payload_for_queue(bench: Bench) -> None:
         bench.expect_status(EMPTY, TRANSMIT, protId=client.prot_id, payload="")
         bench.until_quiet(client.in_frame, since=start)
         sent = client.sent(start)
-        missing = [payload.hex() for payload in payloads if payload not in sent]
-        bench.complete(missing, "all four payloads are sent")
+        bench.complete([payload.hex() for payload in payloads if payload not in sent], "all four payloads are sent")
 
 
 @case(
@@ -243,11 +240,7 @@ def clear_unknown(bench: Bench) -> None:
     ),
     expect="BP-STATUS-OK; no buffered payload, and only the last payload is sent",
     variants={
-        name: Variant(
-            each.value,
-            requirements="BP-CLR-02" if each.value.is_queue else "BP-CLR-03",
-            needs=each.needs,
-        )
+        name: Variant(each.value, requirements="BP-CLR-02" if each.value.is_queue else "BP-CLR-03", needs=each.needs)
         for name, each in each_mode(*CLIENT, CLEAR, QUERY, since=V1_1).items()
     },
 )
@@ -257,14 +250,13 @@ def clear(bench: Bench, mode: QueueingMode) -> None:
             client.transmit(client.payload())
         bench.expect_status(OK, CLEAR, protId=client.prot_id)
         quiet_from = bench.now() + bench.period // 5
-        number = client.number()
-        bench.answered(number, 0, "buffered payload")
+        bench.answered(client.number(), 0, "buffered payload")
         bench.wait(3)
         client.check_silent(quiet_from)
         payload, start = client.payload(), bench.mark()
         client.transmit(payload)
         bench.some(client.until_sent(payload), "a payload submitted afterwards is sent")
-        bench.every(client.sent(start), lambda each: each == payload, "no other payload is sent")
+        bench.every(client.sent(start), payload, "no other payload is sent")
 
 
 @case(

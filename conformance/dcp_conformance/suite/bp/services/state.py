@@ -68,8 +68,7 @@ def numbers_continue(bench: Bench) -> None:
             last = bench.heard[-1]
         found = bench.beacons(1)
         needed(bench, found, "a beacon after activation")
-        first = bench.heard[bench.heard.index(last) + 1]
-        bench.successive(last, first, "BP-HDR-08")
+        bench.successive(last, bench.heard[bench.heard.index(last) + 1], "BP-HDR-08")
 
 
 @case(
@@ -88,6 +87,5 @@ def activated_twice(bench: Bench) -> None:
         needed(bench, client.until_sent(payload), "a beacon with the payload")
         before = client.number()
         bench.expect_status(OK, ACTIVATE)
-        after = client.number()
-        bench.answered(after, before, "buffered payloads, as before")
+        bench.answered(client.number(), before, "buffered payloads, as before")
         bench.some(client.until_sent(payload), "further beacons with the payload")

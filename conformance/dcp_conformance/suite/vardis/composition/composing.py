@@ -215,8 +215,7 @@ def many_requests(bench: Bench, kind: ICType) -> None:
     peer.send(*(peer.summary(each, 60) for each in names))
     bench.until_quiet(lambda heard: heard.instructions(kind), since=mark)
     found = [each for each in bench.instructions(kind, since=mark) if each.var_id in names]
-    came = [each.var_id for each in found]
-    bench.only(came, names, "one request for each variable", requirement, frames=found)
+    bench.only([each.var_id for each in found], names, "one request for each variable", requirement, frames=found)
     frames = [each for each in bench.heard[mark:] if each.instructions(kind)]
     if frames:
         check_filled(bench, kind, frames, "VD-PAY-02")
@@ -246,8 +245,7 @@ def after_the_last_delete(bench: Bench) -> None:
     mark = bench.mark()
     peer.send(peer.summary(var_id, 1))
     if bench.features.removed_after_deletion:
-        found = bench.until_instruction(_ASK_CREATE, var_id)
-        bench.some(found, "a request for the variable, which is unknown again")
+        bench.some(bench.until_instruction(_ASK_CREATE, var_id), "a request for the variable, which is unknown again")
         return
     peer.send(peer.request_create(var_id))
     bench.require_alive("records about a deleted variable")
@@ -278,8 +276,7 @@ def described_after_the_last_delete(bench: Bench) -> None:
     answer = bench.expect_status("VARDIS-STATUS-OK", "RTDB-DescribeVariable", varId=var_id)
     described = answer.result.get("variable", {})
     bench.answered(described.get("isDeleted"), True, "isDeleted is true")
-    left = described.get("countDelete")
-    bench.answered(left, 0, "countDelete after the last repetition")
+    bench.answered(described.get("countDelete"), 0, "countDelete after the last repetition")
 
 
 @case(
@@ -304,11 +301,9 @@ def update_waits(bench: Bench) -> None:
     frames = bench.until_quiet(busy, since=mark)
     bench.check_repeated(_UPDATE, waiting.spec.var_id, repetitions, mark, "VD-CMP-09")
     limit = bench.sut.bound(PAYLOAD_SIZE)
-    sizes = [len(bench.codec.encode_containers(each.containers)) for each in frames]
-    largest = max(sizes, default=0)
+    largest = max([len(bench.codec.encode_containers(each.containers)) for each in frames], default=0)
     bench.proved(largest <= limit, f"payloads of at most {limit} octets", largest, "VD-PAY-02", frames=frames[:4])
-    names = [each.spec.var_id for each in creates]
-    check_order_of_queue(bench, _CREATE, names, mark, "VD-PAY-06")
+    check_order_of_queue(bench, _CREATE, [each.spec.var_id for each in creates], mark, "VD-PAY-06")
 
 
 @case(
@@ -337,8 +332,7 @@ def deletion_cancels(bench: Bench, kind: ICType) -> None:
     begun = bench.heard.index(found[0].heard)
     for each, requirement in ((_CREATE, "VD-PD-04"), (_UPDATE, "VD-PD-04"), (_SUMMARY, "VD-CMP-05")):
         late = bench.instructions(each, var_id, begun)
-        what = f"no {each.label} record of the deleted variable"
-        bench.none(late, what, requirement)
+        bench.none(late, f"no {each.label} record of the deleted variable", requirement)
 
 
 @case(

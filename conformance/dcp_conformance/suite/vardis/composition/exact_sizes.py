@@ -104,8 +104,7 @@ def _learnt(bench: Bench, peer: Peer, kind: ICType, octets: Callable[[int], int]
     ``octets`` returns this size in octets; its argument is the size of the container headers and earlier containers in
     the payload.
     """
-    header = bench.builder.container_header_size
-    before = header
+    before = bench.builder.container_header_size
     if kind is _UPDATE and bench.features.container_order.index(_SUMMARY) < bench.features.container_order.index(kind):
         before += _summaries(bench, peer)
     creates = filling(bench, peer, kind, octets(before))
@@ -166,8 +165,7 @@ def room_for_a_summary(bench: Bench, less: int) -> None:
         bench.until(has_all), "the requested VarCreates in one payload", seen="no payload with all of them"
     )
     # 1.0 composes updates and summaries in another order, but VarCreates come first in every version.
-    count = len(heard.instructions(_SUMMARY))
-    bench.answered(count, 1 - less, "summaries after the VarCreates", frames=[heard])
+    bench.answered(len(heard.instructions(_SUMMARY)), 1 - less, "summaries after the VarCreates", frames=[heard])
     octets = size_of(bench, heard)
     bench.proved(octets <= limit, f"a payload of at most {limit} octets", octets, "VD-IC-05", frames=[heard])
 
@@ -215,18 +213,15 @@ def head_does_not_fit(bench: Bench) -> None:
     bench.wait(3)
     mark = bench.mark()
     peer.send(peer.request_create(large), peer.summary(unknown, 1))
-    asked = bench.until_instruction(ICType.REQUEST_VARCREATES, unknown)
     bench.some(
-        asked,
+        bench.until_instruction(ICType.REQUEST_VARCREATES, unknown),
         "other containers, although the VarCreate at the head of createQ does not fit",
         seen="no request for the unknown variable",
     )
     bench.beacons(3)
     if bench.instructions(ICType.REQUEST_VARCREATES, large, mark):
         bench.inconclusive("an implementation that knows the variable, which this case needs", "a request for it")
-    found = bench.instructions(_CREATE, large, mark)
-    what = f"no VarCreate of more than {limit} octets"
-    bench.none(found, what)
+    bench.none(bench.instructions(_CREATE, large, mark), f"no VarCreate of more than {limit} octets")
     bench.every(bench.heard[mark:], lambda each: not each.vardis_problems, "no container without records")
 
 
@@ -249,8 +244,7 @@ def alone_to_the_last_octet(bench: Bench, kind: ICType) -> None:
     bench.must("VD-SetParameter", name=SUMMARIES, value=0)
     _lower(bench, bench.builder.record_size(create if kind is _CREATE else create.upd))
     mark = request(bench, peer, kind, [create])
-    found = bench.until_instruction(kind, create.spec.var_id)
-    bench.some(found, "the record, which exactly fills a payload")
+    bench.some(bench.until_instruction(kind, create.spec.var_id), "the record, which exactly fills a payload")
     frames = [each for each in bench.heard[mark:] if each.instructions(kind)]
     others = [named for each in frames for named in each.containers if named.ic_type != bench.builder.ic_type(kind)]
     bench.none(others, "no other container in its payload", frames=frames)
@@ -330,8 +324,7 @@ def created_to_the_last_octet(bench: Bench, length: int) -> None:
     bench.must("VD-SetParameter", name=SUMMARIES, value=0)
     _lower(bench, bench.builder.record_size(sample))
     bench.expect_status(OK, "RTDB-Create", **create_request(bench, var_id, descr="d", value=value))
-    found = bench.until_instruction(_CREATE, var_id)
-    bench.some(found, "its VarCreate, which exactly fills a payload", "VD-PAY-02")
+    bench.some(bench.until_instruction(_CREATE, var_id), "its VarCreate, which exactly fills a payload", "VD-PAY-02")
 
 
 @case(

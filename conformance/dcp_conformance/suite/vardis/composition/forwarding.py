@@ -53,8 +53,7 @@ def _require_left(bench: Bench, kind: ICType, var_id: int, count: int, since: in
     bench.mark()
     before = sum(each.heard.time <= sent for each in bench.instructions(kind, var_id, since))
     if before > max(1, count - 2):
-        observed = f"{before} of {count} sent before the next stimulus"
-        bench.inconclusive("remaining repetitions", observed)
+        bench.inconclusive("remaining repetitions", f"{before} of {count} sent before the next stimulus")
     return before
 
 
@@ -80,7 +79,7 @@ def creation(bench: Bench, count: Count) -> None:
     record = peer.create(var_id, rep_cnt=count(bench), seqno=9)
     peer.send(record)
     found = bench.check_repeated(CREATES, var_id, count(bench), since)
-    bench.every(found, lambda each: each.record == record, "the record unchanged")
+    bench.every(found, record, "the record unchanged")
     _nothing_else(bench, var_id, since, CREATES)
     if bench.sut.bound("VARDISPAR_MAX_SUMMARIES"):
         bench.until_instruction(ICType.SUMMARIES, var_id)
@@ -104,7 +103,7 @@ def update(bench: Bench, count: Count) -> None:
     since, record = bench.mark(), peer.update(var_id, 1, b"other")
     peer.send(record)
     found = bench.check_repeated(UPDATES, var_id, count(bench), since)
-    bench.every(found, lambda each: each.record == record, "the record unchanged")
+    bench.every(found, record, "the record unchanged")
     _nothing_else(bench, var_id, since, UPDATES, CREATES)
 
 
@@ -124,8 +123,7 @@ def deletion(bench: Bench, count: Count) -> None:
     peer.send(peer.delete(var_id))
     found = bench.check_repeated(DELETES, var_id, count(bench), since)
     # A summary composed before the deletion may still be sent.
-    first = bench.heard.index(found[0].heard) if found else since
-    others = traces(bench, var_id, first, set(ICType) - {DELETES})
+    others = traces(bench, var_id, bench.heard.index(found[0].heard) if found else since, set(ICType) - {DELETES})
     bench.none(others, "no other record of the variable after the first VarDelete", "VD-PD-04", given=found)
 
 
@@ -182,8 +180,7 @@ def answer(bench: Bench, what: tuple[_Trigger, ICType, Count]) -> None:
     trigger, kind, count = what
     peer = bench.peer()
     # Repetitions of the VarCreate itself must not be counted.
-    learn = _learnt if kind is CREATES else _taught
-    var_id = learn(bench, peer, count(bench), 5)
+    var_id = (_learnt if kind is CREATES else _taught)(bench, peer, count(bench), 5)
     since = bench.mark()
     bench.peer().send(trigger(bench, peer, var_id))
     found = bench.check_repeated(kind, var_id, count(bench), since)
@@ -280,8 +277,7 @@ def requested_again(bench: Bench, what: tuple[ICType, _Trigger]) -> None:
     found = bench.waiting.repeated(kind, var_id, since)
     # Payloads may be composed up to two beacons before they are sent, and a slow implementation processes the request
     # later.
-    most = before + count + bench.sut.ahead
-    bench.repeated(found, before + count, "records", most=most)
+    bench.repeated(found, before + count, "records", most=before + count + bench.sut.ahead)
     bench.one_each(found, "at most one record in each beacon")
 
 

@@ -175,7 +175,7 @@ def update_overtaken(bench: Bench) -> None:
     record = peer.create(var_id, rep_cnt=2, value=b"anew")
     peer.send(record)
     found = bench.check_repeated(ICType.CREATE_VARIABLES, var_id, 2, since)
-    bench.every(found, lambda each: each.record == record, "the new VarCreate unchanged")
+    bench.every(found, record, "the new VarCreate unchanged")
     first = bench.heard.index(found[0].heard) if found else since
     late = traces(bench, var_id, first, (ICType.UPDATES, ICType.DELETE_VARIABLES))
     bench.none(late, "no VarUpdate with or after the new VarCreate", given=found)

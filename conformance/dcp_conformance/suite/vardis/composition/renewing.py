@@ -72,8 +72,7 @@ def not_renewed(bench: Bench, make: _Made) -> None:
     bench.wait(2)
     peer.send(make(record, peer, stepped(bench, 5, -1)))
     bench.require_alive("a record that stores nothing")
-    after = _stamp(bench, var_id)
-    bench.answered(after, before, "tStamp unchanged")
+    bench.answered(_stamp(bench, var_id), before, "tStamp unchanged")
 
 
 def _summary_of(_bench: Bench, peer: Peer, held: VarCreate) -> None:
@@ -146,8 +145,7 @@ def own_not_renewed(bench: Bench, act: Callable[[Bench, Peer, VarCreate], None])
     bench.wait(2)
     act(bench, bench.peer(), held)
     bench.require_alive("an event that stores nothing")
-    after = _stamp(bench, var_id)
-    bench.answered(after, before, "tStamp unchanged")
+    bench.answered(_stamp(bench, var_id), before, "tStamp unchanged")
 
 
 def _created_by_application(bench: Bench, var_id: int, _peer: Peer) -> None:
@@ -169,9 +167,7 @@ def _created_by_peer(bench: Bench, var_id: int, peer: Peer) -> None:
     variants={
         "received": Variant(_created_by_peer, requirements="VD-DB-03 VD-PC-07"),
         "own": Variant(
-            _created_by_application,
-            requirements="VD-DB-03 VD-CRE-10",
-            needs=Needs(since=SpecVersion.V2_0, ut=_OWN.ut),
+            _created_by_application, requirements="VD-DB-03 VD-CRE-10", needs=Needs(since=SpecVersion.V2_0, ut=_OWN.ut)
         ),
     },
 )

@@ -215,8 +215,7 @@ def summaries_stay_queued(bench: Bench) -> None:
         return wanted - {each.var_id for each in bench.instructions(_SUMMARY, since=since)}
 
     bench.until(lambda _: not missing(), bench.sut.reaction + turn)
-    left = sorted(missing())
-    bench.complete(left, f"summaries of all {len(wanted)} variables")
+    bench.complete(sorted(missing()), f"summaries of all {len(wanted)} variables")
 
 
 @case(

@@ -50,8 +50,7 @@ def _check_rotation(bench: Bench, names: list[int], most: int, *requirements: st
     """
     bench.beacons(1)
     mark = bench.mark()
-    rounds = 2 * -(-len(names) // most) + 2
-    frames = [each for each in bench.beacons(rounds) if each.has_vardis]
+    frames = [each for each in bench.beacons(2 * -(-len(names) // most) + 2) if each.has_vardis]
     over = [each for each in frames if len(_named(each)) > most]
     text = f"{max(map(len, map(_named, frames)), default=0)}"
     bench.none(over, f"at most {most} summaries in each payload", "VD-CMP-02", seen=text)
@@ -70,8 +69,7 @@ def _check_rotation(bench: Bench, names: list[int], most: int, *requirements: st
     bench.some(not wrong, "the variables in rotation", *requirements, seen=text, frames=frames[-1:])
     short = [each for each in frames if len(_named(each)) < min(most, turn)]
     text = f"{min(map(len, map(_named, frames)), default=0)}"
-    what = f"{min(most, turn)} summaries in each payload that has room for them"
-    bench.none(short, what, "VD-PAY-02", seen=text)
+    bench.none(short, f"{min(most, turn)} summaries in each payload that has room for them", "VD-PAY-02", seen=text)
 
 
 @case(
@@ -143,10 +141,8 @@ def no_summaries(bench: Bench) -> None:
     asked = bench.until_instruction(ICType.REQUEST_VARCREATES, unknown)
     bench.some(asked, "a request for the unknown variable", "VD-CMP-01")
     bench.wait(4)
-    found = bench.instructions(_SUMMARY, since=mark)
-    bench.none(found, "no summaries")
-    passed = bench.instructions(ICType.UPDATES, name, mark)
-    bench.some(passed, "the VarUpdate is forwarded", "VD-CMP-01")
+    bench.none(bench.instructions(_SUMMARY, since=mark), "no summaries")
+    bench.some(bench.instructions(ICType.UPDATES, name, mark), "the VarUpdate is forwarded", "VD-CMP-01")
 
 
 @case(
@@ -189,8 +185,7 @@ def current_number(bench: Bench) -> None:
         peer.send(peer.update(name, number))
         bench.required(bench.until_instruction(ICType.UPDATES, name), "the VarUpdate is forwarded")
         # A payload composed before the update was sent before the VarUpdate.
-        begun = bench.heard.index(bench.receiver.frames_with(ICType.UPDATES, name, mark)[0])
-        _check_number(bench, name, number, begun)
+        _check_number(bench, name, number, bench.heard.index(bench.receiver.frames_with(ICType.UPDATES, name, mark)[0]))
 
 
 def _check_number(bench: Bench, name: int, number: int, since: int) -> None:
@@ -243,8 +238,7 @@ def own_summarised(bench: Bench) -> None:
         bench.must("RTDB-Update", varId=name, value=value)
     bench.required(bench.until_instruction(ICType.UPDATES, name), "the VarUpdate")
     begun = bench.heard.index(bench.receiver.frames_with(ICType.UPDATES, name, mark)[-1])
-    last = bench.instructions(ICType.UPDATES, name, begun)[0].record.seqno
-    if last != 2:
+    if bench.instructions(ICType.UPDATES, name, begun)[0].record.seqno != 2:
         # The first VarUpdate was composed before the second update.
         bench.until(lambda heard: any(each.record.seqno == 2 for each in heard.instructions(ICType.UPDATES, name)))
         begun = len(bench.heard) - 1

@@ -44,8 +44,7 @@ def _same(peer: Peer, record: VarCreate) -> VarCreate:  # noqa: ARG001 - as the 
 def _earlier(peer: Peer, record: VarCreate) -> VarCreate:
     spec = record.spec
     assert spec.creation_time is not None
-    timeout = spec.timeout or 0
-    return peer.create(spec.var_id, seqno=9, timeout=timeout, creation_time=spec.creation_time - 1)
+    return peer.create(spec.var_id, seqno=9, timeout=spec.timeout or 0, creation_time=spec.creation_time - 1)
 
 
 @case(
@@ -147,14 +146,11 @@ def update_cancelled(bench: Bench) -> None:
     if upper is not None and "RTDB-DescribeVariable" in upper.methods:
         entry = described(bench.must("RTDB-DescribeVariable", varId=name))
     for counter in ("countCreate", "countUpdate"):
-        value = entry.get(counter, 0)
-        bench.answered(value, 0, f"{counter} is 0")
+        bench.answered(entry.get(counter, 0), 0, f"{counter} is 0")
     bench.check_repeated(_DELETE, name, count, 0)
     begun = bench.heard.index(found.heard)
     for kind in (_UPDATE, _CREATE, _SUMMARY):
-        late = bench.instructions(kind, name, begun)
-        what = f"no {kind.label} record after the first VarDelete"
-        bench.none(late, what)
+        bench.none(bench.instructions(kind, name, begun), f"no {kind.label} record after the first VarDelete")
 
 
 @case(
@@ -171,11 +167,9 @@ def long_timeout(bench: Bench, timeout_ms: int) -> None:
     period = shorten_scrubbing(bench)
     peer, name = bench.peer(), bench.var_id()
     learn(bench, peer, name, timeout_ms)
-    tolerance = bench.sut.pixit.timer_tolerance_ms * bench.session.timing_scale
-    bench.waiting.wait_ns(round((2 * period + tolerance) * MS))
+    bench.waiting.wait_ns(round((2 * period + (bench.sut.pixit.timer_tolerance_ms * bench.session.timing_scale)) * MS))
     bench.beacons(2)
-    found = bench.instructions(_DELETE, name)
-    bench.none(found, "no VarDelete of the variable")
+    bench.none(bench.instructions(_DELETE, name), "no VarDelete of the variable")
     held = ask(bench, name)
     check_state(bench, held, "alive", "state of the variable")
 

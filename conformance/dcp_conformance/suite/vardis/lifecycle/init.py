@@ -75,8 +75,7 @@ def after_reset(bench: Bench) -> None:
     peer.send(peer.summary(wanted, 1))
     bench.must("UT-Reset")
     mark, reset = bench.mark(), bench.now()
-    known = sorted(listed(bench))
-    bench.none(known, "no variable in the database")
+    bench.none(sorted(listed(bench)), "no variable in the database")
     bench.wait(3)
     frames = [heard for heard in bench.heard[mark:] if heard.instructions(var_id=mine)]
     bench.proved(
@@ -90,8 +89,7 @@ def after_reset(bench: Bench) -> None:
     late = [each for each in asked if each.heard.time > reset + bench.period // 2]
     bench.none(late, "no request from before the reset")
     peer.send(peer.summary(theirs, 1))
-    requested = bench.until_instruction(ICType.REQUEST_VARCREATES, theirs)
-    bench.some(requested, "a request for the peer's variable")
+    bench.some(bench.until_instruction(ICType.REQUEST_VARCREATES, theirs), "a request for the peer's variable")
 
 
 @case(

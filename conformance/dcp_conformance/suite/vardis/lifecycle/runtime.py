@@ -54,8 +54,7 @@ def summaries_in_every_beacon(bench: Bench) -> None:
     bench.learn(peer, peer.create(name))
     frames = bench.beacons(10)
     bench.some(len(frames) == 10, "ten beacons", seen=len(frames))
-    idle = [each for each in frames if not each.has_vardis]
-    bench.none(idle, "a VarDis block in every beacon")
+    bench.none([each for each in frames if not each.has_vardis], "a VarDis block in every beacon")
 
 
 @case(
@@ -153,8 +152,7 @@ def only_while_active(bench: Bench) -> None:
         mark = bench.mark()
         peer.send(peer.summary(bench.unknown_id(), 1))
         bench.wait(6)
-        found = [each for each in bench.heard[mark:] if each.has_vardis]
-        bench.none(found, "no VarDis block while VarDis is inactive")
+        bench.none([each for each in bench.heard[mark:] if each.has_vardis], "no VarDis block while VarDis is inactive")
     bench.some(bench.probes.probe(), "VarDis answers a probe after its activation")
     if count > 6:
         bench.waiting.repeated(_CREATE, name, 0)
@@ -180,8 +178,7 @@ def newest_only(bench: Bench) -> None:
         bench.wait(0.2)
     found = bench.waiting.repeated(ICType.UPDATES, name, mark)
     numbers = check_order(bench, found, "VD-RUN-01")
-    last = numbers.count(10)
-    bench.repeated(last, count, "the last VarUpdate in beacons", "VD-CMP-09", frames=found[-4:])
+    bench.repeated(numbers.count(10), count, "the last VarUpdate in beacons", "VD-CMP-09", frames=found[-4:])
 
 
 @case(
@@ -230,8 +227,7 @@ def composed_when_sent(bench: Bench) -> None:
     peer.send(peer.create(name, rep_cnt=count))
     bench.required(bench.until_instruction(_CREATE, name, 30), "the VarCreate is forwarded")
     bench.wait(count + bench.sut.reaction)
-    frames = bench.receiver.frames_with(_CREATE, name)
-    bench.repeated(frames, count, "VarCreates in consecutive beacons")
+    bench.repeated(bench.receiver.frames_with(_CREATE, name), count, "VarCreates in consecutive beacons")
 
 
 @case(

@@ -58,8 +58,7 @@ def _check_no_trace(bench: Bench, name: int, found: Instruction) -> None:
     begun = bench.heard.index(found.heard)
     for kind in (ICType.SUMMARIES, ICType.CREATE_VARIABLES, ICType.UPDATES):
         late = bench.instructions(kind, name, begun)
-        what = f"no {kind.label} record after the first VarDelete"
-        bench.none(late, what, "VD-SCR-04")
+        bench.none(late, f"no {kind.label} record after the first VarDelete", "VD-SCR-04")
 
 
 @case(
@@ -101,8 +100,7 @@ def timeout_zero(bench: Bench) -> None:
     if deleted(bench, other, since, 300) is None:
         not_by_consumers(bench, other)
     bench.waiting.wait_ns(2 * period_ms * MS)
-    found = bench.instructions(_DELETE, name)
-    bench.none(found, "no VarDelete of a variable with timeout 0")
+    bench.none(bench.instructions(_DELETE, name), "no VarDelete of a variable with timeout 0")
     _check_known(bench, name, "VD-SCR-02")
 
 
@@ -133,8 +131,7 @@ def deleted_skipped(bench: Bench) -> None:
     if deleted(bench, other, since, timeout_ms) is None:
         not_by_consumers(bench, other)
     bench.beacons(2)
-    found = bench.instructions(_DELETE, name)
-    bench.repeated(found, count, "VarDeletes, and none after the timeout")
+    bench.repeated(bench.instructions(_DELETE, name), count, "VarDeletes, and none after the timeout")
 
 
 @case(
@@ -188,12 +185,10 @@ def all_variables(bench: Bench) -> None:
     if not deleted & set(names):
         not_by_consumers(bench, names[0])
         return
-    missing = sorted(set(names) - deleted)
-    bench.complete(missing, "a VarDelete of each variable after its timeout", "VD-SCR-05")
+    bench.complete(sorted(set(names) - deleted), "a VarDelete of each variable after its timeout", "VD-SCR-05")
     for name in sorted(deleted & set(names)):
         check_time(bench, bench.instructions(_DELETE, name)[0], since, timeouts[name], "VD-SCR-01")
-    wrong = sorted(deleted & set(kept))
-    bench.none(wrong, "no VarDelete of the variables with timeout 0", "VD-SCR-05")
+    bench.none(sorted(deleted & set(kept)), "no VarDelete of the variables with timeout 0", "VD-SCR-05")
 
 
 @case(

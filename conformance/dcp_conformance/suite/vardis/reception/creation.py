@@ -80,8 +80,7 @@ def unchanged(bench: Bench, make: _Make) -> None:
     came = bench.required(
         bench.until(lambda heard: heard.instructions(CREATES, var_id)) or [], "the VarCreate is forwarded"
     )
-    same = octets in came[0].heard.octets
-    bench.proved(same, f"the octets {octets.hex()}", came[0].record, frames=came)
+    bench.proved(octets in came[0].heard.octets, f"the octets {octets.hex()}", came[0].record, frames=came)
 
 
 # -- creations and creationTime ----------------------------------------------------------------------------------------
@@ -109,7 +108,7 @@ def replaced(bench: Bench) -> None:
     since = bench.mark()
     other.send(second)
     found = bench.check_repeated(CREATES, var_id, count, since)
-    bench.every(found, lambda each: each.record == second, "the VarCreate unchanged")
+    bench.every(found, second, "the VarCreate unchanged")
     _held(bench, var_id, second, "all contents of the second VarCreate in the database", "VD-PC-07")
     summary = bench.until_instruction(ICType.SUMMARIES, var_id)
     if bench.sut.bound("VARDISPAR_MAX_SUMMARIES"):
@@ -142,8 +141,7 @@ def not_replaced(bench: Bench, offset: _Offset) -> None:
     other.send(other.create(var_id, value=b"next", seqno=9, creation_time=offset(_time(first))))
     bench.require_alive("a VarCreate that is not later")
     bench.beacons(1, 1.5)
-    found = traces(bench, var_id, since)
-    bench.none(found, "no record of the variable")
+    bench.none(traces(bench, var_id, since), "no record of the variable")
     _held(bench, var_id, first, "the first VarCreate in the database")
 
 
@@ -311,6 +309,5 @@ def known_in_1_x(bench: Bench) -> None:
         each.send(each.create(var_id, value=b"next", seqno=stepped(bench, 0, 1)))
     bench.require_alive("VarCreates of a known variable")
     bench.beacons(1, 1.5)
-    found = traces(bench, var_id, since)
-    bench.none(found, "no record of the variable")
+    bench.none(traces(bench, var_id, since), "no record of the variable")
     _held(bench, var_id, first, "the first VarCreate in the database")

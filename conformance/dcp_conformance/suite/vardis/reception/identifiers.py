@@ -81,7 +81,7 @@ def producer(bench: Bench, name: str) -> None:
     bench.expect_status(UNKNOWN, "RTDB-Read", "VD-TYP-01", varId=var_id)
 
     def served(method: str, **params: Any) -> None:
-        bench.expect_status(OK, method, "VD-TYP-01", "VD-CRE-14", varId=var_id, **params)
+        bench.expect_status(OK, method, "VD-TYP-01 VD-CRE-14", varId=var_id, **params)
 
     request = create_request(bench, var_id, value=b"first")
     request.pop("varId")
@@ -103,6 +103,5 @@ def _check_answer(bench: Bench, act: Callable[[], object], kind: ICType, var_id:
     since = bench.mark()
     act()
     found = bench.until_instruction(kind, var_id)
-    what = f"a {kind.label} record of variable {var_id}"
-    bench.required(found, what, requirement, "VD-TYP-01")
+    bench.required(found, f"a {kind.label} record of variable {var_id}", requirement, "VD-TYP-01")
     bench.until_quiet(lambda heard: heard.instructions(kind, var_id), 8, since)

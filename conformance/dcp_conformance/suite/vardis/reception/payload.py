@@ -68,8 +68,7 @@ def check_filled(bench: Bench, kind: ICType, frames: Sequence[ReceivedBeacon], *
         if len(heard.instructions(kind)) >= IC_MAX_RECORDS:
             continue
         used = octets_up_to(bench, heard, kind)
-        record = following.instructions(kind)[0].record
-        size = bench.builder.record_size(record)
+        size = bench.builder.record_size(following.instructions(kind)[0].record)
         bench.some(
             used + size > limit,
             f"a payload filled until the next {kind.label} record does not fit into {limit} octets",
@@ -307,8 +306,7 @@ def nothing_to_say(bench: Bench) -> None:
 
 
 def _room_for_256(bench: Bench) -> str | None:
-    width = bench.profile.types.var_id.width
-    needed = 2 * bench.builder.container_header_size + (IC_MAX_RECORDS + 1) * width
+    needed = 2 * bench.builder.container_header_size + (IC_MAX_RECORDS + 1) * bench.profile.types.var_id.width
     if bench.sut.parameter(PAYLOAD_SIZE) < needed:
         return f"a payload has no room for {IC_MAX_RECORDS + 1} records of any kind"
     if bench.session.identifier_pool.size <= IC_MAX_RECORDS:
@@ -390,8 +388,7 @@ def several_containers(bench: Bench) -> None:
             bench.inconclusive("several containers of a type in a payload, as the PICS claims", "none observed")
         bench.passed("several containers of a type in a payload, as the PICS claims", frames=several[:2])
     else:
-        does = "yes" if several else "not observed"
-        bench.info("Does a payload have several containers of the same type?", does)
+        bench.info("Does a payload have several containers of the same type?", "yes" if several else "not observed")
 
 
 def _repeats_a_type(heard: ReceivedBeacon) -> bool:

@@ -330,8 +330,7 @@ def create_before_requests(bench: Bench, reverse: bool) -> None:
         peer.request_update(var_id, 0),
     )
     since = _send(bench, peer, records, reverse)
-    came = bench.until_instruction(ICType.CREATE_VARIABLES, var_id)
-    bench.some(came, "the VarCreate is forwarded")
+    bench.some(bench.until_instruction(ICType.CREATE_VARIABLES, var_id), "the VarCreate is forwarded")
     bench.require_alive("the payload")
     _not_requested(bench, var_id, since, (_RC, _RU))
 

@@ -131,12 +131,9 @@ def bad_container(bench: Bench, what: tuple[_Bad, str]) -> None:
     kept = ", ".join(where for where, done in seen.items() if done) or "nothing"
     requirement = bench.case.requirements[0]
     bench.info("Which containers of a payload with this error are processed?", kept, requirement)
-    policies = {
-        (True, False): "keep-prefix",
-        (False, False): "drop-payload",
-        (True, True): "skip-container",
-    }
-    policy = policies.get((processed(first), processed(last)))
+    policy = {(True, False): "keep-prefix", (False, False): "drop-payload", (True, True): "skip-container"}.get(
+        (processed(first), processed(last))
+    )
     consistent = processed(before) == processed(first) and processed(behind) == processed(last)
     if policy is not None and consistent and name not in _UNCLEAR:
         # A container can only be skipped where its end can be found, for certain where it has no records.

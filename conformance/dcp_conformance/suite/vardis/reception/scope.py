@@ -50,8 +50,7 @@ def requests_stay(bench: Bench) -> None:
     bench.require_alive("the requests")
     bench.beacons(2)
     for var_id in ids:
-        found = traces(bench, var_id, since, (_RC, _RU))
-        bench.none(found, f"no request for variable {var_id}")
+        bench.none(traces(bench, var_id, since, (_RC, _RU)), f"no request for variable {var_id}")
 
 
 @case(
@@ -95,5 +94,4 @@ def asks_too(bench: Bench) -> None:
     peer.send(peer.request_update(two, 3))
     bench.check_repeated(_RC, one, 1, since, "VD-RC-01")
     bench.check_repeated(_RC, two, 1, since, "VD-RU-01")
-    found = traces(bench, two, since, [_RU])
-    bench.none(found, "no VarReqUpdate for an unknown variable", "VD-RU-01")
+    bench.none(traces(bench, two, since, [_RU]), "no VarReqUpdate for an unknown variable", "VD-RU-01")

@@ -86,9 +86,7 @@ def _ask(bench: Bench, question: Question, distance: Distance) -> tuple[list[Var
     ]
     teach_variables(bench, peer, creates)
     since, step = bench.mark(), _steps(bench, distance)
-    peer.send(
-        *(question.make(peer, each.spec.var_id, stepped(bench, each.upd.seqno, step)) for each in creates),
-    )
+    peer.send(*(question.make(peer, each.spec.var_id, stepped(bench, each.upd.seqno, step)) for each in creates))
     return creates, since
 
 

@@ -133,8 +133,7 @@ def _short(kind: ICType) -> str:
 
 def _pairs() -> dict[str, Variant]:
     """Return summaries, updates and creates in all orders, and requests in some."""
-    plain = (ICType.SUMMARIES, ICType.UPDATES, ICType.CREATE_VARIABLES)
-    pairs = list(itertools.product(plain, repeat=2))
+    pairs = list(itertools.product((ICType.SUMMARIES, ICType.UPDATES, ICType.CREATE_VARIABLES), repeat=2))
     pairs += [(each, each) for each in _REQUESTS]
     pairs += [_REQUESTS, _REQUESTS[::-1]]
     pairs += [pair for each in _REQUESTS for pair in ((ICType.SUMMARIES, each), (each, ICType.CREATE_VARIABLES))]

@@ -161,7 +161,9 @@ def summarized(bench: Bench) -> None:
 def entry(bench: Bench) -> None:
     count, before, start = max_repetitions(bench), bench.lower.wall(), bench.mark()
     var_id = produced(bench, rep_cnt=count)
-    found = bench.present(entry_of(bench, var_id), "a database entry when the request is confirmed", "VD-CRE-14")
+    what = "a database entry when the request is confirmed"
+    found = bench.present(entry_of(bench, var_id), what, "VD-CRE-14")
+    bench.passed(what, "VD-CRE-14")
     least = least_left(bench, count, start)
     for name, values in (
         ("seqno", (0,)),
@@ -220,8 +222,7 @@ def accepted(bench: Bench, requirement: str, **request: Any) -> None:
     var_id = bench.identifiers.own_var_id()
     request = {"descr": "d", "value": b"v"} | request
     bench.expect_status(OK, "RTDB-Create", requirement, **create_request(bench, var_id, exact=True, **request))
-    shown = bench.until_instruction(_V, var_id) is not None
-    bench.some(shown, "a VarCreate of the variable", requirement)
+    bench.some(bench.until_instruction(_V, var_id) is not None, "a VarCreate of the variable", requirement)
 
 
 @case(
@@ -352,8 +353,7 @@ def empty_description(bench: Bench) -> None:
     bench.require_alive("a variable without a description")
     claimed = bench.sut.pics.empty_description
     if claimed is not None:
-        observed = f"empty_description = {str(claimed).lower()}, as the PICS claims"
-        bench.answered(claimed, answer.ok, observed)
+        bench.answered(claimed, answer.ok, f"empty_description = {str(claimed).lower()}, as the PICS claims")
     if answer.ok and bench.session.upper is not None and "RTDB-Delete" in bench.session.upper.methods:
         # Delete it: neighbours that reject the empty description would request the variable forever.
         bench.call("RTDB-Delete", varId=var_id)

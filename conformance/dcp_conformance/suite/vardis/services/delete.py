@@ -127,8 +127,7 @@ def stays(bench: Bench) -> None:
     var_id = produced(bench)
     bench.must("RTDB-Delete", varId=var_id)
     bench.until_quiet(lambda heard: heard.instructions(_D, var_id))
-    answer = bench.expect_status(OK, "RTDB-DescribeVariable", varId=var_id)
-    found = described(answer)
+    found = described(bench.expect_status(OK, "RTDB-DescribeVariable", varId=var_id))
     bench.answered(found.get("isDeleted", True), True, "isDeleted is true")
 
 
@@ -164,8 +163,7 @@ def unknown(bench: Bench) -> None:
     var_id = bench.unknown_id()
     bench.expect_status(UNKNOWN, "RTDB-Delete", varId=var_id)
     bench.require_alive("RTDB-Delete for an unknown variable")
-    frames = bench.receiver.frames_with(_D, var_id)
-    bench.none(frames, "no VarDelete")
+    bench.none(bench.receiver.frames_with(_D, var_id), "no VarDelete")
 
 
 @case(
@@ -186,8 +184,7 @@ def foreign(bench: Bench) -> None:
         "the variable still exists",
         answer,
     )
-    frames = bench.receiver.frames_with(_D, var_id)
-    bench.none(frames, "no VarDelete")
+    bench.none(bench.receiver.frames_with(_D, var_id), "no VarDelete")
 
 
 @case(

@@ -87,8 +87,7 @@ def entry(bench: Bench, kind: str) -> None:
     rest = {"value": record.upd.value.hex(), "seqno": record.upd.seqno, "isDeleted": False, **counters}
     _compare(bench, found, _expected(record.spec) | rest)
     read = bench.must("RTDB-Read", varId=record.spec.var_id).result.get("tStamp")
-    told = found.get("tStamp")
-    bench.answered(told, read, "tStamp, as in RTDB-Read")
+    bench.answered(found.get("tStamp"), read, "tStamp, as in RTDB-Read")
 
 
 @case(
@@ -109,8 +108,7 @@ def confirms(bench: Bench) -> None:
     value = bench.records.value(b"\x01\x02").hex()
     answers = [bench.must("RTDB-Update", varId=var_id, value=value)]
     read = bench.must("RTDB-Read", varId=var_id)
-    told = read.result.get("value")
-    bench.answered(told, value, "the value of the preceding RTDB-Update in RTDB-Read")
+    bench.answered(read.result.get("value"), value, "the value of the preceding RTDB-Update in RTDB-Read")
     answers += [bench.must("RTDB-Delete", varId=var_id), bench.call("RTDB-Read", varId=var_id)]
     bench.proved(not answers[-1].ok, "a rejection of RTDB-Read after RTDB-Delete", f"{answers[-1]}")
     answers.append(bench.call("RTDB-Read", varId=bench.unknown_id()))

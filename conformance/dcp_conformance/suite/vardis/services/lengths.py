@@ -44,9 +44,8 @@ def _variants() -> dict[str, Variant]:
     for what in ("value", "description", "repCnt"):
         for name, (bound, allowed, since) in _BOUNDS.items():
             # Version 1.1 does not check repetition counts.
-            refused = max(since, _V1_2) if what == "repCnt" else since
             found[f"{what}-{name}"] = Variant(
-                (what, bound, allowed, refused),
+                (what, bound, allowed, (max(since, _V1_2) if what == "repCnt" else since)),
                 purpose=f"A VarCreate is {'accepted' if allowed else 'ignored'} ({what}: {name})",
                 requirements=_requirement(what),
                 stimulus=f"a VarCreate of an unknown variable ({what}: {name}; a length or count, max: the parameter)",

@@ -345,8 +345,7 @@ def description_effect(bench: Bench) -> None:
         request = create_request(bench, bench.identifiers.own_var_id(), descr="d" * (longest - 1))
         bench.expect_status(OK, "RTDB-Create", **request)
         answer = bench.expect_status(OK, "RTDB-DescribeVariable", varId=old)
-        shown = described(answer).get("descr")
-        bench.answered(shown, "d" * longest, "the full description of the old variable")
+        bench.answered(described(answer).get("descr"), "d" * longest, "the full description of the old variable")
 
 
 @case(
@@ -365,8 +364,7 @@ def value_effect(bench: Bench) -> None:
     var_id = produced(bench, value=b"v" * longest)
     with parameters_set(bench, "VD", **{_VALUE: longest - 1}):
         answer = bench.expect_status(OK, "RTDB-Read", varId=var_id)
-        shown = answer.result.get("value")
-        bench.answered(shown, (b"v" * longest).hex(), "the old value unchanged")
+        bench.answered(answer.result.get("value"), (b"v" * longest).hex(), "the old value unchanged")
         bench.expect_status(VALUE_TOO_LONG, "RTDB-Update", varId=var_id, value=(b"w" * longest).hex())
         bench.expect_status(OK, "RTDB-Update", varId=var_id, value=(b"w" * (longest - 1)).hex())
 
@@ -449,5 +447,4 @@ def complete(bench: Bench) -> None:
         bench.proved(name in told, f"{name} exists", "not returned by VD-GetParameters")
         if name in told:
             bench.must(_SET, name=name, value=told[name])
-            shown = _in_force(bench, name)
-            bench.answered(shown, told[name], f"{name} is accepted")
+            bench.answered(_in_force(bench, name), told[name], f"{name} is accepted")

@@ -55,8 +55,7 @@ def own(bench: Bench) -> None:
 
 def _read(bench: Bench, var_id: int, value: bytes) -> dict[str, Any]:
     answer = bench.expect_status(OK, "RTDB-Read", varId=var_id)
-    shown = answer.result.get("value")
-    bench.answered(shown, value.hex(), "value")
+    bench.answered(answer.result.get("value"), value.hex(), "value")
     return answer.result
 
 
@@ -161,9 +160,8 @@ def database(bench: Bench) -> None:
         if found is None:
             bench.proved(False, f"variable {var_id} in the list", "not in the list")
             continue
-        shown = (str(found.get("prodId")).replace(":", ""), found.get("repCnt"), found.get("descr"))
         bench.answered(
-            shown,
+            (str(found.get("prodId")).replace(":", ""), found.get("repCnt"), found.get("descr")),
             (producer.hex(), 1, bench.records.descr(descr.encode()).decode()),
             f"prodId, repCnt and descr of variable {var_id} as created",
         )
@@ -178,8 +176,7 @@ def database(bench: Bench) -> None:
     needs=Needs(ut=("RTDB-Create", "RTDB-DescribeDatabase")),
 )
 def extra_fields(bench: Bench) -> None:
-    var_id = produced(bench)
-    found = listed(bench).get(var_id, {})
+    found = listed(bench).get(produced(bench), {})
     spec = {"varId", "prodId", "repCnt", "descr", "descrHex", "creationTime", "timeout"}
     extra, claimed = sorted(set(found) - spec), bench.sut.pics.describe_extra_fields
     bench.info(
@@ -246,8 +243,7 @@ def describe(bench: Bench) -> None:
         (mine, bench.identifiers.sut_id, "mine", bench.records.value(b"own"), 0),
         (theirs, peer.node_id, "theirs", bench.records.value(b"foreign"), 7),
     ):
-        answer = bench.expect_status(OK, "RTDB-DescribeVariable", varId=var_id)
-        found = described(answer)
+        found = described(bench.expect_status(OK, "RTDB-DescribeVariable", varId=var_id))
         wanted = {
             "varId": var_id,
             "repCnt": 1,
@@ -255,10 +251,8 @@ def describe(bench: Bench) -> None:
             "value": value.hex(),
             "seqno": seqno,
         }
-        shown = {name: found.get(name) for name in wanted}
-        bench.answered(shown, wanted, f"{wanted}")
-        shown_producer = str(found.get("prodId")).replace(":", "")
-        bench.answered(shown_producer, producer.hex(), "prodId")
+        bench.answered({name: found.get(name) for name in wanted}, wanted, f"{wanted}")
+        bench.answered(str(found.get("prodId")).replace(":", ""), producer.hex(), "prodId")
         bench.answered(found.get("isDeleted", False), False, "isDeleted is false")
 
 
@@ -279,8 +273,7 @@ def describe_deleted(bench: Bench) -> None:
     gone = (UNKNOWN,) if bench.features.removed_after_deletion and count <= 2 else ()
     answer = expect_any(bench, (OK, *gone), "RTDB-DescribeVariable", varId=var_id)
     if answer.ok:
-        flag = described(answer).get("isDeleted", True)
-        bench.answered(flag, True, "isDeleted is true")
+        bench.answered(described(answer).get("isDeleted", True), True, "isDeleted is true")
 
 
 # -- applications ------------------------------------------------------------------------------------------------------

@@ -129,8 +129,7 @@ def _only(bench: Bench, where: Place, kind: ICType, since: int) -> Instruction |
     wanted = [each for each in INSTRUCTIONS if each is not kind]
     if where.state == "deleted-producer" and kind is ICType.CREATE_VARIABLES:
         wanted.remove(ICType.DELETE_VARIABLES)
-    others = traces(bench, where.var_id, since, wanted)
-    bench.none(others, f"no records other than {kind.label}")
+    bench.none(traces(bench, where.var_id, since, wanted), f"no records other than {kind.label}")
     return found[-1] if found else None
 
 
@@ -157,8 +156,7 @@ def _updated(bench: Bench, where: Place, since: int) -> None:
     if found is None or where.stored is None:
         return
     expected = (stepped(bench, where.stored.upd.seqno, 1), bench.records.value(_VALUE))
-    came = (found.record.seqno, found.record.value)
-    bench.answered(came, expected, "sequence number and value", frames=[found])
+    bench.answered((found.record.seqno, found.record.value), expected, "sequence number and value", frames=[found])
 
 
 def _deleted(bench: Bench, where: Place, since: int) -> None:
@@ -169,8 +167,7 @@ def _deleted(bench: Bench, where: Place, since: int) -> None:
 
 def _unchanged(bench: Bench, where: Place, since: int) -> None:
     """Check that a rejected request, or RTDB-Read, has changed nothing."""
-    deleting = where.state.startswith("deleted") and bench.features.removed_after_deletion
-    if deleting:
+    if where.state.startswith("deleted") and bench.features.removed_after_deletion:
         return
     bench.require_alive("the request")
     found = traces(bench, where.var_id, since, set(INSTRUCTIONS) - {ICType.DELETE_VARIABLES})
@@ -248,8 +245,7 @@ def service(bench: Bench, cell: tuple[str, str]) -> None:
     if disputed and any(map(answer.is_status, (*usual, disputed))):
         bench.reading("X20", "by-description" if answer.is_status(disputed) else "by-steps")
     if method == "RTDB-Read" and same_status(answer, OK) and where.stored is not None:
-        value = answer.result.get("value")
-        bench.answered(value, where.stored.upd.value.hex(), "value")
+        bench.answered(answer.result.get("value"), where.stored.upd.value.hex(), "value")
     if not answer.ok:
         _unchanged(bench, where, since)
     elif not where.fleeting:
@@ -293,8 +289,7 @@ def timeout(bench: Bench, state: str) -> None:
     window = (lapse + scrubbing + bench.sut.pixit.timer_tolerance_ms) * MS / bench.period + bench.sut.reaction
     if state.startswith("deleted"):
         bench.wait(window)
-        found = traces(bench, var_id, since)
-        bench.none(found, "no record of a deleted variable")
+        bench.none(traces(bench, var_id, since), "no record of a deleted variable")
         return
     came = bench.until(lambda heard: heard.instructions(ICType.DELETE_VARIABLES, var_id), window) or []
     if not came:

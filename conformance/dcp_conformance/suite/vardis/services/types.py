@@ -91,8 +91,7 @@ def layout(bench: Bench) -> None:
     broken = [heard for heard in frames if _faults(heard)]
     problem = _faults(broken[0])[0] if broken else None
     for requirement in ("VD-TYP-01", "VD-TYP-07", "VD-IC-01"):
-        what = "beacons with the layout of the profile"
-        bench.none(broken, what, requirement, seen=problem)
+        bench.none(broken, "beacons with the layout of the profile", requirement, seen=problem)
     if bench.features.creation_time:
         specs = bench.instructions(ICType.CREATE_VARIABLES, since=since)
         bench.some(specs, "varId, prodId, repCnt, creationTime, timeout and descr in each VarSpecT", "VD-TYP-05")
@@ -100,8 +99,7 @@ def layout(bench: Bench) -> None:
     empty += [heard for heard in frames if any(not each.records for each in heard.containers)]
     bench.none(empty, "a record in every container", "VD-IC-03")
     types = {each.ic_type for heard in frames for each in heard.containers}
-    strange = types - {bench.builder.ic_type(kind) for kind in ICType}
-    bench.none(strange, "one of the six types as icType", "VD-IC-02")
+    bench.none(types - {bench.builder.ic_type(kind) for kind in ICType}, "one of the six types as icType", "VD-IC-02")
 
 
 @case(
@@ -352,8 +350,7 @@ def first_words(bench: Bench) -> None:
     spoke = [heard for heard in bench.heard[since:] if _blocks(heard)]
     if not spoke:
         bench.inconclusive("beacons with a VarDis block", "none in time")
-    empty = [each for each in spoke if _has_empty_container(each)]
-    bench.none(empty, "a record in every container", "VD-IC-03")
+    bench.none([each for each in spoke if _has_empty_container(each)], "a record in every container", "VD-IC-03")
     bench.every(spoke, lambda each: not _faults(each), "payloads that can be decoded", "VD-IC-01 VD-IC-02")
     said_of_it = {each.kind for heard in spoke for each in heard.instructions(var_id=var_id)}
     kinds = said_of_it - {ICType.CREATE_VARIABLES, ICType.SUMMARIES}

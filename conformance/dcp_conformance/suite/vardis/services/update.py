@@ -60,8 +60,7 @@ def updates(bench: Bench) -> None:
         record = _until_value(bench, var_id, value)
         frames = bench.instructions(_U, var_id, mark)
         seen = frames[-1] if frames else "none"
-        what = f"a VarUpdate with the value {value!r}"
-        record = bench.required(record, what, "VD-UPD-08", seen=seen, frames=frames)
+        record = bench.required(record, f"a VarUpdate with the value {value!r}", "VD-UPD-08", seen=seen, frames=frames)
         bench.answered(record.seqno, number, "seqno in the VarUpdate", "VD-UPD-07", frames=frames)
 
 
@@ -248,8 +247,7 @@ def unknown(bench: Bench) -> None:
     var_id = bench.unknown_id()
     bench.expect_status(UNKNOWN, "RTDB-Update", varId=var_id, value=bench.records.value(b"value").hex())
     bench.require_alive("RTDB-Update for an unknown variable")
-    frames = bench.receiver.frames_with(_U, var_id)
-    bench.none(frames, "no VarUpdate")
+    bench.none(bench.receiver.frames_with(_U, var_id), "no VarUpdate")
 
 
 @case(
@@ -302,8 +300,7 @@ def deleted(bench: Bench) -> None:
         if answer.code != NOT_EXPRESSIBLE:
             bench.services.check_status(answer, statuses_after_deletion(bench), "RTDB-Update")
     bench.beacons(2, 2.5)
-    frames = bench.receiver.frames_with(_U, var_id, mark)
-    bench.none(frames, "no VarUpdate of the deleted variable")
+    bench.none(bench.receiver.frames_with(_U, var_id, mark), "no VarUpdate of the deleted variable")
 
 
 @case(
