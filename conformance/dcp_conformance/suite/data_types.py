@@ -160,7 +160,7 @@ def own_creation_time(bench: Bench) -> None:
     record = bench.required(
         bench.until_instruction(ICType.CREATE_VARIABLES, var_id), "a VarCreate of the variable", "VD-CRE-12"
     )
-    bench.answered(record.spec.timeout, 0x1234, "timeout 0x1234", "DATA-01")
+    bench.answered(record.spec.timeout, 0x1234, "timeout", "DATA-01")
     check_time(bench, record.spec.creation_time, request, "creationTime")
 
 
@@ -370,7 +370,7 @@ def length_of_text(bench: Bench) -> None:
     bench.expect_status("VARDIS-STATUS-OK", CREATE, "DATA-08", **create_request(bench, var_id, descr=text))
     record: Any = bench.until_instruction(ICType.CREATE_VARIABLES, var_id)
     bench.required(record, "a VarCreate of the variable", "DATA-08")
-    bench.answered(record.spec.descr, text.encode(), f"{len(text.encode())} octets of UTF-8", "DATA-07 DATA-08")
+    bench.answered(record.spec.descr, text.encode(), "the description in UTF-8", "DATA-07 DATA-08")
     # Fewer characters than the maximum, but more octets.
     longer = "\u00e9" * (longest // 2 + 1)
     bench.expect_status(
@@ -414,7 +414,7 @@ def broadcast(bench: Bench) -> None:
     bench.none(other, "frames to ff:ff:ff:ff:ff:ff", "UWB-01", seen=f"frames to {', '.join(sorted(set(other)))}")
     types = {int.from_bytes(frame[12:14], "big") for _, frame in frames}
     observed = ", ".join(f"{each:#06x}" for each in sorted(types))
-    bench.answered(len(types), 1, "EtherType for all beacons", "UWB-02")
+    bench.answered(len(types), 1, "EtherTypes of all beacons", "UWB-02")
     bench.proved(min(types) >= ETHERTYPE_MIN, f"an EtherType of at least {ETHERTYPE_MIN:#06x}", observed, "BP-PAR-10")
 
 

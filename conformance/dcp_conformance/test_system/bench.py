@@ -84,9 +84,6 @@ class Bench:
         )  # fmt: skip
 
         # The steps of most cases. Checks:
-        self.check = self.verdicts.check
-        self.require = self.verdicts.require
-        self.fail = self.verdicts.fail
         self.inconclusive = self.verdicts.inconclusive
         self.info = self.verdicts.info
         self.reading = self.verdicts.reading

@@ -147,7 +147,7 @@ def chain(bench: Bench, how: str) -> None:
         bench.wait(1 if how == "paced" else 0)
     found = bench.waiting.repeated(_UPDATE, name, mark)
     numbers = check_order(bench, found, "VD-RX-09")
-    bench.repeated(numbers.count(6), count, "sequence number 6 in exactly beacons", "VD-PU-07", frames=found[-4:])
+    bench.repeated(numbers.count(6), count, "beacons with sequence number 6", "VD-PU-07", frames=found[-4:])
     bench.every(
         found,
         lambda each: each.record.value == bytes((each.record.seqno,)),

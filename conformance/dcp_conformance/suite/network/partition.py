@@ -99,7 +99,7 @@ def created_in_the_other_half(bench: Bench) -> None:
     create = other.create(name, value=b"other half", rep_cnt=count)
     other.send(create)
     bench.check_repeated(_CREATE, name, count, mark, "VD-PC-09")
-    bench.equal(held(bench, name), create, f"{create}", "VD-PC-02")
+    bench.equal(held(bench, name), create, "the variable in the database", "VD-PC-02")
 
 
 @case(

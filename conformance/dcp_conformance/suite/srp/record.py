@@ -251,7 +251,7 @@ def once(bench: Bench) -> None:
             peer.send(peer.create(bench.var_id()))
         bench.beacons(3, 4)
         frames = [heard for heard in _reports(bench, mark) if reported_safety_data(bench, heard.report) == values]
-        bench.repeated(frames, 1, f"the record of submission {number} in one beacon")
+        bench.repeated(frames, 1, f"beacons with the record of submission {number}")
 
 
 @case(
@@ -292,7 +292,7 @@ def repeated_time_stamp(bench: Bench) -> None:
     bench.beacons(3, 4)
     frames = [heard for heard in _reports(bench, mark) if reported_safety_data(bench, heard.report) == values]
     stamps = {(heard.report.t_stamp, heard.report.seqno) for heard in frames if heard.report is not None}
-    bench.answered(len(stamps), 1, "pair of tStamp and seqno in all repetitions", frames=frames)
+    bench.answered(len(stamps), 1, "pairs of tStamp and seqno in all repetitions", frames=frames)
 
 
 @case(

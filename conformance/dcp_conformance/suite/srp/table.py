@@ -154,7 +154,7 @@ def wide_numbers(bench: Bench) -> None:
         peer = bench.peer()
         peer.send(bench.records.report(peer.node_id, number))
         entry = until_neighbour(bench, peer.node_id)
-        bench.equal(entry and entry.get("seqno"), number, "an entry with seqno")
+        bench.equal(entry and entry.get("seqno"), number, "seqno of the entry")
 
 
 def _block(bench: Bench, peer: Peer, name: str) -> Block:
@@ -280,4 +280,4 @@ def extra_fields(bench: Bench) -> None:
     bench.info("Which additional fields does the neighbour table have?", ", ".join(extra) or "none")
     claimed = bench.sut.pics.neighbour_statistics
     if claimed is not None:
-        bench.answered(bool(extra), claimed, f"[pics] neighbour_statistics = {str(claimed).lower()}")
+        bench.answered(bool(extra), claimed, "fields of statistics, as [pics] neighbour_statistics claims")

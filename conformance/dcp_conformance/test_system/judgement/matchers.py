@@ -96,7 +96,7 @@ class Matchers:
         self, missing: Collection[object], expected: str, /, *requirements: str, frames: Iterable[Evidence] = ()
     ) -> bool:
         """Check that nothing is missing of what must have been received."""
-        return self._check(not missing, expected, f"{described(missing)} missing", requirements, frames=frames)
+        return self._check(not missing, expected, f"missing: {described(missing)}", requirements, frames=frames)
 
     # -- shown ---------------------------------------------------------------------------------------------------------
 

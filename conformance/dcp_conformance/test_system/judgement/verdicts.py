@@ -108,38 +108,6 @@ class Verdicts:
             self._add(Verdict.INCONCLUSIVE, expected, text, requirements, frames, disturbance=excuse.disturbance)
         return False
 
-    def require(
-        self,
-        holds: object,
-        expected: str,
-        observed: str = "",
-        /,
-        *requirements: str,
-        frames: Iterable[ReceivedBeacon | Instruction | Mark] = (),
-        shown: object = False,
-        numbers: bool = False,
-    ) -> None:
-        """As :meth:`check`, and stop the case if the condition does not hold."""
-        if not self.check(holds, expected, observed, *requirements, frames=frames, shown=shown, numbers=numbers):
-            raise StopCase
-
-    def fail(
-        self,
-        expected: str,
-        observed: str,
-        /,
-        *requirements: str,
-        frames: Iterable[ReceivedBeacon | Instruction | Mark] = (),
-        shown: object = False,
-        numbers: bool = False,
-        patience: float = 1.0,
-    ) -> NoReturn:
-        """Record a failure as :meth:`check` does, and stop the case."""
-        self.check(
-            False, expected, observed, *requirements, frames=frames, shown=shown, numbers=numbers, patience=patience
-        )
-        raise StopCase
-
     def inconclusive(self, expected: str, observed: str, /, *requirements: str, overload: str = "") -> NoReturn:
         """Stop the case because it cannot be decided.
 

@@ -9,6 +9,7 @@ from dcp_spec.constants import ICType
 
 from dcp_conformance.frames.received import Instruction, ReceivedBeacon
 from dcp_conformance.test_system.judgement.losses import Losses
+from dcp_conformance.test_system.judgement.matchers import Matchers
 from dcp_conformance.test_system.judgement.verdicts import Verdicts
 from dcp_conformance.test_system.steps import Clock
 from dcp_conformance.test_system.sut_properties import MS, SutProperties
@@ -143,15 +144,10 @@ class Repetitions:
         found = self._waiting.repeated(kind, var_id, since)
         if absent and not found:
             requirements = (absent,)
-        beacons = {id(each.heard) for each in found}
-        what = f"exactly {count} beacon{'s' if count != 1 else ''} with one {kind.label} record of variable {var_id}"
-        came = f"{len(found)} records in {len(beacons)} beacons"
-        self._verdicts.check(
-            len(found) == len(beacons) == count,
-            what,
-            came,
-            *requirements,
-            frames=found[:32],
-            shown=len(found) > min(count, len(beacons)) and self._verdicts.in_time,
-        )
+        what = f"beacons with one {kind.label} record of variable {var_id}"
+        matchers = Matchers(self._verdicts)
+        if matchers.one_each(
+            found, f"at most one {kind.label} record of variable {var_id} in each beacon", *requirements
+        ):
+            matchers.repeated(found, count, what, *requirements)
         return found

@@ -226,7 +226,7 @@ def epoch_of_next_beacon(bench: Bench) -> None:
         told = bench.required(indications(bench, TRANSMITTED, client.prot_id), "indications", "BP-PTI-01")
         epochs = [each.params.get("nextBeaconGenerationEpoch") for each in told]
         numbers = [each - offset for each in epochs if isinstance(each, int)]
-        bench.answered(len(numbers), len(epochs), "an epoch in each indication", stop=True)
+        bench.answered(len(numbers), len(epochs), "indications with an epoch", stop=True)
         # The next beacon, of whichever client.
         following = [bench.heard[place + 1 :][:1] for place in map(bench.heard.index, frames)]
         pairs = [(number, each[0].wall) for number, each in zip(numbers, following, strict=False) if each]

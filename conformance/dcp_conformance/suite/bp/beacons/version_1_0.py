@@ -74,7 +74,7 @@ def one_from_the_queue(bench: Bench) -> None:
         frames = client.frames(start)
         needed(bench, frames, "beacons with the payloads")
         counts = [len(client.in_frame(each)) for each in frames]
-        bench.answered(max(counts), 1, "payload of the client in each beacon", "BP-QM-10", frames=frames)
+        bench.answered(max(counts), 1, "payloads of the client in each beacon", "BP-QM-10", frames=frames)
         sent = [each for each in client.sent(start) if each in payloads]
         observed = listed(sent, payloads)
         bench.in_order(sent, payloads, "all payloads in the order of submission", "BP-QM-03", seen=observed)

@@ -114,4 +114,4 @@ def reported(bench: Bench) -> None:
     answer = bench.call("BP-SetParameter", name=_PERIOD, value=0)
     bench.proved(not answer.ok, "a status other than OK", str(answer))
     after = bench.must("BP-GetParameters").result.get("parameters", {}).get(_PERIOD)
-    bench.answered(after, before, f"{_PERIOD} is still", "BP-PAR-07")
+    bench.answered(after, before, f"{_PERIOD}, as before", "BP-PAR-07")

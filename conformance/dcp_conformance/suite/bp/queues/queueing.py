@@ -123,7 +123,7 @@ def queue_length(bench: Bench, mode: QueueingMode) -> None:
         # A beacon in between would take a payload from the queue.
         numbers = between_beacons(bench, "submission of four payloads", act, client.in_frame)
         bench.answered(numbers[0], 0, "payloads in the queue after registration", "BP-REG-06")
-        bench.answered(numbers[1:], [1, 2, 3, 3], "lengths", "BP-QRY-02")
+        bench.answered(numbers[1:], [1, 2, 3, 3], "numbers of buffered payloads", "BP-QRY-02")
 
 
 @case(

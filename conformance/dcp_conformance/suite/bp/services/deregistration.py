@@ -105,7 +105,7 @@ def registers_again(bench: Bench, mode: QueueingMode) -> None:
     bench.must(DEREGISTER, protId=client.prot_id)
     quiet_from = bench.now() + bench.period // 5
     with client:
-        bench.answered(client.number(), 0, "buffered payload")
+        bench.answered(client.number(), 0, "buffered payloads")
         bench.wait(3)
         client.check_silent(quiet_from)
 
@@ -129,7 +129,7 @@ def list_clients(bench: Bench) -> None:
         listed = [each.get("protocolId") for each in answer.result.get("protocols") or [] if isinstance(each, dict)]
         for client in clients:
             count = listed.count(client.prot_id)
-            bench.answered(count, 1, f"client {client.prot_id:#x} listed once", "BP-LST-01 BP-LST-03")
+            bench.answered(count, 1, f"entries of client {client.prot_id:#x}", "BP-LST-01 BP-LST-03")
         text = str(answer.result).lower()
         shown = [payload.hex() for payload in payloads if payload.hex() in text]
         # In 1.0 the list holds complete client records, with the buffered payloads.

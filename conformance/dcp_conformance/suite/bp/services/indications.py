@@ -75,7 +75,7 @@ def unchanged(bench: Bench, size: int) -> None:
     with BPClient(bench, ONCE, size=len(octets)) as client:
         bench.peer().send(Block(client.prot_id, octets))
         received = bench.required(client.until_received(), "an indication of the payload", "BP-RXP-01 UWB-06")
-        bench.answered(received[0], octets, f"a payload of {len(octets)} octets, as sent", "BP-RXP-01")
+        bench.answered(received[0], octets, "the payload, as sent", "BP-RXP-01")
         observed = next(
             each.params.get("length")
             for each in bench.receiver.notifications
@@ -83,7 +83,7 @@ def unchanged(bench: Bench, size: int) -> None:
         )
         bench.answered(observed, len(octets), "length", "BP-RXP-01")
         bench.wait(_AFTERWARDS)
-        bench.repeated(len(client.received()), 1, "indication", "BP-RXP-02")
+        bench.repeated(len(client.received()), 1, "indications", "BP-RXP-02")
 
 
 @case(
@@ -319,7 +319,7 @@ def both(*conditions: Callable[[Bench], str | None] | None) -> Callable[[Bench],
 def told_of_transmission(bench: Bench, mode: QueueingMode) -> None:
     with BPClient(bench, mode) as client:
         early = len(indications(bench, TRANSMITTED, client.prot_id))
-        bench.answered(early, 0, "indication before a payload is submitted")
+        bench.answered(early, 0, "indications before a payload is submitted")
         client.transmit(client.payload())
         heard = client.until_sent()
         needed(bench, heard, "a beacon with the payload")
@@ -327,7 +327,7 @@ def told_of_transmission(bench: Bench, mode: QueueingMode) -> None:
         bench.some(told, "an indication of the transmission", seen="no indication within one period after the beacon")
         if mode is not REPEAT:
             bench.wait(_AFTERWARDS)
-            bench.repeated(len(indications(bench, TRANSMITTED, client.prot_id)), 1, "indication for one payload")
+            bench.repeated(len(indications(bench, TRANSMITTED, client.prot_id)), 1, "indications for one payload")
 
 
 @case(

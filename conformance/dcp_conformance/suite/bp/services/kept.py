@@ -223,7 +223,7 @@ def one_place(bench: Bench, mode: QueueingMode) -> None:
 
         start = bench.mark()
         payloads, numbers = between_beacons(bench, "submission of two payloads", act, client.in_frame)
-        bench.answered(numbers, [1, 1], "one buffered payload after each submission", "BP-QRY-02")
+        bench.answered(numbers, [1, 1], "buffered payloads after each submission", "BP-QRY-02")
         bench.until_quiet(client.in_frame, since=start)
         client.transmit(payloads[2], must=False)
         client.until_sent(payloads[2])
@@ -381,7 +381,7 @@ def queue_across_activation(bench: Bench) -> None:
             number = client.number()
             early = len(indications(bench, TRANSMITTED, client.prot_id))
             bench.answered(number, 3, "buffered payloads", "BP-MGT-04")
-            bench.answered(early, 0, "indication of a transmission while BP is inactive", "BP-MGT-04")
+            bench.answered(early, 0, "indications of a transmission while BP is inactive", "BP-MGT-04")
         bench.until_quiet(client.in_frame, since=start)
         sent = [each for each in client.sent(start) if each in payloads]
         bench.in_order(sent, payloads, "payloads A, B, C", "BP-MGT-05 BP-QM-03", seen=listed(sent, payloads))

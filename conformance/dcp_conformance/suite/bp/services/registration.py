@@ -246,7 +246,7 @@ def already_registered(bench: Bench) -> None:
         changes: dict[str, Any] = {"maxPayloadSize": 40, "queueingMode": str(ONCE), "name": "other"}
         bench.expect_status(ALREADY_REGISTERED, REGISTER, **{**client.registration, **changes})
         bench.answered(client.fields(), before, "the registration unchanged")
-        bench.answered(client.number(), 1, "buffered payload, as before")
+        bench.answered(client.number(), 1, "buffered payloads, as before")
         start = bench.mark()
         client.until_sent()
         bench.beacons(1)

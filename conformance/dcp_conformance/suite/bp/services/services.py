@@ -107,7 +107,7 @@ def too_large(bench: Bench, more: int) -> None:
         answer = bench.call(TRANSMIT, protId=client.prot_id, payload=octets.hex())
         if no_confirm(bench) is None:
             bench.services.check_status(answer, (TOO_LARGE,), TRANSMIT)
-        bench.answered(client.number(), 0, "buffered payload")
+        bench.answered(client.number(), 0, "buffered payloads")
         bench.wait(2)
         bench.none(
             client.sent(),
@@ -158,7 +158,7 @@ def empty_payload_clears(bench: Bench, mode: QueueingMode) -> None:
     with BPClient(bench, mode) as client:
         client.transmit(client.payload())
         bench.expect_status(OK, TRANSMIT, protId=client.prot_id, payload="")
-        bench.answered(client.number(), 0, "buffered payload")
+        bench.answered(client.number(), 0, "buffered payloads")
 
 
 @case(
@@ -250,7 +250,7 @@ def clear(bench: Bench, mode: QueueingMode) -> None:
             client.transmit(client.payload())
         bench.expect_status(OK, CLEAR, protId=client.prot_id)
         quiet_from = bench.now() + bench.period // 5
-        bench.answered(client.number(), 0, "buffered payload")
+        bench.answered(client.number(), 0, "buffered payloads")
         bench.wait(3)
         client.check_silent(quiet_from)
         payload, start = client.payload(), bench.mark()

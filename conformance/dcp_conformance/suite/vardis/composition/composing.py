@@ -275,7 +275,7 @@ def described_after_the_last_delete(bench: Bench) -> None:
         return
     answer = bench.expect_status("VARDIS-STATUS-OK", "RTDB-DescribeVariable", varId=var_id)
     described = answer.result.get("variable", {})
-    bench.answered(described.get("isDeleted"), True, "isDeleted is true")
+    bench.answered(described.get("isDeleted"), True, "isDeleted")
     bench.answered(described.get("countDelete"), 0, "countDelete after the last repetition")
 
 

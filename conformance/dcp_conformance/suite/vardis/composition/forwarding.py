@@ -184,8 +184,8 @@ def answer(bench: Bench, what: tuple[_Trigger, ICType, Count]) -> None:
     since = bench.mark()
     bench.peer().send(trigger(bench, peer, var_id))
     found = bench.check_repeated(kind, var_id, count(bench), since)
-    numbers = {each.record.upd.seqno if kind is CREATES else each.record.seqno for each in found} or {5}
-    bench.answered(numbers, {5}, "the stored sequence number 5 in the answer", frames=found)
+    numbers = [each.record.upd.seqno if kind is CREATES else each.record.seqno for each in found]
+    bench.every(numbers, 5, "the stored sequence number in the answer")
     _nothing_else(bench, var_id, since, kind, CREATES)
 
 

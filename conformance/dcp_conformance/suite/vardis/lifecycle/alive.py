@@ -146,7 +146,7 @@ def update_cancelled(bench: Bench) -> None:
     if upper is not None and "RTDB-DescribeVariable" in upper.methods:
         entry = described(bench.must("RTDB-DescribeVariable", varId=name))
     for counter in ("countCreate", "countUpdate"):
-        bench.answered(entry.get(counter, 0), 0, f"{counter} is 0")
+        bench.answered(entry.get(counter, 0), 0, counter)
     bench.check_repeated(_DELETE, name, count, 0)
     begun = bench.heard.index(found.heard)
     for kind in (_UPDATE, _CREATE, _SUMMARY):

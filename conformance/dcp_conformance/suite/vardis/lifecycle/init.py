@@ -48,7 +48,7 @@ def registered(bench: Bench) -> None:
     if bench.features.allow_multiple_payloads:
         entries, several = found.get("maxEntries"), found.get("allowMultiplePayloads")
         bench.proved(isinstance(entries, int) and entries > 0, "a positive maxEntries", entries)
-        bench.answered(several, False, "allowMultiplePayloads false")
+        bench.answered(several, False, "allowMultiplePayloads")
     size, told = bench.sut.bound("VARDISPAR_MAX_PAYLOAD_SIZE"), found.get("maxPayloadSize")
     bench.answered(told, size, "maxPayloadSize")
 

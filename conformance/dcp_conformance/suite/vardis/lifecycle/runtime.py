@@ -178,7 +178,7 @@ def newest_only(bench: Bench) -> None:
         bench.wait(0.2)
     found = bench.waiting.repeated(ICType.UPDATES, name, mark)
     numbers = check_order(bench, found, "VD-RUN-01")
-    bench.repeated(numbers.count(10), count, "the last VarUpdate in beacons", "VD-CMP-09", frames=found[-4:])
+    bench.repeated(numbers.count(10), count, "beacons with the last VarUpdate", "VD-CMP-09", frames=found[-4:])
 
 
 @case(
@@ -199,7 +199,7 @@ def parameter_takes_effect(bench: Bench) -> None:
         bench.beacons(2)
         frames = bench.beacons(2)
         counts = [len(each.instructions(ICType.SUMMARIES)) for each in frames]
-        bench.answered(counts, [most] * 2, f"{most} summaries in each payload", frames=frames)
+        bench.answered(counts, [most] * 2, "summaries in each payload", frames=frames)
 
 
 def _own_period(bench: Bench, periods: float) -> int:

@@ -131,7 +131,7 @@ def deleted_skipped(bench: Bench) -> None:
     if deleted(bench, other, since, timeout_ms) is None:
         not_by_consumers(bench, other)
     bench.beacons(2)
-    bench.repeated(bench.instructions(_DELETE, name), count, "VarDeletes, and none after the timeout")
+    bench.repeated(bench.instructions(_DELETE, name), count, "VarDeletes in all")
 
 
 @case(

@@ -234,7 +234,7 @@ def revived(bench: Bench) -> None:
         bench.none([each for each in found if each.record != what], f"the {kind.label} record unchanged")
         if kind is CREATES and bench.sut.bound("VARDISPAR_MAX_SUMMARIES"):
             summary = bench.until_instruction(ICType.SUMMARIES, var_id)
-            bench.equal(summary and summary.seqno, 0, "a summary with sequence number")
+            bench.equal(summary and summary.seqno, 0, "sequence number in the summary")
 
 
 # -- records that are not taken ----------------------------------------------------------------------------------------

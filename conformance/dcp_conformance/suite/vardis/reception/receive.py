@@ -248,7 +248,7 @@ def delete_before_update(bench: Bench, reverse: bool) -> None:
     # The beacons are the same for both orders of processing; only the database shows the difference.
     if entry is not None or (describes and not bench.features.removed_after_deletion):
         entry = entry or {}
-        bench.answered(entry.get("seqno"), 0, "seqno : the update is not stored", "VD-RX-08")
+        bench.answered(entry.get("seqno"), 0, "seqno, as the update is not stored", "VD-RX-08")
 
 
 @case(
@@ -264,7 +264,7 @@ def summary_of_update(bench: Bench, reverse: bool) -> None:
     var_id = teach_variable(bench, peer)
     since = _send(bench, peer, (peer.update(var_id, 1, b"newer"), peer.summary(var_id, 1)), reverse)
     came = bench.until_instruction(ICType.UPDATES, var_id)
-    bench.equal(came and came.seqno, 1, "the update is stored and forwarded")
+    bench.equal(came and came.seqno, 1, "sequence number of the forwarded update")
     bench.require_alive("the payload")
     _not_requested(bench, var_id, since, (_RU,))
 
@@ -310,7 +310,7 @@ def update_before_summary(bench: Bench, reverse: bool) -> None:
     # If the update were stored afterwards, it would cancel the request (VD-PU-08).
     bench.required(came, "a VarReqUpdate in response to the summary")
     numbers = {each.record.seqno for each in bench.instructions(_RU, var_id, since)}
-    bench.answered(numbers, {1}, "the sequence number of the update, 1, in the VarReqUpdate")
+    bench.answered(numbers, {1}, "sequence numbers in the VarReqUpdate")
 
 
 @case(

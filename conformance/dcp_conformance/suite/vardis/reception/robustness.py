@@ -159,7 +159,7 @@ def _works(bench: Bench) -> None:
             if came is not None:
                 break
         bench.equal(
-            came, record, f"a {kind.label} record is forwarded unchanged after the error", "VD-ROB-01", stop=True
+            came, record, f"the {kind.label} record after the error, forwarded unchanged", "VD-ROB-01", stop=True
         )
 
 

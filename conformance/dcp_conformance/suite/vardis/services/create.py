@@ -353,7 +353,7 @@ def empty_description(bench: Bench) -> None:
     bench.require_alive("a variable without a description")
     claimed = bench.sut.pics.empty_description
     if claimed is not None:
-        bench.answered(claimed, answer.ok, f"empty_description = {str(claimed).lower()}, as the PICS claims")
+        bench.answered(answer.ok, claimed, "an empty description is accepted, as empty_description in the PICS claims")
     if answer.ok and bench.session.upper is not None and "RTDB-Delete" in bench.session.upper.methods:
         # Delete it: neighbours that reject the empty description would request the variable forever.
         bench.call("RTDB-Delete", varId=var_id)

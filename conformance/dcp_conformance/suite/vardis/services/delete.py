@@ -128,7 +128,7 @@ def stays(bench: Bench) -> None:
     bench.must("RTDB-Delete", varId=var_id)
     bench.until_quiet(lambda heard: heard.instructions(_D, var_id))
     found = described(bench.expect_status(OK, "RTDB-DescribeVariable", varId=var_id))
-    bench.answered(found.get("isDeleted", True), True, "isDeleted is true")
+    bench.answered(found.get("isDeleted", True), True, "isDeleted")
 
 
 @case(

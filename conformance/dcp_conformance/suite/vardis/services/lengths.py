@@ -85,7 +85,7 @@ def creations(bench: Bench, what: tuple[str, Bound, bool, SpecVersion]) -> None:
     peer.send(record)
     if allowed:
         came = bench.until_instruction(ICType.CREATE_VARIABLES, var_id)
-        bench.equal(came, record, "the VarCreate is accepted and forwarded unchanged")
+        bench.equal(came, record, "the accepted VarCreate, forwarded unchanged")
         if came is not None:
             held = ask(bench, var_id)
             bench.equal(held.record, record, "the VarCreate unchanged in the database")
@@ -147,7 +147,7 @@ def updates(bench: Bench, what: tuple[Bound, bool, SpecVersion]) -> None:
     peer.send(record)
     if allowed:
         came = bench.until_instruction(ICType.UPDATES, var_id)
-        bench.equal(came, record, "the VarUpdate is accepted and forwarded unchanged")
+        bench.equal(came, record, "the accepted VarUpdate, forwarded unchanged")
         if came is not None:
             held = ask(bench, var_id)
             bench.equal(held.record and held.record.upd, record, "the VarUpdate unchanged in the database")
@@ -183,11 +183,11 @@ def among_others(bench: Bench) -> None:
     since = bench.mark()
     peer.send(peer.create(one, value=b""), peer.create(three, rep_cnt=0), record, peer.create(two, value=b""))
     came = bench.until_instruction(ICType.CREATE_VARIABLES, good)
-    bench.equal(came, record, "the valid VarCreate is forwarded unchanged", "VD-PC-04")
+    bench.equal(came, record, "the valid VarCreate, forwarded unchanged", "VD-PC-04")
     newer = peer.update(good, 2, b"good")
     peer.send(peer.update(good, 1, b""), newer, peer.update(good, 3, b""))
     came = bench.until_instruction(ICType.UPDATES, good)
-    bench.equal(came, newer, "the valid VarUpdate is forwarded unchanged", "VD-PU-04")
+    bench.equal(came, newer, "the valid VarUpdate, forwarded unchanged", "VD-PU-04")
     bench.require_alive("the containers")
     for var_id, requirement in ((one, "VD-PC-04"), (two, "VD-PC-04"), (three, "VD-PC-06")):
         found = traces(bench, var_id, since, INSTRUCTIONS)
@@ -213,7 +213,7 @@ def longest(bench: Bench) -> None:
     )
     peer.send(record)
     came: VardisRecord | None = bench.until_instruction(ICType.CREATE_VARIABLES, record.spec.var_id)
-    bench.equal(came, record, "the VarCreate is forwarded unchanged")
+    bench.equal(came, record, "the VarCreate, forwarded unchanged")
 
 
 @case(

@@ -136,7 +136,7 @@ def defaults(bench: Bench) -> None:
     for name, requirement in ((_VALUE, "VD-PAR-02"), (_DESCR, "VD-PAR-03")):
         shown = _in_force(bench, name) if _GET in bench.services.upper.methods else _tried(bench, name)
         if shown in (None, 32):
-            bench.answered(shown, 32, f"{name} is 32", requirement)
+            bench.answered(shown, 32, name, requirement)
         else:
             bench.info(f"Is {name} 32 octets, the default?", f"{shown}", requirement)
 
@@ -179,7 +179,7 @@ def value_length_and_payload(bench: Bench) -> None:
     with parameters_set(bench, "VD", **{_PAYLOAD: payload}), _kept(bench, _VALUE):
         answer = bench.call(_SET, name=_VALUE, value=bound)
         taken = _in_force(bench, _VALUE) == bound
-        bench.answered(taken, answer.ok, f"{_VALUE} = {bound} is accepted if and only if the status is OK")
+        bench.answered(answer.ok, taken, f"status OK for {_VALUE} = {bound}, as it is in force")
         # The longest value with which a VarCreate with the longest description fits.
         fits = bench.sut.parameter(_VALUE) + 8
         if taken:
@@ -447,4 +447,4 @@ def complete(bench: Bench) -> None:
         bench.proved(name in told, f"{name} exists", "not returned by VD-GetParameters")
         if name in told:
             bench.must(_SET, name=name, value=told[name])
-            bench.answered(_in_force(bench, name), told[name], f"{name} is accepted")
+            bench.answered(_in_force(bench, name), told[name], f"{name} after it was set to the value that it had")

@@ -163,7 +163,7 @@ def database(bench: Bench) -> None:
         bench.answered(
             (str(found.get("prodId")).replace(":", ""), found.get("repCnt"), found.get("descr")),
             (producer.hex(), 1, bench.records.descr(descr.encode()).decode()),
-            f"prodId, repCnt and descr of variable {var_id} as created",
+            "prodId, repCnt and descr, as created",
         )
 
 
@@ -183,7 +183,7 @@ def extra_fields(bench: Bench) -> None:
         "Which fields does RTDB-DescribeDatabase have in addition to those of VarSpecT?", ", ".join(extra) or "none"
     )
     if claimed is not None:
-        bench.answered(bool(extra), claimed, f"[pics] describe_extra_fields = {str(claimed).lower()}")
+        bench.answered(bool(extra), claimed, "further fields, as [pics] describe_extra_fields claims")
 
 
 @case(
@@ -251,9 +251,9 @@ def describe(bench: Bench) -> None:
             "value": value.hex(),
             "seqno": seqno,
         }
-        bench.answered({name: found.get(name) for name in wanted}, wanted, f"{wanted}")
+        bench.answered({name: found.get(name) for name in wanted}, wanted, "the fields of the variable")
         bench.answered(str(found.get("prodId")).replace(":", ""), producer.hex(), "prodId")
-        bench.answered(found.get("isDeleted", False), False, "isDeleted is false")
+        bench.answered(found.get("isDeleted", False), False, "isDeleted")
 
 
 @case(
@@ -273,7 +273,7 @@ def describe_deleted(bench: Bench) -> None:
     gone = (UNKNOWN,) if bench.features.removed_after_deletion and count <= 2 else ()
     answer = expect_any(bench, (OK, *gone), "RTDB-DescribeVariable", varId=var_id)
     if answer.ok:
-        bench.answered(described(answer).get("isDeleted", True), True, "isDeleted is true")
+        bench.answered(described(answer).get("isDeleted", True), True, "isDeleted")
 
 
 # -- applications ------------------------------------------------------------------------------------------------------

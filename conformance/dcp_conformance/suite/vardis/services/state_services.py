@@ -141,7 +141,7 @@ def _created(bench: Bench, where: Place, since: int) -> None:
     bench.answered(
         (spec.prod_id, upd.seqno, upd.value),
         (bench.identifiers.sut_id, 0, bench.records.value(_VALUE)),
-        "a VarCreate with the node as producer, sequence number 0 and the given value",
+        "producer, sequence number and value of the VarCreate",
         frames=[found],
     )
     before = where.stored.spec.creation_time if where.stored is not None else None

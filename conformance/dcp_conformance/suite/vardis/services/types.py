@@ -120,7 +120,7 @@ def lengths(bench: Bench) -> None:
         value = bytes(0x40 + index % 64 for index in range(length))
         peer.send(peer.update(var_id, seqno, value))
         came = bench.until_instruction(ICType.UPDATES, var_id)
-        bench.equal(came and came.value, value, f"a value of {length} octets is forwarded unchanged")
+        bench.equal(came and came.value, value, f"the value of {length} octets, forwarded unchanged")
     held = ask(bench, var_id)
     bench.equal(held.record and held.record.upd.value, value, "the last value in the database", given=came)
 
@@ -255,7 +255,7 @@ def one_entry(bench: Bench) -> None:
     bench.require_alive("several records about the variable")
     found = bench.must("RTDB-DescribeDatabase").result.get("variables")
     same = [each for each in found if each.get("varId") == var_id] if isinstance(found, list) else []
-    bench.answered(len(same), 1, "entry with the identifier")
+    bench.answered(len(same), 1, "entries with the identifier")
 
 
 @case(
@@ -287,7 +287,7 @@ def stays(bench: Bench, own: bool) -> None:
     row = listed(bench).get(var_id)
     bench.proved(row is not None, "the variable in the list", "not in the list")
     flag = True if row is None else row.get("isDeleted", True)
-    bench.answered(flag, True, "isDeleted true, if the list has this field")
+    bench.answered(flag, True, "isDeleted, if the list has this field")
     _expect(bench, _entry(bench, var_id), {"isDeleted": True, "countDelete": 0, "countCreate": 0, "countUpdate": 0})
 
 
