@@ -3,13 +3,13 @@
 A failed statement is *shown* (received octets or an answer prove the fault) or something is *missing*, which losses and
 lateness of the tester may explain (:mod:`.excuses`). Which of the two follows from the form of the statement:
 
-* what was not received is missing: :meth:`Matchers.some`, :meth:`Matchers.required`, :meth:`Matchers.complete`,
-  :meth:`Matchers.missing`;
-* what must not be there, or has the wrong value, is shown: :meth:`Matchers.none`, :meth:`Matchers.every`,
-  :meth:`Matchers.one_each`, :meth:`Matchers.answered`, :meth:`Matchers.fields`, :meth:`Matchers.present`,
-  :meth:`Matchers.proved`, :meth:`Matchers.wrong`;
-* others can fail in both ways: :meth:`Matchers.equal`, :meth:`Matchers.only`, :meth:`Matchers.in_order`,
-  :meth:`Matchers.repeated`, :meth:`Matchers.within`.
+* what was not received is missing: :meth:`.Missing.some`, :meth:`.Missing.required`, :meth:`.Missing.complete`,
+  :meth:`.Missing.missing`;
+* what must not be there, or has the wrong value, is shown: :meth:`.Shown.none`, :meth:`.Shown.every`,
+  :meth:`.Shown.one_each`, :meth:`.Shown.answered`, :meth:`.Shown.fields`, :meth:`.Shown.present`,
+  :meth:`.Shown.proved`, :meth:`.Shown.wrong`;
+* others can fail in both ways: :meth:`.Matchers.equal`, :meth:`.Matchers.only`, :meth:`.Matchers.in_order`,
+  :meth:`.Matchers.repeated`, :meth:`.Matchers.within`.
 
 Each states its expectation and its observation, and attaches the received frames as evidence. Requirement identifiers
 may be one string, separated by spaces; without any, the check decides all requirements of the case.
@@ -24,29 +24,24 @@ from typing import Any, Final, Literal, NoReturn, TypeVar
 
 from dcp_spec.constants import BP_SEQNO_MODULUS
 
-from dcp_codec.values import RECORD_CLASSES
 from dcp_conformance.errors import StopCase
 from dcp_conformance.frames.received import Instruction, ReceivedBeacon
-from dcp_conformance.model.results import Mark
 from dcp_conformance.test_system.known import Misread
 
 from .verdicts import Verdicts
+from .wording import Evidence, beacons_of, content, described, evidence_in
 
 T = TypeVar("T")
-Evidence = ReceivedBeacon | Instruction | Mark
 Late = Literal["above", "below", "either", "neither"]
 """The sides of an interval on which lateness or losses can explain a value."""
 
 NOTHING: Final = "none in time"
-#: Maximum number of frames that a check marks, and of values in an observation.
+#: Maximum number of frames that a check marks.
 _FRAMES: Final = 32
-_VALUES: Final = 8
-#: Maximum number of octets of a value in an observation.
-_OCTETS: Final = 64
 
 
-class Matchers:
-    """The checks of one case. All return whether the statement holds, except :meth:`required`.
+class Statements:
+    """The checks of one case. All return whether the statement holds, except those that stop the case without a value.
 
     Keywords that several matchers have:
 
@@ -62,7 +57,30 @@ class Matchers:
     def __init__(self, verdicts: Verdicts) -> None:
         self._verdicts = verdicts
 
-    # -- missing -------------------------------------------------------------------------------------------------------
+    def _check(
+        self,
+        holds: object,
+        expected: str,
+        observed: str,
+        requirements: Sequence[str],
+        *,
+        frames: Iterable[Evidence],
+        shown: object = False,
+        patience: float = 1.0,
+        field: Misread | None = None,
+        stop: bool = False,
+    ) -> bool:
+        evidence = [*frames][:_FRAMES]
+        good = self._verdicts.check(
+            holds, expected, observed, *requirements, frames=evidence, shown=shown, patience=patience, field=field
+        )
+        if stop and not good:
+            raise StopCase
+        return good
+
+
+class Missing(Statements):
+    """Statements that fail because something was not received."""
 
     def some(
         self,
@@ -98,7 +116,14 @@ class Matchers:
         """Check that nothing is missing of what must have been received."""
         return self._check(not missing, expected, f"missing: {described(missing)}", requirements, frames=frames)
 
-    # -- shown ---------------------------------------------------------------------------------------------------------
+    def missing(self, expected: str, seen: object = NOTHING, /, *requirements: str, patience: float = 1.0) -> NoReturn:
+        """Stop the case because something was not received."""
+        self._check(False, expected, content(seen), requirements, frames=(), patience=patience)
+        raise StopCase
+
+
+class Shown(Statements):
+    """Statements that fail because of what was received."""
 
     def none(
         self,
@@ -180,7 +205,14 @@ class Matchers:
         """Check any other property of received data. ``seen``: the data."""
         return self._check(holds, expected, content(seen), requirements, frames=frames, shown=True, stop=stop)
 
-    # -- both ----------------------------------------------------------------------------------------------------------
+    def wrong(self, expected: str, seen: object, /, *requirements: str, frames: Iterable[Evidence] = ()) -> NoReturn:
+        """Stop the case because received data are wrong."""
+        self._check(False, expected, content(seen), requirements, frames=frames, shown=True)
+        raise StopCase
+
+
+class Matchers(Missing, Shown):
+    """All statements; those here can fail in both ways."""
 
     def equal(
         self,
@@ -270,7 +302,7 @@ class Matchers:
         """Check that no beacon has two of these records: others are shown."""
         numbers = Counter(id(each.heard) for each in found)
         twice = [each for each in found if numbers[id(each.heard)] > 1]
-        return self.none(twice, expected, *requirements, seen=f"{described(twice)} in {_beacons(twice)}")
+        return self.none(twice, expected, *requirements, seen=f"{described(twice)} in {beacons_of(twice)}")
 
     def within(
         self,
@@ -298,8 +330,6 @@ class Matchers:
             frames=frames, shown=shown and given,
         )  # fmt: skip
 
-    # -- the rest ------------------------------------------------------------------------------------------------------
-
     def successive(self, before: ReceivedBeacon, after: ReceivedBeacon, /, *requirements: str, when: str = "") -> bool:
         """Check that the sequence number of a beacon follows that of another; a gap is a failure, not an excuse.
 
@@ -318,78 +348,8 @@ class Matchers:
         """Record a statement that has already been established."""
         self._check(True, expected, "", requirements, frames=frames)
 
-    def missing(self, expected: str, seen: object = NOTHING, /, *requirements: str, patience: float = 1.0) -> NoReturn:
-        """Stop the case because something was not received."""
-        self._check(False, expected, content(seen), requirements, frames=(), patience=patience)
-        raise StopCase
-
-    def wrong(self, expected: str, seen: object, /, *requirements: str, frames: Iterable[Evidence] = ()) -> NoReturn:
-        """Stop the case because received data are wrong."""
-        self._check(False, expected, content(seen), requirements, frames=frames, shown=True)
-        raise StopCase
-
-    def _check(
-        self,
-        holds: object,
-        expected: str,
-        observed: str,
-        requirements: Sequence[str],
-        *,
-        frames: Iterable[Evidence],
-        shown: object = False,
-        patience: float = 1.0,
-        field: Misread | None = None,
-        stop: bool = False,
-    ) -> bool:
-        evidence = [*frames][:_FRAMES]
-        good = self._verdicts.check(
-            holds, expected, observed, *requirements, frames=evidence, shown=shown, patience=patience, field=field
-        )
-        if stop and not good:
-            raise StopCase
-        return good
-
 
 def part_of(found: Iterable[object], whole: Iterable[object]) -> bool:
     """Return whether ``found`` is a subsequence of ``whole``, as after losses."""
     rest = iter(whole)
     return all(any(each == other for other in rest) for each in found)
-
-
-def content(value: object) -> str:
-    """Return a received value for a message: octets in hexadecimal, and the record of an instruction."""
-    if isinstance(value, bytes):
-        return value.hex() if len(value) <= _OCTETS else f"{len(value)} octets, {value[:_OCTETS].hex()}..."
-    if isinstance(value, Instruction):
-        return f"{value.record}"
-    if isinstance(value, ReceivedBeacon):
-        return f"{value.problem or 'a beacon'}"
-    return f"{value}"
-
-
-def described(found: Any) -> str:
-    """Return what was received for a message: numbers of beacons and records of each kind, or the values."""
-    if not isinstance(found, Collection) or isinstance(found, str | bytes | Mapping):
-        return content(found)
-    records = Counter(RECORD_CLASSES[each.kind].__name__ for each in found if isinstance(each, Instruction))
-    beacons = sum(isinstance(each, ReceivedBeacon) for each in found)
-    values = [content(each) for each in found if not isinstance(each, Instruction | ReceivedBeacon)]
-    texts = [_counted(number, name) for name, number in records.items()]
-    texts += [_counted(beacons, "beacon")] * (beacons > 0)
-    texts += values[:_VALUES] + ["..."] * (len(values) > _VALUES)
-    return ", ".join(texts) or "none"
-
-
-def evidence_in(found: Any) -> list[Evidence]:
-    """Return the frames and records among received things."""
-    if not isinstance(found, Iterable):
-        return [found] if isinstance(found, Evidence) else []
-    return [each for each in found if isinstance(each, Evidence)]
-
-
-def _counted(number: int, name: str) -> str:
-    return f"{number} {name}{'s' if number != 1 else ''}"
-
-
-def _beacons(found: Iterable[Instruction]) -> str:
-    return _counted(len({id(each.heard) for each in found}), "beacon")

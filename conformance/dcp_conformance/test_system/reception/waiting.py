@@ -137,17 +137,16 @@ class Repetitions:
     ) -> list[Instruction]:
         """Check that exactly ``count`` distinct beacons since a mark have one record of this kind about a variable.
 
-        Returns the records. More records are a failure even after losses (``shown``), unless tester or implementation
-        were late, so the stimulus must not be repeated during the check. ``absent``: the requirement that decides if
+        Returns the records. More records are a failure even after losses, unless tester or implementation were late, so
+        the stimulus must not be repeated during the check. ``absent``: the requirement that decides if
         there is no record at all, if it is another one.
         """
         found = self._waiting.repeated(kind, var_id, since)
         if absent and not found:
             requirements = (absent,)
-        what = f"beacons with one {kind.label} record of variable {var_id}"
-        matchers = Matchers(self._verdicts)
-        if matchers.one_each(
-            found, f"at most one {kind.label} record of variable {var_id} in each beacon", *requirements
-        ):
-            matchers.repeated(found, count, what, *requirements)
+        what, matchers = f"{kind.label} record of variable {var_id}", Matchers(self._verdicts)
+        if len({id(each.heard) for each in found}) < len(found):
+            matchers.one_each(found, f"at most one {what} in each beacon", *requirements)
+        else:
+            matchers.repeated(found, count, f"beacons with one {what}", *requirements)
         return found
