@@ -6,7 +6,7 @@ import ast
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-#: What cases and the parts of the test system are written in, without the matchers themselves.
+#: Folders of the cases and of the test system, except the matchers themselves.
 FOLDERS = ("suite", "test_steps", "test_system", "passive", "interconnection", "execution", "fuzz")
 MATCHERS = "judgement"
 

@@ -127,7 +127,7 @@ def test_statements_that_stop_the_case(statement: Statement):
     assert parts.verdicts.verdict() is Verdict.FAIL
 
 
-def test_what_is_required_is_returned():
+def test_required_data_are_returned():
     matchers = Matchers(Parts().verdicts)
     assert matchers.required([1], "one") == matchers.present([1], "one") == [1]
 
@@ -164,7 +164,7 @@ def test_records_are_counted_by_kind_and_are_the_evidence():
 
 
 @pytest.mark.parametrize(("after", "verdict"), [(8, Verdict.PASS), (9, Verdict.FAIL)])
-def test_a_gap_in_the_sequence_numbers_is_no_excuse_for_itself(after: int, verdict: Verdict):
+def test_a_gap_does_not_excuse_wrong_sequence_numbers(after: int, verdict: Verdict):
     parts = Parts()
     parts.hear(parts.beacon(7))
     parts.hear(parts.beacon(after))
@@ -172,5 +172,5 @@ def test_a_gap_in_the_sequence_numbers_is_no_excuse_for_itself(after: int, verdi
 
 
 @given(st.lists(st.integers(0, 3)), st.lists(st.booleans(), min_size=20, max_size=20))
-def test_what_losses_leave_is_a_part(whole: list[int], kept: list[bool]):
+def test_losses_leave_a_part(whole: list[int], kept: list[bool]):
     assert part_of([each for each, keep in zip(whole, kept, strict=False) if keep], whole[:20])

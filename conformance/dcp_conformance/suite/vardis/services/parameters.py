@@ -179,7 +179,7 @@ def value_length_and_payload(bench: Bench) -> None:
     with parameters_set(bench, "VD", **{_PAYLOAD: payload}), _kept(bench, _VALUE):
         answer = bench.call(_SET, name=_VALUE, value=bound)
         taken = _in_force(bench, _VALUE) == bound
-        bench.answered(answer.ok, taken, f"status OK for {_VALUE} = {bound}, as it is in force")
+        bench.answered(answer.ok, taken, f"status OK for {_VALUE} = {bound} if and only if it is in force")
         # The longest value with which a VarCreate with the longest description fits.
         fits = bench.sut.parameter(_VALUE) + 8
         if taken:
