@@ -148,7 +148,7 @@ def _say_cell(result: CellResult, before: str = "") -> None:
 
 
 def _finish(matrix: MatrixResult, report_dir: Path | None) -> int:
-    from dcp_conformance.interop.reports import write_reports
+    from dcp_conformance.interop.reporting import write_reports
     from dcp_conformance.interop.results import INTERRUPTED as EARLY
     from dcp_conformance.model.outcome import INTERRUPTED, TESTER_ERROR
 

@@ -260,14 +260,7 @@ class BPClient:
 
     def check_silent(self, after: int) -> None:
         """Check that no beacon since a time (ns) has a payload of this client."""
-        frames = self.frames(after=after)
-        self.bench.check(
-            not frames,
-            "no beacon with a payload of the client",
-            f"{len(frames)} beacons with its payloads",
-            frames=frames[:8],
-            shown=True,
-        )
+        self.bench.none(self.frames(after=after), "no beacon with a payload of the client")
 
     def until_sent(self, payload: bytes | None = None, periods: float | None = None) -> ReceivedBeacon | None:
         """Wait for a beacon with this payload, or with any of this client."""
@@ -292,9 +285,8 @@ class BPClient:
 
 def registered(bench: Bench) -> dict[int, dict[str, Any]]:
     """Return the entries of BP-ListRegisteredProtocols by protocol identifier."""
-    found = bench.must(LIST).result.get("protocols")
-    if not isinstance(found, list):
-        bench.fail(f"a list in the answer to {LIST}", f"protocols: {found!r}", shown=True)
+    told = bench.must(LIST).result.get("protocols")
+    found = bench.present(told if isinstance(told, list) else None, f"a list in the answer to {LIST}", seen=told)
     return {each["protocolId"]: each for each in found if isinstance(each, dict) and "protocolId" in each}
 
 

@@ -30,8 +30,7 @@ def longest(bench: Bench) -> tuple[bytes, bytes]:
     value = min(bench.sut.bound("VARDISPAR_MAX_VALUE_LENGTH"), 200)
     description = min(bench.sut.bound("VARDISPAR_MAX_DESCRIPTION_LENGTH"), 200)
     # The parameter of 1.0 counts the NUL after the text.
-    nul = bench.features.string_format == "nul-terminated"
-    return b"v" * max(1, value), b"d" * max(1, description - nul)
+    return b"v" * max(1, value), b"d" * max(1, description - (bench.features.string_format == "nul-terminated"))
 
 
 def undisturbed(bench: Bench, kind: ICType, attempt: Callable[[], list[ReceivedBeacon]]) -> list[ReceivedBeacon]:

@@ -116,8 +116,7 @@ class Reporter:
 
         Stops as inconclusive if an application replaces them each time.
         """
-        values = self.submit()
-        return self.awaited(values, *requirements, what=what)
+        return self.awaited(self.submit(), *requirements, what=what)
 
     def awaited(
         self,
@@ -145,8 +144,7 @@ class Reporter:
         if heard is None or heard.report is None:
             return None
         found = reported_safety_data(self.bench, heard.report)
-        index = len(self._handed) - 1 - self._handed[::-1].index(found)
-        moment, count = self._moments[index]
+        moment, count = self._moments[(len(self._handed) - 1 - self._handed[::-1].index(found))]
         return Sent(heard, heard.report, found, moment, count)
 
     def lost(self, what: str, *requirements: str) -> NoReturn:
@@ -156,8 +154,9 @@ class Reporter:
         known = self.bench.session.foreign_reports
         since = self.bench.heard[self._begun :]
         mixed = [each for each in since if each.report and known.is_own(each.report) and not self.is_own(each)]
-        text = f"; {len(mixed)} with the values of submitted data in other fields" if mixed else ""
-        self.bench.fail(what, f"none in time{text}", *requirements, frames=mixed[:4], shown=mixed)
+        if mixed:
+            self.bench.wrong(what, "values of submitted data in other fields", *requirements, frames=mixed[:4])
+        self.bench.missing(what, "none in time", *requirements)
 
     def _insist(self, since: int) -> ReceivedBeacon | None:
         """Submit safety data repeatedly until a beacon is sent before an application replaces them."""
@@ -183,12 +182,10 @@ class Reporter:
         grown = (last.report.seqno - first.report.seqno) % SRP_SEQNO_MODULUS
         count = last.submissions - first.submissions
         exact = grown == count or not self.application()
-        right = grown == count if exact else count <= grown < 1 << 16
-        return self.bench.check(
-            right,
+        return self.bench.proved(
+            grown == count if exact else count <= grown < 1 << 16,
             f"a sequence number increased by {'' if exact else 'at least '}{count}",
             f"from {first.report.seqno} to {last.report.seqno}",
             *requirements,
             frames=[first.heard, last.heard],
-            shown=True,
         )

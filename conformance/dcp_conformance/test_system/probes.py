@@ -14,6 +14,7 @@ from dcp_conformance.frames.builder import FrameBuilder
 from dcp_conformance.frames.received import ReceivedBeacon
 
 from .identifiers.allocation import Identifiers
+from .judgement.matchers import Matchers
 from .judgement.verdicts import Verdicts
 from .known import Question, RunFindings
 from .reception.receiver import Receiver
@@ -86,8 +87,8 @@ class Probes:
 
     def require_alive(self, after: str, *requirements: str) -> None:
         """Fail and stop the case unless VarDis still answers."""
-        alive = self.probe() or self.probe()
-        self._verdicts.require(alive, f"VarDis still answers after {after}", "no answer to two probes", *requirements)
+        alive, what = self.probe() or self.probe(), f"VarDis still answers after {after}"
+        Matchers(self._verdicts).required(alive, what, *requirements, seen="no answer to two probes")
 
 
 class Teaching:

@@ -296,8 +296,8 @@ def test_a_violation_in_received_octets_fails_despite_missing_answers():
     def both(bench: Any) -> None:
         peer = bench.peer()
         peer.send(peer.summary(bench.unknown_id(), 1))
-        bench.check(False, "an answer", "none", "BP-RX-07")
-        bench.check(False, "a right octet", "a wrong one", "BP-HDR-01", shown=True)
+        bench.verdicts.check(False, "an answer", "none", "BP-RX-07")
+        bench.verdicts.check(False, "a right octet", "a wrong one", "BP-HDR-01", shown=True)
 
     result = runner.run(dataclasses.replace(known_cases()["TC_BP_RX_BV_01-2"], run=both))
     assert [each.verdict for each in result.checks][:2] == [Verdict.INCONCLUSIVE, Verdict.FAIL]

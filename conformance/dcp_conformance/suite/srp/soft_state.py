@@ -35,14 +35,16 @@ def _lifetime(
         after = bench.now() - begun
         for node_id in sorted(there - table):
             there.discard(node_id)
-            bench.check(
+            bench.some(
                 after >= timeout,
                 f"an entry remains for {timeout / 1e6:.0f} ms after the reception of its record",
-                f"{node_id.hex(':')} was removed after {after / 1e6:.0f} ms",
+                seen=f"{node_id.hex(':')} was removed after {after / 1e6:.0f} ms",
             )
         if there and before > latest:
             observed = f"{min(there).hex(':')} is still there after {before / 1e6:.0f} ms"
-            bench.fail(f"an entry is removed within {latest / 1e6:.0f} ms after the reception of its record", observed)
+            bench.missing(
+                f"an entry is removed within {latest / 1e6:.0f} ms after the reception of its record", observed
+            )
         if there:
             bench.waiting.wait_ns(step)
 
@@ -124,7 +126,7 @@ def refreshed(bench: Bench) -> None:
             bench.waiting.wait_ns(length * MS // 2)
             there = neighbour(bench, peer.node_id) is not None
             if not there and bench.now() - begun < length * MS:
-                bench.fail("the entry remains while records arrive", f"removed after record {number + 1}")
+                bench.missing("the entry remains while records arrive", f"removed after record {number + 1}")
         peer.send(bench.records.report(peer.node_id, 5))
         begun = bench.now()
         _lifetime(bench, [peer], begun, length * MS)
@@ -164,13 +166,7 @@ def silent_among_others(bench: Bench) -> None:
     window=45,
     needs=Needs(
         since=SpecVersion.V1_2,
-        ut=(
-            "SRP-NeighbourTable",
-            "BP-MGMT-Activate",
-            "BP-MGMT-Deactivate",
-            "VD-MGMT-Activate",
-            "VD-MGMT-Deactivate",
-        ),
+        ut=("SRP-NeighbourTable", "BP-MGMT-Activate", "BP-MGMT-Deactivate", "VD-MGMT-Activate", "VD-MGMT-Deactivate"),
         entities=("srp", "vardis"),
     ),
 )
@@ -213,11 +209,11 @@ def answers(bench: Bench) -> None:
 def default_timeout(bench: Bench) -> None:
     answer = bench.call("SRP-GetParameters")
     bench.services.require_asked(answer, "an answer to SRP-GetParameters")
-    bench.require(answer.ok, "a positive answer to SRP-GetParameters", str(answer))
+    bench.required(answer.ok, "a positive answer to SRP-GetParameters", seen=answer)
     value = answer.result.get("parameters", {}).get(_TIMEOUT)
-    bench.check(value is not None, f"{_TIMEOUT} in ms, in the answer", "no such parameter", "SRP-PAR-01", shown=True)
+    bench.proved(value is not None, f"{_TIMEOUT} in ms, in the answer", "no such parameter", "SRP-PAR-01")
     if value == 3000:
-        bench.check(True, f"{_TIMEOUT} is 3000 ms", "", "SRP-PAR-03")
+        bench.passed(f"{_TIMEOUT} is 3000 ms", "SRP-PAR-03")
     elif value is not None:
         bench.info(f"Is the default {_TIMEOUT} 3000 ms?", f"unknown: it is {value} ms", "SRP-PAR-03")
 
@@ -245,6 +241,6 @@ def refused_timeout(bench: Bench) -> None:
                 before = value
                 continue
             after = bench.must("SRP-GetParameters").result.get("parameters", {}).get(_TIMEOUT)
-            bench.check(after == before, f"{_TIMEOUT} {before}, as before", f"{after}", shown=True)
+            bench.answered(after, before, f"{_TIMEOUT}, as before")
     finally:
         bench.call("SRP-SetParameter", name=_TIMEOUT, value=configured)

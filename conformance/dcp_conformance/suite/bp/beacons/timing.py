@@ -135,11 +135,11 @@ def check_mean(bench: Bench, found: Estimate | None, period: float, *requirement
         # An implementation on this machine has to wait for the processor in many periods.
         bench.inconclusive(expected, f"{found}; but {why}", *requirements, overload=why)
     if low > period + tolerance or high < period - tolerance:
-        bench.check(False, expected, str(found), *requirements)
+        bench.some(False, expected, *requirements, seen=found)
     elif low < period - tolerance or high > period + tolerance:
         bench.inconclusive(expected, f"{found}: too few beacons for their variance", *requirements)
     else:
-        bench.check(True, f"{expected}; measured: {found}", "", *requirements)
+        bench.passed(f"{expected}; measured: {found}", *requirements)
 
 
 @case(
@@ -165,7 +165,7 @@ def mean_period(bench: Bench) -> None:
         observed = f"{least:.1f} ms to {most:.1f} ms, standard deviation {spread:.1%} of the mean"
         bench.info("How much do the intervals between beacons vary?", observed, "BP-TX-02")
         if bench.sut.pics.jitter:
-            bench.check(spread > 0.002, "intervals that vary, as the PICS claims", observed, "BP-TX-02")
+            bench.some(spread > 0.002, "intervals that vary, as the PICS claims", "BP-TX-02", seen=observed)
     check_mean(bench, found, period, "BP-TX-01", sure=bool(clients))
 
 
@@ -244,11 +244,10 @@ def epoch_of_next_beacon(bench: Bench) -> None:
             client.until_sent()
         frames = client.frames()
         wait_for_notifications(bench)
-        told = indications(bench, TRANSMITTED, client.prot_id)
-        bench.require(told, "indications", "none in time", "BP-PTI-01")
+        told = bench.required(indications(bench, TRANSMITTED, client.prot_id), "indications", "BP-PTI-01")
         epochs = [each.params.get("nextBeaconGenerationEpoch") for each in told]
         numbers = [each - offset for each in epochs if isinstance(each, int)]
-        bench.require(len(numbers) == len(epochs), "an epoch in each indication", f"{epochs[:3]}", shown=True)
+        bench.answered(len(numbers), len(epochs), "indications with an epoch", stop=True)
         # The next beacon, of whichever client.
         following = [bench.heard[place + 1 :][:1] for place in map(bench.heard.index, frames)]
         pairs = [(number, each[0].wall) for number, each in zip(numbers, following, strict=False) if each]
@@ -267,8 +266,11 @@ def epoch_of_next_beacon(bench: Bench) -> None:
                     "the offset of the implementation's clock",
                     f"it is known with an uncertainty of {uncertainty / MS:.1f} ms, as long as half a call; {observed}",
                 )
-        bench.check(
-            abs(middle) < limit, f"a median epoch within {limit:g} ms of the next beacon", observed, frames=frames[:8]
+        bench.some(
+            abs(middle) < limit,
+            f"a median epoch within {limit:g} ms of the next beacon",
+            seen=observed,
+            frames=frames[:8],
         )
         bench.info("How precise is nextBeaconGenerationEpoch?", observed)
 
@@ -327,7 +329,9 @@ def _check_beyond_an_octet(bench: Bench, frames: Sequence[ReceivedBeacon]) -> No
         bench.inconclusive("258 decodable beacons", f"{len(numbers)}")
     back = [after for before, after in itertools.pairwise(frames) if (after.seqno or 0) < (before.seqno or 0)]
     observed = f"a maximum of {max(numbers)} in {len(numbers)} beacons"
-    bench.check(max(numbers) > 255 and not back, "sequence numbers that increase beyond 255", observed, frames=back[:2])
+    bench.some(
+        max(numbers) > 255 and not back, "sequence numbers that increase beyond 255", seen=observed, frames=back[:2]
+    )
 
 
 @case(

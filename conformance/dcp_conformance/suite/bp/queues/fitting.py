@@ -22,7 +22,6 @@ from dcp_conformance.test_steps.bp_clients import (
     areas_of_fixed_size,
     block_header_octets,
     header_octets,
-    listed,
     needed,
     queue_mode,
     room,
@@ -111,28 +110,14 @@ def fitting(bench: Bench, octets: int, *, together: bool) -> None:
             bench.until(lambda _: one.frames(start) and two.frames(start), 2 * bench.sut.reaction)
             if not disturbed():
                 break
-        sent = [*one.sent(start), *two.sent(start)]
-        bench.check(
-            sorted(sent) == sorted(payloads),
-            "both payloads, each sent once",
-            listed(sent, payloads),
-            "BP-TX-04",
-            shown=len(sent) > len(payloads),
-        )
+        bench.only([*one.sent(start), *two.sent(start)], payloads, "both payloads, each sent once", "BP-TX-04")
         shared = [heard for heard in one.frames(start) if two.in_frame(heard)]
         if together:
             bench.info("Do payloads share a beacon that just has room for them?", "yes" if shared else "no", "BP-TX-03")
         elif shared and octets - room(bench) <= header_octets(bench):
             bench.reading("X04", "blocks-only")
         else:
-            bench.check(
-                not shared,
-                "the payloads in different beacons",
-                "both payloads in one beacon",
-                "BP-TX-04",
-                frames=shared,
-                shown=True,
-            )
+            bench.none(shared, "the payloads in different beacons", "BP-TX-04")
         check_sizes(bench, start)
         if disturbed() and bench.verdicts.all_hold():
             bench.inconclusive(
@@ -145,9 +130,12 @@ def check_sizes(bench: Bench, since: int) -> None:
     """Check that no beacon exceeds the maximum size; X04 leaves open whether the header counts."""
     limit = bench.sut.bound("BPPAR_MAXIMUM_PACKET_SIZE")
     margin = header_octets(bench) if bench.verdicts.readings.get("X04") == "blocks-only" else 0
-    large = [heard for heard in bench.heard[since:] if len(heard.octets) > limit + margin]
-    found = f"a beacon of {max(len(heard.octets) for heard in large)} octets" if large else ""
-    bench.check(not large, f"no beacon of more than {limit} octets", found, "BP-FMT-02", frames=large, shown=True)
+    bench.every(
+        bench.heard[since:],
+        lambda heard: len(heard.octets) <= limit + margin,
+        f"no beacon of more than {limit} octets",
+        "BP-FMT-02",
+    )
 
 
 @case(
@@ -187,25 +175,12 @@ def head_of_line(bench: Bench) -> None:
         bench.until(lambda heard: tail in client.in_frame(heard), 8)
         sent = client.sent(start)
         overtaken = tail in sent and (head not in sent or sent.index(tail) < sent.index(head))
-        bench.check(
-            not overtaken,
-            "the small payload is sent after the large one",
-            "the small payload is sent first",
-            "BP-TX-06",
-            frames=client.frames(start),
-            shown=head in sent,
-        )
+        what, frames = "the small payload is sent after the large one", client.frames(start)
+        bench.none(overtaken, what, "BP-TX-06", seen="sent first", frames=frames, given=head in sent)
         shared = [
             heard for heard in client.frames(start) if head in client.in_frame(heard) and constant.in_frame(heard)
         ]
-        bench.check(
-            not shared,
-            "the large payload and the repeated one in different beacons",
-            "both in one beacon",
-            "BP-TX-04",
-            frames=shared,
-            shown=True,
-        )
+        bench.none(shared, "the large payload and the repeated one in different beacons", "BP-TX-04")
         if head not in sent:
             bench.info(
                 "Can a payload that always fits delay a larger one indefinitely?",
@@ -237,23 +212,15 @@ def several_clients(bench: Bench) -> None:
             bench.call(DEREGISTER, protId=clients[1].prot_id)
             bench.until(lambda _: all(client.frames(start) for client in clients), 2 * bench.sut.reaction)
         for client, payload in zip(clients, payloads, strict=True):
-            sent = set(client.sent(start))
-            bench.check(
-                sent == {payload},
-                "the payload as submitted, and no other",
-                f"{sorted(sent)!r}",
-                "BP-FMT-01",
-                shown=sent - {payload},
-            )
+            bench.only(set(client.sent(start)), {payload}, "the payload as submitted, and no other", "BP-FMT-01")
         first = next(
             (heard for heard in bench.heard[start:] if any(client.in_frame(heard) for client in clients)), None
         )
         if first is not None:
             ids = [client.prot_id for client in clients]
-            order = [ids.index(prot_id) + 1 for prot_id, _ in first.blocks if prot_id in ids]
             bench.info(
                 "Which of four clients does the first beacon serve, and in which order?",
-                ", ".join(map(str, order)),
+                ", ".join(map(str, [ids.index(prot_id) + 1 for prot_id, _ in first.blocks if prot_id in ids])),
                 "BP-TX-03",
             )
 
@@ -281,7 +248,7 @@ def most_blocks(bench: Bench) -> None:
             registered = clients.index(client)
             declared = bench.sut.capacity("clients") or 0
             what = f"registrations of {declared} clients, as declared"
-            bench.check(registered >= declared, what, f"{registered}, then {answer}", "BP-REG-01", shown=True)
+            bench.proved(registered >= declared, what, f"{registered}, then {answer}", "BP-REG-01")
             bench.info("How many clients can register?", f"{registered}")
             return
     start = 0
@@ -302,8 +269,9 @@ def most_blocks(bench: Bench) -> None:
     # One block in each beacon is also allowed (BP-TX-03).
     frames = bench.until_quiet(ours, 2 * len(ids), start)
     seen = {prot_id for heard in frames for prot_id in ours(heard)}
-    large = [heard for heard in bench.heard[start:] if len(heard.blocks) > BP_MAX_PAYLOADS]
-    observed = f"{len(large[0].blocks)} blocks in one beacon" if large else ""
-    bench.check(not large, f"beacons of at most {BP_MAX_PAYLOADS} blocks", observed, frames=large, shown=True)
-    lost = len(ids - seen)
-    bench.check(not lost, "all 260 payloads are sent", f"{lost} are missing")
+    bench.every(
+        bench.heard[start:],
+        lambda heard: len(heard.blocks) <= BP_MAX_PAYLOADS,
+        f"beacons of at most {BP_MAX_PAYLOADS} blocks",
+    )
+    bench.complete(ids - seen, "all 260 payloads are sent")

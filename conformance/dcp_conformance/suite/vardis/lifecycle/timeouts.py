@@ -59,12 +59,11 @@ def kept_by_updates(bench: Bench) -> None:
         bench.waiting.wait_ns(timeout_ms * MS // 3)
     early = _early(bench, name, since, timeout_ms)
     _check_in_time(bench, slowest, timeout_ms, early)
-    bench.check(
+    bench.some(
         not early,
         "no VarDelete of a variable that is updated in time",
-        f"{len(early)} VarDeletes",
-        "VD-SCR-03",
-        "VD-SCR-06",
+        "VD-SCR-03 VD-SCR-06",
+        seen=f"{len(early)} VarDeletes",
     )
     if early:
         return
@@ -73,7 +72,7 @@ def kept_by_updates(bench: Bench) -> None:
         not_by_consumers(bench, name)
         return
     last_one = any(each.record.seqno == number for each in bench.instructions(ICType.UPDATES, name))
-    check_time(bench, found, since, timeout_ms, "VD-SCR-01", "VD-SCR-06", received=last_one)
+    check_time(bench, found, since, timeout_ms, "VD-SCR-01 VD-SCR-06", received=last_one)
 
 
 @case(
@@ -110,23 +109,19 @@ def kept_by_the_application(bench: Bench) -> None:
         bench.waiting.wait_ns(timeout_ms * MS // 3)
     early = _early(bench, name, since, timeout_ms)
     _check_in_time(bench, slowest, timeout_ms, early)
-    bench.check(
-        not early,
-        "no VarDelete of a variable that is updated in time",
-        f"{len(early)} VarDeletes",
-        frames=early[:2],
-        shown=True,
-    )
+    bench.none(early, "no VarDelete of a variable that is updated in time")
     if early:
         return
     if refused is not None:
         bench.inconclusive("RTDB-Update succeeds, which this case needs", str(refused))
-    found = deleted(bench, name, since, timeout_ms)
-    if found is None:
-        bench.fail("a VarDelete after the last update", f"none in {latest(bench, timeout_ms) / MS:.0f} ms")
+    found = bench.required(
+        deleted(bench, name, since, timeout_ms),
+        "a VarDelete after the last update",
+        seen=f"none in {latest(bench, timeout_ms) / MS:.0f} ms",
+    )
     took = found.heard.time - since.before
     what = f"the VarDelete at least {timeout_ms} ms after the last update"
-    bench.check(took >= (timeout_ms - 2) * MS, what, f"{took / MS:.0f} ms", frames=[found], shown=True)
+    bench.proved(took >= (timeout_ms - 2) * MS, what, f"{took / MS:.0f} ms", frames=[found])
 
 
 def _early(bench: Bench, name: int, since: Change, timeout_ms: int) -> list[Instruction]:
@@ -182,7 +177,7 @@ def not_kept(bench: Bench, act: Callable[[Peer, int], None]) -> None:
         # If only producers scrub (X26), this cannot be tested.
         not_by_consumers(bench, name)
         return
-    bench.require(found, "a VarDelete of the variable, as of the one without further records", "none in time")
+    bench.required(found, "a VarDelete of the variable, as of the one without further records")
     check_time(bench, found[0], since, timeout_ms)
 
 
@@ -211,9 +206,12 @@ def created_again(bench: Bench) -> None:
     long = 3 * short
     second = learn(bench, peer, name, long)
     left = second.after + latest(bench, long) - bench.now()
-    found = bench.until_instruction(_DELETE, name, left / bench.period)
-    bench.require(found, "a VarDelete after the second creation", "none in time", "VD-SCR-05")
-    check_time(bench, bench.instructions(_DELETE, name, mark)[0], second, long, "VD-SCR-03", "VD-SCR-01")
+    bench.required(
+        bench.until_instruction(_DELETE, name, left / bench.period),
+        "a VarDelete after the second creation",
+        "VD-SCR-05",
+    )
+    check_time(bench, bench.instructions(_DELETE, name, mark)[0], second, long, "VD-SCR-03 VD-SCR-01")
 
 
 def _own(bench: Bench, name: int, timeout_ms: int) -> Change:
@@ -235,10 +233,7 @@ _LONGEST = 65_535
     expect="the VarDelete 65,535 ms later, or at most one scrubbing period after that",
     window=700,
     needs=_WIRE,
-    variants={
-        "received": _foreign,
-        "own": Variant(_own, needs=Needs(since=SpecVersion.V2_0, ut=("RTDB-Create",))),
-    },
+    variants={"received": _foreign, "own": Variant(_own, needs=Needs(since=SpecVersion.V2_0, ut=("RTDB-Create",)))},
     long=True,
 )
 def longest_timeout(bench: Bench, make: Callable[[Bench, int, int], Change]) -> None:
@@ -249,6 +244,6 @@ def longest_timeout(bench: Bench, make: Callable[[Bench, int, int], Change]) -> 
     if found is None and make is _foreign:
         not_by_consumers(bench, name)
         return
-    bench.require(found is not None, "a VarDelete of the variable", "none in time")
+    bench.required(found, "a VarDelete of the variable")
     assert found is not None
     check_time(bench, found, since, _LONGEST)

@@ -14,7 +14,7 @@ from dcp_spec.constants import BP_PROTID_VARDIS, ICType
 from dcp_conformance.frames.builder import Block
 from dcp_conformance.model.case import Variant, case
 from dcp_conformance.test_steps.services import teach_variable
-from dcp_conformance.test_steps.variable_queries import ask, own_id
+from dcp_conformance.test_steps.variable_queries import ask, check_state, own_id
 from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.test_system.sending.peers import Peer
 
@@ -132,12 +132,9 @@ def bad_container(bench: Bench, what: tuple[_Bad, str]) -> None:
     kept = ", ".join(where for where, done in seen.items() if done) or "nothing"
     requirement = bench.case.requirements[0]
     bench.info("Which containers of a payload with this error are processed?", kept, requirement)
-    policies = {
-        (True, False): "keep-prefix",
-        (False, False): "drop-payload",
-        (True, True): "skip-container",
-    }
-    policy = policies.get((processed(first), processed(last)))
+    policy = {(True, False): "keep-prefix", (False, False): "drop-payload", (True, True): "skip-container"}.get(
+        (processed(first), processed(last))
+    )
     consistent = processed(before) == processed(first) and processed(behind) == processed(last)
     if policy is not None and consistent and name not in _UNCLEAR:
         # A container can only be skipped where its end can be found, for certain where it has no records.
@@ -162,12 +159,8 @@ def _works(bench: Bench) -> None:
             came = bench.until_instruction(kind, var_id)
             if came is not None:
                 break
-        bench.require(
-            came == record,
-            f"a {kind.label} record is forwarded unchanged after the error",
-            f"{came}",
-            "VD-ROB-01",
-            shown=came is not None,
+        bench.equal(
+            came, record, f"the {kind.label} record after the error, forwarded unchanged", "VD-ROB-01", stop=True
         )
 
 
@@ -217,14 +210,7 @@ def cut_off(bench: Bench) -> None:
         bench.reading("X34", "keep-prefix", "skip-container")
     else:
         bench.reading("X34", "drop-payload")
-    held = ask(bench, created)
-    bench.check(
-        held.state == "unknown",
-        "no entry of a variable with missing octets",
-        str(held),
-        "VD-ROB-01",
-        shown=held.shown,
-    )
+    check_state(bench, ask(bench, created), "unknown", "state of a variable with missing octets", "VD-ROB-01")
     _works(bench)
 
 
