@@ -83,6 +83,8 @@ def _judge_answers(bench: Bench, contact: Contact) -> None:
         bench.inconclusive(what, f"{contact.odd} instead; {observed}")
     if contact.violations or not contact.beacons:
         bench.inconclusive(what, observed)
+    if contact.loses_last:
+        bench.missing(what, observed, "BP-RX-07", patience=PERIODS / 2)
     # Each stimulus was repeated, and has the same effect at any time: a small lateness explains no missing answer.
     if contact.answered & {"create", "request"}:
         bench.missing(what, observed, "VD-PS-01", patience=PERIODS / 2)

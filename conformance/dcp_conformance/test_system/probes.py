@@ -50,7 +50,11 @@ class Probes:
         The stimulus is a summary of an unknown variable, unless the implementation did not answer summaries at the
         start of the run: then it is a kind that it answered. ``periods``: see :meth:`.Waiting.until`.
         """
-        return self.ask(self._run.known.question, periods)
+        question, identifiers = self._run.known.question, self._identifiers
+        if question == "summary" and identifiers.created and not identifiers.has_unknown_ids():
+            # A full database requests no further variable (X43).
+            question = "request"
+        return self.ask(question, periods)
 
     def ask(self, kind: Question, periods: float | None = None) -> bool:
         """Send a stimulus of this kind to VarDis, and return whether the answer comes in time.

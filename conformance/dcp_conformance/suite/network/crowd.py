@@ -8,7 +8,7 @@ from dcp_spec.constants import ICType
 
 from dcp_codec.values import VardisRecord
 from dcp_conformance.frames.received import Instruction
-from dcp_conformance.model.case import Needs, case
+from dcp_conformance.model.case import FILLS, Needs, case
 from dcp_conformance.suite.vardis.composition.summaries import summarises
 from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.test_system.sending.peers import Peer
@@ -30,10 +30,11 @@ _FEW = 4
     "TC_NET_CROWD_BV_01",
     "Ninety variables of thirty neighbours are all forwarded and summarised",
     requirements="VD-PC-09 VD-CMP-03 VD-SCP-02",
+    alone=FILLS,
     stimulus="30 peers create three variables each, and summarise them, within one beacon period",
     expect="each of the 90 VarCreates in exactly one beacon; each variable in the summaries eventually",
     window=30,
-    needs=Needs(when=lambda bench: bench.sut.lacks_room(90) or None),
+    needs=Needs(when=lambda bench: bench.sut.lacks("variables", 90) or None),
 )
 def many_variables(bench: Bench) -> None:
     peers = [bench.peer() for _ in range(30)]
@@ -89,6 +90,7 @@ def many_variables(bench: Bench) -> None:
     "TC_NET_CROWD_BV_02",
     "The updates of thirty neighbours in every beacon period are forwarded",
     requirements="VD-PU-07 VD-SCP-02",
+    alone=FILLS,
     stimulus="30 peers send a VarUpdate of one variable each in each of five beacon periods",
     expect="the last VarUpdate of each variable is forwarded; sequence numbers do not decrease",
     window=40,

@@ -7,7 +7,7 @@ from typing import Any
 from dcp_spec.constants import BP_PROTID_SRP
 
 from dcp_conformance.errors import NoAnswerError
-from dcp_conformance.model.case import Needs, case
+from dcp_conformance.model.case import REPLACES, Needs, case
 from dcp_conformance.test_steps.services import (
     NO_RESPONSE,
     check_registered_name,
@@ -168,6 +168,7 @@ def bring_back(bench: Bench) -> None:
     "TC_SRP_SRV_BO_01",
     "SRP rejects requests while it is not registered with BP",
     requirements="SRP-SRV-01",
+    alone=REPLACES,
     stimulus="BP-DeregisterProtocol for protocol 1, then SRP-UpdateSafetyData",
     expect="SRP-STATUS-INACTIVE, or no response (X10); no state report in the beacons",
     window=6,

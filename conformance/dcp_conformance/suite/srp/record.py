@@ -98,7 +98,7 @@ def values_arrive(bench: Bench) -> None:
     bench.expect_status("SRP-STATUS-OK", "SRP-UpdateSafetyData", "SRP-SRV-02 SRP-SRV-03", sData=values)
     reporter.noted(values, Moment(before, bench.lower.wall()))
     if (first := reporter.find(values)) is None:
-        others = [] if reporter.application() else _reports(bench, start)
+        others = [each for each in _reports(bench, start) if not reporter.foreign(each)]
         if not others:
             reporter.lost("a beacon with the safety data", "SRP-TYP-03 SRP-SRV-03")
         # Without silence it may belong to an earlier submission, and the record of this one was lost.

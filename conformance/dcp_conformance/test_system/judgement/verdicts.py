@@ -114,7 +114,8 @@ class Verdicts:
         ``overload``: why the machine of the tester is the reason. For this reason, and after losses and delays of the
         tester, the case is executed again.
         """
-        disturbance = overload or self._excuses.only_disturbance() or self._excuses.losses.held_up()
+        losses = self._excuses.losses
+        disturbance = overload or self._excuses.only_disturbance() or losses.held_up() or losses.declared
         if assumed := self._excuses.assumptions.text_of_all():
             observed, disturbance = f"{observed}; {assumed}", ""
         self._add(Verdict.INCONCLUSIVE, expected, observed, requirements, (), disturbance=disturbance)
@@ -157,11 +158,12 @@ class Verdicts:
 
     @property
     def may_be_late(self) -> str:
-        """Why all failures of this case may follow from delays; empty if one is proved, or there was none.
+        """Why all failures of this case may follow from delays or losses; empty if one is proved, or there was none.
 
         A frame that other data have overtaken can be received after the check that it would have changed.
         """
-        return self._excuses.losses.overtaken() or ("" if self._proved else self._excuses.losses.lateness())
+        losses = self._excuses.losses
+        return losses.overtaken() or ("" if self._proved else losses.declared or losses.lateness())
 
     @property
     def in_time(self) -> bool:

@@ -13,7 +13,7 @@ from dcp_spec.constants import BP_MAGIC_NO, BP_PROTID_SRP, BP_PROTID_VARDIS, BP_
 
 from dcp_conformance.frames.header_rules import judge
 from dcp_conformance.frames.received import ReceivedBeacon
-from dcp_conformance.model.case import Needs, case
+from dcp_conformance.model.case import FILLS, LISTENS, Needs, case
 from dcp_conformance.test_steps.bp_clients import (
     CLIENT,
     LIST,
@@ -24,6 +24,7 @@ from dcp_conformance.test_steps.bp_clients import (
     header_octets,
     largest_payload,
     registered,
+    room,
     some_beacons,
     talking,
 )
@@ -137,6 +138,7 @@ def _registered(bench: Bench) -> set[int] | None:
     "TC_BP_HDR_BV_02",
     "The fields of both headers have the order of the specification",
     requirements="BP-HDR-10",
+    alone=LISTENS,
     stimulus="payloads to send in every period",
     expect="plausible magicNo, senderId, numPayloads and block protocolIds at their offsets",
     window=8,
@@ -313,6 +315,7 @@ def number_of_blocks(bench: Bench) -> None:
     "TC_BP_FMT_BV_01",
     "No beacon is larger than BPPAR_MAXIMUM_PACKET_SIZE",
     requirements="BP-FMT-02",
+    alone=FILLS,
     stimulus="three clients submit the largest allowed payloads; VarDis has payloads to send at first, and later none",
     expect="no larger beacon; all payloads are sent, at the latest when no other block competes with them",
     window=20,
@@ -322,7 +325,7 @@ def number_of_blocks(bench: Bench) -> None:
 )
 def largest_beacons(bench: Bench) -> None:
     limit = bench.sut.bound("BPPAR_MAXIMUM_PACKET_SIZE")
-    size = min(largest_payload(bench), limit - header_octets(bench) - block_header_octets(bench))
+    size = min(largest_payload(bench), room(bench) - block_header_octets(bench))
     with (
         BPClient(bench, ONCE, size=size) as one,
         BPClient(bench, ONCE, size=size) as two,
@@ -371,6 +374,7 @@ def _check_all_sent(bench: Bench, clients: Sequence[BPClient]) -> None:
     "TC_BP_FMT_BV_02",
     "No beacon is sent without a payload",
     requirements="BP-FMT-03",
+    alone=LISTENS,
     stimulus="none for six periods",
     expect="no beacon without blocks; no beacon at all if all buffers are known to be empty",
     window=6,

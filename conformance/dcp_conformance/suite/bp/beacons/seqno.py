@@ -9,7 +9,7 @@ import itertools
 from collections.abc import Sequence
 
 from dcp_conformance.frames.received import ReceivedBeacon
-from dcp_conformance.model.case import Needs, case
+from dcp_conformance.model.case import LISTENS, Needs, case
 from dcp_conformance.test_steps.bp_clients import needed, some_beacons, talking
 from dcp_conformance.test_system.bench import Bench
 
@@ -101,6 +101,7 @@ def numbers_after_restart(bench: Bench) -> None:
     "TC_BP_HDR_BV_09",
     "No sequence number is used while there is nothing to send",
     requirements="BP-HDR-09",
+    alone=LISTENS,
     stimulus="a stimulus for a beacon, six periods without any, another stimulus",
     expect="consecutive sequence numbers before and after the pause",
     window=12,

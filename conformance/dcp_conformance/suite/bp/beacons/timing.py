@@ -16,7 +16,7 @@ from dcp_spec.constants import BP_SEQNO_MODULUS
 
 from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.lower_tester import OnThisMachine
-from dcp_conformance.model.case import Needs, case
+from dcp_conformance.model.case import LISTENS, Needs, case
 from dcp_conformance.suite.bp.services.indications import no_indication
 from dcp_conformance.test_steps.bp_clients import (
     CLIENT,
@@ -75,7 +75,21 @@ def estimate(frames: Sequence[ReceivedBeacon]) -> Estimate:
         beacons += count
         intervals.append((after.time - before.time) / count)
     mean = (frames[-1].time - frames[0].time) / beacons
-    return Estimate(mean, QUANTILE * statistics.stdev(intervals) / math.sqrt(len(intervals)), intervals)
+    return Estimate(mean, QUANTILE * math.sqrt(_variance_of_sum(intervals)) / len(intervals), intervals)
+
+
+def _variance_of_sum(intervals: Sequence[float]) -> float:
+    """Return the variance of the sum of intervals, from that of one and the covariance of neighbours.
+
+    If each beacon varies around a point of a strict grid, a long interval precedes a short one, and the sum hardly
+    varies. Only a significant covariance counts, because the others are results of chance.
+    """
+    count, variance = len(intervals), statistics.variance(intervals)
+    mean = statistics.fmean(intervals)
+    covariance = sum((one - mean) * (two - mean) for one, two in itertools.pairwise(intervals)) / (count - 1)
+    if covariance > -QUANTILE * variance / math.sqrt(count):
+        return count * variance
+    return max(variance, count * variance + 2 * (count - 1) * covariance)
 
 
 def measure(bench: Bench, period: float, *, least: int = LEAST, most: int = MOST) -> Estimate | None:
@@ -96,6 +110,11 @@ def measure(bench: Bench, period: float, *, least: int = LEAST, most: int = MOST
     return None
 
 
+def _always(found: Estimate, limit: float) -> bool:
+    """Return whether all intervals exceed a limit in ns: a busy machine makes some of them long."""
+    return min(found.intervals) > limit
+
+
 def check_mean(bench: Bench, found: Estimate | None, period: float, *requirements: str, sure: bool = True) -> None:
     """Check a mean interval: only one that is significantly outside of the tolerance is a failure.
 
@@ -111,8 +130,9 @@ def check_mean(bench: Bench, found: Estimate | None, period: float, *requirement
             f"{found}; but the implementation may have had no payload to send (an upper tester could decide this)"
         )
         bench.inconclusive(expected, observed, *requirements)
-    if low > period + tolerance and isinstance(bench.lower, OnThisMachine) and (why := bench.lower.overload()):
-        # An implementation on this machine has to wait for the processor in every period.
+    overload = bench.lower.overload() if isinstance(bench.lower, OnThisMachine) else ""
+    if low > period + tolerance and not _always(found, period + tolerance) and (why := overload):
+        # An implementation on this machine has to wait for the processor in many periods.
         bench.inconclusive(expected, f"{found}; but {why}", *requirements, overload=why)
     if low > period + tolerance or high < period - tolerance:
         bench.some(False, expected, *requirements, seen=found)
@@ -181,6 +201,7 @@ def other_period(bench: Bench, factor: float) -> None:
     "TC_BP_TX_TI_03",
     "Reports the time from the submission of a payload to its beacon",
     requirements="BP-TXP-07 BP-TX-02",
+    alone=LISTENS,
     stimulus="a client submits five payloads at different phases of the beacon period, without other traffic",
     expect="a beacon with each payload; the case reports the delays",
     window=20,

@@ -9,7 +9,7 @@ from math import inf
 
 from dcp_spec.constants import QueueingMode, SpecVersion
 
-from dcp_conformance.model.case import Needs, case
+from dcp_conformance.model.case import LISTENS, Needs, case
 from dcp_conformance.test_steps.beacon_gaps import between_beacons
 from dcp_conformance.test_steps.bp_clients import (
     CLEAR,
@@ -151,6 +151,7 @@ def one_per_beacon(bench: Bench, mode: QueueingMode) -> None:
     "TC_BP_QM_BV_06",
     "With allowMultiplePayloads true several payloads of a client may share a beacon",
     requirements="BP-QM-08 BP-TX-03",
+    alone=LISTENS,
     stimulus="between two beacons, a client with allowMultiplePayloads true submits four small payloads",
     expect="each payload once and in order; the case reports how many share a beacon",
     needs=Needs(since=V1_1, entities=(), ut=CLIENT),

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dcp_spec.constants import BP_SEQNO_MODULUS, SpecVersion
 
 from dcp_conformance.frames.builder import Block, Lies
-from dcp_conformance.model.case import Needs, Variant, case
+from dcp_conformance.model.case import LISTENS, Needs, Variant, case
 from dcp_conformance.suite.bp.beacons.receive import length_is_of_blocks, lengths
 from dcp_conformance.suite.bp.beacons.seqno import check_first_number, first_number
 from dcp_conformance.test_steps.bp_clients import (
@@ -316,7 +316,7 @@ def deaf_for_clients(bench: Bench) -> None:
         peer, early = bench.peer(), b"while inactive"
         with bench.services.deactivated("BP"):
             peer.send(Block(client.prot_id, early))
-            bench.wait(1)
+            bench.wait(max(1, bench.sut.processing))
         received = after(bench, client, peer, "a time of inactivity", "BP-MGT-05")
         bench.proved(
             early not in received, "no indication of a payload received while BP was inactive", "an indication of it"
@@ -371,6 +371,7 @@ def numbers_after_reset(bench: Bench) -> None:
     "TC_BP_HDR_BV_12",
     "No sequence number is used while no client has a payload",
     requirements="BP-HDR-09",
+    alone=LISTENS,
     stimulus="a payload of a client, six periods without any, another payload",
     expect="consecutive sequence numbers before and after the pause",
     window=12,

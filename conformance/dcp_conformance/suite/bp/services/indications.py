@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dcp_spec.constants import BP_PROTID_SRP, BP_PROTID_VARDIS, QueueingMode
 
 from dcp_conformance.frames.builder import Block
-from dcp_conformance.model.case import DENIED, Needs, Variant, case
+from dcp_conformance.model.case import DENIED, LISTENS, REPLACES, Needs, Variant, case
 from dcp_conformance.suite.srp.init import bring_back, no_way_back
 from dcp_conformance.test_steps.bp_clients import (
     CLIENT,
@@ -90,6 +90,7 @@ def unchanged(bench: Bench, size: int) -> None:
     "TC_BP_RXP_BV_02",
     "Payloads are indicated to the client of their protocol and to no other",
     requirements="BP-RXP-03 BP-RXP-02",
+    alone=LISTENS,
     stimulus="two clients; one beacon with a block for each, and one with a block of an unregistered protocol",
     expect="each client gets one indication, of its own payload",
     needs=_RECEPTION,
@@ -184,7 +185,7 @@ def while_registered(bench: Bench) -> None:
         peer.send(Block(client.prot_id, early))
         # The beacon and the service request reach the implementation through different channels: without a pause their
         # order is undefined.
-        bench.wait(0.5)
+        bench.wait(bench.sut.processing)
         with client:
             peer.send(Block(client.prot_id, right))
             client.until_received()
@@ -254,6 +255,7 @@ def larger_than_own(bench: Bench) -> None:
     "TC_BP_RXP_BV_05",
     "After {variant} was deregistered, its identifier belongs to the client that registers it",
     requirements="BP-RXP-03 BP-DRG-05",
+    alone=REPLACES,
     stimulus=(
         "BP-DeregisterProtocol for the identifier of {variant}; the tester registers it; a beacon with a block of it"
     ),

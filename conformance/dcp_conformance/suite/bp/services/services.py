@@ -9,7 +9,7 @@ from typing import Any
 
 from dcp_spec.constants import QueueingMode, SpecVersion
 
-from dcp_conformance.model.case import Needs, Variant, case
+from dcp_conformance.model.case import FILLS, Needs, Variant, case
 from dcp_conformance.test_steps.beacon_gaps import between_beacons
 from dcp_conformance.test_steps.bp_clients import (
     CLEAR,
@@ -28,9 +28,9 @@ from dcp_conformance.test_steps.bp_clients import (
     BPClient,
     block_header_octets,
     each_mode,
-    header_octets,
     largest_payload,
     no_confirm,
+    room,
     unused_protocol_id,
 )
 from dcp_conformance.test_system.bench import Bench
@@ -74,6 +74,7 @@ def transmit_unregistered(bench: Bench, registered_before: bool) -> None:
     "TC_BP_TXP_BV_01",
     "A payload of exactly maxPayloadSize octets is accepted and sent unchanged ({variant})",
     requirements="BP-TXP-02 BP-FMT-01",
+    alone=FILLS,
     stimulus="BP-TransmitPayload with exactly maxPayloadSize octets: {variant}",
     expect="BP-STATUS-OK and a beacon with exactly these octets",
     needs=_TRANSMIT,
@@ -83,7 +84,7 @@ def full_size(bench: Bench, size: int | None) -> None:
     if size is None:
         # Before 1.1, the limit for registrations ignores the BP header, so a client may register payloads too large to
         # be sent.
-        fits = bench.sut.bound("BPPAR_MAXIMUM_PACKET_SIZE") - header_octets(bench) - block_header_octets(bench)
+        fits = room(bench) - block_header_octets(bench)
         size = min(largest_payload(bench), fits, bench.profile.bp.payload_area or fits)
     with BPClient(bench, ONCE, size=size) as client:
         payload = client.payload(size)

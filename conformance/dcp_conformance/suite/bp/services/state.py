@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dcp_spec.constants import SpecVersion
 
-from dcp_conformance.model.case import Needs, case
+from dcp_conformance.model.case import FILLS, Needs, case
 from dcp_conformance.suite.bp.queues.fitting import check_sizes
 from dcp_conformance.test_steps.bp_clients import (
     ACTIVATE,
@@ -33,6 +33,7 @@ V1_1, V1_2 = SpecVersion.V1_1, SpecVersion.V1_2
     "TC_BP_TX_BV_06",
     "With allowMultiplePayloads true, payloads that together do not fit into one beacon are sent in several",
     requirements="BP-FMT-02 BP-TX-04 BP-QM-03",
+    alone=FILLS,
     stimulus="a client with allowMultiplePayloads true submits five payloads; a beacon has room for two",
     expect="each payload once and in order, in beacons not larger than BPPAR_MAXIMUM_PACKET_SIZE",
     needs=Needs(since=V1_1, entities=(), ut=CLIENT, when=areas_of_fixed_size),

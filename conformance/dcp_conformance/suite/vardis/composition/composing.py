@@ -8,7 +8,7 @@ from __future__ import annotations
 from dcp_spec.constants import ICType, SpecVersion
 
 from dcp_conformance.frames.received import Instruction, ReceivedBeacon
-from dcp_conformance.model.case import Needs, case
+from dcp_conformance.model.case import FILLS, Needs, case
 from dcp_conformance.suite.vardis.reception.payload import check_filled, check_order_of_queue, stock
 from dcp_conformance.test_steps.full_payloads import PAYLOAD_SIZE, longest
 from dcp_conformance.test_steps.services import produced
@@ -27,6 +27,7 @@ def _counts(bench: Bench) -> list[int]:
     "TC_VD_CMP_BV_01",
     "Each VarCreate is repeated according to the repCnt of its own variable",
     requirements="VD-CMP-06 VD-SCP-02",
+    alone=FILLS,
     stimulus="one beacon creates three variables with repCnt 1, 2 and 4",
     expect="each VarCreate in exactly repCnt beacons",
     window=12,
@@ -43,6 +44,7 @@ def creates_counted(bench: Bench) -> None:
     "TC_VD_CMP_BV_02",
     "Each VarUpdate is repeated according to the repCnt of its own variable",
     requirements="VD-CMP-09 VD-SCP-02",
+    alone=FILLS,
     stimulus="one beacon updates three variables with repCnt 1, 2 and 4",
     expect="each VarUpdate in exactly repCnt beacons",
     window=12,
@@ -79,6 +81,7 @@ def deletes_counted(bench: Bench) -> None:
     "TC_VD_CMP_BV_04",
     ("A record to be repeated returns to the tail of its queue: all are sent once before any is repeated ({variant})"),
     requirements="VD-CMP-06 VD-CMP-09",
+    alone=FILLS,
     stimulus="in one beacon, requests for more variables with repCnt 2 than fit into a payload",
     expect="the records in the order of the requests, then all of them again in the same order",
     window=20,
@@ -134,6 +137,7 @@ def current_value(bench: Bench) -> None:
     "TC_VD_CMP_BV_06",
     "A value that changes between two repetitions of a VarCreate is in the later one",
     requirements="VD-CMP-07",
+    alone=FILLS,
     stimulus="a variable with many repetitions is created and, while its VarCreate is being repeated, updated",
     expect="the VarCreates after the first VarUpdate have its value and sequence number",
     window=12,
@@ -198,6 +202,7 @@ def create_requested_once(bench: Bench) -> None:
     "TC_VD_CMP_BV_09",
     "Requests for many variables are sent once each, in one payload if they fit ({variant})",
     requirements="VD-CMP-11 VD-CMP-12 VD-PAY-02",
+    alone=FILLS,
     stimulus="summaries of twelve variables in one beacon ({variant})",
     expect="one request for each of them, and no second payload while the first has room",
     window=10,
@@ -283,6 +288,7 @@ def described_after_the_last_delete(bench: Bench) -> None:
     "TC_VD_CMP_BV_13",
     "An update that does not fit after the other containers is sent in the next payload",
     requirements="VD-PAY-02 VD-PAY-06 VD-CMP-09",
+    alone=FILLS,
     stimulus="requests for as many VarCreates as fill a payload, and for a VarUpdate",
     expect="no payload larger than its maximum, and the VarUpdate in exactly repCnt beacons",
     window=16,
@@ -310,6 +316,7 @@ def update_waits(bench: Bench) -> None:
     "TC_VD_CMP_BV_14",
     "A deletion cancels pending instructions of its variable ({variant})",
     requirements="VD-PD-04 VD-CMP-05",
+    alone=FILLS,
     stimulus="a variable is deleted while its VarCreate or VarUpdate is being repeated many times",
     expect="after the first VarDelete no VarCreate, VarUpdate or summary; exactly repCnt VarDeletes",
     window=24,
@@ -339,6 +346,7 @@ def deletion_cancels(bench: Bench, kind: ICType) -> None:
     "TC_VD_CMP_BV_15",
     "The producer repeats its own VarDelete exactly repCnt times and keeps the database entry",
     requirements="VD-CMP-10",
+    alone=FILLS,
     stimulus="the application creates and deletes a variable",
     expect="exactly repCnt VarDeletes; RTDB-DescribeVariable still finds the variable",
     window=16,

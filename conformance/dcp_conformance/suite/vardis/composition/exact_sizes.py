@@ -11,9 +11,9 @@ from dcp_spec.constants import ICType
 
 from dcp_codec.values import VarCreate, VardisRecord
 from dcp_conformance.frames.received import ReceivedBeacon
-from dcp_conformance.model.case import Needs, case
+from dcp_conformance.model.case import FILLS, Needs, case
 from dcp_conformance.suite.vardis.reception.payload import all_of, request, size_of
-from dcp_conformance.test_steps.full_payloads import PAYLOAD_SIZE, filling, longest, settable
+from dcp_conformance.test_steps.full_payloads import PAYLOAD_SIZE, filling, longest, settable, undisturbed
 from dcp_conformance.test_steps.services import OK, create_request, produced, settled
 from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.test_system.sending.peers import Peer
@@ -47,6 +47,7 @@ def largest_create(bench: Bench) -> int:
     "TC_VD_PAY_BV_07",
     ("Records that exactly fill a payload share it; with one octet less the last one is sent separately ({variant})"),
     requirements="VD-PAY-02 VD-IC-05",
+    alone=FILLS,
     stimulus=(
         "in one beacon, requests for records that need exactly VARDISPAR_MAX_PAYLOAD_SIZE octets; the parameter is "
         "set if possible"
@@ -65,8 +66,7 @@ def to_the_last_octet(bench: Bench, variant: tuple[ICType, int]) -> None:
     kind, less = variant
     peer = bench.peer()
     creates, limit = (_two if settable(bench) else _as_many_as_fit)(bench, peer, kind, less)
-    mark = request(bench, peer, kind, creates)
-    _, frames = all_of(bench, kind, creates, mark)
+    frames = undisturbed(bench, kind, lambda: all_of(bench, kind, creates, request(bench, peer, kind, creates))[1])
     counts = [len(each.instructions(kind)) for each in frames]
     right = [len(creates) - 1, 1] if less else [len(creates)]
     what = f"records in payloads of at most {limit} octets"
@@ -131,6 +131,7 @@ def _summaries(bench: Bench, peer: Peer) -> int:
     "TC_VD_SUM_BV_05",
     "Summaries after a VarCreate need room for their container and one summary ({variant})",
     requirements="VD-CMP-01 VD-IC-05",
+    alone=FILLS,
     stimulus=(
         "requests for VarCreates that leave room for exactly one summary, or one octet less, in a payload of "
         "VARDISPAR_MAX_PAYLOAD_SIZE octets; the parameter is set if possible"
@@ -184,6 +185,7 @@ def _never_fits(bench: Bench) -> str | None:
     "TC_VD_CMP_BV_12",
     "If the record at the head of a queue does not fit, its container is omitted and others follow",
     requirements="VD-CMP-08",
+    alone=FILLS,
     stimulus=(
         "requests for a VarCreate larger than VARDISPAR_MAX_PAYLOAD_SIZE (set if possible), and a summary of an "
         "unknown variable"
@@ -295,9 +297,14 @@ def without_values(bench: Bench, variant: tuple[ICType, int]) -> None:
         sample = peer.request_update(names[0], 5)
     bench.must("VD-SetParameter", name=SUMMARIES, value=0)
     _lower(bench, number * bench.builder.record_size(sample) - less)
-    mark = bench.mark()
-    peer.send(*stimuli)
-    frames = bench.until_quiet(lambda heard: heard.instructions(kind), since=mark)
+
+    def caused() -> list[ReceivedBeacon]:
+        mark = bench.mark()
+        peer.send(*stimuli)
+        return bench.until_quiet(lambda heard: heard.instructions(kind), since=mark)
+
+    # Deletions have an effect only once, and requests each time.
+    frames = caused() if kind is _DELETE else undisturbed(bench, kind, caused)
     counts = [len(each.instructions(kind)) for each in frames]
     right = [number - 1, 1] if less else [number]
     # One of two payloads alone may be what is left after a loss.

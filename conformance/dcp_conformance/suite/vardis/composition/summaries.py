@@ -5,7 +5,7 @@ from __future__ import annotations
 from dcp_spec.constants import ICType
 
 from dcp_conformance.frames.received import ReceivedBeacon
-from dcp_conformance.model.case import Needs, case
+from dcp_conformance.model.case import FILLS, Needs, case
 from dcp_conformance.test_steps.full_payloads import settable
 from dcp_conformance.test_steps.services import produced
 from dcp_conformance.test_system.bench import Bench
@@ -76,6 +76,7 @@ def _check_rotation(bench: Bench, names: list[int], most: int, *requirements: st
     "TC_VD_SUM_BV_01",
     "Summaries rotate if there are more variables than summaries in a payload",
     requirements="VD-CMP-02 VD-CMP-03 VD-PAY-02",
+    alone=FILLS,
     stimulus="one and a half times as many variables as VARDISPAR_MAX_SUMMARIES are known",
     expect=(
         "payloads with exactly VARDISPAR_MAX_SUMMARIES summaries; all variables in rotation, in the same order in "
@@ -97,6 +98,7 @@ def rotation(bench: Bench) -> None:
         "as possible)"
     ),
     requirements="VD-CMP-02 VD-CMP-03 VD-PAY-02",
+    alone=FILLS,
     stimulus=(
         "ten variables are known; the parameter is set to {variant}. If it cannot be set, the number of variables "
         "is 1, 3, the value of the parameter, or one more"
@@ -121,6 +123,7 @@ def most_summaries(bench: Bench, most: int) -> None:
     "TC_VD_SUM_BV_03",
     "With VARDISPAR_MAX_SUMMARIES 0 no summaries are sent, and VarDis otherwise works",
     requirements="VD-CMP-01 VD-PAR-06",
+    alone=FILLS,
     stimulus=(
         "a variable is known; the parameter is 0 or set to 0; a summary of an unknown variable and an update of "
         "the known one arrive"

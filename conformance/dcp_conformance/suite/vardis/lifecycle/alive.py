@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dcp_spec.constants import ICType, SpecVersion
 
 from dcp_codec.values import VarCreate
-from dcp_conformance.model.case import Needs, Variant, case
+from dcp_conformance.model.case import TIMES_DELETION, Needs, Variant, case
 from dcp_conformance.test_steps.services import created_again, described, several_repetitions
 from dcp_conformance.test_steps.timeouts import (
     Change,
@@ -88,6 +88,7 @@ def _by_application(bench: Bench, _peer: Peer, name: int, timeout_ms: int) -> Ch
     "TC_VD_SCR_TI_14",
     "A renewed creation of a variable restarts its timeout ({variant})",
     requirements="VD-SCR-03 VD-SCR-01",
+    alone=TIMES_DELETION,
     stimulus=(
         "a variable with timeout 900 ms is created ({variant}), and again after two thirds of it; then no more records"
     ),

@@ -73,6 +73,8 @@ def after_reset(bench: Bench) -> None:
     mine = produced(bench, rep_cnt=bench.sut.bound("VARDISPAR_MAX_REPETITIONS"))
     theirs, wanted = teach_variable(bench, peer), bench.unknown_id()
     peer.send(peer.summary(wanted, 1))
+    # A frame that is processed after the reset is a stimulus after it.
+    bench.waiting.wait_ns(bench.session.notifications)
     bench.must("UT-Reset")
     mark, reset = bench.mark(), bench.now()
     bench.none(sorted(listed(bench)), "no variable in the database")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dcp_spec.constants import ICType, SpecVersion
 
-from dcp_conformance.model.case import Needs, case
+from dcp_conformance.model.case import LISTENS, Needs, case
 from dcp_conformance.suite.vardis.composition.summaries import SUMMARIES, summarises
 from dcp_conformance.test_steps.repetitions import check_order
 from dcp_conformance.test_system.bench import MS, Bench
@@ -80,6 +80,7 @@ def in_succession(bench: Bench) -> None:
     "TC_VD_RUN_TI_01",
     "After a time without payloads, the next one is composed within the buffer check period",
     requirements="VD-RUN-02",
+    alone=LISTENS,
     stimulus="no records until no beacon has a VarDis block; then a summary of an unknown variable",
     expect="the request within VARDISPAR_BUFFER_CHECK_PERIOD plus one beacon period",
     window=8,

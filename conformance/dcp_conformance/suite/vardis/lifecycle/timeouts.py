@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from dcp_spec.constants import ICType, SpecVersion
 
 from dcp_conformance.frames.received import Instruction
-from dcp_conformance.model.case import Needs, Variant, case
+from dcp_conformance.model.case import TIMES_DELETION, Needs, Variant, case
 from dcp_conformance.test_steps.timeouts import (
     Change,
     check_time,
@@ -37,6 +37,7 @@ _OWN = Needs(since=SpecVersion.V2_0, ut=("RTDB-Create", "RTDB-Update"))
     "TC_VD_SCR_TI_04",
     "Updates prevent the timeout of a variable at a consumer; after the last one it is deleted in time",
     requirements="VD-SCR-03 VD-SCR-06 VD-SCR-01",
+    alone=TIMES_DELETION,
     stimulus=(
         "a variable with timeout 600 ms (longer if beacons are rare) is updated three times per timeout, for two "
         "timeouts and a scrubbing period"
@@ -78,6 +79,7 @@ def kept_by_updates(bench: Bench) -> None:
     "TC_VD_SCR_TI_05",
     "Updates by its application prevent the timeout of a variable at the producer",
     requirements="VD-SCR-03",
+    alone=TIMES_DELETION,
     stimulus="the application updates a variable with timeout 600 ms every 200 ms for two timeouts",
     expect="no VarDelete until the last update; one within the time allowed after it",
     window=60,
@@ -183,6 +185,7 @@ def not_kept(bench: Bench, act: Callable[[Peer, int], None]) -> None:
     "TC_VD_SCR_TI_08",
     "A renewed creation restarts the timeout, with its new value",
     requirements="VD-SCR-03 VD-SCR-05 VD-SCR-01",
+    alone=TIMES_DELETION,
     stimulus=(
         "a variable with timeout 300 ms is deleted by scrubbing; then it is created again with three times that timeout"
     ),

@@ -44,6 +44,7 @@ def _each(*methods: str) -> dict[str, Variant]:
     "TC_VD_ID_BV_01",
     "A variable of another node with the {variant} identifier can be learnt, updated, requested and deleted",
     requirements="VD-TYP-01 VD-PS-01 VD-PC-09 VD-PU-07 VD-PS-04 VD-RC-03 VD-PD-04",
+    family="boundary values of identifiers",
     stimulus=(
         "with the {variant} identifier (of 0, 127, 128, 255 for one octet): a summary, VarCreate, VarUpdate, a "
         "newer summary, VarReqCreate, VarDelete"

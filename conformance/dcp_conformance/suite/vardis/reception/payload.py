@@ -12,7 +12,7 @@ from dcp_spec.constants import IC_MAX_RECORDS, ICType
 
 from dcp_codec.values import VarCreate
 from dcp_conformance.frames.received import ReceivedBeacon
-from dcp_conformance.model.case import Needs, case
+from dcp_conformance.model.case import FILLS, Needs, case
 from dcp_conformance.test_steps.full_payloads import PAYLOAD_SIZE, longest
 from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.test_system.sending.peers import Peer
@@ -33,6 +33,7 @@ def stock(
 
     With ``mixed``, every third one is short.
     """
+    bench.needs_whole_beacons()
     value, description = longest(bench)
     creates: list[VarCreate] = []
     octets = 0
@@ -172,6 +173,7 @@ def _kind(bench: Bench, number: int) -> ICType:
     "TC_VD_PAY_BV_02",
     "Payloads are filled until the next record does not fit, and never exceed their maximum ({variant})",
     requirements="VD-PAY-02 VD-IC-05",
+    alone=FILLS,
     stimulus="requests for more variables, with the longest values, than fit into two payloads",
     expect="each payload but the last is full; none is larger than VARDISPAR_MAX_PAYLOAD_SIZE",
     window=12,
@@ -311,7 +313,7 @@ def _room_for_256(bench: Bench) -> str | None:
         return f"a payload has no room for {IC_MAX_RECORDS + 1} records of any kind"
     if bench.session.identifier_pool.size <= IC_MAX_RECORDS:
         return f"the tester may only use {bench.session.identifier_pool.size} identifiers (pixit.var_ids)"
-    return bench.sut.lacks_room(IC_MAX_RECORDS + 1) or None
+    return bench.sut.lacks("variables", IC_MAX_RECORDS + 1) or None
 
 
 def _names(bench: Bench) -> set[int]:
@@ -348,6 +350,7 @@ def more_than_255(bench: Bench) -> None:
     "TC_VD_PAY_BV_06",
     "A short record does not overtake a long one that does not fit ({variant})",
     requirements="VD-PAY-06",
+    alone=FILLS,
     stimulus="requests for more variables than fit into two payloads, every third of them with a short VarCreate",
     expect="the records in the order of the requests, across all payloads",
     window=12,

@@ -91,6 +91,7 @@ _UNCLEAR = {name for name in _BAD if "count" in name and name not in ("count-0",
     "TC_VD_ROB_BI_01",
     "A receiver survives a container with an error at any position in a payload ({variant})",
     requirements="VD-ROB-01",
+    family="malformed containers",
     stimulus="payloads with this container alone, before, after and between valid ones; then a probe",
     expect="VarDis continues; the case reports which valid containers are processed",
     window=8,
@@ -167,6 +168,7 @@ def _works(bench: Bench) -> None:
     "TC_VD_ROB_BI_02",
     "A receiver survives a payload truncated after any octet",
     requirements="VD-RX-07 VD-ROB-01",
+    family="malformed containers",
     stimulus="a payload with containers of all six types, truncated after each of its octets; then a probe",
     expect="VarDis continues, and a variable with missing octets is not stored",
     window=12,
@@ -237,6 +239,7 @@ def _mutated(rng: random.Random, octets: bytes) -> bytes:
     "TC_VD_ROB_BI_03",
     "A receiver survives payloads with random errors (seed {variant})",
     requirements="VD-ROB-01",
+    alone="it sends records with random identifiers",
     stimulus=(
         "160 payloads of all kinds of containers with octets changed, removed, repeated and added; then a "
         "functional check"

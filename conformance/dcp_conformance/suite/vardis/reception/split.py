@@ -14,7 +14,7 @@ from typing import NamedTuple
 from dcp_spec.constants import ICType, SpecVersion
 
 from dcp_codec.values import VardisRecord
-from dcp_conformance.model.case import Needs, Variant, case
+from dcp_conformance.model.case import FILLS, Needs, Variant, case
 from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.test_system.sending.peers import Peer
 
@@ -207,6 +207,7 @@ def _borders(total: int, least: int) -> list[int]:
     "TC_VD_SPLIT_BV_03",
     "Payloads of maximum size are processed to their end, wherever the second container begins",
     requirements="VD-RX-04 VD-RX-03",
+    alone=FILLS,
     stimulus=(
         "payloads of maximum size with two UPDATES containers; the boundary is at both ends, around the middle, "
         "around powers of two and in between"
@@ -242,6 +243,7 @@ def largest_payload(bench: Bench, peer: Peer) -> int:
     "TC_VD_SPLIT_BV_04",
     "A short container after a long one is processed, and so are many successive containers",
     requirements="VD-RX-03 VD-RX-04",
+    alone=FILLS,
     stimulus=(
         "a payload with a long UPDATES container and a SUMMARIES container of one record; then a payload with "
         "forty containers of one record each"

@@ -9,7 +9,7 @@ from typing import Any
 from dcp_spec.constants import BP_PROTID_VARDIS, ICType, SpecVersion
 
 from dcp_conformance.errors import NoAnswerError
-from dcp_conformance.model.case import Needs, case
+from dcp_conformance.model.case import REPLACES, Needs, case
 from dcp_conformance.suite.srp.init import bring_back, no_way_back
 from dcp_conformance.test_steps.services import (
     INACTIVE,
@@ -333,6 +333,7 @@ def two_clients(bench: Bench) -> None:
     "TC_VD_SRV_BO_01",
     "VarDis rejects requests while it is not registered with BP",
     requirements="VD-SRV-01",
+    alone=REPLACES,
     stimulus="a variable is created; BP-DeregisterProtocol for protocol 2; then the six VarDis services",
     expect="VARDIS-STATUS-INACTIVE each time, or no response (X30, from 1.2 on), within two beacon periods",
     window=8,
