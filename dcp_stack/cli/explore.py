@@ -71,12 +71,15 @@ def command(space: Path | None, as_json: bool, chart: bool, out: Path | None, **
     SPACE is a TOML file with the limits of the options; options override it. Each beacon may be heard by any of the
     nodes. The result are the shortest sequences that violate a property, one for each cause, or that there is none.
     """
+    from dcp_stack.explore.replay import refusal
     from dcp_stack.explore.search import Search
 
     found = _space(space, options)
     try:
         search = Search(found)
         if out is not None:
+            if (problem := refusal(search)) is not None:
+                raise ExpectedError(problem)
             out.mkdir(parents=True, exist_ok=True)
     except ValueError as error:
         raise ExpectedError(str(error)) from None
@@ -188,6 +191,7 @@ def _plain(search: Search, result: Result, written: dict[int, list[str]]) -> dic
 def _write(search: Search, result: Result, directory: Path) -> dict[int, list[str]]:
     """Write scenarios and recordings; returns the names of the files by the number of the violation."""
     from dcp_stack.explore.replay import scenario_text
+    from dcp_stack.links.base import LinkError
     from dcp_stack.sim.scenario.loading import load_scenario
     from dcp_stack.sim.virtual.player import Simulation
 
@@ -198,7 +202,7 @@ def _write(search: Search, result: Result, directory: Path) -> dict[int, list[st
         try:
             scenario.write_text(scenario_text(search, violation), encoding="utf-8")
             Simulation(load_scenario(scenario), record_medium=recording).run()
-        except ValueError as error:
+        except (OSError, LinkError) as error:
             raise ExpectedError(str(error)) from None
         written[number] = [str(scenario), str(recording)]
     return written

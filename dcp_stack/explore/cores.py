@@ -113,7 +113,7 @@ class Cores:
         self._sent: dict[tuple[int, int], Sent] = {}
         self._heard: dict[tuple[int, int, int, int], int] = {}
         self._bound_to_clock = self.proposal.settings(space.vardis).max_creation_ahead_s is not None
-        self.fresh = [self._number(core.save()) for core in self._cores]
+        self.fresh = [self.number(core.save()) for core in self._cores]
         """The content of a node without variables, by role."""
 
     def _core(self, role: int) -> Vardis:
@@ -193,12 +193,12 @@ class Cores:
         self.calls += 1
         if self.proposal.keeps_invariants:
             core.check_invariants()
-        return self._number(core.save(), passed)
+        return self.number(core.save(), passed)
 
     # -- contents ------------------------------------------------------------------------------------------------------
 
-    def _number(self, state: VardisState, passed: int = 0) -> int:
-        """Return the number of a content in canonical form."""
+    def number(self, state: VardisState, passed: int = 0) -> int:
+        """Return the number of a content in canonical form; ``passed``: ns until now, subtracted from the times."""
         entries, queues = state.database
         kept = []
         for spec, value, seqno, _stamp, refreshed, update, create, delete, is_deleted, _own in entries:

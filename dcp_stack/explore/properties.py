@@ -41,8 +41,9 @@ class Intent(NamedTuple):
 
     def updated(self, value: Value | None) -> Intent:
         """Return the state after an update to ``value``, which may be one of an earlier creation; None: refused."""
-        current = self.state == "alive" and value is not None and value[0] == self.value[0]
-        return self._replace(value=value) if current and value is not None else self
+        if value is None or self.state not in ("alive", "lost") or value[0] != self.value[0]:
+            return self
+        return Intent("alive", value, self.owner)
 
     def deleted(self, value: Value) -> Intent:
         """Return the state after a deletion of a variable with ``value`` by its producer."""
@@ -52,11 +53,10 @@ class Intent(NamedTuple):
         """Return the state after a restart of a node."""
         return self._replace(state="lost") if self.state == "alive" and node == self.owner else self
 
-    def regained(self, node: int, held: Held, node_id: bytes) -> Intent:
-        """Return the state after a node has accepted a record: a restarted producer may have its variable again."""
-        if self.state == "lost" and node == self.owner and held.state == "alive" and held.producer == node_id:
-            return Intent("alive", held.value, node)
-        return self
+    def regained(self, held: Held, node_id: bytes) -> Intent:
+        """Return the state if the restarted producer ``node_id`` has the variable again."""
+        regained = self.state == "lost" and held.state == "alive" and held.producer == node_id
+        return Intent("alive", held.value, self.owner) if regained else self
 
 
 class End(NamedTuple):
@@ -114,7 +114,7 @@ class Judge:
         if end.held is None:
             return found | {"unstable"}
         owner = self._cores.ids[self._roles[intent.owner]]
-        intent = intent.regained(intent.owner, end.held[intent.owner], owner)
+        intent = intent.regained(end.held[intent.owner], owner)
         united = intent.state != "alive" and len(set(end.held)) == 1
         for content, held in zip(contents, end.held, strict=True):
             if held.state == "alive" and held.producer != owner:

@@ -27,8 +27,17 @@ _SERVICE: Final = 0.07
 _START: Final = 0.2
 
 
+def refusal(search: Search) -> str | None:
+    """Return why sequences of a search cannot be scenarios, None if they can."""
+    if search.space.proposal:
+        return "scenarios cannot be written: simulate has the nodes of the specification only"
+    if features(search.cores.codec.profile.spec_version).vardis_activation != "service":
+        return "scenarios cannot be written: nodes before 1.2 cannot deactivate VarDis"
+    return None
+
+
 def scenario_text(search: Search, violation: Violation) -> str:
-    """Return the scenario as TOML. Raises ValueError for a proposal, and before 1.2, which cannot deactivate VarDis."""
+    """Return the scenario as TOML. See :func:`refusal` for searches without scenarios."""
     return toml_text(_Script(search, violation).scenario())
 
 
@@ -37,10 +46,6 @@ class _Script:
 
     def __init__(self, search: Search, violation: Violation) -> None:
         self._search, self._space, self._violation = search, search.space, violation
-        if self._space.proposal:
-            raise ValueError("a scenario cannot be written: simulate has the nodes of the specification only")
-        if features(search.cores.codec.profile.spec_version).vardis_activation != "service":
-            raise ValueError("a scenario cannot be written: nodes before 1.2 cannot deactivate VarDis")
         self._events: list[dict[str, Any]] = []
         self._expect: list[dict[str, Any]] = []
         self._at = _START
@@ -82,6 +87,7 @@ class _Script:
     def _end(self, found: Trace) -> float:
         """Add the lossless rounds; returns the end of the scenario."""
         nodes = range(self._space.nodes)
+        self._events.append({"at_s": round(self._at, 6), "do": "heal"})
         for node in nodes:
             self._event(self._at, "activate", node)
             for other in nodes if found.rounds else ():

@@ -185,8 +185,10 @@ class Search:
             for mask in range(2, 1 << space.nodes, 2):
                 yield Step("partition", 0, tuple(node for node in range(space.nodes) if mask >> node & 1))
         for node in range(space.nodes):
-            for hearers in self._hearers(node, state.group):
-                yield Step("beacon", node, hearers)
+            sets = self._hearers(node, state.group)
+            for hearers in sets:
+                if space.losses is None or used["loss"] + len(sets[0]) - len(hearers) <= space.losses:
+                    yield Step("beacon", node, hearers)
 
     def _hearers(self, node: int, group: int) -> list[tuple[int, ...]]:
         """Return the sets of nodes that may hear a node: subsets of its group, the largest first."""
@@ -249,7 +251,6 @@ class Search:
             return None
         contents = list(state.contents)
         contents[node] = sent
-        intent = state.intent
         broken = ["repetitions"] if miscounted else []
         wall = sum(state.used[:3])
         for hearer in step.hearers:
@@ -258,19 +259,11 @@ class Search:
             contents[hearer] = after = cores.hear(roles[hearer], before, payload, cores.wall(wall, ahead))
             if after != before:
                 broken += self.judge.heard(roles[hearer], before, after)
-                intent = intent.regained(hearer, cores.held[after], cores.ids[roles[hearer]])
         used = state.used
-        lost = self.space.nodes - 1 - len(step.hearers)
-        if lost and state.group:
-            lost -= sum(not self._same(each, node, state.group) for each in range(self.space.nodes))
-        if lost:
-            if self.space.losses is None:
-                used = (*used[:-1], 1)
-            elif used[-1] + lost > self.space.losses:
-                return None
-            else:
-                used = (*used[:-1], used[-1] + lost)
-        return state._replace(contents=tuple(contents), intent=intent, used=used), tuple(broken)
+        if lost := len(self._hearers(node, state.group)[0]) - len(step.hearers):
+            # Without a limit the state notes only that there was a loss.
+            used = (*used[:-1], 1 if self.space.losses is None else used[-1] + lost)
+        return state._replace(contents=tuple(contents), used=used), tuple(broken)
 
     def _silence(self, state: State) -> tuple[State, tuple[str, ...]] | None:
         """Return the state after a silence: nodes delete what has timed out."""

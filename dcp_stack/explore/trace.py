@@ -97,7 +97,7 @@ def described(row: Row, nodes: int) -> str:
     match step.kind:
         case "beacon":
             lost = [node for node in range(nodes) if node not in (step.node, *step.hearers)]
-            heard = ", ".join(map(str, step.hearers)) or "nobody"
+            heard = ", ".join(map(str, step.hearers)) or "no node"
             missed = f", not {', '.join(map(str, lost))}" if lost and step.hearers else ""
             return f"{step.node} sends {row.text} to {heard}{missed}"
         case "partition":
