@@ -19,7 +19,7 @@ from dcp_stack.vardis.delivery import DeliveryState
 from dcp_stack.vardis.entity import Vardis, VardisState
 from dcp_stack.virtual.world import EPOCH, node_id
 
-from .proposals import Proposal, proposal
+from .proposals import REGAINED, Proposal, proposal
 from .space import Space
 
 VARIABLE: Final = 7
@@ -201,9 +201,22 @@ class Cores:
         """Return the number of a content in canonical form; ``passed``: ns until now, subtracted from the times."""
         entries, queues = state.database
         kept = []
-        for spec, value, seqno, _stamp, refreshed, update, create, delete, is_deleted, _own in entries:
+        for spec, value, seqno, _stamp, refreshed, update, create, delete, is_deleted, own in entries:
             since = 0 if is_deleted or not self.space.silences else refreshed - passed
-            kept.append((spec, value, seqno, 0, since, update, create, delete, is_deleted, ()))
+            kept.append(
+                (
+                    spec,
+                    value,
+                    seqno,
+                    0,
+                    since,
+                    update,
+                    create,
+                    delete,
+                    is_deleted,
+                    tuple(each for each in own if each[0] == REGAINED),
+                )
+            )
         delivery = DeliveryState(state.delivery.created)
         state = VardisState(state.active, (tuple(kept), queues), delivery, (0, 0, False, EPOCH))
         number = self._numbers.setdefault(state, len(self.contents))

@@ -31,6 +31,7 @@ _SIGNS: Final = (
         _sign("H5", name, "clock")
         for name in ("stale-creation", "older-value", "taken-over", "split", "missing", "refused")
     ),
+    _sign("H13", "unstable"),
     _sign("H1", "no-answer"),
     _sign("H2", "orphaned"),
     _sign("H2", "refused", "restart"),

@@ -63,12 +63,13 @@ class End(NamedTuple):
     """The states that lossless rounds lead to: what nodes have in them (None: it changes from round to round).
 
     ``requested``: the number of rounds up to the last request, None if requests never end. ``rounds``: those before the
-    states repeat. ``contents``: one of these states.
+    states repeat, ``period``: those until they repeat. ``contents``: one of these states.
     """
 
     held: tuple[Held, ...] | None
     requested: int | None
     rounds: int
+    period: int
     contents: tuple[int, ...]
 
 
@@ -148,16 +149,16 @@ class Judge:
             cycle = path[places[contents] :]
             held = {tuple(map(self._cores.held.__getitem__, each)) for each in cycle}
             requests = any(self._rounds[each][1] for each in cycle)
-            end = End(held.pop() if len(held) == 1 else None, None if requests else 0, 0, cycle[0])
+            end = End(held.pop() if len(held) == 1 else None, None if requests else 0, 0, len(cycle), cycle[0])
             self._ends |= dict.fromkeys(cycle, end)
             path = path[: places[contents]]
         for each in reversed(path):
             after, requests = self._rounds[each]
-            found, requested, rounds, last = self._ends[after]
+            found, requested, rounds, period, last = self._ends[after]
             if requested is not None:
                 requested = requested + 1 if requested or requests else 0
                 self.longest_request = max(self.longest_request, requested)
-            self._ends[each] = End(found, requested, rounds + 1, last)
+            self._ends[each] = End(found, requested, rounds + 1, period, last)
             contents = each
         return self._ends[contents]
 

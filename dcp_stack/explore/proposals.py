@@ -46,6 +46,10 @@ _STAMPED: Final[Mapping[str, list[Any]]] = {
 }
 
 
+#: Key in ``DBEntry.own`` of a variable that its restarted producer has taken back.
+REGAINED: Final = "regained"
+
+
 class Proposal(msgspec.Struct, frozen=True, kw_only=True):
     """A change of the text. The flags select changes of the behaviour of a node."""
 
@@ -61,8 +65,8 @@ class Proposal(msgspec.Struct, frozen=True, kw_only=True):
     silent_requests: bool = False
     """A request for an unknown variable is ignored."""
     takes_back: bool = False
-    """A producer processes records of its own variables as others do: the VarCreate of one that it does not know, and
-    newer values."""
+    """A producer that has restarted processes records of its own variables as others do: the VarCreate of one that it
+    does not know, or has taken back with an earlier creation time, and newer values."""
     restamps: bool = False
     """A producer that hears of a later creation of its own alive variable sets its creation time to a later one."""
     first_stays: bool = False
@@ -147,8 +151,9 @@ class ProposedReceiver(Receiver):
     def _create(self, record: VarCreate, offset: int, now: int, wall: int) -> None:
         entry = self._database.lookup(record.spec.var_id)
         own = record.spec.prod_id == self._core.own_id
-        if self._proposal.takes_back and own and entry is None:
+        if self._proposal.takes_back and own and (entry is None or self._is_later_regained(record, entry)):
             stored = self._database.insert(record.spec, record.upd.value, record.upd.seqno, now=now, wall=wall)
+            stored.own[REGAINED] = ()
             self._core.changed("created", stored)
         elif not (own and self._restamp(record.spec.creation_time, entry)) and not (
             self._proposal.first_stays
@@ -220,6 +225,10 @@ class ProposedReceiver(Receiver):
         """Return whether a variable is an own one, of which newer values are accepted."""
         own = entry is not None and not entry.is_deleted and entry.spec.prod_id == self._core.own_id
         return self._proposal.takes_back and own
+
+    def _is_later_regained(self, record: VarCreate, entry: DBEntry) -> bool:
+        """Return whether a VarCreate is later than a variable that was taken back and not created again since."""
+        return REGAINED in entry.own and self._is_later(record, entry)
 
     def _restamp(self, created: int | None, entry: DBEntry | None) -> bool:
         """Set the creation time of an alive own variable after ``created``; False if it is not earlier."""
@@ -295,8 +304,9 @@ PROPOSALS: Final[Mapping[str, Proposal]] = {
         Proposal(
             name="take-back",
             title="A restarted producer takes its variable back",
-            text="A VarCreate with the node itself as producer is processed if the variable is unknown, and records "
-            "with a newer sequence number of an own variable are processed as those of other variables.",
+            text="A VarCreate with the node itself as producer is processed if the variable is unknown, or if it is "
+            "later than one that was taken back in this way. Records with a newer sequence number of an own variable "
+            "are processed as those of other variables.",
             takes_back=True,
         ),
         Proposal(

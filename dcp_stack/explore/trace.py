@@ -47,8 +47,9 @@ def trace(search: Search, violation: Violation) -> Trace:
         rows.append(row)
     rounds = 0
     if violation.name not in OF_STEPS:
-        # One more than it takes to reach the states that repeat: what happens in it happens for ever.
-        rounds = search.judge.end(state.contents).rounds + 1
+        # With the rounds that repeat: what happens in them happens for ever.
+        end = search.judge.end(state.contents)
+        rounds = end.rounds + end.period
     for _ in range(rounds):
         for node in range(search.space.nodes):
             others = tuple(each for each in range(search.space.nodes) if each != node)
