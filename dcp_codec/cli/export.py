@@ -28,11 +28,14 @@ _KINDS = {
 
 @click.command("export")
 @click.argument("kind", type=click.Choice(list(_KINDS)))
+@click.option(
+    "--adapter", is_flag=True, help="For c: also an adapter of the upper tester, dcp_adapter.h and dcp_adapter.c."
+)
 @click.option("-p", "--profile", required=True, metavar="NAME|FILE", help=PROFILE_HELP)
 @click.option(
     "-o", "--out", metavar="FILE|DIR", help="Write to this file, for c to this folder.  [default: standard output]"
 )
-def command(kind: str, profile: str, out: str | None) -> int:
+def command(kind: str, adapter: bool, profile: str, out: str | None) -> int:
     """Write the wire format of a profile for another tool.
 
     \b
@@ -47,7 +50,13 @@ def command(kind: str, profile: str, out: str | None) -> int:
     written.
     """
     codec = load_codec(profile)
+    if adapter and kind != "c":
+        raise click.UsageError("--adapter belongs to the kind c")
     result = _result(kind, codec, profile)
+    if adapter and isinstance(result, dict):
+        from dcp_codec.export.c.adapter import adapter_files
+
+        result |= adapter_files(codec)
     if isinstance(result, dict):
         if out is None:
             raise click.UsageError(f"{kind} consists of {' and '.join(result)}; give a folder: -o DIR")

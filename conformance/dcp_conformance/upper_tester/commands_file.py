@@ -86,7 +86,7 @@ def load_adapter(name: str) -> Adapter:
     The file names programs that are executed. A file that another user can change is refused. Raises ``UsageError``.
     """
     path = Path(name)
-    built_in = resources.files("dcp_conformance").joinpath("adapters")
+    built_in = resources.files("dcp_spec").joinpath("adapters")
     try:
         if "/" not in name and not path.suffix:
             data = built_in.joinpath(f"{name}.toml").read_bytes()
@@ -178,7 +178,7 @@ def placeholders(method: Method) -> frozenset[str]:
 @functools.cache
 def parameters_of_methods() -> dict[str, frozenset[str]]:
     """The parameters of each method of the contract, out of its schema."""
-    text = resources.files("dcp_conformance").joinpath("data", "upper-tester.schema.json").read_bytes()
+    text = resources.files("dcp_spec").joinpath("data", "upper-tester.schema.json").read_bytes()
     definitions: dict[str, Any] = msgspec.json.decode(text)["$defs"]
     found: dict[str, frozenset[str]] = {}
     for name, definition in definitions.items():

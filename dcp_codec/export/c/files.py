@@ -29,7 +29,7 @@ def codec_files(codec: Codec) -> dict[str, str]:
     reading = Reading(shape, scalars).all()
     writing = Writing(shape, scalars).all()
     first = heading(codec.profile, __version__)
-    body = f"{_template('common.c')}\n{reading}\n{_template('common_writer.c')}\n{writing}"
+    body = f"{template('common.c')}\n{reading}\n{template('common_writer.c')}\n{writing}"
     identifiers = sorted(set(_ENUMERATOR.findall(body)))
     header = _HEADER.replace("@HEADING@", first)
     header = header.replace("@COMMON@", _common(identifiers))
@@ -41,7 +41,8 @@ def codec_files(codec: Codec) -> dict[str, str]:
     return {"dcp_codec.h": header, "dcp_codec.c": source.rstrip() + "\n"}
 
 
-def _template(name: str) -> str:
+def template(name: str) -> str:
+    """Return a text that all profiles share."""
     return resources.files("dcp_codec.export.c").joinpath(name).read_text(encoding="utf-8")
 
 
@@ -52,7 +53,7 @@ def _common(identifiers: list[str]) -> str:
     # C++ before 11 and pedantic compilers want no comma after the last one.
     reasons[-1] = reasons[-1].replace(",", " ", 1)
     requirements = ["    DCP_REQUIREMENT_NONE", *(f"    DCP_{name}" for name in identifiers)]
-    text = _template("common.h").replace("@REASONS@", "\n".join(reasons))
+    text = template("common.h").replace("@REASONS@", "\n".join(reasons))
     return text.replace("@REQUIREMENTS@", ",\n".join(requirements)).rstrip()
 
 
