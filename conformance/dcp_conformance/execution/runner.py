@@ -11,7 +11,7 @@ import msgspec
 from dcp_spec.parameters import parameters
 
 from dcp_conformance.errors import UpperTesterError
-from dcp_conformance.impairment import MOST_EXECUTIONS as MOST_IMPAIRED
+from dcp_conformance.impaired_link import MOST_EXECUTIONS as MOST_IMPAIRED
 from dcp_conformance.interconnection.findings import Findings, prepare
 from dcp_conformance.lower_tester import Impairs
 from dcp_conformance.model.applicability import why_not

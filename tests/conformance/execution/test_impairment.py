@@ -11,7 +11,7 @@ from dcp_conformance.execution.run import ConformanceRun
 from dcp_conformance.execution.runner import Runner
 from dcp_conformance.execution.selection import Selection
 from dcp_conformance.execution.target import TargetOptions
-from dcp_conformance.impairment import MOST_EXECUTIONS, impaired, parse_directions
+from dcp_conformance.impaired_link import MOST_EXECUTIONS, impaired, parse_directions
 from dcp_conformance.lower_tester import Impairs, Incident, LinkHealth
 from dcp_conformance.model.case import Case, Kind
 from dcp_conformance.model.pics import Pics

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from dcp_spec.constants import BP_SEQNO_MODULUS
 
 from dcp_conformance.frames.received import ReceivedBeacon
-from dcp_conformance.impairment import incidents_text
+from dcp_conformance.impaired_link import incidents_text
 from dcp_conformance.lower_tester import Incident, LowerTester
 from dcp_conformance.test_system.steps import Steps
 from dcp_conformance.test_system.sut_properties import MS, SutProperties
