@@ -86,7 +86,7 @@ def load_adapter(name: str) -> Adapter:
     The file names programs that are executed. A file that another user can change is refused. Raises ``UsageError``.
     """
     path = Path(name)
-    built_in = resources.files("dcp_spec").joinpath("adapters")
+    built_in = resources.files("dcp_conformance").joinpath("adapters")
     try:
         if "/" not in name and not path.suffix:
             data = built_in.joinpath(f"{name}.toml").read_bytes()
