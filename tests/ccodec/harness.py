@@ -214,10 +214,12 @@ int main(void)
         out[1] = (uint8_t)faults;
         number(out + 4, crc ^ 0xFFFFFFFFu, 4);
         number(out + 8, problem.offset, 8);
-        number(out + 16, problem.needed, 8);
-        number(out + 24, problem.available, 8);
-        strncpy((char *)out + 32, dcp_requirement_name(problem.requirement), 16);
-        strncpy((char *)out + 48, problem.field, 48);
+        if (problem.reason != DCP_OK) {
+            number(out + 16, problem.needed, 8);
+            number(out + 24, problem.available, 8);
+            strncpy((char *)out + 32, dcp_requirement_name(problem.requirement), 16);
+            strncpy((char *)out + 48, problem.field, 48);
+        }
         need(fwrite(out, 1, sizeof out, stdout) == sizeof out);
         free(octets);
     }

@@ -55,7 +55,7 @@ static void begin(reader_t *r, const uint8_t *octets, size_t size, dcp_problem_t
     r->at = 0;
     r->end = size;
     r->problem = problem;
-    (void)fail(r, DCP_OK, DCP_REQUIREMENT_NONE, "", 0, 0, 0);
+    problem->reason = DCP_OK;
 }
 
 static void resume(reader_t *r, const dcp_list_t *list, dcp_problem_t *problem)

@@ -8,7 +8,7 @@ typedef enum dcp_requirement {
 @REQUIREMENTS@
 } dcp_requirement_t;
 
-/* A problem in octets; with reason DCP_OK there is none. The meaning of needed and available depends on the reason:
+/* A problem in octets; with reason DCP_OK there is none, and nothing else is set. The meaning of needed and available depends on the reason:
  * octets, or the number that should be there and the one that was found. */
 typedef struct dcp_problem {
     dcp_reason_t reason;

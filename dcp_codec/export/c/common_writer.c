@@ -1,27 +1,25 @@
-static bool refuse(dcp_writer_t *w, size_t at, dcp_fault_t fault)
+static bool refuse(dcp_writer_t *w, dcp_fault_t fault)
 {
-    w->at = at;
     w->fault = fault;
     return false;
-}
-
-static bool room(const dcp_writer_t *w, size_t size)
-{
-    return w->at <= w->size && w->size - w->at >= size;
 }
 
 /* Copy octets; without data: zeros. */
 static void copy(uint8_t *to, const uint8_t *data, size_t size)
 {
     size_t i;
-    for (i = 0; i < size; i++)
-        to[i] = data != NULL ? data[i] : 0u;
+    if (data != NULL)
+        for (i = 0; i < size; i++)
+            to[i] = data[i];
+    else
+        for (i = 0; i < size; i++)
+            to[i] = 0;
 }
 
 static bool put_octets(dcp_writer_t *w, dcp_octets_t octets)
 {
-    if (!room(w, octets.size))
-        return refuse(w, w->at, DCP_FAULT_NO_ROOM);
+    if (w->size - w->at < octets.size)
+        return refuse(w, DCP_FAULT_NO_ROOM);
     copy(w->octets + w->at, octets.data, octets.size);
     w->at += octets.size;
     return true;

@@ -46,11 +46,14 @@ class Writing:
 
     def record(self, record: Record, marks: Mapping[str, str] = MappingProxyType({})) -> None:
         """Emit the function that writes a record. ``marks``: derived fields -> the writer's member with the place."""
-        name = stem(record.group)
-        self.add(f"static bool put_{name}(dcp_writer_t *w, const dcp_{name}_t *v)", "{", "    const size_t at = w->at;")
-        if any(run.size for run in record.runs()):
-            self.add("    uint8_t *p;")
-        texts = [run.text for run in record.runs() if run.text is not None]
+        name, runs = stem(record.group), list(record.runs())
+        texts = [run.text for run in runs if run.text is not None]
+        self.add(
+            f"static bool put_{name}(dcp_writer_t *w, const dcp_{name}_t *v)",
+            "{",
+            "    uint8_t *p = w->octets + w->at;",
+            "    size_t left = w->size - w->at;",
+        )
         if any(isinstance(text.node, Text) and text.node.terminated for text in texts):
             self.add("    size_t i;")
         for part in record.parts():
@@ -60,39 +63,35 @@ class Writing:
                 and node.stored
                 and (wrong := self.scalars.range_check(node, access(part.path)))
             ):
-                self.add(f"    if ({wrong})", "        return refuse(w, at, DCP_FAULT_OUT_OF_RANGE);")
+                self.add(f"    if ({wrong})", "        return refuse(w, DCP_FAULT_OUT_OF_RANGE);")
         for text in texts:
             assert isinstance(text.node, Text)
             value, most = access(text.path), longest(text.node)
             if most is not None:
-                room = most - text.node.terminated
-                self.add(*_at_most(f"{value}.size", room, "refuse(w, at, DCP_FAULT_TOO_LONG)"))
+                self.add(*_at_most(f"{value}.size", most - text.node.terminated, "refuse(w, DCP_FAULT_TOO_LONG)"))
             if text.node.terminated:
                 self.add(
                     f"    for (i = 0; i < {value}.size; i++)",
                     f"        if ({value}.data[i] == 0u)",
-                    "            return refuse(w, at, DCP_FAULT_NUL);",
+                    "            return refuse(w, DCP_FAULT_NUL);",
                 )
-        for run in record.runs():
+        terminators = sum(isinstance(text.node, Text) and text.node.terminated for text in texts)
+        self.add(
+            f"    if (left < {sum(run.size for run in runs) + terminators}u)",
+            "        return refuse(w, DCP_FAULT_NO_ROOM);",
+        )
+        for number, text in enumerate(texts):
+            before = f"{sum(run.size for run in runs) + terminators}u" if number == 0 else last
+            last = f"{access(text.path)}.size"
+            self.add(
+                f"    left -= {before};", f"    if (left < {last})", "        return refuse(w, DCP_FAULT_NO_ROOM);"
+            )
+        for run in runs:
             self._run(run, marks)
-            if run.text is not None:
-                assert isinstance(run.text.node, Text)
-                value = access(run.text.path)
-                self.add(f"    if (!put_octets(w, {value}))", "        return refuse(w, at, w->fault);")
-                if run.text.node.terminated:
-                    self.add("    if (!room(w, 1u))", "        return refuse(w, at, DCP_FAULT_NO_ROOM);")
-                    self.add("    w->octets[w->at++] = 0;")
-        self.add("    return true;", "}", "")
+        self.add("    w->at = (size_t)(p - w->octets);", "    return true;", "}", "")
 
     def _run(self, run: Run, marks: Mapping[str, str]) -> None:
-        """Emit the writing of scalars."""
-        if not run.size:
-            return
-        self.add(
-            f"    if (!room(w, {run.size}u))",
-            "        return refuse(w, at, DCP_FAULT_NO_ROOM);",
-            "    p = w->octets + w->at;",
-        )
+        """Emit the writing of scalars, and of the text after them."""
         place = 0
         for part in run.scalars:
             node = part.node
@@ -104,7 +103,8 @@ class Writing:
                 size = f"({_unsigned(node)})({access(run.text.path)}.size{plus})"
                 self.add(f"    {self.scalars.write(node, size, place)}")
             elif node.derived is not None:
-                self.add(f"    w->{marks[part.path[-1]]} = w->at{f' + {place}u' if place else ''};")
+                offset = f" + {place}" if place else ""
+                self.add(f"    w->{marks[part.path[-1]]} = (size_t)(p{offset} - w->octets);")
                 self.add(f"    {self.scalars.write(node, '0', place)}")
             else:
                 value = access(part.path)
@@ -114,7 +114,14 @@ class Writing:
                     value = f"({_unsigned(node)}){value}"
                 self.add(f"    {self.scalars.write(node, value, place)}")
             place += node.size
-        self.add(f"    w->at += {run.size}u;")
+        if place:
+            self.add(f"    p += {place};")
+        if run.text is not None:
+            assert isinstance(run.text.node, Text)
+            value = access(run.text.path)
+            self.add(f"    copy(p, {value}.data, {value}.size);", f"    p += {value}.size;")
+            if run.text.node.terminated:
+                self.add("    *p++ = 0;")
 
     # -- beacons and payloads -------------------------------------------------------------------------------------
 
@@ -132,8 +139,8 @@ class Writing:
             return
         node = part.node
         if node.rule is not None and name != "numPayloads" and name != "icNumRecords":
-            self.add(f"    if ({number} == 0u)", "        return refuse(w, w->at, DCP_FAULT_EMPTY);")
-        self.add(*_at_most(number, largest(node), f"refuse(w, w->at, {fault})"))
+            self.add(f"    if ({number} == 0u)", "        return refuse(w, DCP_FAULT_EMPTY);")
+        self.add(*_at_most(number, largest(node), f"refuse(w, {fault})"))
 
     def _beacon(self) -> None:
         shape = self.shape
@@ -143,7 +150,7 @@ class Writing:
             "{",
             "    const size_t at = w->at;",
             "    if (w->beacon != DCP_NOWHERE)",
-            "        return refuse(w, at, DCP_FAULT_ORDER);",
+            "        return refuse(w, DCP_FAULT_ORDER);",
         )
         if shape.header is not None:
             self.add(f"    if (!put_{stem(shape.header.group)}(w, bp))", "        return false;")
@@ -159,10 +166,10 @@ class Writing:
             "bool dcp_end_beacon(dcp_writer_t *w)",
             "{",
             "    if (w->beacon == DCP_NOWHERE || w->payload != DCP_NOWHERE)",
-            "        return refuse(w, w->at, DCP_FAULT_ORDER);",
+            "        return refuse(w, DCP_FAULT_ORDER);",
         )
         if shape.header is not None or shape.payloads.nonempty:
-            self.add("    if (w->payloads_written == 0u)", "        return refuse(w, w->at, DCP_FAULT_EMPTY);")
+            self.add("    if (w->payloads_written == 0u)", "        return refuse(w, DCP_FAULT_EMPTY);")
         if shape.header is not None:
             self._limit(shape.header, "numPayloads", "w->payloads_written", "DCP_FAULT_TOO_MANY")
             self._limit(shape.header, "length", "w->at - w->payloads", "DCP_FAULT_TOO_LONG")
@@ -177,7 +184,7 @@ class Writing:
             "{",
             "    const size_t at = w->at;",
             "    if (w->beacon == DCP_NOWHERE || w->payload != DCP_NOWHERE)",
-            "        return refuse(w, at, DCP_FAULT_ORDER);",
+            "        return refuse(w, DCP_FAULT_ORDER);",
             "    if (!put_payload(w, payload))",
             "        return false;",
             "    w->payload = at;",
@@ -189,16 +196,16 @@ class Writing:
             "{",
             "    const size_t size = w->at - w->content;",
             "    if (w->payload == DCP_NOWHERE || w->container != DCP_NOWHERE)",
-            "        return refuse(w, w->at, DCP_FAULT_ORDER);",
+            "        return refuse(w, DCP_FAULT_ORDER);",
         )
         self._limit(shape.payload, shape.content.length, "size", "DCP_FAULT_TOO_LONG")
         if fill is not None:
             self.add(
                 f"    if (size > {fill.total}u",
                 f"        || (payload->area.size != 0u && payload->area.size != {fill.total}u - size))",
-                "        return refuse(w, w->at, DCP_FAULT_TOO_LONG);",
-                f"    if (!room(w, {fill.total}u - size))",
-                "        return refuse(w, w->at, DCP_FAULT_NO_ROOM);",
+                "        return refuse(w, DCP_FAULT_TOO_LONG);",
+                f"    if (w->size - w->at < {fill.total}u - size)",
+                "        return refuse(w, DCP_FAULT_NO_ROOM);",
                 "    copy(w->octets + w->at, payload->area.size != 0u ? payload->area.data : NULL,",
                 f"         {fill.total}u - size);",
                 f"    w->at += {fill.total}u - size;",
@@ -236,12 +243,12 @@ class Writing:
             "{",
             "    const size_t at = w->at;",
             "    if (w->container != DCP_NOWHERE)",
-            "        return refuse(w, at, DCP_FAULT_ORDER);",
+            "        return refuse(w, DCP_FAULT_ORDER);",
             "    switch (container->ic_type) {",
             *(f"    case {number}u:" for number in shape.records),
             "        break;",
             "    default:",
-            "        return refuse(w, at, DCP_FAULT_UNKNOWN_TYPE);",
+            "        return refuse(w, DCP_FAULT_UNKNOWN_TYPE);",
             "    }",
             "    if (!put_container(w, container))",
             "        return false;",
@@ -257,10 +264,12 @@ class Writing:
             "{",
             "    const size_t container = w->container;",
             "    if (container == DCP_NOWHERE)",
-            "        return refuse(w, w->at, DCP_FAULT_ORDER);",
+            "        return refuse(w, DCP_FAULT_ORDER);",
             "    w->container = DCP_NOWHERE;",
-            "    if (w->records_written == 0u)",
-            "        return refuse(w, container, DCP_FAULT_EMPTY);",
+            "    if (w->records_written == 0u) {",
+            "        w->at = container;",
+            "        return refuse(w, DCP_FAULT_EMPTY);",
+            "    }",
         )
         if shape.list_region is not None:
             self._limit(shape.container, shape.list_region.length, "w->at - w->records", "DCP_FAULT_TOO_LONG")
@@ -275,9 +284,9 @@ class Writing:
             "static bool fits(dcp_writer_t *w, uint64_t ic_type)",
             "{",
             "    if (w->container == DCP_NOWHERE || w->ic_type != ic_type)",
-            "        return refuse(w, w->at, DCP_FAULT_ORDER);",
+            "        return refuse(w, DCP_FAULT_ORDER);",
             f"    if (w->records_written == {largest(count.node)}u)",
-            "        return refuse(w, w->at, DCP_FAULT_TOO_MANY);",
+            "        return refuse(w, DCP_FAULT_TOO_MANY);",
             "    return true;",
             "}",
             "",
