@@ -19,6 +19,7 @@ from .control import Control
 from .identifiers.allocation import Identifiers
 from .judgement.excuses import Excuses
 from .judgement.losses import Losses
+from .judgement.matchers import Matchers
 from .judgement.verdicts import Verdicts
 from .probes import Probes, Teaching
 from .reception.receiver import Receiver
@@ -61,6 +62,7 @@ class Bench:
         self.losses = Losses(lower, traffic, self.heard, self.sut, self.steps, session.counting)
         self.excuses = Excuses(codec, lower, traffic, self.heard, created, session, self.losses, self.assumptions)
         self.verdicts = Verdicts(case, codec, lower, traffic, self.excuses, session.pics.readings)
+        self.matchers = matchers = Matchers(self.verdicts)
         self.identifiers = Identifiers(session, lower, self.sut, self.verdicts, created)
         self.records = Records(codec, lower, session, self.sut, self.identifiers, self.verdicts)
         self.builder = FrameBuilder(codec)
@@ -90,6 +92,22 @@ class Bench:
         self.reading = self.verdicts.reading
         self.require_alive = self.probes.require_alive
         self.check_repeated = self.repetitions.check
+        self.some = matchers.some
+        self.required = matchers.required
+        self.complete = matchers.complete
+        self.none = matchers.none
+        self.every = matchers.every
+        self.answered = matchers.answered
+        self.fields = matchers.fields
+        self.proved = matchers.proved
+        self.equal = matchers.equal
+        self.only = matchers.only
+        self.in_order = matchers.in_order
+        self.repeated = matchers.repeated
+        self.one_each = matchers.one_each
+        self.within = matchers.within
+        self.successive = matchers.successive
+        self.passed = matchers.passed
         # Stimuli:
         self.peer = self.peers.new
         self.var_id = self.identifiers.var_id
