@@ -42,10 +42,12 @@ class Remembers(ClientList):
         """Change a client like its first registration."""
 
 
-def _queue_of(client: Client, **changes: Any) -> PayloadQueue | None:
-    """Return an empty queue like that of a client."""
-    queue = client.queue
-    return queue and PayloadQueue(changes.get("rule", queue.rule), changes.get("entries", queue._places or 1))
+def _queue_of(client: Client, *, entries: int | None = None, former: Client | None = None) -> PayloadQueue | None:
+    """Return an empty queue like that of a client, with other entries or the mode of another client."""
+    queue, other = client.queue, client.queue if former is None else former.queue
+    if queue is None or other is None:
+        return queue
+    return PayloadQueue(other.rule, entries or queue._places or 1)
 
 
 # fmt: off
@@ -56,7 +58,7 @@ recall("former-entries", "BP-REG-06 BP-QM-01 BP-QM-02 BP-DRG-05",
     since=V1_1, unseen={"1.0": "1.0 has no maxEntries"})
 recall("former-mode", "BP-REG-06 BP-QM-03 BP-QM-04 BP-QM-05 BP-DRG-05",
     "gives a client that registers again the queueing mode of its first registration",
-    lambda self, client, former: assign(client, queue=former.queue and _queue_of(client, rule=former.queue.rule)))
+    lambda self, client, former: assign(client, queue=_queue_of(client, former=former)))
 recall("former-several", "BP-REG-06 BP-QM-07 BP-DRG-05",
     "gives a client that registers again the allowMultiplePayloads of its first registration",
     lambda self, client, former: assign(client, several=former.several),

@@ -171,19 +171,10 @@ def own_fields(bench: Bench) -> None:
                 second = registered(bench)
     for client in clients:
         was, is_now = first.get(client.prot_id), second.get(client.prot_id)
-        named = {name: (was or {}).get(name) for name in ("timeStampRegistration", *_fields(bench, client))}
+        named = {name: (was or {}).get(name) for name in ("timeStampRegistration", *client.listing())}
         same = all((is_now or {}).get(name) == value for name, value in named.items())
         observed = f"{is_now}"
         bench.check(same, f"{named}, as before", observed, "BP-LST-01", "BP-LST-03", shown=True)
-
-
-def _fields(bench: Bench, client: BPClient) -> dict[str, Any]:
-    """Return the fields that the list must have for a client, by their names in the list."""
-    names = {"protocolName": "name", "maxPayloadSize": "maxPayloadSize", "queueMode": "queueingMode"}
-    if bench.features.allow_multiple_payloads and QueueingMode(client.registration["queueingMode"]).is_queue:
-        # Both fields are irrelevant for the other modes.
-        names |= {"allowMultiplePayloads": "allowMultiplePayloads", "maxEntries": "maxEntries"}
-    return {listed: client.registration[given] for listed, given in names.items()}
 
 
 def _check_fields(bench: Bench, clients: list[BPClient], entries: dict[int, dict[str, Any]]) -> None:
@@ -191,7 +182,7 @@ def _check_fields(bench: Bench, clients: list[BPClient], entries: dict[int, dict
     for client in clients:
         entry = entries.get(client.prot_id) or {}
         stamps.append(entry.get("timeStampRegistration"))
-        for name, right in _fields(bench, client).items():
+        for name, right in client.listing().items():
             observed = entry.get(name)
             bench.check(observed == right, f"{name} {right!r}", f"{observed!r}", "BP-LST-01", "BP-LST-03", shown=True)
     # The clock may be set in between, so only the difference of the times is checked.
