@@ -48,7 +48,7 @@ _MEASURES: Final = (
     (r"TC_VD_SCR_TI_(04|05|08|14).*", "it measures when a variable is deleted"),
     (r"TC_BP_RXP_BV_05-.*", _REPLACES),
     (r"TC_(SRP|VD)_SRV_BO_01", _REPLACES),
-    (r"TC_SRP_NT_TI_0[34]", "it shortens the timeout of neighbours"),
+    (r"TC_SRP_(NT_TI_0[346]|RX_BO_02-.*)", "it shortens the timeout of neighbours"),
     (r"TC_SRP_NT_BV_04", "it fills the neighbour table"),
     (r"TC_SRP_NT_BV_06", "it needs an empty neighbour table"),
     (r"TC_BP_HDR_BV_(02|09|12)", _LISTENS),
