@@ -39,7 +39,7 @@ _MEASURES: Final = (
     (r"TC_DCP_SANITY_.*", "it shows that the implementation answers"),
     (r"TC_VD_ROOM_.*", _FILLS),
     (r"TC_NET_CROWD_.*", _FILLS),
-    (r"TC_VD_PAY_BV_0[67].*", _FILLS),
+    (r"TC_VD_PAY_BV_(0[67]|12).*", _FILLS),
     (r"TC_VD_CMP_BV_(01|02|04.*|06|09|12|13|14|15).*", _FILLS),
     (r"TC_VD_SUM_BV_0[235].*", _FILLS),
     (r"TC_VD_SPLIT_BV_0[34]", _FILLS),
