@@ -52,14 +52,19 @@ _CROWD, _OWNED, _OTHERS = 60, 20, 10
     expect="the first VarDelete neither before the timeout since the last change, nor later than allowed",
     window=80,
     variants={
-        "received": Variant((False, False), needs=_WIRE),
-        "received-and-updated": Variant((False, True), requirements="VD-SCR-01 VD-SCR-03 VD-SCR-06", needs=_WIRE),
-        "own": Variant((True, False), needs=_OWN),
-        "own-and-updated": Variant((True, True), requirements="VD-SCR-01 VD-SCR-03 VD-UPD-08", needs=_OWN),
+        "received": Variant((False, ""), needs=_WIRE),
+        "received-and-updated": Variant((False, "updated"), requirements="VD-SCR-01 VD-SCR-03 VD-SCR-06", needs=_WIRE),
+        "received-and-update-rejected": Variant(
+            (False, "rejected"),
+            requirements="VD-SCR-01 VD-SCR-03 VD-UPD-03",
+            needs=Needs(SpecVersion.V2_0, ut=("RTDB-Update",)),
+        ),
+        "own": Variant((True, ""), needs=_OWN),
+        "own-and-updated": Variant((True, "updated"), requirements="VD-SCR-01 VD-SCR-03 VD-UPD-08", needs=_OWN),
     },
 )
-def kinds(bench: Bench, what: tuple[bool, bool]) -> None:
-    own, updated = what
+def kinds(bench: Bench, what: tuple[bool, str]) -> None:
+    own, then = what
     timeout_ms, peer = lasting(bench, _LONG), bench.peer()
     if own:
         name = bench.identifiers.own_var_id()
@@ -67,7 +72,10 @@ def kinds(bench: Bench, what: tuple[bool, bool]) -> None:
     else:
         name = bench.var_id()
         since = learn(bench, peer, name, timeout_ms)
-    if updated:
+    if then == "rejected":
+        bench.waiting.wait_ns(timeout_ms * MS * 3 // 4)
+        bench.call("RTDB-Update", varId=name, value="77")
+    elif then:
         bench.wait(2)
         before = bench.now()
         if own:
@@ -157,13 +165,16 @@ def as_new(bench: Bench, own: bool) -> None:
         not_by_consumers(bench, name)
         return
     start = bench.mark()
+    again, descr = bench.sut.rep_cnt(4), bench.records.descr(b"once more")
     if own:
-        created_again(bench, name, rep_cnt=count, timeout=longer_ms)
+        created_again(bench, name, rep_cnt=again, descr=descr.decode(), timeout=longer_ms)
     else:
-        peer.send(peer.create(name, rep_cnt=count, timeout=longer_ms))
+        peer.send(peer.create(name, rep_cnt=again, descr=descr, timeout=longer_ms))
     made = bench.required(bench.until_instruction(_CREATE, name), "a VarCreate of the new creation")
-    bench.answered(made.spec.timeout, longer_ms, "timeout in the VarCreate")
     begun = next(place for place, each in enumerate(bench.heard[start:], start) if each.about(_CREATE, name) is made)
+    spec = made.spec
+    bench.answered((spec.timeout, spec.rep_cnt, spec.descr), (longer_ms, again, descr), "timeout, repCnt and descr")
+    bench.check_repeated(_CREATE, name, again, begun)
     # Longer than the first timeout.
     bench.waiting.wait_ns(max(4 * timeout_ms, 1_000) * MS)
     bench.none(bench.instructions(_DELETE, name, begun), "no VarDelete after the VarCreate")
