@@ -114,16 +114,6 @@ class FarAheadIgnored(Receiver):
         return not 1000 <= header.seqno - last < 1 << 31 and super()._for_this_node(header)
 
 
-@mutant("two-senders", "BP-RX-07", "ignores senders while it has heard 64 others in a row")
-class TableOfSenders(Receiver):
-    def _for_this_node(self, header: BPHeader) -> bool:
-        known: dict[bytes, None] = self.__dict__.setdefault("known", {})
-        if header.sender_id not in known and len(known) >= 64:
-            return False
-        known[header.sender_id] = None
-        return super()._for_this_node(header)
-
-
 @mutant("lifo-when-long", "BP-QM-03", "sends the payloads of a queue with more than 16 in the reverse order")
 class ReversedWhenLong(OwnQueue):
     class queue(PayloadQueue):  # noqa: N801 - takes the place of an attribute

@@ -161,9 +161,6 @@ admits("numbers-remembered", "SRP-RX-03 SRP-RX-04",
 admits("same-data", "SRP-RX-03 SRP-RUN-02", "does not renew an entry with a report of the same safety data",
     lambda self, report, memory, now: report.node_id not in self._entries
         or report.s_data != memory[report.node_id][0].s_data)
-admits("same-number", "SRP-RX-03", "ignores a report with the sequence number of the entry",
-    lambda self, report, memory, now: report.node_id not in self._entries
-        or report.seqno != memory[report.node_id][0].seqno)
 admits("far-ahead", "SRP-RX-03 SRP-RX-04", "ignores reports whose sequence number is 10,000 or more ahead",
     lambda self, report, memory, now: report.node_id not in self._entries
         or not 10_000 <= report.seqno - memory[report.node_id][0].seqno < 1 << 31)

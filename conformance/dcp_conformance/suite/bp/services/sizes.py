@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from contextlib import ExitStack
 
-from dcp_spec.constants import BP_SEQNO_MODULUS, SpecVersion
+from dcp_spec.constants import BP_MAX_PAYLOADS, BP_SEQNO_MODULUS, QueueingMode, SpecVersion
 
 from dcp_conformance.frames.builder import Block, Lies
 from dcp_conformance.model.case import Needs, Variant, case
 from dcp_conformance.suite.bp.beacons.receive import check_processed
+from dcp_conformance.test_steps.beacon_gaps import between_beacons
 from dcp_conformance.test_steps.bp_clients import (
     CLIENT,
     DEREGISTER,
@@ -17,16 +18,20 @@ from dcp_conformance.test_steps.bp_clients import (
     REGISTER,
     REPEAT,
     BPClient,
+    areas_of_fixed_size,
+    each_mode,
+    listed,
     needed,
     queue_mode,
     registered,
+    unused_protocol_id,
 )
 from dcp_conformance.test_steps.services import parameters_set
 from dcp_conformance.test_system.bench import MS, Bench
 
 V1_1 = SpecVersion.V1_1
-#: Number of clients, and of damaged beacons before a valid one.
-_CLIENTS, _DAMAGED = 40, 12
+#: Number of clients, of damaged beacons before a valid one, and of senders.
+_CLIENTS, _DAMAGED, _SENDERS = 40, 12, 150
 _PERIOD = "BPPAR_BEACON_PERIOD"
 
 
@@ -119,6 +124,71 @@ def any_identifier(bench: Bench, number: int) -> None:
         bench.peer().send(Block(number, octets))
         received = client.until_received()
         bench.only(received, [octets], "the payload received", "BP-RXP-03", "BP-HDR-11")
+
+
+@case(
+    "TC_BP_RX_BV_08",
+    "A beacon may have 255 blocks",
+    requirements="BP-RX-07 BP-RX-08 BP-HDR-07",
+    stimulus=(
+        "a beacon with 254 blocks of an unregistered protocol, one octet each, and the summary of an unknown variable"
+    ),
+    expect="a request for the variable",
+    needs=Needs(header=("numPayloads",), when=areas_of_fixed_size),
+)
+def most_blocks(bench: Bench) -> None:
+    peer, var_id, start = bench.peer(), bench.unknown_id(), bench.mark()
+    other = Block(unused_protocol_id(bench), b"x")
+    peer.send(*[other] * (BP_MAX_PAYLOADS - 1), peer.summary(var_id, 1))
+    check_processed(bench, [var_id], start, "the last of 255 blocks")
+
+
+@case(
+    "TC_BP_RX_BV_09",
+    f"Beacons are processed after those of {_SENDERS} other senders",
+    requirements="BP-RX-07 DATA-04",
+    stimulus=(
+        f"a beacon of each of {_SENDERS} senders with a block of an unregistered protocol; then summaries of unknown "
+        "variables from the first of them and from a new one"
+    ),
+    expect="requests for both variables",
+    window=10,
+)
+def many_senders(bench: Bench) -> None:
+    peers = [bench.peer() for _ in range(_SENDERS + 1)]
+    block = Block(unused_protocol_id(bench), b"x")
+    for peer in peers[:-1]:
+        peer.send(block)
+    names, start = bench.identifiers.unknown_ids(2), bench.mark()
+    for peer, name in zip((peers[0], peers[-1]), names, strict=True):
+        peer.send(peer.summary(name, 1))
+    check_processed(bench, names, start, "a beacon of the first sender and one of a new sender")
+
+
+@case(
+    "TC_BP_QM_BV_17",
+    "Equal payloads are different payloads ({variant})",
+    requirements="BP-QM-03",
+    stimulus="between two beacons, a client with mode {variant} and maxEntries 4 submits A, A, B, B",
+    expect="four beacons with A, A, B, B",
+    window=10,
+    variants={name: each for name, each in each_mode(*CLIENT).items() if each.value.is_queue},
+)
+def equal_payloads(bench: Bench, mode: QueueingMode) -> None:
+    with BPClient(bench, mode, entries=4) as client:
+        start, payloads = 0, [client.payload(), client.payload()]
+
+        def act() -> None:
+            nonlocal start
+            start = bench.mark()
+            for each in (0, 0, 1, 1):
+                client.transmit(payloads[each])
+
+        between_beacons(bench, "submission of four payloads", act, client.in_frame)
+        bench.until_quiet(client.in_frame, since=start)
+        sent = client.sent(start)
+        right = [payloads[each] for each in (0, 0, 1, 1)]
+        bench.in_order(sent, right, "payloads A, A, B, B", seen=listed(sent, payloads))
 
 
 _DAMAGES: dict[str, tuple[str, Lies, int | None]] = {

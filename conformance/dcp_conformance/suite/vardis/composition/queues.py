@@ -186,7 +186,7 @@ def _holds(count: int) -> Callable[[Bench], str | None]:
 
 
 _MANY: dict[str, tuple[ICType, int, Stimulus, str]] = {
-    "requests": (_ASK_CREATE, 200, lambda peer, var_id: peer.summary(var_id, 9), "VD-CMP-12"),
+    "requests": (_ASK_CREATE, 200, lambda peer, var_id: peer.summary(var_id, 9), "VD-CMP-12 VD-PS-01"),
     "update-requests": (_ASK_UPDATE, 120, lambda peer, var_id: peer.summary(var_id, 9), "VD-CMP-11"),
     "deletes": (_DELETE, 120, lambda peer, var_id: peer.delete(var_id), "VD-CMP-10"),
     "updates": (_UPDATE, 100, lambda peer, var_id: peer.update(var_id, 9, b"w"), "VD-CMP-09"),
