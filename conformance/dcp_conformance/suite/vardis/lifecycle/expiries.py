@@ -113,7 +113,9 @@ def _holds(count: int) -> Callable[[Bench], str | None]:
 )
 def crowd(bench: Bench, count: int) -> None:
     shorten_scrubbing(bench)
-    timeout_ms, longest = lasting(bench, 300, 8), min(bench.sut.longest_timeout, 60_000)
+    # All must be forwarded before the first of them times out.
+    timeout_ms = lasting(bench, 300, 8 + round(2 * bench.teaching.periods(count)))
+    longest = min(bench.sut.longest_timeout, 60_000)
     peer, others = bench.peer(), bench.identifiers.var_ids(2 * _OTHERS)
     stay = [peer.create(each, value=b"v", descr=b"d", timeout=place % 2 * longest) for place, each in enumerate(others)]
     teach_variables(bench, peer, stay[:_OTHERS])

@@ -52,7 +52,8 @@ def _long(bench: Bench) -> bytes:
 
 def _creation(**changes: Callable[[Bench], Any]) -> Callable[[Bench, int], dict[str, Any]]:
     def params(bench: Bench, var_id: int) -> dict[str, Any]:
-        given: dict[str, Any] = {"descr": "other", "value": b"w", "timeout": 30_000 if _has_timeouts(bench) else 0}
+        descr = bench.records.descr(b"other").decode()
+        given: dict[str, Any] = {"descr": descr, "value": b"w", "timeout": 30_000 if _has_timeouts(bench) else 0}
         return create_request(
             bench, var_id, exact=True, **given | {name: make(bench) for name, make in changes.items()}
         )
