@@ -11,17 +11,18 @@ from dcp_spec.status import BPStatus
 
 from dcp_selftest.mutants.bp.kept import Lists
 from dcp_selftest.mutants.bp.services import told
-from dcp_selftest.mutants.family import after, around, assign, attributes, instead, then
+from dcp_selftest.mutants.family import around, assign, attributes, instead
 from dcp_selftest.mutants.mutant import mutant
 from dcp_selftest.mutants.unseen import BP_ALWAYS_ACTIVE
 from dcp_stack.bp.clients import ClientList
 from dcp_stack.bp.entity import BeaconingProtocol
 from dcp_stack.bp.queue import Client, PayloadQueue
-from dcp_stack.bp.services import ListConfirm, NumberConfirm, RegisterConfirm, Registration, StatusConfirm
+from dcp_stack.bp.services import RegisterConfirm, Registration, StatusConfirm
 from dcp_stack.config import MS
 
 OK = StatusConfirm(BPStatus.OK)
 V1_1 = SpecVersion.V1_1
+SINCE_1_2: Any = {"since": SpecVersion.V1_2, "unseen": BP_ALWAYS_ACTIVE}
 
 
 # -- a second registration ---------------------------------------------------------------------------------------------
@@ -95,9 +96,6 @@ class ListsFirst(Lists):
 lists_first = attributes(ListsFirst, __name__)
 lists_first("first-time", "BP-LST-01 BP-REG-06",
     "lists the time of the first registration of an identifier", names=("time_stamp_registration",))
-lists_first("first-values", "BP-LST-01 BP-REG-06",
-    "lists name and maxPayloadSize of the first registration of an identifier",
-    names=("protocol_name", "max_payload_size"))
 # fmt: on
 
 
@@ -111,41 +109,6 @@ class ThirdLost(ClientList):
 
 
 # -- refused requests --------------------------------------------------------------------------------------------------
-
-
-@mutant("duplicate-takes-over", "BP-REG-02", "uses the maxPayloadSize and maxEntries of a refused registration")
-class DuplicateTakesOver(BeaconingProtocol):
-    def register(
-        self, prot_id: int, name: str, max_payload_size: int, queueing_mode: Any, max_entries: int, *rest: Any,
-        now: int, wall: int,
-    ) -> RegisterConfirm:  # fmt: skip
-        client = self.client(prot_id)
-        if client is not None and client.queue is not None and prot_id > 2:
-            if client.queue.rule.places.value == "maxEntries":
-                client.queue._places = max(max_entries, 1)
-            client.registration = msgspec.structs.replace(client.registration, max_payload_size=max_payload_size)
-        return super().register(prot_id, name, max_payload_size, queueing_mode, max_entries, *rest, now=now, wall=wall)
-
-
-@mutant("refused-blocks", "BP-REG-09 BP-REG-06", "refuses an identifier whose registration it has refused before")
-class RefusedBlocks(BeaconingProtocol):
-    def register(self, prot_id: int, *rest: Any, now: int, wall: int) -> RegisterConfirm:
-        blocked = self.__dict__.setdefault("blocked", set())
-        confirm = super().register(prot_id, *rest, now=now, wall=wall)
-        if confirm.status in (BPStatus.ILLEGAL_MAX_PAYLOAD_SIZE, BPStatus.ILLEGAL_DROPPING_QUEUE_SIZE):
-            blocked.add(prot_id)
-        elif confirm.status is BPStatus.OK and prot_id in blocked:
-            self.deregister(prot_id)
-            return RegisterConfirm(BPStatus.PROTOCOL_ALREADY_REGISTERED, confirm.own_node_identifier)
-        return confirm
-
-
-then(BeaconingProtocol, BeaconingProtocol._submit)("empty-empties", "BP-TXP-03 BP-QM-03",
-    "clears the queue of a client that submits an empty payload",
-    lambda self, status, client, payload, now: (
-        client.queue.clear() if status is BPStatus.EMPTY_PAYLOAD and client is not None and client.queue is not None
-        and client.queue.rule.places.value != "one" else None),
-    unseen={"1.0": "1.0 describes it in BP-TXP-12"})  # fmt: skip
 
 
 # -- while BP is inactive ----------------------------------------------------------------------------------------------
@@ -168,22 +131,7 @@ around(BeaconingProtocol, BeaconingProtocol._submit)("empty-taken", "BP-MGT-04 B
     "confirms empty payloads with OK while it is inactive and a queue has payloads",
     lambda self, proceed, client, payload, now: BPStatus.OK if not self._active and client is not None
         and not payload and client.queue else proceed(client, payload, now))
-after(BeaconingProtocol, BeaconingProtocol.query_number_buffered)("counts-one", "BP-MGT-04 BP-QRY-02",
-    "answers at most 1 to BP-QueryNumberBufferedPayloads while it is inactive",
-    lambda self, confirm, prot_id: confirm if self._active or not confirm.number or _own(prot_id)
-        else NumberConfirm(confirm.status, 1))
 # fmt: on
-
-
-@mutant("lists-earlier", "BP-MGT-04 BP-LST-01 BP-LST-03",
-    "lists the clients of the time of its deactivation while it is inactive", unseen=BP_ALWAYS_ACTIVE)  # fmt: skip
-class ListsEarlier(BeaconingProtocol):
-    def deactivate(self) -> StatusConfirm:
-        self.earlier = super().list_registered()
-        return super().deactivate()
-
-    def list_registered(self) -> ListConfirm:
-        return super().list_registered() if self._active else self.earlier
 
 
 class Inactive(BeaconingProtocol):
@@ -224,16 +172,6 @@ around(BeaconingProtocol, BeaconingProtocol.set_parameter)("parameters-lost", "B
 # fmt: on
 
 
-@mutant("grows", "BP-MGT-04 BP-QM-01 BP-QM-02", "stores payloads beyond maxEntries while it is inactive")
-class Grows(Inactive):
-    def full(self, client: Client, payload: bytes, now: int) -> BPStatus:
-        queue = client.queue
-        if queue is None or queue.rule.places.value != "maxEntries":
-            return super().full(client, payload, now)
-        queue._payloads.append(payload)
-        return BPStatus.OK
-
-
 class DeliversInactive(BeaconingProtocol):
     """Delivers payloads of some protocols while it is inactive."""
 
@@ -251,8 +189,6 @@ class DeliversInactive(BeaconingProtocol):
 delivers = attributes(DeliversInactive, __name__)
 delivers("state-reports", "BP-RX-13 BP-MGT-03", "delivers state reports while it is inactive",
     protocols=(BP_PROTID_SRP,))  # fmt: skip
-delivers("variables", "BP-RX-13 BP-MGT-03", "delivers payloads of VarDis while it is inactive",
-    protocols=(BP_PROTID_VARDIS,))  # fmt: skip
 
 
 @mutant("deregisters-later", "BP-MGT-04 BP-DRG-03", "sends the payload of a client deregistered while it is inactive",
@@ -289,26 +225,13 @@ changed = instead(Shrinks, Shrinks.changed)
 changed("too-long-dropped", "BP-TX-04 BP-PAR-02",
     "drops queued payloads that no longer fit after BPPAR_MAXIMUM_PACKET_SIZE was lowered",
     lambda self, client, queue: assign(queue, _payloads=type(queue._payloads)(
-        each for each in queue._payloads if self._wire.block_size(each) <= self._room())))
+        each for each in queue._payloads if self._wire.block_size(each) <= self._room())), **SINCE_1_2)
 changed("registration-lowered", "BP-TXP-02 BP-PAR-11",
     "lowers the maxPayloadSize of registered clients with BPPAR_MAXIMUM_PACKET_SIZE",
     lambda self, client, queue: assign(client, registration=msgspec.structs.replace(client.registration,
-        max_payload_size=min(client.registration.max_payload_size, self._room() - self._wire.block_header_size))))
+        max_payload_size=min(client.registration.max_payload_size, self._room() - self._wire.block_header_size))),
+    **SINCE_1_2)
 # fmt: on
-
-
-@mutant("first-limit", "BP-REG-04 BP-PAR-11", "limits registrations by the initial BPPAR_MAXIMUM_PACKET_SIZE",
-    since=V1_1)  # fmt: skip
-class FirstLimit(BeaconingProtocol):
-    def _registrable(self, registration: Registration, *, known: bool) -> BPStatus:
-        parameters = self._parameters
-        now = parameters.max_packet_size
-        first = self.__dict__.setdefault("first", self._config.profile.limits.max_beacon_size)
-        parameters._values["BPPAR_MAXIMUM_PACKET_SIZE"] = first
-        try:
-            return super()._registrable(registration, known=known)
-        finally:
-            parameters._values["BPPAR_MAXIMUM_PACKET_SIZE"] = now
 
 
 told("first-period", "BP-PTI-02 BP-PAR-02",

@@ -7,19 +7,18 @@ from typing import Any
 import msgspec
 from dcp_spec.constants import BP_MAX_PAYLOADS, SpecVersion
 
-from dcp_codec.values import BPHeader
 from dcp_selftest.mutants.bp.kept import listed
 from dcp_selftest.mutants.bp.queueing import OwnQueue, places
-from dcp_selftest.mutants.bp.receive import around_for_this_node, chosen, repaired
+from dcp_selftest.mutants.bp.receive import chosen, repaired
 from dcp_selftest.mutants.family import assign, before
 from dcp_selftest.mutants.mutant import mutant
-from dcp_selftest.mutants.unseen import ONE_PAYLOAD
+from dcp_selftest.mutants.unseen import BP_ALWAYS_ACTIVE, ONE_PAYLOAD
 from dcp_stack.bp.clients import ClientList
 from dcp_stack.bp.entity import BeaconingProtocol
 from dcp_stack.bp.queue import PayloadQueue, Submission
 from dcp_stack.bp.receive import Receiver
 
-V1_1 = SpecVersion.V1_1
+V1_1, V1_2 = SpecVersion.V1_1, SpecVersion.V1_2
 
 # fmt: off
 before(BeaconingProtocol, BeaconingProtocol.handle_timeout)("sixteen-bits", "BP-HDR-08",
@@ -28,11 +27,9 @@ before(BeaconingProtocol, BeaconingProtocol.handle_timeout)("sixteen-bits", "BP-
 repaired("low-bits", "BP-RX-01", "compares only the low four bits of version",
     lambda self, octets: self.put(octets, "version", 1) if self.number(octets, "version") & 15 == 1 else octets)
 places("at-most-255", "BP-QM-01 BP-QM-02 BP-QM-03", "treats maxEntries above 255 as 255",
-    lambda self, entries: min(entries, 255), since=V1_1)
+    lambda self, entries: min(entries, 255), unseen=BP_ALWAYS_ACTIVE, since=V1_2)
 places("eight-bits", "BP-QM-01 BP-QM-02 BP-QM-03", "uses maxEntries modulo 256",
-    lambda self, entries: entries % 256 or 1, since=V1_1)
-places("at-most-100", "BP-QM-02 BP-QM-01 BP-QM-03", "keeps at most 100 payloads of a client",
-    lambda self, entries: min(entries, 100), since=V1_1)
+    lambda self, entries: entries % 256 or 1, unseen=BP_ALWAYS_ACTIVE, since=V1_2)
 listed("cut-at-31", "BP-LST-01", "lists at most 31 characters of a name",
     lambda self, each: msgspec.structs.replace(each, protocol_name=each.protocol_name[:31]), since=V1_1)
 listed("cut-at-63", "BP-LST-01", "lists at most 63 octets of a name",
@@ -40,14 +37,8 @@ listed("cut-at-63", "BP-LST-01", "lists at most 63 octets of a name",
         errors="ignore")), since=V1_1)
 listed("entries-as-octet", "BP-LST-01", "lists maxEntries modulo 256",
     lambda self, each: msgspec.structs.replace(each, max_entries=each.max_entries % 256), since=V1_1)
-around_for_this_node("sender-suffix", "BP-RX-06 DATA-04",
-    "treats senders with the last four octets of its own identifier as itself",
-    lambda self, proceed, header: header.sender_id[-4:] != self._node_id[-4:] and proceed(header))
-chosen("hundred", "BP-RX-07", "processes at most 100 blocks of a beacon", lambda self, blocks: blocks[:100])
 chosen("signed", "BP-RX-07 BP-HDR-07", "reads numPayloads as a signed number",
     lambda self, blocks: blocks if len(blocks) < 128 else ())
-chosen("signed-protocol", "BP-RXP-03 BP-HDR-11", "ignores blocks of protocols from 0x8000 on",
-    lambda self, blocks: tuple(block for block in blocks if block.protocol_id < 0x8000))
 # fmt: on
 
 
@@ -94,37 +85,6 @@ class IgnoresNoisy(Receiver):
             super().receive(octets, now)
 
 
-@mutant("restarted-ignored", "BP-RX-10", "ignores five beacons of a sender whose sequence number starts again at 0")
-class RestartedIgnored(Receiver):
-    def _for_this_node(self, header: BPHeader) -> bool:
-        state: dict[bytes, tuple[int, int]] = self.__dict__.setdefault("state", {})
-        last, wait = state.get(header.sender_id, (0, 0))
-        if header.seqno == 0 and last > 20:
-            wait = 5
-        state[header.sender_id] = header.seqno, max(wait - 1, 0)
-        return not wait and super()._for_this_node(header)
-
-
-@mutant("far-ahead-ignored", "BP-RX-10", "ignores a beacon whose sequence number is 1,000 or more ahead of the last")
-class FarAheadIgnored(Receiver):
-    def _for_this_node(self, header: BPHeader) -> bool:
-        state: dict[bytes, int] = self.__dict__.setdefault("state", {})
-        last = state.setdefault(header.sender_id, header.seqno)
-        state[header.sender_id] = header.seqno
-        return not 1000 <= header.seqno - last < 1 << 31 and super()._for_this_node(header)
-
-
-@mutant("lifo-when-long", "BP-QM-03", "sends the payloads of a queue with more than 16 in the reverse order")
-class ReversedWhenLong(OwnQueue):
-    class queue(PayloadQueue):  # noqa: N801 - takes the place of an attribute
-        def submit(self, payload: bytes) -> Submission:
-            outcome = super().submit(payload)
-            if len(self._payloads) > 16:
-                self._payloads.pop()
-                self._payloads.insert(16, payload)
-            return outcome
-
-
 @mutant("equal-dropped", "BP-QM-03", "discards a payload that equals the last one in a queue")
 class EqualDropped(OwnQueue):
     class queue(PayloadQueue):  # noqa: N801 - as above
@@ -132,16 +92,3 @@ class EqualDropped(OwnQueue):
             if self._payloads and self._payloads[-1] == payload:
                 return "discarded"
             return super().submit(payload)
-
-
-@mutant("stale-dropped", "BP-QM-03 BP-QM-05 BP-MGT-04", "drops payloads that have waited for 2 s")
-class StaleDropped(BeaconingProtocol):
-    def handle_timeout(self, now: int, wall: int) -> None:
-        since: dict[int, int] = self.__dict__.setdefault("since", {})
-        for client in self._clients:
-            head = client.queue.head() if client.queue is not None else None
-            if head is None or client.protocol_id <= 2:
-                since.pop(client.protocol_id, None)
-            elif now - since.setdefault(client.protocol_id, now) > 2_000_000_000 and client.queue is not None:
-                client.queue.clear()
-        super().handle_timeout(now, wall)

@@ -9,7 +9,7 @@ from dcp_spec.constants import BP_PROTID_SRP
 from dcp_spec.parameters import Violation
 
 from dcp_codec.values import ExtendedSafetyData
-from dcp_selftest.mutants.family import assign, attributes, before, instead, skips
+from dcp_selftest.mutants.family import assign, attributes, before, instead
 from dcp_selftest.mutants.mutant import mutant
 from dcp_stack.config import MS
 from dcp_stack.srp.entity import StateReporting
@@ -56,10 +56,6 @@ class OtherTimeout(StateReporting):
 used = instead(OtherTimeout, OtherTimeout.used)
 used("ten-seconds", "SRP-PAR-01 SRP-RUN-02", "treats timeouts above 10 s as 10 s",
     lambda self, timeout: min(timeout, 10_000))  # fmt: skip
-used("whole-seconds", "SRP-PAR-01 SRP-RUN-02", "rounds timeouts up to whole seconds",
-    lambda self, timeout: -(-timeout // 1000) * 1000)  # fmt: skip
-used("five-seconds-wrap", "SRP-PAR-01 SRP-RUN-02", "uses timeouts modulo 8,192 ms",
-    lambda self, timeout: timeout % 8192 or 8192)  # fmt: skip
 
 
 @mutant("never-longer", "SRP-PAR-01 SRP-RUN-02", "does not use a timeout that is longer than the one before")
@@ -95,18 +91,10 @@ class Expiry(NeighbourTable):
 
 # fmt: off
 removed = instead(Expiry, Expiry.removed)
-removed("one-at-a-time", "SRP-RUN-02", "removes at most one entry in each traversal",
-    lambda self, old, now, timeout: old[:1])
 removed("four-at-a-time", "SRP-RUN-02", "removes at most four entries in each traversal",
     lambda self, old, now, timeout: old[:4])
-removed("until-young", "SRP-RUN-02", "ends a traversal at the first entry whose timeout has not passed",
-    lambda self, old, now, timeout: [each for each, other in zip(old, self._entries, strict=False) if each == other])
 removed("first-32", "SRP-RUN-02", "traverses only the first 32 entries",
     lambda self, old, now, timeout: [node_id for node_id in [*self._entries][:32] if node_id in old])
-removed("all-together", "SRP-RUN-02", "removes entries only when the timeout of all of them has passed",
-    lambda self, old, now, timeout: old if len(old) == len(self) else [])
-removed("last-stays", "SRP-RUN-02", "never removes the last entry of its table",
-    lambda self, old, now, timeout: old if len(old) < len(self) else old[:-1])
 # fmt: on
 
 
@@ -131,7 +119,6 @@ keys("last-three", "SRP-RX-05 SRP-RX-03 DATA-04", "compares only the last three 
     part=slice(-3, None))  # fmt: skip
 keys("last-four", "SRP-RX-05 SRP-RX-03 DATA-04", "compares only the last four octets of node identifiers",
     part=slice(-4, None))  # fmt: skip
-keys("first-five", "SRP-RX-05 SRP-RX-03 DATA-04", "ignores the last octet of node identifiers", part=slice(0, -1))
 
 
 class Admits(NeighbourTable):
@@ -158,17 +145,9 @@ admits("numbers-remembered", "SRP-RX-03 SRP-RX-04",
     "ignores lower sequence numbers of a neighbour whose entry it has removed",
     lambda self, report, memory, now: report.node_id in self._entries or report.node_id not in memory
         or report.seqno > memory[report.node_id][0].seqno)
-admits("same-data", "SRP-RX-03 SRP-RUN-02", "does not renew an entry with a report of the same safety data",
-    lambda self, report, memory, now: report.node_id not in self._entries
-        or report.s_data != memory[report.node_id][0].s_data)
 admits("far-ahead", "SRP-RX-03 SRP-RX-04", "ignores reports whose sequence number is 10,000 or more ahead",
     lambda self, report, memory, now: report.node_id not in self._entries
         or not 10_000 <= report.seqno - memory[report.node_id][0].seqno < 1 << 31)
-admits("hundred", "SRP-RX-03", "stores no more than 128 neighbours",
-    lambda self, report, memory, now: report.node_id in self._entries or len(self._entries) < 128)
-admits("two-in-short", "SRP-RX-03 SRP-TYP-07", "ignores a second report of a neighbour within 5 ms",
-    lambda self, report, memory, now: report.node_id not in self._entries
-        or now - memory[report.node_id][1] > 5_000_000)
 # fmt: on
 
 
@@ -199,9 +178,3 @@ attributes(Stamps, __name__)("first-stamp", "SRP-TYP-05",
     "gives a report that replaces one that was not sent the tStamp of it")  # fmt: skip
 instead(Stamps, Stamps.stays)("same-data", "SRP-TYP-05", "does not renew tStamp if the safety data are the same",
     lambda self, waiting, data, last, now: data == last[0])  # fmt: skip
-skips(StateReporting, StateReporting.handle_payload)("busy-deaf", "SRP-RX-03",
-    "ignores reports of neighbours while its own report waits for a beacon",
-    lambda self, payload, sender_id, *, now, wall: (
-        bool(self._bp.query_number_buffered(BP_PROTID_SRP).number)
-        and self._config.features.srp_queueing_mode.value.endswith("ONCE")),
-    unseen={"1.0 1.1 1.2": "in mode REPEAT a report is always there"})  # fmt: skip

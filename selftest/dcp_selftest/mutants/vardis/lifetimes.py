@@ -83,17 +83,10 @@ def _own(self: Vardis, entry: DBEntry) -> bool:
 age = instead(Ages, Ages.age)
 age("consumer-double", "VD-SCR-03 VD-SCR-01 VD-SCR-05", "deletes variables of other nodes after twice their timeout",
     lambda self, entry, age: age if _own(self, entry) else age // 2, since=V2)
-age("own-double", "VD-SCR-03 VD-SCR-01 VD-SCR-05", "deletes its own variables after twice their timeout",
-    lambda self, entry, age: age // 2 if _own(self, entry) else age, since=V2)
-age("grace", "VD-SCR-03 VD-SCR-01", "deletes variables 2 s after the end of their timeout",
-    lambda self, entry, age: age - 2_000 * MS, since=V2)
 age("updated-double", "VD-SCR-03 VD-SCR-01", "deletes variables that were updated after twice their timeout",
     lambda self, entry, age: age if entry.seqno == 0 else age // 2, since=V2)
 age("queued-stay", "VD-SCR-03 VD-SCR-01 VD-SCR-04", "does not scrub variables whose records are to be repeated",
     lambda self, entry, age: 0 if entry.count_create or entry.count_update else age, since=V2)
-age("whole-seconds", "VD-SCR-03 VD-SCR-01", "compares ages with timeouts in whole seconds, rounded up",
-    lambda self, entry, age: age // 1_000_000_000 * 1_000_000_000
-        - (-(entry.spec.timeout or 0) * MS % 1_000_000_000), since=V2)
 # fmt: on
 
 
@@ -122,18 +115,10 @@ class Runs(Vardis):
 
 # fmt: off
 scrubs = instead(Runs, Runs.scrubs)
-scrubs("one-at-a-time", "VD-SCR-01 VD-SCR-03", "deletes at most one variable in each run of scrubbing",
-    lambda self, entries, now: [each for each in entries if self.due(each, now)][:1], since=V2)
 scrubs("four-at-a-time", "VD-SCR-01 VD-SCR-03", "deletes at most four variables in each run of scrubbing",
     lambda self, entries, now: [each for each in entries if self.due(each, now)][:4], since=V2)
-scrubs("until-young", "VD-SCR-01 VD-SCR-03", "ends scrubbing at the first variable whose timeout has not passed",
-    lambda self, entries, now: entries[:next((place for place, each in enumerate(entries)
-        if not self.due(each, now) and not each.is_deleted), len(entries))], since=V2)
 scrubs("first-32", "VD-SCR-01 VD-SCR-05", "scrubs only the first 32 variables of its database",
     lambda self, entries, now: entries[:32], since=V2)
-scrubs("until-immortal", "VD-SCR-01 VD-SCR-02", "ends scrubbing at the first variable with timeout 0",
-    lambda self, entries, now: entries[:next((place for place, each in enumerate(entries)
-        if not each.spec.timeout), len(entries))], since=V2)
 # fmt: on
 
 
@@ -161,26 +146,15 @@ anew("own-timeout-kept", "VD-CRE-03 VD-CRE-10 VD-TYP-04",
 anew("own-description-kept", "VD-CRE-03 VD-CRE-10 VD-TYP-05",
     "keeps the description of a variable that its application creates again", since=V2, kept=("descr",),
     unseen=NOT_ANEW)
-anew("own-repetitions-kept", "VD-CRE-03 VD-CRE-10",
-    "keeps the repCnt of a variable that its application creates again", since=V2, kept=("rep_cnt",), unseen=NOT_ANEW)
 on_entry(Receiver, Receiver._create)("timeout-kept", "VD-PC-07 VD-PC-01",
     "keeps the timeout of a variable that another node creates again",
     lambda self, entry, before: assign(entry,
         spec=msgspec.structs.replace(entry.spec, timeout=before.spec.timeout)), since=V2, unseen=NOT_REPLACED)
-on_entry(Receiver, Receiver._create)("producer-kept", "VD-PC-07 VD-PC-01 VD-TYP-06",
-    "keeps the producer of a variable that another node creates again",
-    lambda self, entry, before: assign(entry,
-        spec=msgspec.structs.replace(entry.spec, prod_id=before.spec.prod_id)), since=V2, unseen=NOT_REPLACED)
 around(Receiver, Receiver._create_event)("signed-time", "VD-PC-01",
     "compares creation times as signed numbers",
     lambda self, proceed, record, entry: proceed(record, entry) if entry is None else proceed(
         _shifted(record), msgspec.structs.replace(entry, spec=_shifted_spec(entry.spec))), since=V2,
     unseen=NOT_REPLACED)
-around(Receiver, Receiver._create_event)("time-in-ms", "VD-PC-01",
-    "compares creation times in milliseconds",
-    lambda self, proceed, record, entry: proceed(record, entry) if entry is None else proceed(
-        msgspec.structs.replace(record, spec=_in_ms(record.spec)),
-        msgspec.structs.replace(entry, spec=_in_ms(entry.spec))), since=V2, unseen=NOT_REPLACED)
 # fmt: on
 
 
@@ -214,14 +188,6 @@ class Creates(Receiver):
 
 # fmt: off
 admits = instead(Creates, Creates.admits)
-admits("tombstone", "VD-PC-02 VD-PC-01",
-    "ignores VarCreates of a variable for 5 s after it was first heard to be created again after its deletion",
-    lambda self, record, entry, now: entry is None or not entry.is_deleted
-        or now - self.__dict__["memory"][record.spec.var_id] > 5_000_000_000, since=V2, unseen=NOT_REPLACED)
-admits("other-producer-not-revived", "VD-PC-02 VD-PC-01",
-    "does not let another producer create a deleted variable",
-    lambda self, record, entry, now: entry is None or not entry.is_deleted
-        or entry.spec.prod_id == record.spec.prod_id, since=V2, unseen=NOT_REPLACED)
 admits("far-future", "VD-PC-01 VD-PC-02",
     "ignores VarCreates whose creationTime is more than a day after the stored one",
     lambda self, record, entry, now: entry is None or (record.spec.creation_time or 0)
@@ -271,8 +237,4 @@ after(Vardis, Vardis.describe_variable)("no-count-delete", "VD-DVA-03",
     "describes every variable with countDelete 0",
     lambda self, confirm, var_id: confirm if confirm.entry is None else DescribeVariableConfirm(
         confirm.status, msgspec.structs.replace(confirm.entry, count_delete=0)))
-after(Vardis, Vardis.describe_variable)("no-count-update", "VD-DVA-03",
-    "describes every variable with countUpdate 0",
-    lambda self, confirm, var_id: confirm if confirm.entry is None else DescribeVariableConfirm(
-        confirm.status, msgspec.structs.replace(confirm.entry, count_update=0)))
 # fmt: on

@@ -54,11 +54,6 @@ class Stays(Composer):
 stays = attributes(Stays, __name__)
 stays("deletes-stay", "VD-CMP-10", "leaves a VarDelete with repetitions left at the head of deleteQ",
     kind=ICType.DELETE_VARIABLES)
-stays("updates-stay", "VD-CMP-09", "leaves a VarUpdate with repetitions left at the head of updateQ",
-    kind=ICType.UPDATES)
-stays("creates-stay", "VD-CMP-06", "leaves a VarCreate with repetitions left at the head of createQ",
-    kind=ICType.CREATE_VARIABLES)
-stays("summaries-stay", "VD-CMP-03", "leaves a summary that was sent at the head of summaryQ", kind=ICType.SUMMARIES)
 # fmt: on
 
 
@@ -80,14 +75,8 @@ class Arranged(Composer):
 
 # fmt: off
 arranged = attributes(Arranged, __name__)
-arranged("creates-sorted", "VD-CMP-06 VD-CRE-12", "sends VarCreates in the order of identifiers",
-    kind=ICType.CREATE_VARIABLES)
 arranged("deletes-sorted", "VD-CMP-10 VD-DEL-05", "sends VarDeletes in the order of identifiers",
     kind=ICType.DELETE_VARIABLES)
-arranged("updates-sorted", "VD-CMP-09 VD-UPD-09", "sends VarUpdates in the order of identifiers",
-    kind=ICType.UPDATES)
-arranged("requests-sorted", "VD-CMP-12 VD-PS-01 DATA-12", "sends requests for variables in the order of identifiers",
-    kind=ICType.REQUEST_VARCREATES)
 backwards = instead(Arranged, Arranged.arranged)
 backwards("requests-backwards", "VD-CMP-12 VD-PS-01 DATA-12", "sends the newest requests for variables first",
     lambda self, ids: ids[::-1], kind=ICType.REQUEST_VARCREATES)
@@ -104,10 +93,6 @@ then(Database, Database.mark_deleted)("delete-first", "VD-DEL-05 VD-PD-04",
     "puts a deleted variable at the head of deleteQ",
     lambda self, result, entry: (
         self.delete_q.move_to_end(entry.spec.var_id, last=False) if entry.spec.var_id in self.delete_q else None))
-then(Database, Database.arm_update)("update-first", "VD-UPD-08 VD-UPD-09 VD-PU-07",
-    "puts an updated variable at the head of updateQ",
-    lambda self, result, entry: (
-        self.update_q.move_to_end(entry.spec.var_id, last=False) if entry.spec.var_id in self.update_q else None))
 then(Database, Database.arm_update)("update-last", "VD-UPD-09 VD-PU-07",
     "moves a variable to the tail of updateQ when it is updated again",
     lambda self, result, entry: (
@@ -133,14 +118,6 @@ class UpdatesWait(Composer):
     def compose(self, room: int) -> Any:
         self.__dict__["made"] = False
         return super().compose(room)
-
-
-@mutant("summaries-wait", "VD-PAY-02 VD-CMP-03", "sends no summaries while VarUpdates are queued")
-class SummariesWait(Composer):
-    def _fitting(self, kind: ContainerType, queue: IdQueue, room: int, largest: int) -> tuple[list[int], int]:
-        if kind is ICType.SUMMARIES and self._database.update_q:
-            return [], 0
-        return super()._fitting(kind, queue, room, largest)
 
 
 # -- heuristics --------------------------------------------------------------------------------------------------------
@@ -177,13 +154,6 @@ class FiveRequests(Limits):
             super()._request(var_id, offset)
 
 
-@mutant("requests-spaced", "VD-PS-01 VD-PU-01", "does not request a variable again within 2 s")
-class RequestsSpaced(Limits):
-    def _request(self, var_id: int, offset: int) -> None:
-        if not self.recent("create", var_id, 2000):
-            super()._request(var_id, offset)
-
-
 @mutant("five-update-requests", "VD-PS-04", "requests updates of a variable at most five times")
 class FiveUpdateRequests(Limits):
     def _summary(self, record: Any, offset: int) -> None:
@@ -191,20 +161,6 @@ class FiveUpdateRequests(Limits):
         super()._summary(record, offset)
         if not before and record.var_id in self._database.req_upd_q and not self.again("update", record.var_id):
             self._database.req_upd_q.remove(record.var_id)
-
-
-@mutant("answers-spaced", "VD-RC-03", "does not answer a VarReqCreate for a variable again within 2 s")
-class AnswersSpaced(Limits):
-    def _request_create(self, record: Any, offset: int) -> None:
-        if self._database.lookup(record.var_id) is None or not self.recent("answer", record.var_id, 2000):
-            super()._request_create(record, offset)
-
-
-@mutant("update-answers-spaced", "VD-RU-04", "does not answer a VarReqUpdate for a variable again within 2 s")
-class UpdateAnswersSpaced(Limits):
-    def _request_update(self, record: Any, offset: int) -> None:
-        if self._database.lookup(record.var_id) is None or not self.recent("answer", record.var_id, 2000):
-            super()._request_update(record, offset)
 
 
 @mutant("five-lessons", "VD-PS-03 VD-PU-06", "answers old summaries of a variable at most five times")
@@ -217,21 +173,6 @@ class FiveLessons(Limits):
         if entry is not None and taught and not self.again("lesson", record.var_id):
             self._database.update_q.remove(record.var_id)
             entry.count_update = 0
-
-
-@mutant(
-    "answers-by-producer-first",
-    "VD-RC-03 VD-RC-01",
-    "answers the first VarReqCreate for a variable of another node only when it is repeated",
-)
-class WaitsForRepetition(Limits):
-    times = 1
-
-    def _request_create(self, record: Any, offset: int) -> None:
-        entry = self._database.lookup(record.var_id)
-        foreign = entry is not None and entry.spec.prod_id != self._core.own_id
-        if not foreign or not self.again("asked", record.var_id):
-            super()._request_create(record, offset)
 
 
 @mutant("faulty-sender-ignored", "VD-ROB-01", "ignores a sender for 60 s after eight payloads with errors")
@@ -260,28 +201,3 @@ on_entry(Receiver, Receiver._create)("pending-update-left", "VD-PC-08",
         assign(entry, count_update=min(before.count_update, entry.spec.rep_cnt))
         or self._database.update_q.append(entry.spec.var_id)
         if before.count_update and before.spec is not entry.spec else None))  # fmt: skip
-
-
-@mutant("young-not-deleted", "VD-PD-04", "ignores a VarDelete of a variable created less than 1 s before")
-class YoungNotDeleted(Limits):
-    def _delete(self, record: Any, offset: int) -> None:
-        entry = self._database.lookup(record.var_id)
-        if entry is None or self.now - entry.refreshed >= 1000 * MS:
-            super()._delete(record, offset)
-
-
-@mutant("jumps-ignored", "VD-PU-07", "ignores a VarUpdate more than 50 sequence numbers ahead")
-class JumpsIgnored(Limits):
-    def _update(self, record: Any, offset: int, now: int, wall: int) -> None:
-        entry = self._database.lookup(record.var_id)
-        if entry is None or (record.seqno - entry.seqno) % 256 <= 50 or (record.seqno - entry.seqno) % 256 >= 128:
-            super()._update(record, offset, now, wall)
-
-
-@mutant("same-payload-ignored", "VD-PS-01 VD-RC-03", "ignores a payload that equals the one before")
-class SamePayloadIgnored(Vardis):
-    def handle_payload(self, payload: bytes, *, now: int, wall: int) -> None:
-        last = self.__dict__.get("last_payload")
-        self.__dict__["last_payload"] = payload
-        if payload != last:
-            super().handle_payload(payload, now=now, wall=wall)

@@ -16,7 +16,7 @@ from dcp_stack.vardis.compose import Composer
 from dcp_stack.vardis.confirms import Confirm, DescribeDatabaseConfirm
 from dcp_stack.vardis.database import DBEntry, IdQueue
 from dcp_stack.vardis.entity import Vardis
-from dcp_stack.vardis.parameters import PAYLOAD_SIZE, REPETITIONS, SUMMARIES, VALUE_LENGTH
+from dcp_stack.vardis.parameters import PAYLOAD_SIZE, REPETITIONS, SUMMARIES
 from dcp_stack.vardis.receive import Receiver
 from dcp_stack.vardis.wire import ContainerType, Extracted, Extractor
 
@@ -29,7 +29,8 @@ V2 = SpecVersion.V2_0
 # fmt: off
 around(Vardis, Vardis._refused_value)("long-refused", "VD-CRE-05 VD-UPD-05",
     "rejects values of 128 octets or more whatever the maximum",
-    lambda self, proceed, value: VardisStatus.VALUE_TOO_LONG if len(value) > 127 else proceed(value))
+    lambda self, proceed, value: VardisStatus.VALUE_TOO_LONG if len(value) > 127 else proceed(value),
+    since=SpecVersion.V1_1, unseen={"1.0": "in 1.0 the sum of both lengths is limited"})
 around(Receiver, Receiver._is_bad_value)("long-ignored", "VD-PC-04 VD-PU-04 VD-PC-07 VD-PU-07 DATA-06",
     "ignores received values of 128 octets or more whatever the maximum",
     lambda self, proceed, value: len(value) > 127 or proceed(value), unseen={"1.0 1.1": "in 1.1 it is VD-PC-07"},
@@ -52,13 +53,6 @@ class LongDescriptionRefused(Vardis):
             self._database._remove_from_queues(var_id)
             return Confirm(VardisStatus.VARIABLE_DESCRIPTION_TOO_LONG)
         return confirm
-
-
-@mutant("cut-at-127", "VD-TYP-06 VD-PC-07", "stores at most 127 octets of a received description")
-class CutsDescriptions(Receiver):
-    def _create(self, record: Any, offset: int, now: int, wall: int) -> None:
-        spec = msgspec.structs.replace(record.spec, descr=record.spec.descr[:127])
-        super()._create(msgspec.structs.replace(record, spec=spec), offset, now, wall)
 
 
 @mutant("cut-at-100", "VD-PU-07 VD-PC-07", "stores at most 100 octets of a received value")
@@ -87,12 +81,8 @@ class AtMost(Composer):
 # fmt: off
 at_most = attributes(AtMost, __name__)
 at_most("127-records", "VD-PAY-02", "puts at most 127 records into a container", most=127)
-at_most("64-requests", "VD-PAY-02 VD-CMP-12", "puts at most 64 requests for variables into a container", most=64,
-    kinds=(ICType.REQUEST_VARCREATES,))
 at_most("32-deletes", "VD-PAY-02 VD-CMP-10", "puts at most 32 VarDeletes into a container", most=32,
     kinds=(ICType.DELETE_VARIABLES,))
-at_most("16-updates", "VD-PAY-02 VD-CMP-09", "puts at most 16 VarUpdates into a container", most=16,
-    kinds=(ICType.UPDATES,))
 after(Vardis, Vardis.describe_database)("hundred-listed", "VD-DDB-02",
     "describes at most 100 variables in RTDB-DescribeDatabase",
     lambda self, confirm: DescribeDatabaseConfirm(confirm.status, confirm.variables[:100]))
@@ -117,13 +107,6 @@ class Reads(Extractor):
 
 # fmt: off
 chosen = instead(Reads, Reads.chosen)
-chosen("hundred-read", "VD-RX-04 VD-RX-09", "processes at most 100 records of a kind of a payload",
-    lambda self, records: records[:100])
-chosen("signed-count", "VD-RX-04 VD-RX-09", "ignores containers of 128 or more records",
-    lambda self, records: records if len(records) < 128 else [])
-chosen("one-of-each-variable", "VD-RX-09", "processes only the last record of a variable in a payload",
-    lambda self, records: [*{getattr(record, "var_id", None) or getattr(getattr(record, "spec", record), "var_id", 0):
-        (offset, record) for offset, record in records}.values()])
 # fmt: on
 
 
@@ -191,10 +174,6 @@ lowered = instead(Lowers, Lowers.lowered)
 lowered("repetitions-cut", "VD-PAR-01 VD-CMP-06 VD-CMP-09",
     "reduces the outstanding repetitions of variables when VARDISPAR_MAX_REPETITIONS is lowered",
     lambda self, entry: _cut(self, entry), name=REPETITIONS)
-lowered("long-values-unsent", "VD-PAR-01",
-    "no longer repeats values that are longer than a lowered VARDISPAR_MAX_VALUE_LENGTH",
-    lambda self, entry: _unsent(self, entry, long=len(entry.value) > self._parameters.max_value_length),
-    name=VALUE_LENGTH)
 lowered("large-unsent", "VD-PAR-01 VD-CMP-13",
     "drops the records that do not fit into a lowered VARDISPAR_MAX_PAYLOAD_SIZE",
     lambda self, entry: _unsent(self, entry, long=self._core.sizes.create(entry.spec, entry.value) > self._room()),
@@ -226,7 +205,4 @@ answers("long-description-mute", "VD-PAR-01 VD-RC-03",
 answers("long-value-mute", "VD-PAR-01 VD-RU-04 VD-RC-03",
     "answers no requests for a variable whose value is longer than a lowered maximum",
     lambda self, entry: len(entry.value) <= self._parameters.max_value_length)
-answers("many-repetitions-mute", "VD-PAR-01 VD-RU-04 VD-RC-03",
-    "answers no requests for a variable whose repCnt is above a lowered maximum",
-    lambda self, entry: entry.spec.rep_cnt <= self._parameters.max_repetitions)
 # fmt: on

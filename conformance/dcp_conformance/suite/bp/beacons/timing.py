@@ -12,7 +12,7 @@ import statistics
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from dcp_spec.constants import BP_SEQNO_MODULUS, SpecVersion
+from dcp_spec.constants import BP_SEQNO_MODULUS
 
 from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.lower_tester import OnThisMachine
@@ -229,7 +229,6 @@ def epoch_of_next_beacon(bench: Bench) -> None:
     expect="a median difference between epoch and next beacon of less than half of the new period",
     window=40,
     needs=Needs(
-        since=SpecVersion.V1_1,
         entities=(),
         ut=(*CLIENT, "BP-ListRegisteredProtocols", "BP-SetParameter"),
         when=no_indication,

@@ -436,7 +436,7 @@ def _modes() -> Mapping[str, Any]:
 @case(
     "TC_BP_LIFE_BV_02",
     "A buffered payload that does not fit after BPPAR_MAXIMUM_PACKET_SIZE was lowered stays buffered ({variant})",
-    requirements="BP-TX-04 BP-PAR-02",
+    requirements="BP-TX-04 BP-PAR-02 BP-TXP-02 BP-PAR-11",
     stimulus=(
         "a client with mode {variant} submits a payload of the largest size; the packet size is lowered by half of it "
         "while BP is inactive, and BP is active for four periods; then the packet size is as before"

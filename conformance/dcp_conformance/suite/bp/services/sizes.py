@@ -237,7 +237,7 @@ def after_damage(bench: Bench, damage: tuple[Lies, int | None]) -> None:
     stimulus="a client repeats a payload with a beacon period of 1 ms (or the shortest) until 65,600 beacons were sent",
     expect="the sequence number of a beacon is above 65,535, and never falls",
     window=700,
-    needs=Needs(V1_1, entities=(), ut=(*CLIENT, "BP-SetParameter"), header=("seqno",)),
+    needs=Needs(entities=(), ut=(*CLIENT, "BP-SetParameter"), header=("seqno",)),
     long=True,
 )
 def counts_far(bench: Bench) -> None:

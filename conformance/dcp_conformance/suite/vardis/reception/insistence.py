@@ -15,6 +15,7 @@ from dcp_conformance.frames.builder import Block
 from dcp_conformance.frames.received import var_id_of
 from dcp_conformance.model.case import Needs, case
 from dcp_conformance.suite.bp.beacons.receive import check_processed
+from dcp_conformance.suite.vardis.composition.summaries import summarises
 from dcp_conformance.test_steps.full_payloads import settable
 from dcp_conformance.test_steps.services import (
     OK,
@@ -138,7 +139,7 @@ def much_later(bench: Bench, seconds: int | None) -> None:
     second = peer.create(name, value=b"w", descr=b"second", creation_time=later)
     peer.send(second)
     bench.equal(bench.until_instruction(_CREATE, name), second, "the VarCreate that is forwarded")
-    if bench.sut.parameter("VARDISPAR_MAX_SUMMARIES"):
+    if summarises(bench) is None:
         bench.some(bench.until_instruction(ICType.SUMMARIES, name, 16), "a summary of the new creation", "VD-PC-09")
     peer.send(peer.delete(name))
     bench.until_instruction(_DELETE, name)
@@ -190,7 +191,7 @@ def _lengths(bench: Bench, length: int) -> int:
     if not settable(bench):
         return min(length, bench.sut.bound(_VALUE), bench.sut.longest_description)
     # A VarCreate must fit into a payload.
-    spare = bench.sut.parameter("VARDISPAR_MAX_PAYLOAD_SIZE") - 64
+    spare = bench.sut.bound("VARDISPAR_MAX_PAYLOAD_SIZE") - 64
     length = min(length, spare // 2)
     for name in (_VALUE, _DESCRIPTION):
         bench.must("VD-SetParameter", name=name, value=length)
