@@ -55,6 +55,7 @@ def _binary(bench: Bench) -> str | None:
     expect="the entries of the others are removed in time, all at about the same time; those that repeat stay",
     window=60,
     needs=_TABLE,
+    alone="it shortens the timeout of neighbours",
 )
 def crowd(bench: Bench) -> None:
     most = min(_CROWD, bench.profile.limits.max_neighbours or _CROWD)
@@ -146,6 +147,7 @@ def long_timeout(bench: Bench, milliseconds: int) -> None:
     window=50,
     needs=_TABLE,
     variants={"next": 51, "lower": 3},
+    alone="it shortens the timeout of neighbours",
 )
 def entered_again(bench: Bench, seqno: int) -> None:
     with brief_timeout(bench) as length:

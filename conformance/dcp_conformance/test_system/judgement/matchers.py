@@ -3,11 +3,13 @@
 A failed statement is *shown* (received octets or an answer prove the fault) or something is *missing*, which losses and
 lateness of the tester may explain (:mod:`.excuses`). Which of the two follows from the form of the statement:
 
-* what was not received is missing: :meth:`Matchers.some`, :meth:`Matchers.required`, :meth:`Matchers.complete`;
-* what must not be there, or has the wrong value, is shown: :meth:`Matchers.none`, :meth:`Matchers.every`,
-  :meth:`Matchers.answered`, :meth:`Matchers.fields`, :meth:`Matchers.proved`;
-* others can fail in both ways: :meth:`Matchers.equal`, :meth:`Matchers.only`, :meth:`Matchers.in_order`,
-  :meth:`Matchers.repeated`, :meth:`Matchers.within`.
+* what was not received is missing: :meth:`.Missing.some`, :meth:`.Missing.required`, :meth:`.Missing.complete`,
+  :meth:`.Missing.missing`;
+* what must not be there, or has the wrong value, is shown: :meth:`.Shown.none`, :meth:`.Shown.every`,
+  :meth:`.Shown.one_each`, :meth:`.Shown.answered`, :meth:`.Shown.fields`, :meth:`.Shown.present`,
+  :meth:`.Shown.proved`, :meth:`.Shown.wrong`;
+* others can fail in both ways: :meth:`.Matchers.equal`, :meth:`.Matchers.only`, :meth:`.Matchers.in_order`,
+  :meth:`.Matchers.repeated`, :meth:`.Matchers.within`.
 
 Each states its expectation and its observation, and attaches the received frames as evidence. Requirement identifiers
 may be one string, separated by spaces; without any, the check decides all requirements of the case.
@@ -18,31 +20,28 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from typing import Any, Final, Literal, TypeVar
+from typing import Any, Final, Literal, NoReturn, TypeVar
 
 from dcp_spec.constants import BP_SEQNO_MODULUS
 
-from dcp_codec.values import RECORD_CLASSES
 from dcp_conformance.errors import StopCase
 from dcp_conformance.frames.received import Instruction, ReceivedBeacon
-from dcp_conformance.model.results import Mark
 from dcp_conformance.test_system.known import Misread
 
 from .verdicts import Verdicts
+from .wording import Evidence, beacons_of, content, described, evidence_in
 
 T = TypeVar("T")
-Evidence = ReceivedBeacon | Instruction | Mark
 Late = Literal["above", "below", "either", "neither"]
 """The sides of an interval on which lateness or losses can explain a value."""
 
 NOTHING: Final = "none in time"
-#: Maximum number of frames that a check marks, and of values in an observation.
+#: Maximum number of frames that a check marks.
 _FRAMES: Final = 32
-_VALUES: Final = 8
 
 
-class Matchers:
-    """The checks of one case. All return whether the statement holds, except :meth:`required`.
+class Statements:
+    """The checks of one case. All return whether the statement holds, except those that stop the case without a value.
 
     Keywords that several matchers have:
 
@@ -58,7 +57,30 @@ class Matchers:
     def __init__(self, verdicts: Verdicts) -> None:
         self._verdicts = verdicts
 
-    # -- missing -------------------------------------------------------------------------------------------------------
+    def _check(
+        self,
+        holds: object,
+        expected: str,
+        observed: str,
+        requirements: Sequence[str],
+        *,
+        frames: Iterable[Evidence],
+        shown: object = False,
+        patience: float = 1.0,
+        field: Misread | None = None,
+        stop: bool = False,
+    ) -> bool:
+        evidence = [*frames][:_FRAMES]
+        good = self._verdicts.check(
+            holds, expected, observed, *requirements, frames=evidence, shown=shown, patience=patience, field=field
+        )
+        if stop and not good:
+            raise StopCase
+        return good
+
+
+class Missing(Statements):
+    """Statements that fail because something was not received."""
 
     def some(
         self,
@@ -74,10 +96,17 @@ class Matchers:
         return self._check(found, expected, content(seen), requirements, frames=frames, patience=patience)
 
     def required(
-        self, found: T | None, expected: str, /, *requirements: str, seen: object = NOTHING, patience: float = 1.0
+        self,
+        found: T | None,
+        expected: str,
+        /,
+        *requirements: str,
+        seen: object = NOTHING,
+        frames: Iterable[Evidence] = (),
+        patience: float = 1.0,
     ) -> T:
         """As :meth:`some`; return what was found, and stop the case if there is nothing."""
-        if not self.some(found, expected, *requirements, seen=seen, patience=patience) or found is None:
+        if not self.some(found, expected, *requirements, seen=seen, frames=frames, patience=patience) or found is None:
             raise StopCase
         return found
 
@@ -85,9 +114,16 @@ class Matchers:
         self, missing: Collection[object], expected: str, /, *requirements: str, frames: Iterable[Evidence] = ()
     ) -> bool:
         """Check that nothing is missing of what must have been received."""
-        return self._check(not missing, expected, f"{described(missing)} missing", requirements, frames=frames)
+        return self._check(not missing, expected, f"missing: {described(missing)}", requirements, frames=frames)
 
-    # -- shown ---------------------------------------------------------------------------------------------------------
+    def missing(self, expected: str, seen: object = NOTHING, /, *requirements: str, patience: float = 1.0) -> NoReturn:
+        """Stop the case because something was not received."""
+        self._check(False, expected, content(seen), requirements, frames=(), patience=patience)
+        raise StopCase
+
+
+class Shown(Statements):
+    """Statements that fail because of what was received."""
 
     def none(
         self,
@@ -108,15 +144,22 @@ class Matchers:
     def every(
         self,
         found: Iterable[T],
-        right: Callable[[T], object],
+        right: Callable[[T], object] | object,
         expected: str,
         /,
         *requirements: str,
         seen: object = "",
         given: object = True,
     ) -> bool:
-        """Check that each of these received frames, records or values is right; true for none of them."""
-        wrong = [each for each in found if not right(each)]
+        """Check that each of these received frames, records or values is right; true for none of them.
+
+        ``right``: a predicate, or the record or value that each of them must be.
+        """
+        if callable(right):
+            wrong = [each for each in found if not right(each)]
+        else:
+            wrong = [each for each in found if (each.record if isinstance(each, Instruction) else each) != right]
+            expected = f"{expected}: {content(right)}"
         observed = seen or (f"{content(wrong[0])} ({described(wrong)})" if wrong else "")
         return self.none(wrong, expected, *requirements, seen=observed, given=given)
 
@@ -143,6 +186,12 @@ class Matchers:
         good = [self.answered(answer.get(name), value, name, *requirements) for name, value in right.items()]
         return all(good)
 
+    def present(self, found: T | None, expected: str, /, *requirements: str, seen: object = "none") -> T:
+        """Return what an answer must have, without a check; its absence is shown, and stops the case."""
+        if found is None:
+            self.wrong(expected, seen, *requirements)
+        return found
+
     def proved(
         self,
         holds: object,
@@ -151,13 +200,19 @@ class Matchers:
         /,
         *requirements: str,
         frames: Iterable[Evidence] = (),
-        given: object = True,
         stop: bool = False,
     ) -> bool:
         """Check any other property of received data. ``seen``: the data."""
-        return self._check(holds, expected, content(seen), requirements, frames=frames, shown=given, stop=stop)
+        return self._check(holds, expected, content(seen), requirements, frames=frames, shown=True, stop=stop)
 
-    # -- both ----------------------------------------------------------------------------------------------------------
+    def wrong(self, expected: str, seen: object, /, *requirements: str, frames: Iterable[Evidence] = ()) -> NoReturn:
+        """Stop the case because received data are wrong."""
+        self._check(False, expected, content(seen), requirements, frames=frames, shown=True)
+        raise StopCase
+
+
+class Matchers(Missing, Shown):
+    """All statements; those here can fail in both ways."""
 
     def equal(
         self,
@@ -187,10 +242,14 @@ class Matchers:
         seen: object = "",
         frames: Iterable[Evidence] = (),
     ) -> bool:
-        """Check that exactly these values were received, in any order and number; any other value is shown."""
-        came, wanted = [*found], [*right]
-        surplus = [each for each in came if each not in wanted]
-        lacking = [each for each in wanted if each not in came]
+        """Check that exactly these values were received, each as often as here, in any order; others are shown."""
+        came, lacking = [*found], [*right]
+        surplus = []
+        for each in came:
+            if each in lacking:
+                lacking.remove(each)
+            else:
+                surplus.append(each)
         observed = content(seen) or described(came)
         return self._check(not surplus + lacking, expected, observed, requirements, frames=frames, shown=surplus)
 
@@ -212,7 +271,7 @@ class Matchers:
 
     def repeated(
         self,
-        found: Collection[object],
+        found: Collection[object] | int,
         count: int,
         what: str,
         /,
@@ -227,22 +286,23 @@ class Matchers:
         (:attr:`.Verdicts.in_time`). ``what`` is a plural: "beacons with the VarUpdate". ``most``: the largest number,
         if it is not ``count``.
         """
+        number = found if isinstance(found, int) else len(found)
         limit = count if most is None else most
-        number = {count: f"exactly {count}", math.inf: f"at least {count}"}.get(limit, f"{count} to {limit}")
+        right = {count: f"{count}", math.inf: f"at least {count}"}.get(limit, f"{count} to {limit}")
         return self._check(
-            count <= len(found) <= limit,
-            f"{number} {what}",
-            f"{len(found)}",
+            count <= number <= limit,
+            f"{what}: {right}",
+            f"{number}",
             requirements,
             frames=evidence_in(found) if frames is None else frames,
-            shown=len(found) > limit and given and self._verdicts.in_time,
+            shown=number > limit and given and self._verdicts.in_time,
         )
 
     def one_each(self, found: Collection[Instruction], expected: str, /, *requirements: str) -> bool:
         """Check that no beacon has two of these records: others are shown."""
         numbers = Counter(id(each.heard) for each in found)
         twice = [each for each in found if numbers[id(each.heard)] > 1]
-        return self.none(twice, expected, *requirements, seen=f"{described(twice)} in {_beacons(twice)}")
+        return self.none(twice, expected, *requirements, seen=f"{described(twice)} in {beacons_of(twice)}")
 
     def within(
         self,
@@ -270,8 +330,6 @@ class Matchers:
             frames=frames, shown=shown and given,
         )  # fmt: skip
 
-    # -- the rest ------------------------------------------------------------------------------------------------------
-
     def successive(self, before: ReceivedBeacon, after: ReceivedBeacon, /, *requirements: str, when: str = "") -> bool:
         """Check that the sequence number of a beacon follows that of another; a gap is a failure, not an excuse.
 
@@ -282,7 +340,7 @@ class Matchers:
         right = (before.seqno + 1) % BP_SEQNO_MODULUS
         expected = f"seqno {right} after {before.seqno}{when}"
         return self._verdicts.check(
-            after.seqno == right, expected, f"seqno {after.seqno}", *_ids(requirements), frames=[before, after],
+            after.seqno == right, expected, f"seqno {after.seqno}", *requirements, frames=[before, after],
             numbers=True,
         )  # fmt: skip
 
@@ -290,73 +348,8 @@ class Matchers:
         """Record a statement that has already been established."""
         self._check(True, expected, "", requirements, frames=frames)
 
-    def _check(
-        self,
-        holds: object,
-        expected: str,
-        observed: str,
-        requirements: Sequence[str],
-        *,
-        frames: Iterable[Evidence],
-        shown: object = False,
-        patience: float = 1.0,
-        field: Misread | None = None,
-        stop: bool = False,
-    ) -> bool:
-        evidence = [*frames][:_FRAMES]
-        decided = _ids(requirements)
-        good = self._verdicts.check(
-            holds, expected, observed, *decided, frames=evidence, shown=shown, patience=patience, field=field
-        )
-        if stop and not good:
-            raise StopCase
-        return good
-
 
 def part_of(found: Iterable[object], whole: Iterable[object]) -> bool:
     """Return whether ``found`` is a subsequence of ``whole``, as after losses."""
     rest = iter(whole)
     return all(any(each == other for other in rest) for each in found)
-
-
-def content(value: object) -> str:
-    """Return a received value for a message: octets in hexadecimal, and the record of an instruction."""
-    if isinstance(value, bytes):
-        return value.hex()
-    if isinstance(value, Instruction):
-        return f"{value.record}"
-    if isinstance(value, ReceivedBeacon):
-        return f"{value.problem or 'a beacon'}"
-    return f"{value}"
-
-
-def described(found: Any) -> str:
-    """Return what was received for a message: numbers of beacons and records of each kind, or the values."""
-    if not isinstance(found, Collection) or isinstance(found, str | bytes | Mapping):
-        return content(found)
-    records = Counter(RECORD_CLASSES[each.kind].__name__ for each in found if isinstance(each, Instruction))
-    beacons = sum(isinstance(each, ReceivedBeacon) for each in found)
-    values = [content(each) for each in found if not isinstance(each, Instruction | ReceivedBeacon)]
-    texts = [_counted(number, name) for name, number in records.items()]
-    texts += [_counted(beacons, "beacon")] * (beacons > 0)
-    texts += values[:_VALUES] + ["..."] * (len(values) > _VALUES)
-    return ", ".join(texts) or "none"
-
-
-def evidence_in(found: Any) -> list[Evidence]:
-    """Return the frames and records among received things."""
-    if not isinstance(found, Iterable):
-        return [found] if isinstance(found, Evidence) else []
-    return [each for each in found if isinstance(each, Evidence)]
-
-
-def _counted(number: int, name: str) -> str:
-    return f"{number} {name}{'s' if number != 1 else ''}"
-
-
-def _beacons(found: Iterable[Instruction]) -> str:
-    return _counted(len({id(each.heard) for each in found}), "beacon")
-
-
-def _ids(requirements: Sequence[str]) -> tuple[str, ...]:
-    return tuple(one for each in requirements for one in each.split())

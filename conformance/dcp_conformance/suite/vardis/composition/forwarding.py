@@ -13,7 +13,7 @@ from dcp_spec.constants import ICType
 from dcp_codec.values import VardisRecord
 from dcp_conformance.model.case import Needs, Variant, case
 from dcp_conformance.test_steps.services import max_repetitions, teach_variable
-from dcp_conformance.test_steps.variable_queries import INSTRUCTIONS, ask, stepped, traces
+from dcp_conformance.test_steps.variable_queries import INSTRUCTIONS, ask, check_stored, stepped, traces
 from dcp_conformance.test_system.bench import Bench
 from dcp_conformance.test_system.sending.peers import Peer
 
@@ -53,8 +53,7 @@ def _require_left(bench: Bench, kind: ICType, var_id: int, count: int, since: in
     bench.mark()
     before = sum(each.heard.time <= sent for each in bench.instructions(kind, var_id, since))
     if before > max(1, count - 2):
-        observed = f"{before} of {count} sent before the next stimulus"
-        bench.inconclusive("remaining repetitions", observed)
+        bench.inconclusive("remaining repetitions", f"{before} of {count} sent before the next stimulus")
     return before
 
 
@@ -80,7 +79,7 @@ def creation(bench: Bench, count: Count) -> None:
     record = peer.create(var_id, rep_cnt=count(bench), seqno=9)
     peer.send(record)
     found = bench.check_repeated(CREATES, var_id, count(bench), since)
-    bench.every(found, lambda each: each.record == record, "the record unchanged")
+    bench.every(found, record, "the record unchanged")
     _nothing_else(bench, var_id, since, CREATES)
     if bench.sut.bound("VARDISPAR_MAX_SUMMARIES"):
         bench.until_instruction(ICType.SUMMARIES, var_id)
@@ -104,7 +103,7 @@ def update(bench: Bench, count: Count) -> None:
     since, record = bench.mark(), peer.update(var_id, 1, b"other")
     peer.send(record)
     found = bench.check_repeated(UPDATES, var_id, count(bench), since)
-    bench.every(found, lambda each: each.record == record, "the record unchanged")
+    bench.every(found, record, "the record unchanged")
     _nothing_else(bench, var_id, since, UPDATES, CREATES)
 
 
@@ -124,8 +123,7 @@ def deletion(bench: Bench, count: Count) -> None:
     peer.send(peer.delete(var_id))
     found = bench.check_repeated(DELETES, var_id, count(bench), since)
     # A summary composed before the deletion may still be sent.
-    first = bench.heard.index(found[0].heard) if found else since
-    others = traces(bench, var_id, first, set(ICType) - {DELETES})
+    others = traces(bench, var_id, bench.heard.index(found[0].heard) if found else since, set(ICType) - {DELETES})
     bench.none(others, "no other record of the variable after the first VarDelete", "VD-PD-04", given=found)
 
 
@@ -182,13 +180,12 @@ def answer(bench: Bench, what: tuple[_Trigger, ICType, Count]) -> None:
     trigger, kind, count = what
     peer = bench.peer()
     # Repetitions of the VarCreate itself must not be counted.
-    learn = _learnt if kind is CREATES else _taught
-    var_id = learn(bench, peer, count(bench), 5)
+    var_id = (_learnt if kind is CREATES else _taught)(bench, peer, count(bench), 5)
     since = bench.mark()
     bench.peer().send(trigger(bench, peer, var_id))
     found = bench.check_repeated(kind, var_id, count(bench), since)
-    numbers = {each.record.upd.seqno if kind is CREATES else each.record.seqno for each in found} or {5}
-    bench.answered(numbers, {5}, "the stored sequence number 5 in the answer", frames=found)
+    numbers = [each.record.upd.seqno if kind is CREATES else each.record.seqno for each in found]
+    bench.every(numbers, 5, "the stored sequence number in the answer")
     _nothing_else(bench, var_id, since, kind, CREATES)
 
 
@@ -280,8 +277,7 @@ def requested_again(bench: Bench, what: tuple[ICType, _Trigger]) -> None:
     found = bench.waiting.repeated(kind, var_id, since)
     # Payloads may be composed up to two beacons before they are sent, and a slow implementation processes the request
     # later.
-    most = before + count + bench.sut.ahead
-    bench.repeated(found, before + count, "records", most=most)
+    bench.repeated(found, before + count, "records", most=before + count + bench.sut.ahead)
     bench.one_each(found, "at most one record in each beacon")
 
 
@@ -345,9 +341,7 @@ def newest_value(bench: Bench) -> None:
     updated = bench.until_instruction(UPDATES, var_id)
     for what in ("after the update", "after a VarCreate with the first value"):
         held = ask(bench, var_id)
-        upd = held.record.upd if held.record is not None else None
-        right = upd is not None and (upd.seqno, upd.value) == (1, bench.records.value(b"newer"))
-        bench.proved(right, f"{what}: sequence number and value of the VarUpdate", held, given=updated and held.record)
-        specs = held.record is None or held.record.spec == create.spec
-        bench.proved(specs, "the specification as sent", held.record.spec if held.record else "")
+        check_stored(bench, held, 1, b"newer", f"sequence number and value {what}", given=updated)
+        if held.record is not None:
+            bench.answered(held.record.spec, create.spec, "the specification")
         peer.send(create)

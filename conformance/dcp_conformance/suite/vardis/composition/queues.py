@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dcp_spec.constants import ICType, SpecVersion
 
 from dcp_codec.values import VardisRecord
-from dcp_conformance.model.case import Needs, Variant, case
+from dcp_conformance.model.case import FILLS, Needs, Variant, case
 from dcp_conformance.suite.vardis.reception.payload import check_filled, check_order_of_queue, size_of
 from dcp_conformance.test_steps.full_payloads import PAYLOAD_SIZE
 from dcp_conformance.test_steps.services import listed
@@ -239,6 +239,7 @@ def many_records(bench: Bench, what: tuple[ICType, int, Stimulus, str]) -> None:
     ),
     expect="in one of the attempts the first payload with one of the five kinds of records has all of them",
     window=16,
+    alone=FILLS,
 )
 def all_kinds_together(bench: Bench) -> None:
     kinds, counts = {_CREATE, _DELETE, _UPDATE, _ASK_CREATE, _ASK_UPDATE}, list[int]()
