@@ -58,9 +58,9 @@ def _binary(bench: Bench) -> str | None:
     alone="it shortens the timeout of neighbours",
 )
 def crowd(bench: Bench) -> None:
-    most = min(_CROWD, bench.profile.limits.max_neighbours or _CROWD)
+    most = min(_CROWD, bench.sut.capacity("neighbours") or _CROWD)
     if most < _FEWEST:
-        bench.verdicts.not_applicable(f"according to the profile, the implementation stores {most} neighbours")
+        bench.verdicts.not_applicable(f"the implementation stores at most {most} neighbours")
     # Beacons show that the implementation is not held up.
     with talking(bench), brief_timeout(bench) as length:
         peers = [bench.peer() for _ in range(most)]

@@ -87,7 +87,14 @@ def many_entries(bench: Bench, mode: QueueingMode) -> None:
     window=12,
     variants={
         name: Variant(
-            mode, requirements=f"BP-QM-03 {own}", needs=Needs(V1_2, entities=(), ut=(*CLIENT, CLEAR, QUERY, *_SWITCHES))
+            mode,
+            requirements=f"BP-QM-03 {own}",
+            needs=Needs(
+                V1_2,
+                entities=(),
+                ut=(*CLIENT, CLEAR, QUERY, *_SWITCHES),
+                when=lambda bench: bench.sut.lacks("queue_entries", _BEYOND_OCTET) or None,
+            ),
         )
         for name, mode, own in (("droptail", DROPTAIL, "BP-QM-01"), ("drophead", DROPHEAD, "BP-QM-02"))
     },

@@ -80,7 +80,7 @@ def whole_number(bench: Bench, number: int) -> None:
     stimulus=f"{_CLIENTS} clients register; each of them submits a payload",
     expect="all of them in the list, and a beacon with each payload; a limit of the memory is reported",
     window=50,
-    needs=Needs(entities=(), ut=(*CLIENT, LIST)),
+    needs=Needs(entities=(), ut=(*CLIENT, LIST), when=lambda bench: bench.sut.lacks("clients", _CLIENTS + 2) or None),
 )
 def many_clients(bench: Bench) -> None:
     clients = [BPClient(bench, ONCE, size=8) for _ in range(_CLIENTS)]

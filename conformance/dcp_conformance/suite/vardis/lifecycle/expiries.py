@@ -98,7 +98,7 @@ def kinds(bench: Bench, what: tuple[bool, str]) -> None:
 
 
 def _holds(count: int) -> Callable[[Bench], str | None]:
-    return lambda bench: bench.sut.lacks_room(count + 2 * _OTHERS) or None
+    return lambda bench: bench.sut.lacks("variables", count + 2 * _OTHERS) or None
 
 
 @case(
