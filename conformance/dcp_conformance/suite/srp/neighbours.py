@@ -32,7 +32,7 @@ _UPDATE = "SRP-UpdateSafetyData"
 _SWITCHES = ("BP-MGMT-Deactivate", "BP-MGMT-Activate")
 #: Neighbours of a crowd, and the fewest that are one.
 _CROWD, _FEWEST = 64, 12
-_DAMAGED = 12
+_DAMAGED, _BURST = 12, 90
 _SIXTEEN_BITS = 1 << 16
 
 
@@ -278,10 +278,13 @@ def own_stamp(bench: Bench, waits: bool) -> None:
             later, moment = second.report, second.moment
         else:
             bench.wait(5)
-            moment = timed(bench, _UPDATE, sData=first.values)
-            reporter.noted(first.values, moment)
-            # In mode REPEAT the report before is sent again until then.
-            found = bench.until(lambda heard: heard.report if _is_later(bench, heard, first) else None)
+            found, left = None, _BURST
+            # An application may replace the data before a beacon is sent.
+            while found is None and left:
+                moment, left = timed(bench, _UPDATE, sData=first.values), left - 1
+                reporter.noted(first.values, moment)
+                # In mode REPEAT the report before is sent again until then.
+                found = bench.until(lambda heard: heard.report if _is_later(bench, heard, first) else None, 1 / 16)
             if found is None:
                 reporter.lost("a report with the next sequence number", "SRP-SRV-03")
             later = found

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from typing import Any, ClassVar
 
-from dcp_spec.constants import ICType
+from dcp_spec.constants import ICType, SpecVersion
 
 from dcp_codec.values import VarCreate
 from dcp_selftest.mutants.entries import on_entry
 from dcp_selftest.mutants.family import assign, attributes, instead, then
 from dcp_selftest.mutants.mutant import mutant
+from dcp_selftest.mutants.unseen import NOT_REPLACED
 from dcp_stack.config import MS
 from dcp_stack.vardis.compose import Composer
 from dcp_stack.vardis.database import Database, IdQueue
@@ -200,4 +201,5 @@ on_entry(Receiver, Receiver._create)("pending-update-left", "VD-PC-08",
     lambda self, entry, before: (
         assign(entry, count_update=min(before.count_update, entry.spec.rep_cnt))
         or self._database.update_q.append(entry.spec.var_id)
-        if before.count_update and before.spec is not entry.spec else None))  # fmt: skip
+        if before.count_update and before.spec is not entry.spec else None),
+    since=SpecVersion.V2_0, unseen=NOT_REPLACED)  # fmt: skip

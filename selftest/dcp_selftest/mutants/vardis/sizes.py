@@ -55,7 +55,8 @@ class LongDescriptionRefused(Vardis):
         return confirm
 
 
-@mutant("cut-at-100", "VD-PU-07 VD-PC-07", "stores at most 100 octets of a received value")
+@mutant("cut-at-100", "VD-PU-07 VD-PC-07", "stores at most 100 octets of a received value",
+    since=SpecVersion.V1_1, unseen={"1.0": "in 1.0 the sum of both lengths is limited"})  # fmt: skip
 class CutsValues(Receiver):
     def _update(self, record: Any, offset: int, now: int, wall: int) -> None:
         super()._update(msgspec.structs.replace(record, value=record.value[:100]), offset, now, wall)

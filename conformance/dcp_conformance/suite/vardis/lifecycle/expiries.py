@@ -278,7 +278,7 @@ def shorter_period(bench: Bench) -> None:
     ),
     expect="a VarCreate within ten seconds",
     window=110,
-    needs=Needs(SpecVersion.V1_1, ut=("RTDB-Create", "UT-Reset", "VD-SetParameter")),
+    needs=Needs(ut=("RTDB-Create", "UT-Reset", "VD-SetParameter")),
 )
 def shorter_check(bench: Bench) -> None:
     bench.must("UT-Reset")
