@@ -155,6 +155,42 @@ def differential_command(**options: Any) -> int:
     return _live(options, differential=True)
 
 
+@command.command("model", epilog=EXIT_STATUS)
+@target_options
+@_OWN_NODE
+@click.option(
+    "--sequences", type=click.IntRange(1), metavar="N", help="Number of sequences.  [default: 2000, on a link 40]"
+)
+@click.option("--steps", type=click.IntRange(1), default=12, metavar="N", help="Steps of a sequence.  [default: 12]")
+@click.option("--database", default="", metavar="DIR", help="Folder of Hypothesis's examples, which are tried first.")
+@click.option("--coverage", is_flag=True, help="Show the reached pairs of state and event.")
+@click.option(
+    "--artefacts", type=click.Path(path_type=Path), metavar="DIR", help="Write the counterexample to this folder."
+)
+def model_command(**options: Any) -> int:
+    """Search for a sequence in which an implementation does what the model of a node forbids.
+
+    Hypothesis draws the sequences: services, beacons of neighbours, parameters, activity and time. The shortest
+    counterexample is shown as a table: each step, what was allowed, and what came. The same seed gives the same
+    sequences. --in-process searches in virtual time.
+    """
+    from dcp_conformance.fuzz.execute.model import run_search
+
+    where = target_of(options)
+    if not (where.foreign or where.in_process or options["own_node"]):
+        raise UsageError("name the implementation (--interface IF or --link udp), --own-node, or --in-process")
+    words = _target_words(where, own_node=options["own_node"])
+    return run_search(
+        where,
+        words,
+        sequences=options["sequences"] or (2000 if where.in_process else 40),
+        steps=options["steps"],
+        database=options["database"],
+        coverage=options["coverage"],
+        directory=options["artefacts"],
+    )
+
+
 @command.command(
     "replay",
     epilog="Exit status: 0 every finding is fixed; 1 a finding failed again, or is flaky; 2 wrong usage; 4 a finding "
@@ -197,6 +233,11 @@ def _live_target(options: dict[str, Any], stack: contextlib.ExitStack) -> Callab
         opened.runner.prepare()
 
     def made(artefact: Artefact) -> Target:
+        if artefact.target.mode == "model":
+            from dcp_conformance.fuzz.execute.model import ModelTarget
+            from dcp_conformance.fuzz.findings.counterexample import steps_of
+
+            return ModelTarget(opened, artefact.profile, steps_of(artefact), in_process=target.in_process)
         if artefact.target.mode in ("codec", "stack"):
             raise UsageError(f"artefact {artefact.id} is of our own code in process: use dcp-selftest fuzz replay")
         if opened is None:

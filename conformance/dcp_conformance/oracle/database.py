@@ -422,6 +422,12 @@ class VardisModel(Oracle):
                 yield Finding((each.requirement,), f"{each.kind.label} of variable {each.var_id}", "no payload")
                 return
 
+    @property
+    def next_timeout(self) -> int | None:
+        """The time of the next timeout of a variable in ns; None if none has one."""
+        due = [each.due for each in self.variables.values() if each.due != NEVER]
+        return min(due) if due else None
+
     def postpone(self, time: int) -> None:
         """Give everything that is owed its whole time again, because the node could not send until ``time``."""
         for var_id, owing in self._owed.items():

@@ -106,7 +106,8 @@ class SRPModel:
         for node_id, known in list(self.table.items()):
             if time - min(each.first for each in known) > self.timeout - self._margin:
                 self._doubtful.add(node_id)
-            if time - max(each.last for each in known) > self.timeout + self._traversal(time):
+            traversed = time - self._changed > max(self._slow, self.timeout) // 5 + self._margin + 20 * MS
+            if traversed and time - max(each.last for each in known) > self.timeout + self._traversal(time):
                 # Gone for certain, whatever the timeout is later.
                 del self.table[node_id]
                 self._doubtful.discard(node_id)

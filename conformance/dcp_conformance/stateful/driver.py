@@ -45,7 +45,7 @@ class Row(msgspec.Struct, frozen=True):
     came: str
 
 
-class Counterexample(AssertionError):
+class Counterexample(AssertionError):  # noqa: N818 - not an error of the tester
     """A sequence whose last step shows that the node violates a requirement."""
 
     def __init__(self, finding: Finding, steps: list[Step], rows: list[Row]) -> None:
@@ -75,6 +75,8 @@ class Driver:
         """``reached``: the pairs (state of the model, event), which are counted."""
         self.executor = executor
         self.reached = reached if reached is not None else Counter()
+        self.decided: dict[str, None] = {}
+        """The requirements that decided the statuses of this sequence."""
         self.pairs: set[tuple[str, str]] = set()
         """The pairs of this sequence."""
         self.model = NodeModel(
@@ -199,6 +201,8 @@ class Driver:
             self._take(event)
         self._count(self._state(method, params), method)
         expected = model.expect(method, params, executor.now())
+        if expected and not expected[0].requirement.startswith("X"):
+            self.decided[expected[0].requirement] = None
         before = executor.now(), executor.wall()
         try:
             answer = executor.call(method, params)
@@ -235,7 +239,7 @@ class Driver:
             params["protId"] = self.protocols.setdefault(number, self.executor.names.protocol(number))
         if "varId" in params:
             params["varId"] = self._variable(params["varId"])
-        for name in _SIZED:
+        for name in _SIZED if not step.method.endswith("-SetParameter") else ():
             if isinstance(params.get(name), int):
                 params[name] = self._octets(params[name]).hex()
         for name in ("descr", "name"):

@@ -45,7 +45,6 @@ class Executor(Protocol):
     """An implementation on which a sequence is executed, from a state that is initial for its names."""
 
     codec: Codec
-    names: Names
     methods: frozenset[str]
     own_id: bytes
     timing: Timing
@@ -60,6 +59,11 @@ class Executor(Protocol):
     lossy_services: bool
     """Whether an unanswered call is a fault of the connection."""
     readings: Mapping[str, str]
+
+    @property
+    def names(self) -> Names:
+        """The identifiers of this sequence."""
+        ...
 
     def parameters(self) -> dict[str, Any]:
         """Return the values of all parameters, by the names of the specification."""

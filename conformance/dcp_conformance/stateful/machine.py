@@ -8,12 +8,13 @@ shrinks to few steps with usual values.
 from __future__ import annotations
 
 from collections import Counter
-from typing import Any, ClassVar, Final
+from collections.abc import Callable
+from typing import Any, ClassVar, Final, NamedTuple
 
 from dcp_spec.constants import QueueingMode, SpecVersion
 from hypothesis import strategies as st
 from hypothesis import target
-from hypothesis.stateful import RuleBasedStateMachine, precondition, rule
+from hypothesis.stateful import RuleBasedStateMachine, initialize, rule
 
 from dcp_conformance.oracle.bp import Client as Registration
 
@@ -21,17 +22,89 @@ from .driver import Counterexample, Driver
 from .executor import Executor
 from .steps import OWN, Beacon, Call, Client, RecordKind, Records, Report, Step, Wait
 
-PROTOCOLS: Final = st.sampled_from((0, 1, 2))
-VARIABLES: Final = st.sampled_from((0, 1, 2, 3, 4))
-NEIGHBOURS: Final = st.sampled_from((0, 1, 2))
+#: Numbers of protocols, variables and neighbours: mostly the first, since what happens twice to one finds more.
+_CLIENTS: Final = 3
+#: One of those that there are.
+WHICH: Final = st.sampled_from((0, 0, 0, 1, 2))
+PROTOCOLS: Final = st.sampled_from((0, 0, 0, 0, 0, 1, 2))
+VARIABLES: Final = st.sampled_from((0, 0, 0, 1, 1, 2, 3, 4))
+NEIGHBOURS: Final = st.sampled_from((0, 0, 1, 2))
 #: Beacon periods of a wait.
-PERIODS: Final = st.sampled_from((1.0, 0.4, 2.5, 5.0, 12.0, 40.0))
+PERIODS: Final = st.sampled_from((1.0, 0.4, 1.0, 2.5, 5.0, 8.0, 12.0, 25.0, 40.0, 130.0))
+#: What a sequence is about: the actions, more frequent ones several times. A sequence about everything reaches too
+#: little of anything.
+THEMES: Final[dict[str, tuple[str, ...]]] = {
+    "registrations": (
+        "renew",
+        "submit",
+        "register",
+        "submit",
+        "clear",
+        "switch_bp",
+        "wait",
+        "deregister",
+        "register_twice",
+    ),
+    "inactivity": (
+        "switch_bp",
+        "submit",
+        "register",
+        "submit",
+        "clear",
+        "report",
+        "payload",
+        "records",
+        "renew",
+        "wait",
+    ),
+    "sizes": ("resize", "submit", "register", "submit", "wait", "renew", "switch_bp"),
+    "reception": ("payload", "register", "payload", "records", "report", "change_network", "deregister", "wait"),
+    "neighbours": ("report", "change_neighbour_timeout", "age", "report", "age", "hand_down", "wait"),
+    "services": ("create", "update", "delete", "create", "wait", "records", "switch_vardis", "outlast"),
+    "dissemination": ("create", "records", "records", "delete", "wait", "outlast"),
+    "limits": ("change_vardis", "create", "update", "records", "wait", "change_vardis"),
+    "crowds": ("crowd", "crowd", "change_vardis", "wait", "create", "update"),
+    "everything": (),
+}
 _QUEUES: Final = (QueueingMode.QUEUE_DROPTAIL, QueueingMode.QUEUE_DROPHEAD)
-_FAULTS: Final = st.sampled_from(("",) * 9 + ("version", "magic", "network", "own-sender", "no-length", "no-payloads"))
-_TIMEOUTS: Final = st.sampled_from((0, 0, 300, 1200, 5000, 65000))
+REGISTRATION: Final[dict[str, st.SearchStrategy[Any]]] = {
+    "size": st.sampled_from((20, 20, 20, 300, 1, "largest", 100, 0, "above")),
+    "mode": st.sampled_from((*_QUEUES, QueueingMode.ONCE, QueueingMode.REPEAT)),
+    "entries": st.sampled_from((1, 2, 3, 1, 3, 2, 300, 256, 255, 0)),
+    "several": st.booleans(),
+    "name": st.sampled_from((4, 4, 4, 1, 40, 255)),
+}
+_FAULTS: Final = st.sampled_from(("",) * 24 + ("version", "magic", "network", "own-sender", "no-length", "no-payloads"))
+_TIMEOUTS: Final = st.sampled_from((0, 0, 0, 300, 1200, 5000, 65000))
 _KINDS: Final[tuple[RecordKind, ...]] = ("create", "update", "delete", "summary", "ask-update", "ask-create")
 #: Numbers of variables at once: few, more than fit into a small payload, more than half of a container.
 _CROWDS: Final = st.sampled_from((6, 30, 140, 200))
+
+
+class Action(NamedTuple):
+    """A kind of step: what draws its arguments, when it can have an effect, and the method that takes it."""
+
+    arguments: st.SearchStrategy[dict[str, Any]]
+    possible: Callable[[NodeMachine], bool]
+    take: Callable[..., None]
+
+
+ACTIONS: Final[dict[str, Action]] = {}
+_Possible = Callable[["NodeMachine"], bool]
+
+
+def action(possible: _Possible, **arguments: st.SearchStrategy[Any]) -> Callable[[Callable[..., None]], Any]:
+    """Make an action of a method.
+
+    Hypothesis would switch most of its own rules off in a sequence, which suits machines of which any few rules find
+    something; here it takes four or five different ones.
+    """
+
+    def decorate(function: Callable[..., None]) -> Any:
+        ACTIONS[function.__name__] = Action(st.fixed_dictionaries(arguments), possible, function)
+        return function
+
+    return decorate
 
 
 class NodeMachine(RuleBasedStateMachine):
@@ -51,7 +124,23 @@ class NodeMachine(RuleBasedStateMachine):
         self.driver = Driver(self.executor, self.reached)
         self.counterexample: Counterexample | None = None
         self._version = self.executor.codec.profile.spec_version
+        self.title = ""
+        """What the sequence is about."""
+        self.theme: tuple[str, ...] = tuple(ACTIONS)
         self._vardis = any(each.startswith("RTDB-") for each in self.executor.methods)
+
+    @initialize(theme=st.sampled_from(tuple(THEMES)))
+    def about(self, theme: str) -> None:
+        """Choose what the sequence is about."""
+        self.title = theme
+        self.theme = THEMES[theme] or tuple(ACTIONS)
+
+    @rule(data=st.data())
+    def act(self, data: st.DataObject) -> None:
+        """Take one of the actions of the theme that can have an effect now."""
+        possible = [name for name in self.theme if ACTIONS[name].possible(self)]
+        chosen = ACTIONS[data.draw(st.sampled_from(possible or ("wait",)))]
+        chosen.take(self, **data.draw(chosen.arguments))
 
     def open(self) -> Executor:
         """Return an implementation in its initial state."""
@@ -97,19 +186,32 @@ class NodeMachine(RuleBasedStateMachine):
 
     # -- BP --------------------------------------------------------------------------------------------------
 
-    @precondition(lambda self: self.has("BP-RegisterProtocol"))
-    @rule(
-        number=PROTOCOLS,
-        size=st.sampled_from((20, 1, 200, "largest", 0, "above")),
-        mode=st.sampled_from((*_QUEUES, QueueingMode.ONCE, QueueingMode.REPEAT)),
-        entries=st.sampled_from((1, 2, 3, 0, 255, 256, 300)),
-        several=st.booleans(),
-        name=st.sampled_from((4, 1, 40, 255)),
-    )
-    def register(
+    @action(lambda self: self.has("BP-RegisterProtocol") and len(self.registrations()) < _CLIENTS, **REGISTRATION)
+    def register(self, **what: Any) -> None:
+        """Register a client protocol that is not registered."""
+        taken = self.registrations()
+        self.take(self._registration(next(each for each in range(_CLIENTS) if each not in taken), **what))
+
+    @action(lambda self: self.registered, which=WHICH, **REGISTRATION)
+    def register_twice(self, which: int, **what: Any) -> None:
+        """Register a client protocol that is registered."""
+        self.take(self._registration(self._one_of(which), **what))
+
+    @action(lambda self: self.registered, which=WHICH, **REGISTRATION)
+    def renew(self, which: int, **what: Any) -> None:
+        """Deregister a client protocol, and register it differently."""
+        number = self._one_of(which)
+        self.take(Call("BP-DeregisterProtocol", {"protId": number}))
+        self.take(self._registration(number, **what))
+
+    def _one_of(self, which: int) -> int:
+        """Return the number of a registered protocol."""
+        there = sorted(self.registrations())
+        return there[which % len(there)]
+
+    def _registration(
         self, number: int, size: int | str, mode: QueueingMode, entries: int, several: bool, name: int
-    ) -> None:
-        """Register a client protocol."""
+    ) -> Call:
         largest = self.driver.model.bp.largest
         most = largest if size == "largest" else largest + 1 if size == "above" else size
         if self._version < SpecVersion.V1_1:
@@ -117,52 +219,58 @@ class NodeMachine(RuleBasedStateMachine):
         params: dict[str, Any] = {"protId": number, "name": name, "maxPayloadSize": most, "queueingMode": mode.value}
         if self._version >= SpecVersion.V1_1:
             params |= {"maxEntries": entries, "allowMultiplePayloads": several}
-        self.take(Call("BP-RegisterProtocol", params))
+        return Call("BP-RegisterProtocol", params)
 
-    @precondition(lambda self: self.has("BP-DeregisterProtocol") and self.registered)
-    @rule(number=PROTOCOLS)
-    def deregister(self, number: int) -> None:
+    @action(lambda self: self.registered, which=WHICH)
+    def deregister(self, which: int) -> None:
         """Deregister a client protocol."""
-        self.take(Call("BP-DeregisterProtocol", {"protId": number}))
+        self.take(Call("BP-DeregisterProtocol", {"protId": self._one_of(which)}))
 
-    @precondition(lambda self: self.has("BP-TransmitPayload") and self.registered)
-    @rule(
-        number=PROTOCOLS,
-        size=st.sampled_from(("usual", "most", "above", "empty", "one")),
-        times=st.sampled_from((1, 2, 3, "fill")),
+    @action(
+        lambda self: self.registered,
+        which=WHICH,
+        size=st.sampled_from(("usual", "most", "usual", "usual", "above", "empty", "one")),
+        times=st.sampled_from((1, "fill", 2, 1, "fill", 3)),
     )
-    def submit(self, number: int, size: str, times: int | str) -> None:
+    def submit(self, which: int, size: str, times: int | str) -> None:
         """Submit payloads."""
-        client = self.registrations().get(number)
-        most = client.most if client is not None else 4
-        octets = {"usual": min(4, most), "most": most, "above": most + 1, "empty": 0, "one": 1}[size]
+        number = self._one_of(which)
+        client = self.registrations()[number]
+        octets = {"usual": min(4, client.most), "most": client.most, "above": client.most + 1, "empty": 0, "one": 1}[
+            size
+        ]
         if times == "fill":
-            times = client.entries + 1 if client is not None and client.mode in _QUEUES else 2
+            times = client.entries + 1 if client.mode in _QUEUES else 2
         self.take(Call("BP-TransmitPayload", {"protId": number, "payload": octets}, int(times)))
 
-    @precondition(lambda self: self.has("BP-ClearBuffer") and self.registered)
-    @rule(number=PROTOCOLS)
-    def clear(self, number: int) -> None:
+    @action(lambda self: self.has("BP-ClearBuffer") and self.registered, which=WHICH)
+    def clear(self, which: int) -> None:
         """Clear the buffer of a client protocol."""
-        self.take(Call("BP-ClearBuffer", {"protId": number}))
+        self.take(Call("BP-ClearBuffer", {"protId": self._one_of(which)}))
 
-    @precondition(lambda self: self.has("BP-MGMT-Deactivate") and self.executor.alone)
-    @rule()
+    @action(lambda self: self.has("BP-MGMT-Deactivate") and self.executor.alone)
     def switch_bp(self) -> None:
         """Deactivate BP, or activate it again."""
         on = self.driver.model.bp.active
         self.take(Call(f"BP-MGMT-{'Deactivate' if on else 'Activate'}"))
 
-    @precondition(lambda self: self.registered)
-    @rule(sender=NEIGHBOURS, number=PROTOCOLS, size=st.sampled_from((4, 1, 20, 0)), fault=_FAULTS)
+    @action(
+        lambda self: self.registered,
+        sender=NEIGHBOURS,
+        number=PROTOCOLS,
+        size=st.sampled_from((4, 1, 20, 0)),
+        fault=_FAULTS,
+    )
     def payload(self, sender: int, number: int, size: int, fault: Any) -> None:
         """Send a payload to a client protocol."""
         self.take(Beacon(sender, (Client(number, size),), fault))
 
     # -- parameters ------------------------------------------------------------------------------------------
 
-    @precondition(lambda self: self.has("BP-SetParameter") and self.executor.alone)
-    @rule(value=st.sampled_from(("initial", 120, 200, 300, "least")))
+    @action(
+        lambda self: self.has("BP-SetParameter") and self.executor.alone,
+        value=st.sampled_from(("initial", 120, 200, 300, "least")),
+    )
     def resize(self, value: int | str) -> None:
         """Set the maximum packet size."""
         model = self.driver.model
@@ -172,27 +280,31 @@ class NodeMachine(RuleBasedStateMachine):
         if size != model.values["BPPAR_MAXIMUM_PACKET_SIZE"]:
             self._set("BP", "BPPAR_MAXIMUM_PACKET_SIZE", size)
 
-    @precondition(lambda self: self.has("BP-SetParameter") and self.executor.alone)
-    @rule(factor=st.sampled_from((1, 2, 4, 0.5)))
+    @action(lambda self: self.has("BP-SetParameter") and self.executor.alone, factor=st.sampled_from((1, 2, 4, 0.5)))
     def change_period(self, factor: float) -> None:
         """Set the beacon period."""
         self._set("BP", "BPPAR_BEACON_PERIOD", int(self.driver.initial["BPPAR_BEACON_PERIOD"] * factor) or 1)
 
-    @precondition(lambda self: self.has("BP-SetParameter") and self.executor.alone)
-    @precondition(lambda self: "BPPAR_NETWORK_ID" in self.driver.model.values)
-    @rule(value=st.sampled_from(("initial", 0, 1, 65535)))
+    @action(
+        lambda self: self.has("BP-SetParameter") and self.executor.alone,
+        value=st.sampled_from(("initial", 0, 1, 65535)),
+    )
     def change_network(self, value: int | str) -> None:
         """Set the network identifier."""
+        if "BPPAR_NETWORK_ID" not in self.driver.initial:
+            return
         self._set("BP", "BPPAR_NETWORK_ID", self.driver.initial["BPPAR_NETWORK_ID"] if value == "initial" else value)
 
-    @precondition(lambda self: self.has("SRP-SetParameter") and self.executor.alone)
-    @rule(value=st.sampled_from((3000, 1000, 300, 20000, 70000)))
+    @action(
+        lambda self: self.has("SRP-SetParameter") and self.executor.alone,
+        value=st.sampled_from((3000, 1000, 300, 20000, 70000)),
+    )
     def change_neighbour_timeout(self, value: int) -> None:
         """Set the timeout of neighbours."""
         self._set("SRP", "SRPPAR_NEIGHBOUR_TABLE_TIMEOUT", value)
 
-    @precondition(lambda self: self._vardis and self.has("VD-SetParameter") and self.executor.alone)
-    @rule(
+    @action(
+        lambda self: self._vardis and self.has("VD-SetParameter") and self.executor.alone,
         what=st.sampled_from(
             ("SUMMARIES", "REPETITIONS", "VALUE_LENGTH", "DESCRIPTION_LENGTH", "PAYLOAD_SIZE", "SCRUB")
         ),
@@ -217,8 +329,7 @@ class NodeMachine(RuleBasedStateMachine):
 
     # -- SRP -------------------------------------------------------------------------------------------------
 
-    @precondition(lambda self: self.has("SRP-UpdateSafetyData"))
-    @rule(times=st.sampled_from((1, 2)), pause=st.booleans())
+    @action(lambda self: self.has("SRP-UpdateSafetyData"), times=st.sampled_from((1, 2)), pause=st.booleans())
     def hand_down(self, times: int, pause: bool) -> None:
         """Hand safety data down."""
         for _ in range(times):
@@ -226,12 +337,12 @@ class NodeMachine(RuleBasedStateMachine):
                 self.take(Wait(0.4))
             self.take(Call("SRP-UpdateSafetyData"))
 
-    @precondition(lambda self: self.has("SRP-NeighbourTable"))
-    @rule(
+    @action(
+        lambda self: self.has("SRP-NeighbourTable"),
         sender=NEIGHBOURS,
         neighbour=st.sampled_from((0, 1, 2, 3)),
-        seqno=st.sampled_from((1, 2, 5, 0, (1 << 32) - 1)),
-        count=st.sampled_from((1, 1, 1, 2, 12)),
+        seqno=st.sampled_from((5, 1, 5, 6, 0, 20_000, (1 << 32) - 1)),
+        count=st.sampled_from((1, 1, 1, 1, 2, 12, 140)),
         fault=_FAULTS,
     )
     def report(self, sender: int, neighbour: int, seqno: int, count: int, fault: Any) -> None:
@@ -240,12 +351,12 @@ class NodeMachine(RuleBasedStateMachine):
 
     # -- VarDis ----------------------------------------------------------------------------------------------
 
-    @precondition(lambda self: self._vardis)
-    @rule(
+    @action(
+        lambda self: self._vardis,
         number=VARIABLES,
-        size=st.sampled_from((2, 1, "most", "above", 0)),
-        descr=st.sampled_from((3, 1, "most", "above", 0)),
-        repetitions=st.sampled_from((1, "most", "above", 0)),
+        size=st.sampled_from((2, 2, 2, 2, "most", 1, "above", 0)),
+        descr=st.sampled_from((3, 3, 3, 3, 3, "most", 1, "above", 0)),
+        repetitions=st.sampled_from((1, 1, "most", "most", "most", "above", 0)),
         timeout=_TIMEOUTS,
     )
     def create(self, number: int, size: int | str, descr: int | str, repetitions: int | str, timeout: int) -> None:
@@ -260,37 +371,39 @@ class NodeMachine(RuleBasedStateMachine):
             params["timeout"] = timeout
         self.take(Call("RTDB-Create", params))
 
-    @precondition(lambda self: self._vardis)
-    @rule(number=VARIABLES, size=st.sampled_from((2, 1, "most", "above", 0)), times=st.sampled_from((1, 2)))
+    @action(
+        lambda self: self._vardis,
+        number=VARIABLES,
+        size=st.sampled_from((2, 2, 2, "most", 1, "above", 0)),
+        times=st.sampled_from((1, 2)),
+    )
     def update(self, number: int, size: int | str, times: int) -> None:
         """Update a variable."""
         self.take(Call("RTDB-Update", {"varId": number, "value": self._limit(size, "VALUE_LENGTH")}, times))
 
-    @precondition(lambda self: self._vardis)
-    @rule(number=VARIABLES)
+    @action(lambda self: self._vardis, number=VARIABLES)
     def delete(self, number: int) -> None:
         """Delete a variable."""
         self.take(Call("RTDB-Delete", {"varId": number}))
 
-    @precondition(lambda self: self.has("VD-MGMT-Deactivate") and self.executor.alone)
-    @rule()
+    @action(lambda self: self.has("VD-MGMT-Deactivate") and self.executor.alone)
     def switch_vardis(self) -> None:
         """Deactivate VarDis, or activate it again."""
         on = self.driver.model.vardis.active
         self.take(Call(f"VD-MGMT-{'Deactivate' if on else 'Activate'}"))
 
-    @precondition(lambda self: self.executor.hears_vardis)
-    @rule(
+    @action(
+        lambda self: self.executor.hears_vardis,
         sender=NEIGHBOURS,
         records=st.lists(
             st.tuples(
                 st.sampled_from(_KINDS),
                 VARIABLES,
-                st.sampled_from((0, 1, 2, -1, 127, 128, 129)),
-                st.sampled_from((2, 1, "most", "above", 0)),
-                st.sampled_from((1, "most", "above", 0)),
-                st.sampled_from((0, 1, 2, 9)),
-                st.sampled_from((0, 1, 0, OWN)),
+                st.sampled_from((0, 1, 1, 1, 2, -1, -1, 127, 128, 129)),
+                st.sampled_from((2, 2, 2, 2, 2, 1, "most", "above", 0)),
+                st.sampled_from((1, 1, "most", "most", "above", 0)),
+                st.sampled_from((1, 1, 2, 0, 9)),
+                st.sampled_from((0, 0, 0, 1, OWN)),
                 _TIMEOUTS,
             ),
             min_size=1,
@@ -307,14 +420,15 @@ class NodeMachine(RuleBasedStateMachine):
             seqno = step if known is None or kind == "create" else known.now.seqno + step
             blocks.append(
                 Records(
-                    kind, number, 1, seqno, self._limit(size, "VALUE_LENGTH"), self._limit(size, "DESCRIPTION_LENGTH", 3),
-                    self._limit(repetitions, "REPETITIONS"), producer, creation, timeout,
+                    kind, number, 1, seqno, self._limit(size, "VALUE_LENGTH"),
+                    self._limit(size, "DESCRIPTION_LENGTH", 3), self._limit(repetitions, "REPETITIONS"), producer,
+                    creation, timeout,
                 )
             )  # fmt: skip
         self.take(Beacon(sender, tuple(blocks), fault))
 
-    @precondition(lambda self: self.executor.hears_vardis and self.executor.crowds > 32)
-    @rule(
+    @action(
+        lambda self: self.executor.hears_vardis and self.executor.crowds > 32,
         kind=st.sampled_from(("create", "summary", "delete", "update", "ask-create")),
         count=_CROWDS,
         repetitions=st.sampled_from((1, "most")),
@@ -336,9 +450,23 @@ class NodeMachine(RuleBasedStateMachine):
             return min(most + 1, 255)
         return min(int(size) if usual is None else usual, max(most, 1))
 
+    @action(lambda self: bool(self.driver.model.srp.table), part=st.sampled_from((1.4, 0.9, 0.5, 1.4)))
+    def age(self, part: float) -> None:
+        """Let a part of the timeout of neighbours pass."""
+        self.take(Wait(round(part * self.driver.model.srp.timeout / self.executor.timing.period + 1, 1)))
+
+    @action(lambda self: self.driver.model.vardis.next_timeout is not None, part=st.sampled_from((0.9, 1.1, 1.7)))
+    def outlast(self, part: float) -> None:
+        """Let a part of the timeout of a variable pass, and a scrubbing."""
+        due = self.driver.model.vardis.next_timeout or 0
+        left = max(due - self.executor.now(), 0)
+        scrub = self.driver.model.values.get("VARDISPAR_SCRUBBING_PERIOD", 1000) * 1_000_000
+        duration = left * part + (1.5 * scrub if part > 1 else 0)
+        self.take(Wait(round(duration / self.executor.timing.period + 1, 1)))
+
     # -- time ------------------------------------------------------------------------------------------------
 
-    @rule(periods=PERIODS)
+    @action(lambda _: True, periods=PERIODS)
     def wait(self, periods: float) -> None:
         """Let time pass."""
         self.take(Wait(periods))

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
-from typing import Any
 
 import msgspec
 from hypothesis import HealthCheck, Phase, Verbosity, settings
 from hypothesis.database import DirectoryBasedExampleDatabase
+from hypothesis.errors import Flaky
 from hypothesis.stateful import get_state_machine_test
 
 from .driver import Counterexample
@@ -23,6 +23,8 @@ class Found(msgspec.Struct):
     reached: Counter[tuple[str, str]]
     sequences: int
     steps: int
+    flaky: bool = False
+    """Whether a counterexample was not seen again."""
 
 
 def search(
@@ -42,7 +44,6 @@ def search(
     """
     counts: Counter[tuple[str, str]] = reached if reached is not None else Counter()
     done: Counter[str] = Counter()
-    last: list[Counterexample] = []
 
     class Machine(machine):  # type: ignore[misc, valid-type]
         _hypothesis_internal_use_seed = seed
@@ -50,23 +51,9 @@ def search(
         def open(self) -> Executor:
             return make()
 
-        def take(self, step: Any) -> None:
-            try:
-                super().take(step)
-            except Counterexample as found:
-                last.append(found)
-                raise
-
-        def teardown(self) -> None:
-            try:
-                super().teardown()
-            except Counterexample as found:
-                last.append(found)
-                raise
-
     Machine.reached, Machine.executed = counts, done
     Machine.__name__ = Machine.__qualname__ = machine.__name__
-    phases = [Phase.explicit, Phase.reuse, Phase.generate, Phase.target, *([Phase.shrink] if shrink else [])]
+    phases = [Phase.explicit, Phase.reuse, Phase.generate, *([Phase.shrink] if shrink else [])]
     chosen = settings(
         max_examples=sequences,
         stateful_step_count=steps,
@@ -80,8 +67,11 @@ def search(
         verbosity=Verbosity.quiet,
     )
     found: Counterexample | None = None
+    flaky = False
     try:
         get_state_machine_test(Machine, settings=chosen)()
     except Counterexample as error:
         found = error
-    return Found(found, counts, done["sequences"], done["steps"])
+    except Flaky:
+        flaky = True
+    return Found(found, counts, done["sequences"], done["steps"], flaky)

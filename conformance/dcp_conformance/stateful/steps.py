@@ -22,7 +22,7 @@ OWN: Final = -1
 
 
 class Call(msgspec.Struct, frozen=True, omit_defaults=True, tag="call"):
-    """A service request. ``protId`` and ``varId`` are numbers of this sequence; payloads, values, descriptions sizes."""
+    """A service request. ``protId`` and ``varId`` are numbers of this sequence; octets are sizes."""
 
     method: str
     params: dict[str, Any] = {}
