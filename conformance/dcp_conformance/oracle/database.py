@@ -52,6 +52,7 @@ class VardisModel(Oracle):
     def __init__(self, own_id: bytes, features: Features, width: int, limits: Limits, room: Room, **times: Any) -> None:
         """``width``: octets of a sequence number. ``times``: as for :class:`~.model.Model`."""
         self.late: int = times.pop("late", 0)
+        self._whole: bool = times.pop("whole", False)
         self._lossy: bool = times.pop("lossy", False)
         self._scrubs: bool | None = times.pop("scrubs", None)
         """Whether the node scrubs the variables of others (X26); None if neither is known."""
@@ -79,7 +80,10 @@ class VardisModel(Oracle):
             return
         ids = {_var_id(record) for record in records}
         before = {var_id: self._variable(var_id).now for var_id in ids}
+        self._order.next_event()
+        self._order.together = True
         super().hear(records, time, frame)
+        self._order.together = False
         for record in records:
             var_id, kind = _var_id(record), record.IC_TYPE
             if kind in _TAKEN and not self._variable(var_id).uncertain:
@@ -321,6 +325,7 @@ class VardisModel(Oracle):
     ) -> Iterator[Finding]:
         """Judge a payload of ``octets`` octets, composed at ``since`` or later and received at ``time`` (ns)."""
         self.payloads += 1
+        since = max(since, self._shown(containers))
         former = [(size, count) for changed, size, count in self.room.former if changed >= since]
         most = max([self.room.most, *(size for size, _ in former)])
         summaries = max([self.room.summaries, *(count for _, count in former)])
@@ -350,6 +355,16 @@ class VardisModel(Oracle):
             yield from self._ordered(groups, since, owed)
             yield from self._missing(groups, octets, since)
 
+    def _shown(self, containers: Sequence[Container]) -> int:
+        """Return the earliest time of the composition of a payload, given the events that it shows."""
+        latest = -(1 << 62)
+        for container in containers:
+            for record in container.records:
+                for each in self._owed.get(_var_id(record), ()) if record.IC_TYPE is not None else ():
+                    if each.kind is record.IC_TYPE and each.kind in (_CREATE_REQUESTS, _DELETES):
+                        latest = max(latest, each.time + self._whole)
+        return latest
+
     def _named(self, requirement: str, var_id: int) -> tuple[str, ...]:
         why = self.why.get(var_id, ())
         if requirement in ("VD-PD-04", "VD-CMP-05", "VD-PS-02") and why:
@@ -377,10 +392,7 @@ class VardisModel(Oracle):
                 if kind is _SUMMARIES:
                     version = variable.now
                     return version.state == "alive" and variable.due == NEVER and variable.settled < since
-                return any(
-                    each.kind is kind and each.deadline - self._window + self.late < since
-                    for each in owed.get(var_id, ())
-                )
+                return any(each.kind is kind and each.time + self.late < since for each in owed.get(var_id, ()))
 
             for passed, first, place in self._order.payload(kind, ids, since - self.late, queued):
                 which = place.requirement if place.appended is not None and place.requirement else _ROTATION[kind]
@@ -404,7 +416,7 @@ class VardisModel(Oracle):
                 continue
             for each in self._owed.get(var_id, []):
                 there = groups.get(each.kind, ())
-                if each.deadline - self._window + self.late >= since or len(there) >= 255:
+                if each.time + self.late >= since or len(there) >= 255:
                     continue
                 if variable.settled + self.late >= since or self._needs(each.kind) + self.room.header > free:
                     continue

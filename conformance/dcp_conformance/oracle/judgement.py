@@ -38,6 +38,8 @@ class Timing(msgspec.Struct, frozen=True, kw_only=True):
     """Longest time from an event to its notification."""
     patience: int = 0
     """Longest time from a cause to the first beacon that shows it."""
+    whole: bool = False
+    """Whether a received payload is processed as a whole, and no payload is composed in between."""
     lossy: bool = False
     """Whether frames may be lost in either direction."""
     clock: int | None = None

@@ -105,7 +105,8 @@ class NodeModel:
         return VardisModel(
             self.own_id, self._features, profile.types.var_seqno.width, limits, room,
             latency=timing.flight, window=max(timing.patience, 8 * timing.period) + timing.late, late=timing.late,
-            lossy=timing.lossy, scrubbing=_scrubbing(values.get("VARDISPAR_SCRUBBING_PERIOD", 1000), timing),
+            lossy=timing.lossy, whole=timing.whole,
+            scrubbing=_scrubbing(values.get("VARDISPAR_SCRUBBING_PERIOD", 1000), timing),
             scrubs=None if declared is None else declared == "every-node",
         )  # fmt: skip
 

@@ -35,10 +35,16 @@ class Order:
         """Earliest time of the composition of each payload, ns."""
         self._payload = 0
         self._count = 0
+        self.together = False
+        """Whether the entries that are appended now have no order among themselves, as records of different types."""
+
+    def next_event(self) -> None:
+        """Begin an event whose entries come after all others."""
+        self._count += 1
 
     def append(self, kind: ICType, var_id: int, time: int, requirement: str, *, waiting: bool) -> None:
         """Record an event that appends an entry. ``waiting``: it may be in the queue already, and stays where it is."""
-        self._count += 1
+        self._count += not self.together
         places = self._places[kind]
         if waiting and var_id in places:
             # Whether it was still there is not known.

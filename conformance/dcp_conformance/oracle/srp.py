@@ -71,6 +71,7 @@ class SRPModel:
         self._unit = (1_000_000_000, 1)
         self.switched = False
         self._crowded = False
+        self._expired = -(1 << 62)
 
     # -- neighbours --------------------------------------------------------------------------------------------
 
@@ -103,6 +104,9 @@ class SRPModel:
 
     def expire(self, time: int) -> None:
         """Let time pass: entries whose age may exceed the timeout are in doubt from then on."""
+        if time == self._expired:
+            return
+        self._expired = time
         for node_id, known in list(self.table.items()):
             if time - min(each.first for each in known) > self.timeout - self._margin:
                 self._doubtful.add(node_id)

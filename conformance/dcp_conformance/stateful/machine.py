@@ -62,8 +62,9 @@ THEMES: Final[dict[str, tuple[str, ...]]] = {
     "neighbours": ("report", "change_neighbour_timeout", "age", "report", "age", "hand_down", "wait"),
     "services": ("create", "update", "delete", "create", "wait", "records", "switch_vardis", "outlast"),
     "dissemination": ("create", "records", "records", "delete", "wait", "outlast"),
+    "timeouts": ("create", "outlast", "records", "outlast", "wait", "update", "outlast"),
     "limits": ("change_vardis", "create", "update", "records", "wait", "change_vardis"),
-    "crowds": ("crowd", "crowd", "change_vardis", "wait", "create", "update"),
+    "crowds": ("crowd", "narrow", "crowd", "wait", "create", "crowd", "change_vardis"),
     "everything": (),
 }
 _QUEUES: Final = (QueueingMode.QUEUE_DROPTAIL, QueueingMode.QUEUE_DROPHEAD)
@@ -75,7 +76,7 @@ REGISTRATION: Final[dict[str, st.SearchStrategy[Any]]] = {
     "name": st.sampled_from((4, 4, 4, 1, 40, 255)),
 }
 _FAULTS: Final = st.sampled_from(("",) * 24 + ("version", "magic", "network", "own-sender", "no-length", "no-payloads"))
-_TIMEOUTS: Final = st.sampled_from((0, 0, 0, 300, 1200, 5000, 65000))
+_TIMEOUTS: Final = st.sampled_from((0, 0, 5000, 300, 1200, 5000, 65000))
 _KINDS: Final[tuple[RecordKind, ...]] = ("create", "update", "delete", "summary", "ask-update", "ask-create")
 #: Numbers of variables at once: few, more than fit into a small payload, more than half of a container.
 _CROWDS: Final = st.sampled_from((6, 30, 140, 200))
@@ -324,6 +325,14 @@ class NodeMachine(RuleBasedStateMachine):
         number = model.bounded(name, number)
         self._set("VD", name, number)
 
+    @action(lambda self: self._vardis and self.has("VD-SetParameter") and self.executor.alone)
+    def narrow(self) -> None:
+        """Make payloads as small as possible."""
+        for what in ("VALUE_LENGTH", "DESCRIPTION_LENGTH"):
+            self._set("VD", f"VARDISPAR_MAX_{what}", 1)
+        self._set("VD", "VARDISPAR_MAX_SUMMARIES", 1)
+        self._set("VD", "VARDISPAR_MAX_PAYLOAD_SIZE", self.driver.model.least_payload)
+
     def _set(self, protocol: str, name: str, value: Any) -> None:
         self.take(Call(f"{protocol}-SetParameter", {"name": name, "value": value}))
 
@@ -342,7 +351,7 @@ class NodeMachine(RuleBasedStateMachine):
         sender=NEIGHBOURS,
         neighbour=st.sampled_from((0, 1, 2, 3)),
         seqno=st.sampled_from((5, 1, 5, 6, 0, 20_000, (1 << 32) - 1)),
-        count=st.sampled_from((1, 1, 1, 1, 2, 12, 140)),
+        count=st.sampled_from((1, 1, 1, 1, 1, 1, 1, 2, 12, 140)),
         fault=_FAULTS,
     )
     def report(self, sender: int, neighbour: int, seqno: int, count: int, fault: Any) -> None:
@@ -455,7 +464,7 @@ class NodeMachine(RuleBasedStateMachine):
         """Let a part of the timeout of neighbours pass."""
         self.take(Wait(round(part * self.driver.model.srp.timeout / self.executor.timing.period + 1, 1)))
 
-    @action(lambda self: self.driver.model.vardis.next_timeout is not None, part=st.sampled_from((0.9, 1.1, 1.7)))
+    @action(lambda self: self.driver.model.vardis.next_timeout is not None, part=st.sampled_from((1.1, 0.9, 1.1, 1.7)))
     def outlast(self, part: float) -> None:
         """Let a part of the timeout of a variable pass, and a scrubbing."""
         due = self.driver.model.vardis.next_timeout or 0

@@ -28,7 +28,7 @@ class Found(msgspec.Struct):
 
 
 def search(
-    make: Callable[[], Executor],
+    make: Callable[[], Executor] | None,
     *,
     sequences: int,
     steps: int = 12,
@@ -40,7 +40,8 @@ def search(
 ) -> Found:
     """Draw up to so many sequences of so many steps; stop at the first counterexample, and shrink it.
 
-    ``make`` returns an implementation in its initial state. ``database``: folder of examples, which are tried first.
+    ``make`` returns an implementation in its initial state; None: the machine does. ``database``: folder of examples,
+    which are tried first.
     """
     counts: Counter[tuple[str, str]] = reached if reached is not None else Counter()
     done: Counter[str] = Counter()
@@ -49,7 +50,7 @@ def search(
         _hypothesis_internal_use_seed = seed
 
         def open(self) -> Executor:
-            return make()
+            return make() if make is not None else super().open()
 
     Machine.reached, Machine.executed = counts, done
     Machine.__name__ = Machine.__qualname__ = machine.__name__

@@ -84,7 +84,7 @@ class VirtualExecutor:
         """``timing``: None for a node that reacts at once. ``sut``, ``upper``: a node that runs already."""
         self.codec = config.codec
         period = config.bp.beacon_period_ms * MS
-        self.timing = timing or Timing(period=period, patience=12 * period, clock=5 * MS)
+        self.timing = timing or Timing(period=period, patience=12 * period, clock=5 * MS, whole=True)
         self.readings = readings or {}
         self._sut = sut or InProcess(config, seed=seed, make=make)
         self._upper = upper or VirtualUpperTester(self._sut)

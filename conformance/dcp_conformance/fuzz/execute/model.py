@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import atexit
+import contextlib
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
+
+from hypothesis import HealthCheck, Phase, settings
 
 from dcp_codec.codec import get_codec
 from dcp_codec.common.commandline import say
@@ -78,20 +82,55 @@ def run_search(
         return _told(found, opened.codec.profile.name, live.name, words, where.seed, coverage, directory)
 
 
+class OnLink(NodeMachine):
+    """Draws sequences for an implementation on a link, which is brought into its initial state before each of them."""
+
+    live: ClassVar[LiveTarget]
+    _benches: ClassVar[list[Bench]] = []
+
+    def open(self) -> Executor:
+        """Return the implementation in its initial state."""
+        self._benches.append(self.live.prepare())
+        return BenchExecutor(self._benches[-1], alone=True)
+
+    def close(self, executor: Executor) -> None:
+        """Undo what the sequence has changed."""
+        del executor
+        self._benches.pop().restoration.restore()
+
+
+def machine_for(options: TargetOptions, *, sequences: int = 20, steps: int = 12) -> type[OnLink]:
+    """Return a state machine for the tests of an implementer: ``TestNode = machine_for(...).TestCase``.
+
+    ``options`` are those of ``dcp-conformance run``. The implementation is opened when the first sequence begins.
+    """
+
+    class Node(OnLink):
+        _stack: ClassVar[contextlib.ExitStack] = contextlib.ExitStack()
+
+        def open(self) -> Executor:
+            if not hasattr(Node, "live"):
+                opened = self._stack.enter_context(open_target(options))
+                atexit.register(self._stack.close)
+                opened.runner.prepare()
+                Node.live = LiveTarget(opened)
+            return super().open()
+
+    Node.TestCase.settings = settings(
+        max_examples=sequences,
+        stateful_step_count=steps,
+        deadline=None,
+        derandomize=True,
+        phases=[Phase.generate],
+        suppress_health_check=list(HealthCheck),
+    )
+    return Node
+
+
 def _live(live: LiveTarget, **limits: Any) -> Found:
     """Search on a link. Hypothesis would shrink for minutes: steps are left out one by one instead."""
-    benches: list[Bench] = []
-
-    class OnLink(NodeMachine):
-        def close(self, executor: Executor) -> None:
-            del executor
-            benches.pop().restoration.restore()
-
-    def opened() -> Executor:
-        benches.append(live.prepare())
-        return BenchExecutor(benches[-1], alone=True)
-
-    found = search(opened, shrink=False, machine=OnLink, **limits)
+    OnLink.live = live
+    found = search(None, shrink=False, machine=OnLink, **limits)
     if found.counterexample is not None:
         found.counterexample = shorter(live.prepare, found.counterexample, alone=True)
     return found
@@ -145,4 +184,4 @@ def _bp(name: str) -> str:
     return "BP" if name in whole else "client"
 
 
-__all__ = ["ModelTarget", "never_reached", "run_search"]
+__all__ = ["ModelTarget", "OnLink", "machine_for", "never_reached", "run_search"]
