@@ -281,9 +281,12 @@ class VardisModel(Oracle):
                     continue
                 yield from self._described(var_id, row, ("VD-DDB-02",), time)
                 continue
-            gone = self._features.removed_after_deletion and (version is None or version.state == "deleted")
             surely = version is not None and version.state != "unknown"
-            if (surely or (variable is not None and variable.foreign)) and not gone:
+            if self._features.removed_after_deletion:
+                surely = version is not None and version.state == "alive"
+            elif version is None:
+                surely = variable is not None and variable.foreign
+            if surely:
                 which = ("VD-DDB-02", "VD-DB-02") if version is None or version.state == "deleted" else ("VD-DDB-02",)
                 self.doubt(var_id)
                 yield Finding(which, f"variable {var_id} in the database", "not listed")

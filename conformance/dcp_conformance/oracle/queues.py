@@ -46,9 +46,9 @@ class Order:
         """Record an event that appends an entry. ``waiting``: it may be in the queue already, and stays where it is."""
         self._count += not self.together
         places = self._places[kind]
-        if waiting and var_id in places:
+        if waiting:
             # Whether it was still there is not known.
-            del places[var_id]
+            places.pop(var_id, None)
             return
         places[var_id] = Place(time, self._count, self._payload, requirement=requirement)
 
