@@ -199,6 +199,7 @@ class Context:
         """Time of the current frame in ns since 1970; None before and after the recording."""
         self.withheld: dict[str, str] = {}
         """Requirement -> the reason why it does not get the verdict pass."""
+        self.hears: Mapping[bytes, frozenset[bytes]] | None = None
         self.changed = False
         """Whether there are findings whose frames :meth:`Judge.feed` has not saved yet."""
         self._spoken: dict[bytes, _Spoken] = {}
