@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from dcp_codec.analysis.holdings import DELETED, UNKNOWN, Holdings
 
 from dcp_codec import get_codec
-from dcp_codec.analysis.holdings import DELETED, UNKNOWN, Holdings
 from dcp_codec.capture import open_capture
 from dcp_codec.framing.locate import Framing, locate
 from dcp_codec.report import analysis

@@ -26,6 +26,7 @@ from dcp_conformance.model.pics import Pics
 from dcp_conformance.model.results import RunResult
 
 from .judge import Judge
+from .topology import Topology
 from .versions import Versions, undecided, weakness
 
 #: Number of frames at the start of a recording from which the beacon period is estimated, and the minimum number of
@@ -69,12 +70,13 @@ def judge_versions(
     period_known: bool = False,
     show_progress: bool = False,
     name_damage: bool = False,
+    topology: Topology | None = None,
 ) -> list[tuple[RunResult, Codec]]:
     """Judge one recording like :func:`judge_recording`; return two results if it has beacons of two versions.
 
     Each frame is judged by the profile of its version, together with the other frames of that version only. If the
     profile is a weak guess, every verdict is replaced by inconclusive. ``name_damage``: print on standard error what
-    cannot be read of the file; the notes of the results have it, too.
+    cannot be read of the file; the notes of the results have it, too. ``topology``: the links that the user tells.
 
     Raises :class:`UsageError` as :func:`judge_recording` does.
     """
@@ -88,7 +90,15 @@ def judge_versions(
             # File names are octets: make them valid Unicode, so that the report can be written.
             name = path.name.encode("utf-8", "backslashreplace").decode()
             judges = [
-                Judge(codec, each, recording=name, path=str(path), command=command, period_known=period_known)
+                Judge(
+                    codec,
+                    each,
+                    recording=name,
+                    path=str(path),
+                    command=command,
+                    period_known=period_known,
+                    topology=topology,
+                )
                 for codec, each in zip(codecs, periods, strict=True)
             ]
             with progress(reader, str(path), show=show_progress) as advance, few_collections():

@@ -13,6 +13,7 @@ import msgspec
 from dcp_codec.common.commandline import ETHER_TYPE_HELP, PROFILE_HELP, UNUSABLE, say
 from dcp_conformance.errors import UsageError
 
+from .links import link_options, links_of
 from .options import EXIT_STATUS, Factor, as_typed
 
 if TYPE_CHECKING:
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
     metavar="MS",
     help="Beacon period of the nodes.  [default: estimated from the recording]",
 )
+@link_options
 @click.option("--expected", type=click.Path(path_type=Path), metavar="FILE", help="TOML file with expected results.")
 @click.option("--report-dir", type=click.Path(path_type=Path), metavar="DIR", help="Write the report there.")
 @click.option("--requirements", "show_requirements", is_flag=True, help="Show which requirements were exercised.")
@@ -45,6 +47,8 @@ def command(
     ether_type: str | None,
     pics: Path | None,
     beacon_period: float | None,
+    hears: tuple[str, ...],
+    topology: Path | None,
     expected: Path | None,
     report_dir: Path | None,
     *,
@@ -65,6 +69,7 @@ def command(
 
     from .display import console, print_findings, print_summary
 
+    links = links_of(hears, topology)
     known = load_pics(pics) if pics is not None else Pics()
     stated = beacon_period is not None or (pics is not None and _states_period(pics))
     if beacon_period is not None:
@@ -77,6 +82,8 @@ def command(
         words = ["check", str(capture)]
         for option, value in (("profile", profile), ("ether-type", ether_type), ("pics", pics)):
             words += [f"--{option}", str(value)] if value is not None else []
+        words += [word for each in hears for word in ("--hears", each)]
+        words += ["--topology", str(topology)] if topology is not None else []
         words += ["--beacon-period", exact(beacon_period)] if beacon_period is not None else []
         try:
             runs = judge_versions(
@@ -88,6 +95,7 @@ def command(
                 period_known=stated,
                 show_progress=True,
                 name_damage=quiet,
+                topology=links,
             )
         except UsageError as error:
             # The other recordings are judged all the same.

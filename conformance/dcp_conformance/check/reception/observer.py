@@ -14,8 +14,8 @@ have the same number of a variable, so that the cost depends on the changes, and
 from __future__ import annotations
 
 import functools
-from itertools import chain
 from collections.abc import Callable, Sequence
+from itertools import chain
 from typing import Final
 
 from dcp_conformance.check.base import MOST_VARIABLES, Context, Seen
@@ -165,12 +165,11 @@ class Observer:
 
     def _tell_links(self, new: Station) -> None:
         """Restrict the listeners, and what a new node hears, to the links that the user has told."""
-        if (told := self._context.hears) is None:
-            return
+        hears = self._context.hears
         for each in self.stations.values():
-            if each.node in told and new.node not in told[each.node]:
+            if hears(each.node, new.node) is False:
                 each.hears &= ~new.bit
-            if new.node in told and each.node not in told[new.node]:
+            if hears(new.node, each.node) is False:
                 new.hears &= ~each.bit
 
     def _forget(self, station: Station) -> None:
@@ -324,9 +323,7 @@ class Observer:
         station.value = max(station.value, len(upd.value))
         station.description = max(station.description, len(spec.descr))
 
-    def _hit(
-        self, station: Station, variable: Variable, reaction: Statement, opened: Occasions, kind: Kind
-    ) -> None:
+    def _hit(self, station: Station, variable: Variable, reaction: Statement, opened: Occasions, kind: Kind) -> None:
         """Close the occasions for one kind of reaction with success, and report the trial."""
         intervals = opened.pop(kind, None)
         if not intervals:

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from dcp_conformance.check.base import Context, Seen
-
 from dcp_conformance.check.statements import Statement
 
 from .following import DELAYS, MOSTLY, Exposure, Kind, Proof, Station, Trial

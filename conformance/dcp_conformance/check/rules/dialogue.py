@@ -62,9 +62,14 @@ class ReceptionLinks(Invariant):
                     self.exercised()
                     until = "" if link.lasts else f", not after {(link.end - self._reception.begin) / 1e9:.0f} s"
                     shown.append(f"{name(speaker.node)} ({link.share:.0%}, {link.reactions:.0f} reactions{until})")
+            told = [name(each.node) for each in nodes if self.context.hears(listener.node, each.node)]
+            if told:
+                unknown = [each for each in unknown if each in told]
             text = f"{name(listener.node)} hears {', '.join(shown) or 'no node for certain'}"
             if unknown:
                 text += f"; too little evidence for {', '.join(unknown)}"
+            if told:
+                text += f"; told: {', '.join(told)}"
             self.violated(text, [], expected="links between nodes, as reactions show", verdict=Verdict.INFO)
 
 
