@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Iterable, Mapping
+from itertools import pairwise
 from pathlib import Path
 
 from dcp_conformance.errors import UsageError
@@ -47,7 +48,7 @@ def told(options: Iterable[str]) -> Topology:
         if equal and listener.strip() and all(each.strip() for each in others.split(",")):
             hears.setdefault(listener.strip(), set()).update(each.strip() for each in others.split(","))
         elif not equal and len(chain) > 1 and all(chain):
-            for one, two in zip(chain, chain[1:], strict=False):
+            for one, two in pairwise(chain):
                 hears.setdefault(one, set()).add(two)
                 hears.setdefault(two, set()).add(one)
         else:
@@ -71,7 +72,5 @@ def from_table(path: Path, table: Mapping[str, object]) -> Topology:
     if not isinstance(hears, dict) or not all(
         isinstance(others, list) and all(isinstance(each, str) for each in others) for others in hears.values()
     ):
-        raise UsageError(
-            f'{path}: expected a table [hears] with lines such as "00:02" = ["00:01", "00:03"], or a scenario'
-        )
+        raise UsageError(f'{path}: expected a scenario, or a table [hears] with lines as "00:02" = ["00:01", "00:03"]')
     return Topology(hears, str(path))
