@@ -135,7 +135,8 @@ def test_a_long_ledger_becomes_coarser_and_ends_the_same():
     assert len(coarse.entries()) <= 66
     for node in (ONE, TWO):
         one, other = exact.held(node, 7), coarse.held(node, 7)
-        assert one is not None and other is not None
+        assert one is not None
+        assert other is not None
         assert (one.number, one.frame, one.until) == (other.number, other.frame, other.until)
 
 

@@ -10,6 +10,7 @@ from typing import Final
 
 import msgspec
 
+from dcp_codec.analysis.ledger import Ledger
 from dcp_codec.capture.frame import Frame
 from dcp_codec.codec import Codec
 from dcp_codec.framing.locate import OtherTraffic, locate
@@ -32,8 +33,8 @@ from dcp_conformance.model.verdict import Verdict, worst
 
 from .base import Context, Finding, Invariant, Seen, name
 from .places import placed
-from .reception import reception_of
-from .reception.links import summary
+from .reception import Reception, reception_of
+from .reception.links import Whole, summary
 from .rules import bp as rules_bp
 from .rules import data as rules_data
 from .rules import dialogue as rules_dialogue
@@ -151,6 +152,7 @@ class Judge:
         self._started = timestamp()
         self.frames = self.other = self.cut = 0
         self._senders: dict[bytes, int] = {}
+        self._summary: dict[tuple[bytes, bytes], Whole] | None = None
 
     def feed(self, frame: Frame) -> None:
         """Judge the next frame of the recording; frames of other traffic and truncated frames are only counted."""
@@ -179,6 +181,43 @@ class Judge:
             feed(seen)
         if self._context.changed:
             self._cite()
+
+    @property
+    def codec(self) -> Codec:
+        """The codec of the profile."""
+        return self._codec
+
+    @property
+    def ledger(self) -> Ledger:
+        """The states of all variables at all nodes."""
+        return self._context.ledger
+
+    @property
+    def reception(self) -> Reception:
+        """The links between nodes, and the proofs of reception."""
+        return reception_of(self._context)
+
+    @property
+    def links_origin(self) -> str:
+        """A sentence about the origin of the links."""
+        if self._topology is None:
+            return "links: inferred from reactions"
+        text = f"links: as told by {self._topology.origin}; what the reactions show is beside them"
+        unknown = self._topology.unknown(self._senders)
+        return f"{text}; {', '.join(unknown)} fit no node, or several" if unknown else text
+
+    def hears(self, listener: bytes, speaker: bytes) -> bool | None:
+        """Return whether a node hears another one, as told or inferred (after :meth:`result`); None if unknown."""
+        if (told := self._context.hears(listener, speaker)) is not None:
+            return told
+        if self._summary is None:
+            self._summary = summary(self.reception.links)
+        link = self._summary.get((listener, speaker))
+        if link is None:
+            return None
+        if link.alone and link.at_least >= _SOME:
+            return True
+        return False if link.share <= _SOME and link.trials >= _TRIALS else None
 
     def restarted(self, node_id: bytes) -> None:
         """Announce that a node has been restarted since the last frame.
@@ -213,14 +252,9 @@ class Judge:
                     for each in finding.requirements:
                         self._context.withhold(each, finding.observed)
         self._cite()
-        links = "links: inferred from reactions"
-        if self._topology is not None:
-            links = f"links: as told by {self._topology.origin}; what the reactions show is beside them"
-            if unknown := self._topology.unknown(self._senders):
-                links += f"; {', '.join(unknown)} fit no node, or several"
         cases = (*declarations(self._pics.pics, self._codec.profile, self._command), *map(self._case, self._rules))
         about = [f"{self.frames} frames of {len(self._senders)} senders"]
-        about.append(links)
+        about.append(self.links_origin)
         if self.other:
             about.append(f"{self.other} frames of other traffic were skipped")
         if self.cut:

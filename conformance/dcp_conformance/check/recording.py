@@ -80,44 +80,57 @@ def judge_versions(
 
     Raises :class:`UsageError` as :func:`judge_recording` does.
     """
+    found, judges, notes = judges_of(
+        path, profile, pics, ether_type=ether_type, command=command, period_known=period_known,
+        show_progress=show_progress, topology=topology,
+    )  # fmt: skip
+    for each in notes if name_damage else ():
+        say(f"{path}: {each}", err=True)
+    results = [(judge.result([*found.notes, *notes]), judge.codec) for judge in judges]
+    return [(undecided(run, found.weakness), codec) for run, codec in results] if found.weakness else results
+
+
+def judges_of(
+    path: Path,
+    profile: str | None,
+    pics: Pics,
+    *,
+    ether_type: str | None = None,
+    command: str = "",
+    period_known: bool = False,
+    show_progress: bool = False,
+    topology: Topology | None = None,
+) -> tuple[_Choice, list[Judge], list[str]]:
+    """Read a recording; return the profile, the judges that have received the frames, and notes about damage.
+
+    There are two judges if the recording has beacons of two versions. Raises :class:`UsageError` as
+    :func:`judge_recording` does.
+    """
     found = _Choice(path, profile or pics.pixit.profile, ether_type)
     codecs = [found.codec, *([found.other] if found.other is not None else [])]
     versions = Versions(codecs[0], codecs[1]) if len(codecs) > 1 else None
     periods = [pics if period_known else _with_period(pics, _period(path, codec)) for codec in codecs]
-    notes: list[str] = []
     try:
         with open_capture(path) as reader:
             # File names are octets: make them valid Unicode, so that the report can be written.
             name = path.name.encode("utf-8", "backslashreplace").decode()
             judges = [
                 Judge(
-                    codec,
-                    each,
-                    recording=name,
-                    path=str(path),
-                    command=command,
-                    period_known=period_known,
+                    codec, each, recording=name, path=str(path), command=command, period_known=period_known,
                     topology=topology,
                 )
                 for codec, each in zip(codecs, periods, strict=True)
-            ]
+            ]  # fmt: skip
             with progress(reader, str(path), show=show_progress) as advance, few_collections():
                 for frame in reader:
                     judges[0 if versions is None else versions.of(frame)].feed(frame)
                     advance()
-            notes += [problem.message for problem in reader.problems]
-            for each in notes if name_damage else ():
-                say(f"{path}: {each}", err=True)
+            notes = [problem.message for problem in reader.problems]
     except CaptureError as error:
         raise UsageError(str(error)) from None
     if not any(judge.frames for judge in judges):
         raise UsageError(f"{path}: none of its {judges[0].other} frames is DCP in the profile {codecs[0].profile.name}")
-    results = [
-        (judge.result([*found.notes, *notes]), codec)
-        for judge, codec in zip(judges, codecs, strict=True)
-        if judge.frames
-    ]
-    return [(undecided(run, found.weakness), codec) for run, codec in results] if found.weakness else results
+    return found, [judge for judge in judges if judge.frames], notes
 
 
 class _Choice:

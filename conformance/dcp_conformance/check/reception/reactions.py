@@ -41,7 +41,7 @@ _SUSPICIOUS = 0.4
 #: Maximum number of links (one for each pair and window) and of groups that are kept.
 _LINKS = 100_000
 #: Minimum number of missing reactions to certainly received records for a finding, and number of kept examples.
-_PROVED, _EXAMPLES = 3, 3
+_PROVED, _EXAMPLES = 3, 16
 _GROUPS = 65_536
 
 Group = tuple[bytes, Kind, int | None]
@@ -309,12 +309,12 @@ class Reception:
 
     # -- results -------------------------------------------------------------------------------------------------------
 
-    def proved(self) -> list[Proved]:
+    def proved(self, least: int = _PROVED) -> list[Proved]:
         """Return the missing reactions to certainly received records, the most frequent first.
 
-        A delete is sent a few times only, so that a single one counts.
+        ``least``: minimum number of times. A delete is sent a few times only, so that a single one counts.
         """
-        enough = (each for each in self._proved.values() if each.times >= (each.kind is Kind.TAKE_DELETE or _PROVED))
+        enough = (each for each in self._proved.values() if each.times >= (each.kind is Kind.TAKE_DELETE or least))
         return sorted(enough, key=lambda each: -each.times)
 
     def shortages(self) -> list[Shortage]:

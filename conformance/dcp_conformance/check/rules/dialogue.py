@@ -24,6 +24,8 @@ __all__ = ["RULES", "Counter"]
 _ALONE, _SHARE = 2, 0.1
 #: The absence of a link is proved by at least ``_TRIALS`` trials with a share of at most ``_SOME``.
 _SOME, _TRIALS = 0.02, 20
+#: Number of records without a reaction that a finding cites.
+_CITED = 3
 
 
 class ReceptionLinks(Invariant):
@@ -129,7 +131,7 @@ class _Reaction(Invariant):
 
     def _report_proved(self, each: Proved) -> None:
         """Report missing reactions to records that the node has certainly received."""
-        causes = [cause for cause, _ in each.examples]
+        causes = [cause for cause, _ in each.examples[:_CITED]]
         cause, proof = each.examples[0]
         times = "" if each.times == 1 else f" {each.times} times, first"
         only = str(proof.frames[0]) if len(proof.frames) == 1 else "one of " + ", ".join(map(str, proof.frames))
