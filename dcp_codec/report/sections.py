@@ -99,10 +99,11 @@ def _behind(context: PlotContext, found: holding.Holding) -> list[str]:
         )
     worst = max(behind, key=lambda pair: (pair.age, pair.numbers))
     by = f", by up to {worst.numbers:,} value{'' if worst.numbers == 1 else 's'}" if worst.numbers else ""
+    nodes, variables = len({pair.node for pair in behind}), len({pair.variable for pair in behind})
     words.append(
-        f"≠ {len({pair.node for pair in behind})} nodes were behind with {len({pair.variable for pair in behind})} "
-        f"variables, the longest {context.name(worst.node)} with variable {worst.variable}: "
-        f"{seconds_text(worst.age)}{by}." + ("" if stale else " At the end none is, or the variable is deleted.")
+        f"≠ Nodes that were behind: {nodes}, with variables: {variables}. The longest: {context.name(worst.node)} with "
+        f"variable {worst.variable}, {seconds_text(worst.age)}{by}."
+        f"{'' if stale else ' At the end none is, or the variable is deleted.'}"
     )
     return words
 

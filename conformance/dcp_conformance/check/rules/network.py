@@ -227,14 +227,17 @@ class Agreement(Invariant):
                 what = "a stale value that looks newer than that of the producer (H8)"
             elif not each.numbers:
                 what = "a deletion by the producer that a node does not follow"
-            behind = f"{each.numbers} number{'' if each.numbers == 1 else 's'} later it is {newest.number}"
-            its = " and ".join([behind] * bool(each.numbers) + ["it has deleted the variable"] * bool(each.deleted))
+            its = []
+            if each.numbers:
+                its.append(f"has {newest.number}, {each.numbers} number{'' if each.numbers == 1 else 's'} later")
+            if each.deleted:
+                its.append("has deleted it")
             text = (
-                f"{name(held.node)} keeps {held.number} of variable {held.var_id} for {each.age / 1e9:.1f} s after a "
-                f"change at its producer {name(newest.node)}: {its}"
+                f"{name(held.node)} keeps {held.number} of variable {held.var_id} for {each.age / 1e9:.1f} s after its "
+                f"producer {name(newest.node)} has changed it; by then the producer {', and '.join(its)}"
             )
             if held.asked:
-                text += f"; it requests the update {held.asked} times"
+                text += f"; the node requests the update {held.asked} times"
             key = (held.node, held.var_id, what)
             self.violated(text, [_mark(each.left), _mark(held)], expected=what, verdict=Verdict.INFO, once=key)
 
