@@ -26,7 +26,7 @@ def command(recorded: Recorded, frame: int, variable: int | None = None) -> Cell
     path = recorded.outcome.path
     if path == "-":
         return Cell("")
-    only = f" --variable {variable}" if variable is not None else ""
+    only = f" -w 'varId == {variable}'" if variable is not None else ""
     return Cell(plain(f"dcp-codec decode --frames {frame}{only} {recorded.options} {shlex.quote(path)}"), code=True)
 
 

@@ -74,7 +74,7 @@ def test_the_page_begins_with_the_difference(recreated):
     (row,) = late.rows
     assert [cell.text for cell in row][:7] == ["7", "…00:03", "10.000", "never", "9", "5", "1"]
     assert row[-1].code
-    assert f"decode --frames {recreated[1].divergences[0].frame} --variable 7 --profile dcp-2.0" in row[-1].text
+    assert f"decode --frames {recreated[1].divergences[0].frame} -w 'varId == 7' --profile dcp-2.0" in row[-1].text
 
 
 def test_the_tooltip_of_a_difference(recreated):

@@ -15,7 +15,7 @@ from dcp_spec.profile.usability import refusal
 from dcp_codec.codec import Codec
 from dcp_codec.framing.frames import with_ether_type
 from dcp_conformance.errors import ConformanceError, UpperTesterError, UsageError
-from dcp_conformance.impairment import impaired, parse_directions
+from dcp_conformance.impaired_link import impaired, parse_directions
 from dcp_conformance.lower_tester import LowerTester
 from dcp_conformance.model.case import cases_of
 from dcp_conformance.model.node_id import node_id_octets

@@ -18,7 +18,7 @@ from dcp_conformance.upper_tester import Answer
 
 from .bounds import cycle_time, expected_time, spreading_time, time_through_outages
 from .definition import Shape
-from .results import Moment, Spread
+from .results import Spread, TimelineEntry
 from .world import Limits, Sent, World
 
 MS: Final = 1_000_000
@@ -47,7 +47,7 @@ class Scene:
         self.places = list(range(len(shape.roles)))
         self.rng = random.Random(f"scene/{seed}")  # noqa: S311 - to be repeatable is the point
         self.checks: list[Check] = []
-        self.moments: list[Moment] = []
+        self.moments: list[TimelineEntry] = []
         self.spreads: list[Spread] = []
         self.left_out = 0
         self.restarts: list[tuple[int, int]] = []
@@ -304,7 +304,7 @@ class Scene:
         if len(self.moments) >= _MOST_MOMENTS:
             self.left_out += 1
             return
-        self.moments.append(Moment(round(self.world.now / SECOND, 4), place, text, frame))
+        self.moments.append(TimelineEntry(round(self.world.now / SECOND, 4), place, text, frame))
 
     def expect(self, met: bool, expected: str, observed: str = "", *requirements: str) -> bool:
         """Record a check."""

@@ -22,6 +22,7 @@ from dcp_stack.virtual.world import node_id
 
 from .definition import (
     BeaconRate,
+    Clock,
     Content,
     Converged,
     Create,
@@ -263,6 +264,8 @@ def _event_problems(scenario: Scenario, key: str, event: Event) -> Iterator[Prob
     node = getattr(event, "node", None)
     if isinstance(node, int):
         yield from _node_problems(scenario, f"{key}.node", (node,))
+    if isinstance(event, Clock) and not abs(event.step_s) <= MAX_DURATION_S:
+        yield f"{key}.step_s", f"{event.step_s:g} is not within {-MAX_DURATION_S:g}..{MAX_DURATION_S:g} s"
     if isinstance(event, Content):
         yield from _content_problems(key, event)
     if isinstance(event, Create) and event.repetitions < 1:

@@ -37,7 +37,7 @@ from dcp_stack.node import Node
 from dcp_stack.srp.entity import StateReporting
 from dcp_stack.srp.neighbour_table import NeighbourTable, NeighbourTableEntry
 from dcp_stack.vardis.database import DBEntry
-from dcp_stack.vardis.entity import Vardis
+from dcp_stack.vardis.entity import Vardis, VardisState
 from dcp_stack.vardis.receive import Receiver
 from dcp_stack.vardis.state_table import Action, Cell
 
@@ -276,6 +276,11 @@ class HearingVardis(Vardis):
         """Start as :meth:`Vardis.start` does, and clear the known payloads."""
         self.forget()
         return super().start(now, wall)
+
+    def restore(self, state: VardisState) -> None:
+        """Restore as :meth:`Vardis.restore` does, and clear the known payloads."""
+        super().restore(state)
+        self.forget()
 
     def shutdown(self) -> None:
         """Shut down as :meth:`Vardis.shutdown` does, and clear the known payloads."""

@@ -22,6 +22,7 @@ from dcp_stack.sim.scenario.agreement import Agreement, ConvergenceClock, Known
 from dcp_stack.sim.scenario.definition import (
     NS_PER_S,
     Activate,
+    Clock,
     Create,
     Deactivate,
     Delete,
@@ -209,6 +210,8 @@ class Simulation:
             case Restart(node=node):
                 self._switch_off(node)
                 self._switch_on(node)
+            case Clock(node=node, step_s=step):
+                network.stations[node].offset += round(step * NS_PER_S)
             case Partition(groups=groups):
                 medium.partition(groups)
             case Heal():

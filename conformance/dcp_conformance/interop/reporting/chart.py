@@ -6,7 +6,7 @@ from html import escape
 from typing import Final
 
 from dcp_codec.common.printable import plain
-from dcp_conformance.interop.results import CellResult, Moment
+from dcp_conformance.interop.results import CellResult, TimelineEntry
 
 #: Rows at the beginning and at the end of a chart.
 _ROWS: Final = 60
@@ -17,7 +17,7 @@ def chart(cell: CellResult) -> str:
     """Return an SVG element; empty without moments. Texts are escaped."""
     if not cell.moments:
         return ""
-    rows: list[Moment | int] = list(cell.moments)
+    rows: list[TimelineEntry | int] = list(cell.moments)
     if len(rows) > 2 * _ROWS:
         rows = [*rows[:_ROWS], len(rows) - 2 * _ROWS, *rows[-_ROWS:]]
     places = len(cell.stations)
