@@ -25,7 +25,7 @@ from dcp_codec.capture.reader import CaptureReader, counted
 
 from . import raw_frame as rawframe
 from . import raw_json as rawjson
-from .chunk import MAX_CHUNK_LENGTH, ChunkError, Unpacker
+from .chunk import MAX_CHUNK_LENGTH, Chunk, ChunkError, Unpacker
 from .index import read_index, read_record
 from .original import read_original
 
@@ -260,17 +260,21 @@ class McapReader(CaptureReader):
                     self._number = frame.number
                     yield from self._given(frame)
                 raise _End
-        chunk = self._unpacker.open(content, length, check=False)
         before = self._frames_read
+        try:
+            chunk = self._unpacker.open(content, length, check=False)
+        except ChunkError:
+            chunk = Chunk(b"", -1)
         where = -1 if chunk.start < 0 else offset + RECORD_HEAD.size + chunk.start
         yield from self._inside(chunk.records, where, whole=False)
         read = self._frames_read - before
+        what = f"{counted(read, 'frame')} of it read all the same" if read else "passed over"
         self._log.count(
             error.reason,
             error.reason,
             lambda times, why=str(error): (
                 f"{counted(times, 'chunk')} damaged, the first at octet "  # type: ignore[misc]
-                f"{offset} with {length} octets: it {why}; {counted(read, 'frame')} of it read all the same."
+                f"{offset} with {length} octets: it {why}; {what}."
             ),
             offset,
             self._number,
