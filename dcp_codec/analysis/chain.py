@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 from .ledger import Entry, Stamp
 
 Hears = Callable[[bytes, bytes], bool | None]
 """Whether a node (first argument) hears another one; None if that is not known."""
+
+
+#: Time in ns after its last record with a value in which a node may have been the source of the value.
+_RECENT = 10_000_000_000
 
 
 class Hop(NamedTuple):
@@ -23,32 +27,42 @@ class Hop(NamedTuple):
     """Number of frames with the value that may have brought it. With 1, the node has certainly received this one."""
 
 
-def source_of(entry: Entry, entries: Sequence[Entry], hears: Hears) -> Hop:
-    """Return the frame that brought a state; ``entries`` are all of the variable."""
-    best: tuple[Stamp, Entry] | None = None
-    frames = 0
+def sources(entries: Sequence[Entry], producers: Mapping[int, bytes], hears: Hears) -> list[Hop]:
+    """Return for each state, in the order of time, the frame that brought it; none for those of producers."""
+    carriers: dict[tuple[int, int], dict[bytes, Entry]] = {}
+    hops = []
     for each in entries:
-        if each.number != entry.number or each.node == entry.node or hears(entry.node, each.node) is False:
-            continue
-        before = [stamp for stamp in each.carried if stamp[0] < entry.frame]
-        # Numbers are used again: the node that sent the value still states it, or did so shortly before.
-        if not before or entry.time - each.until > 10_000_000_000:
-            continue
-        frames += len(before)
-        if best is None or before[-1] > best[0]:
-            best = before[-1], each
-    return Hop(entry, None, None, 0) if best is None else Hop(entry, best[1], best[0], frames)
+        known = carriers.setdefault((each.var_id, each.number), {})
+        best: tuple[Stamp, Entry] | None = None
+        frames = 0
+        if each.number >= 0 and producers.get(each.var_id) != each.node:
+            for other in known.values():
+                # Numbers are used again: the node that sent the value still states it, or did so shortly before.
+                if (
+                    other.node == each.node
+                    or each.time - other.until > _RECENT
+                    or hears(each.node, other.node) is False
+                ):
+                    continue
+                before = [stamp for stamp in other.carried if stamp[0] < each.frame]
+                frames += len(before)
+                if before and (best is None or before[-1] > best[0]):
+                    best = before[-1], other
+        hops.append(Hop(each, None, None, 0) if best is None else Hop(each, best[1], best[0], frames))
+        known[each.node] = each
+    return hops
 
 
-def came(entry: Entry, entries: Sequence[Entry], producer: bytes | None, hears: Hears) -> list[Hop]:
-    """Return the hops on which a state came to a node, that of the producer first."""
-    hops: list[Hop] = []
-    while len(hops) < 64:
-        hop = Hop(entry, None, None, 0) if entry.node == producer else source_of(entry, entries, hears)
-        hops.append(hop)
-        if hop.source is None or any(hop.source is each.entry for each in hops):
-            break
-        entry = hop.source
+def came(entry: Entry, entries: Sequence[Entry], producers: Mapping[int, bytes], hears: Hears) -> list[Hop]:
+    """Return the hops on which a state came to a node, that of the producer first.
+
+    ``entries`` are all of the variable, in the order of time.
+    """
+    of = {id(hop.entry): hop for hop in sources(entries, producers, hears)}
+    hops = [of[id(entry)]]
+    # The source of a state begins before it, so that this ends.
+    while (source := hops[-1].source) is not None:
+        hops.append(of[id(source)])
     return hops[::-1]
 
 

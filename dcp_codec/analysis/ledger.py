@@ -12,8 +12,9 @@ resolution of time decreases.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import repeat
 from operator import attrgetter
 from typing import Any, Final, NamedTuple
 
@@ -373,19 +374,24 @@ class Ledger:
         ]
         return sorted(found, key=attrgetter("time", "frame"))
 
-    def as_json(self, representation: str) -> dict[str, Any]:
+    def as_json(self, representation: str, came: Iterable[tuple[Entry | None, int]] | None = None) -> dict[str, Any]:
         """Return the states for programs and pages: times in intervals since ``begin``, nodes and variables by index.
 
         ``representation``: the format of node identifiers. ``changes`` are rows of time difference, node, variable,
-        number (:data:`DELETED`, :data:`UNKNOWN`); ``producers`` are rows of time, variable, node.
+        number (:data:`DELETED`, :data:`UNKNOWN`), frame, number of requests, index of the row of the state from which
+        it came and number of the frame that brought it (-1 and 0 if there is none, :func:`.chain.sources`);
+        ``producers`` are rows of time, variable, node. ``came``: source and frame of all states; None: unknown.
         """
         begin, rows, last = self.begin or 0, [], 0
         nodes: dict[bytes, int] = {}
         variables: dict[int, int] = {}
-        for each in self.entries():
+        entries = self.entries()
+        index = {id(each): place for place, each in enumerate(entries)}
+        for each, (source, frame) in zip(entries, came or repeat((None, 0), len(entries)), strict=True):
             at = max(each.time - begin, 0) // self.interval
             place = nodes.setdefault(each.node, len(nodes)), variables.setdefault(each.var_id, len(variables))
-            rows.append((at - last, *place, each.number))
+            row = -1 if source is None else index[id(source)]
+            rows.append((at - last, *place, each.number, each.frame, each.asked, row, frame))
             last = at
         producers = [
             ((at - begin) // self.interval, variables[var_id], nodes.setdefault(node, len(nodes)))

@@ -6,10 +6,11 @@ import shlex
 import time
 from collections import OrderedDict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Final
+from typing import Any, Final
 
 import msgspec
 
+from dcp_codec.analysis.chain import sources
 from dcp_codec.analysis.ledger import Ledger
 from dcp_codec.capture.frame import Frame
 from dcp_codec.codec import Codec
@@ -284,9 +285,16 @@ class Judge:
             run,
             requirements=decided,
             occasions=dict(sorted(occasions.items())),
-            holdings=self._context.ledger.as_json(self._codec.profile.types.node_id.representation),
+            holdings=self._holdings(),
             links=tuple(self._links()),
         )
+
+    def _holdings(self) -> dict[str, Any]:
+        """Return the states of all variables for the result."""
+        ledger = self.ledger
+        hops = sources(ledger.entries(), ledger.producers, self.hears)
+        came = [(hop.source, 0 if hop.frame is None else hop.frame[0]) for hop in hops]
+        return ledger.as_json(self._codec.profile.types.node_id.representation, came)
 
     def _links(self) -> Iterator[LinkResult]:
         """Yield the links between nodes for which the recording shows either reactions or their absence."""

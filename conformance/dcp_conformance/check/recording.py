@@ -26,6 +26,7 @@ from dcp_conformance.model.pics import Pics
 from dcp_conformance.model.results import RunResult
 
 from .judge import Judge
+from .tables import write_tables
 from .topology import Topology
 from .versions import Versions, undecided, weakness
 
@@ -71,12 +72,14 @@ def judge_versions(
     show_progress: bool = False,
     name_damage: bool = False,
     topology: Topology | None = None,
+    tables: Path | None = None,
 ) -> list[tuple[RunResult, Codec]]:
     """Judge one recording like :func:`judge_recording`; return two results if it has beacons of two versions.
 
     Each frame is judged by the profile of its version, together with the other frames of that version only. If the
     profile is a weak guess, every verdict is replaced by inconclusive. ``name_damage``: print on standard error what
     cannot be read of the file; the notes of the results have it, too. ``topology``: the links that the user tells.
+    ``tables``: a folder for the tables of the ledger.
 
     Raises :class:`UsageError` as :func:`judge_recording` does.
     """
@@ -87,6 +90,9 @@ def judge_versions(
     for each in notes if name_damage else ():
         say(f"{path}: {each}", err=True)
     results = [(judge.result([*found.notes, *notes]), judge.codec) for judge in judges]
+    if tables is not None:
+        for judge, (run, codec) in zip(judges, results, strict=True):
+            write_tables(judge, run, tables if len(judges) == 1 else tables / codec.profile.name)
     return [(undecided(run, found.weakness), codec) for run, codec in results] if found.weakness else results
 
 

@@ -115,7 +115,7 @@ class _Question:
     def _came(self, held: Entry) -> tuple[Step, ...]:
         """Return how the state came to the node."""
         steps = []
-        for hop in came(held, self._entries, self._producer, self._hears):
+        for hop in came(held, self._entries, self._judge.ledger.producers, self._hears):
             entry, verb = hop.entry, hop.entry.kind.label
             if hop.source is not None and hop.frame is not None:
                 only = (

@@ -39,6 +39,12 @@ if TYPE_CHECKING:
 @link_options
 @click.option("--expected", type=click.Path(path_type=Path), metavar="FILE", help="TOML file with expected results.")
 @click.option("--report-dir", type=click.Path(path_type=Path), metavar="DIR", help="Write the report there.")
+@click.option(
+    "--tables",
+    type=click.Path(path_type=Path, file_okay=False),
+    metavar="DIR",
+    help="Write the states of variables, the links and the findings there: holdings.csv, links.csv, events.csv.",
+)
 @click.option("--requirements", "show_requirements", is_flag=True, help="Show which requirements were exercised.")
 @click.option("--quiet", "-q", is_flag=True, help="Show only findings and damage of the files.")
 def command(
@@ -51,6 +57,7 @@ def command(
     topology: Path | None,
     expected: Path | None,
     report_dir: Path | None,
+    tables: Path | None,
     *,
     show_requirements: bool,
     quiet: bool,
@@ -96,6 +103,7 @@ def command(
                 show_progress=True,
                 name_damage=quiet,
                 topology=links,
+                tables=tables if tables is None or len(captures) == 1 else tables / capture.stem,
             )
         except UsageError as error:
             # The other recordings are judged all the same.

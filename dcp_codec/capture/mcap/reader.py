@@ -245,7 +245,7 @@ class McapReader(CaptureReader):
         self._crc = crc32(content, self._crc)
 
     def _damaged_chunk(self, error: ChunkError, content: bytes, offset: int, length: int) -> Iterator[Frame | None]:
-        """Read a chunk that does not match its checksum or cannot be unpacked: from the attached original, or in part."""
+        """Read a chunk that is damaged or cannot be unpacked: from the attached original file, or in part."""
         if self._index is not None and self._index.attachments and self._frames_read == self._number:
             original = read_original(self._source.name, self._index, self._link_types, self._number)
             if original is not None:
