@@ -1,4 +1,4 @@
-"""How far nodes are behind the producers of their variables: by sequence numbers, and by time."""
+"""The lag of nodes relative to the producers of their variables: in sequence numbers, and in time."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Lag(NamedTuple):
 
 
 def lags(entries: Iterable[Entry], producers: Mapping[int, bytes]) -> Iterator[Lag]:
-    """Yield the states of nodes that are behind, by variable and time.
+    """Yield the stale states of nodes, by variable and time.
 
     ``entries``: in the order of time. ``producers``: by variable.
 

@@ -102,7 +102,7 @@ def _tiles(
         tiles.append((f"{short(share, 2)} %", "lost", "fail" if lost else ""))
     tiles.append((str(len(recorded.variables)), "variables", ""))
     if held.pairs:
-        many, label = (stale, "behind at the end") if stale else (behind, "were behind")
+        many, label = (stale, "stale at the end") if stale else (behind, "were stale")
         tiles.append((f"{'≠ ' if many else ''}{many:,}", label, "fail" if many else ""))
     tiles.append((f"{malformed:,}", "malformed", "fail" if malformed else ""))
     tiles.append((seconds_text(time.duration), "duration", ""))
@@ -166,9 +166,9 @@ def _figures(
         ("malformed frames", f"{recorded.outcome.malformed:,}"),
         ("values of variables", f"{values.variable.size:,}"),
         ("values that a node never sent", f"{could - sent:,} of {could:,}"),
-        ("time more than 2 s behind the producer", f"{short(100 * behind / known)} %"),
-        ("longest time behind the producer", seconds_text(max((pair.age for pair in held.pairs), default=0.0))),
-        ("behind at the end (node and variable)", f"{sum(pair.differs_at_end for pair in held.pairs):,}"),
+        ("time with a stale value", f"{short(100 * behind / known)} %"),
+        ("longest lag", seconds_text(max((pair.age for pair in held.pairs), default=0.0))),
+        ("stale at the end (node and variable)", f"{sum(pair.differs_at_end for pair in held.pairs):,}"),
         ("dissemination delay, median", quantile(0.5)),
         ("dissemination delay, 95th percentile", quantile(0.95)),
         ("transmitted octets", f"{octets:,}"),

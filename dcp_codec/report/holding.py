@@ -40,7 +40,7 @@ class Pair:
     known: list[Span] = field(default_factory=list)
     differs: list[Span] = field(default_factory=list)
     behind: list[Span] = field(default_factory=list)
-    #: The longest time behind in seconds, and the largest number of values behind.
+    #: The longest lag in seconds, and the largest one in values.
     age: float = 0.0
     numbers: int = 0
     held: int | None = None
@@ -67,7 +67,7 @@ class Pair:
 class Divergence:
     """A long difference between the numbers of a node and of the producer.
 
-    ``start`` is the time at which the producer left the node's number, ``age`` the longest time behind. ``missed`` is
+    ``start`` is the time at which the producer left the node's number, ``age`` the longest lag. ``missed`` is
     the number of the producer's values that the node did not send. ``frame`` is the frame in which the producer sent
     the first of them. ``produced`` is the producer's number at the end of the difference.
     """
@@ -221,7 +221,7 @@ def _compare(pair: Pair, produced: _Claims, claimed: _Claims | None, beacons: Co
 
 
 def _left(pieces: Column, produced: _Claims, claimed: _Claims | None) -> tuple[Column, Column]:
-    """Return for each piece when the producer left the number of the node, and how many values it is behind at the end.
+    """Return for each piece when the producer left the number of the node, and the lag in values at its end.
 
     If the producer has not shown this number before, the piece counts from its own start, or that of the pieces that
     are adjacent to it.

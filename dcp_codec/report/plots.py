@@ -154,8 +154,8 @@ def holdings(context: PlotContext, found: holding.Holding) -> tuple[Plot | None,
     _boxes(chart, "good", same, np.ones(len(same)), legend="as the producer", row=names)
     shown = {"percent of the time": 100 * np.array(waiting)}
     _boxes(chart, "way", waits, np.array(waiting), legend="a newer one is on its way", row=names, **shown)
-    tips = {"it holds": np.array(held), "producer": np.array(produced), "at most behind": np.array(behind)}
-    _boxes(chart, "fail", late, np.ones(len(late)), legend="behind for long", hatch="/", row=names, **tips)
+    tips = {"it holds": np.array(held), "producer": np.array(produced), "longest lag": np.array(behind)}
+    _boxes(chart, "fail", late, np.ones(len(late)), legend="stale", hatch="/", row=names, **tips)
     places = [(pair.differs[-1][1], row) for row, pair in enumerate(rows) if pair.differs_at_end]
     if places:
         ends = np.array(places)

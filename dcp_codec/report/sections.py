@@ -47,7 +47,7 @@ def findings_section(context: PlotContext, judged: Judged) -> Section:
         if each.verdict != "info" or each.frames
     ]
     if rows:
-        caption = "What the rules have found. The command shows the last frame of the finding."
+        caption = "Findings by verdict. The command shows the last frame of the finding."
         section.tables.append(table(caption, ["verdict", "rule", "at (s)", "observed", "command"], rows))
     if not any(each.verdict == "fail" for each in judged.findings):
         section.words.append("No rule fails.")
@@ -83,11 +83,11 @@ def holding_section(context: PlotContext, found: holding.Holding) -> Section:
 
 
 def _behind(context: PlotContext, found: holding.Holding) -> list[str]:
-    """Describe how far nodes were behind, and how far they are at the end."""
+    """Describe the stale values of nodes, and those at the end."""
     behind = [pair for pair in found.pairs if pair.behind]
     stale = [pair for pair in behind if pair.differs_at_end]
     if not behind:
-        return ["No node was more than a short time behind a producer; at the end every node holds its last number."]
+        return ["No node had a stale value; at the end every node holds the last number of the producer."]
     words = []
     if stale:
         about = sorted({pair.variable for pair in stale})
@@ -98,10 +98,10 @@ def _behind(context: PlotContext, found: holding.Holding) -> list[str]:
             f"variables ({listed})."
         )
     worst = max(behind, key=lambda pair: (pair.age, pair.numbers))
-    by = f", by up to {worst.numbers:,} value{'' if worst.numbers == 1 else 's'}" if worst.numbers else ""
+    by = f", up to {worst.numbers:,} value{'' if worst.numbers == 1 else 's'}" if worst.numbers else ""
     nodes, variables = len({pair.node for pair in behind}), len({pair.variable for pair in behind})
     words.append(
-        f"≠ Nodes that were behind: {nodes}, with variables: {variables}. The longest: {context.name(worst.node)} with "
+        f"≠ Nodes with stale values: {nodes}, of variables: {variables}. The longest lag: {context.name(worst.node)} with "
         f"variable {worst.variable}, {seconds_text(worst.age)}{by}."
         f"{'' if stale else ' At the end none is, or the variable is deleted.'}"
     )

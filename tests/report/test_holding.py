@@ -87,7 +87,7 @@ def test_the_tooltip_of_a_difference(recreated):
     red = next(each.data_source.data for each in plot.figure.renderers if "it holds" in each.data_source.data)
     longest = max(range(len(red["left"])), key=lambda row: red["right"][row] - red["left"][row])
     assert (red["row"][longest], red["it holds"][longest], red["producer"][longest]) == ("7 at …00:03 ≠", "9", "5")
-    assert red["at most behind"][longest] == "9.9 s, 1 value"
+    assert red["longest lag"][longest] == "9.9 s, 1 value"
     # The first two seconds count as being on the way.
     assert red["left"][longest] == pytest.approx(12_000)
 

@@ -17,7 +17,7 @@ from .judge import Judge
 
 HOLDINGS = (
     "node", "varId", "state", "seqno", "producer", "creationTime", "since", "until", "firstFrame", "lastFrame",
-    "values", "firstValueFrame", "requests", "behind", "behindFor",
+    "values", "firstValueFrame", "requests", "lagValues", "lagSeconds",
 )  # fmt: skip
 LINKS = ("listener", "speaker", "share", "reactions", "trials", "until", "told")
 EVENTS = ("time", "frame", "rule", "verdict", "observed")
@@ -27,8 +27,8 @@ _STATES = {DELETED: "deleted", UNKNOWN: "unknown"}
 def write_tables(judge: Judge, run: RunResult, folder: Path) -> None:
     """Write ``holdings.csv``, ``links.csv`` and ``events.csv``. Times are seconds since the first frame.
 
-    ``behind``: number of values of the producer that the node had not followed when it left the state, ``behindFor``:
-    the seconds since the producer had left it; both are empty for a state that is not behind. Raises
+    ``lagValues``: number of values of the producer that the node had not followed when it left the state,
+    ``lagSeconds``: the time since the producer had left it; both are empty for a state that is not stale. Raises
     :class:`UsageError` if a file cannot be written.
     """
     try:
@@ -53,9 +53,9 @@ def _write(path: Path, head: Sequence[str], rows: Iterable[Sequence[object]]) ->
 def _holdings(judge: Judge) -> Iterable[Sequence[object]]:
     ledger = judge.ledger
     entries, begin = ledger.entries(), ledger.begin or 0
-    behind = {id(each.held): each for each in lags(entries, ledger.producers)}
+    lag_of = {id(each.held): each for each in lags(entries, ledger.producers)}
     for each in entries:
-        lag, creation = behind.get(id(each)), each.creation
+        lag, creation = lag_of.get(id(each)), each.creation
         yield (
             name(each.node), each.var_id, _STATES.get(each.number, "held"), each.number if each.number >= 0 else "",
             name(creation[0]) if creation else "", creation[1] if creation and creation[1] is not None else "",

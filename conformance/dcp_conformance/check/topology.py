@@ -13,7 +13,7 @@ from .base import name
 
 
 class Topology:
-    """For each listener the nodes that it can hear. It hears no others; a link that is told may still fail.
+    """For each listener the nodes that it can hear. It hears no others; a given link may still fail.
 
     Nodes are named by the text of their identifiers, or by its end (``00:05``), where that is unambiguous.
     """
@@ -24,7 +24,7 @@ class Topology:
         self.origin = origin
 
     def hears(self, listener: bytes, speaker: bytes) -> bool | None:
-        """Return whether a node can hear another one; None if nothing is told about the listener."""
+        """Return whether a node can hear another one; None without links of the listener."""
         mine, other = name(listener), name(speaker)
         told = [each for node, each in self._hears.items() if mine.endswith(node)]
         return any(other.endswith(node) for each in told for node in each) if told else None

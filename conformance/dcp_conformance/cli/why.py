@@ -37,7 +37,7 @@ def command(
 
     The answer is the chain of frames by which the value came to the node. If the producer has a newer one, it also
     tells what each node on the way has done with it. It is what the node's beacons state; what it has received is
-    certain only where the answer says so.
+    certain only where the answer names a proof.
     """
     import msgspec
 

@@ -86,7 +86,7 @@ def test_results_state_where_the_links_come_from():
     assert not any(each.told for each in run.links)
 
 
-def test_a_node_that_is_stuck_is_behind():
+def test_the_lag_of_a_stuck_node():
     judge, _ = judged("stuck", links=False)
     longest = max(lags(judge.ledger.entries(1), judge.ledger.producers), key=lambda each: each.age)
     assert (longest.held.number, longest.newest.number, longest.numbers) == (20, 50, 30)
@@ -132,7 +132,7 @@ def test_why_tells_where_a_value_stops():
     assert [step.node[-2:] for step in reply.stopped if step.text.startswith("holds")] == ["01", "02", "03", "04"]
 
 
-def test_why_tells_of_a_deletion_that_was_received():
+def test_why_reports_a_deletion_that_was_received():
     judge, _ = judged("one deletion", links=False)
     reply = answer(judge, 14, 2, None)
     assert reply.holds.text.startswith("holds 0 of variable 14; its producer 02:00:00:00:00:00 has deleted it")
@@ -154,7 +154,9 @@ def test_tables_of_the_ledger(tmp_path):
     write_tables(judge, run, tmp_path)
     with (tmp_path / "holdings.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
-    behind = {(row["node"][-2:], row["varId"], row["seqno"], row["behind"]) for row in rows if row["behind"] == "30"}
+    behind = {
+        (row["node"][-2:], row["varId"], row["seqno"], row["lagValues"]) for row in rows if row["lagValues"] == "30"
+    }
     assert behind == {(node, "1", "20", "30") for node in ("02", "03", "04")}
     with (tmp_path / "links.csv").open(encoding="utf-8") as file:
         assert {row["told"] for row in csv.DictReader(file)} == {"True"}
@@ -179,10 +181,10 @@ def test_the_page_of_the_recording_says_the_same(tmp_path):
         tiles = {name: text for text, name, _ in drawn.tiles}
         held = next(each for each in drawn.sections if each.id.startswith("holding"))
         late = [each for each in lags(judge.ledger.entries(), judge.ledger.producers) if each.age > 2e9]
-        assert tiles["were behind"] == (
+        assert tiles["were stale"] == (
             f"≠ {len({(each.held.node, each.held.var_id) for each in late})}" if late else "0"
         )
-        assert bool(late) == held.words[0].startswith("≠ Nodes that were behind") == bool(shown)
+        assert bool(late) == held.words[0].startswith("≠ Nodes with stale values") == bool(shown)
 
 
 def test_links_of_options_and_files(tmp_path):
