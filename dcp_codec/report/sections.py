@@ -101,8 +101,8 @@ def _behind(context: PlotContext, found: holding.Holding) -> list[str]:
     by = f", up to {worst.numbers:,} value{'' if worst.numbers == 1 else 's'}" if worst.numbers else ""
     nodes, variables = len({pair.node for pair in behind}), len({pair.variable for pair in behind})
     words.append(
-        f"≠ Nodes with stale values: {nodes}, of variables: {variables}. The longest lag: {context.name(worst.node)} with "
-        f"variable {worst.variable}, {seconds_text(worst.age)}{by}."
+        f"≠ Nodes with stale values: {nodes}, of variables: {variables}. The longest lag: {context.name(worst.node)} "
+        f"with variable {worst.variable}, {seconds_text(worst.age)}{by}."
         f"{'' if stale else ' At the end none is, or the variable is deleted.'}"
     )
     return words
