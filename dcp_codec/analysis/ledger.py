@@ -12,7 +12,7 @@ resolution of time decreases.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from itertools import repeat
 from operator import attrgetter
@@ -343,23 +343,6 @@ class Ledger:
         if entry is not None and voice is not None:
             self._reach(entry, voice)
         return entry
-
-    def of(self, node: bytes) -> Mapping[int, Entry]:
-        """Return the present states of a node, by variable."""
-        voice = self._voices.get(node)
-        return {} if voice is None else voice.entries
-
-    def differs(self, node: bytes, var_id: int) -> bool:
-        """Return whether a node has another number than the producer of the variable; False if either is missing."""
-        producer = self.producers.get(var_id)
-        mine, its = self.held(node, var_id), None if producer is None else self.held(producer, var_id)
-        return mine is not None and its is not None and mine.number != its.number
-
-    def holders(self, var_id: int) -> Iterator[Entry]:
-        """Yield the present states of a variable at all nodes."""
-        for node in self._voices:
-            if (entry := self.held(node, var_id)) is not None:
-                yield entry
 
     def entries(self, var_id: int | None = None, node: bytes | None = None) -> list[Entry]:
         """Return the states of a variable and a node (default: all), in the order of time."""

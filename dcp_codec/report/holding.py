@@ -28,10 +28,10 @@ class Pair:
     """One node and one variable of another node. Spans are in seconds since the first frame.
 
     ``known``: spans in which the node's sequence number is known. ``differs``: spans in which it is not the producer's,
-    or the node has not sent any. ``behind``: the stale part of them, in which the producer left the node's number long before:
-    two seconds, and ten beacons of the node. ``held`` and ``produced`` are the last numbers of node and producer:
-    DELETED, or None without any. ``values`` is the number of values of the producer that the node could have sent,
-    ``sent`` the number of those that it has sent.
+    or the node has not sent any. ``behind``: the stale part of them, which begins two seconds, and ten beacons of the
+    node, after the producer left the node's number. ``held`` and ``produced`` are the last numbers of node and
+    producer: DELETED, or None without any. ``values`` is the number of values of the producer that the node could have
+    sent, ``sent`` the number of those that it has sent.
     """
 
     variable: int

@@ -97,17 +97,6 @@ def test_requests_are_counted():
     assert (entry.asked, entry.last_asked, entry.last) == (4, (5, 50), 5)
 
 
-def test_a_node_differs_from_the_producer():
-    ledger = Ledger()
-    ledger.feed(1, 10, ONE, saying(created(5)))
-    assert not ledger.differs(TWO, 7)
-    ledger.feed(2, 20, TWO, saying(VarSumm(7, 9)))
-    assert ledger.differs(TWO, 7)
-    ledger.feed(3, 30, ONE, saying(VarUpdate(7, 9, b"v")))
-    assert not ledger.differs(TWO, 7)
-    assert ledger.producers == {7: ONE}
-
-
 def test_memory_is_bounded():
     ledger = Ledger(pairs=2)
     assert len(ledger.feed(1, 10, ONE, saying(*(VarSumm(each, 0) for each in range(9))))) == 2
