@@ -49,7 +49,7 @@ static bool cut_off(reader_t *r, const field_t *fields, size_t count)
     return false;
 }
 
-static void begin(reader_t *r, const uint8_t *octets, size_t size, dcp_problem_t *problem)
+static inline void begin(reader_t *r, const uint8_t *octets, size_t size, dcp_problem_t *problem)
 {
     r->octets = octets;
     r->at = 0;
@@ -58,7 +58,7 @@ static void begin(reader_t *r, const uint8_t *octets, size_t size, dcp_problem_t
     problem->reason = DCP_OK;
 }
 
-static void resume(reader_t *r, const dcp_list_t *list, dcp_problem_t *problem)
+static inline void resume(reader_t *r, const dcp_list_t *list, dcp_problem_t *problem)
 {
     begin(r, list->octets, list->end, problem);
     r->at = list->at <= list->end ? list->at : list->end;

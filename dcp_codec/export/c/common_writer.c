@@ -5,7 +5,7 @@ static bool refuse(dcp_writer_t *w, dcp_fault_t fault)
 }
 
 /* Copy octets; without data: zeros. */
-static void copy(uint8_t *to, const uint8_t *data, size_t size)
+static inline void copy(uint8_t *to, const uint8_t *data, size_t size)
 {
     size_t i;
     if (data != NULL)
