@@ -9,6 +9,8 @@ static uint32_t get32(const uint8_t *p)
 static void put16(uint8_t *p, uint16_t v) { p[0] = (uint8_t)(v >> 8); p[1] = (uint8_t)v; }
 static void put32(uint8_t *p, uint32_t v) { put16(p, (uint16_t)(v >> 16)); put16(p + 2, (uint16_t)v); }
 
+#ifndef BY_FIELD
+
 bool hw_get_header(hw_reader *r, hw_header *h)
 {
     const uint8_t *const p = r->p;
@@ -246,3 +248,162 @@ bool hw_put_octets(hw_writer *w, const uint8_t *octets, size_t size)
     w->p += size;
     return true;
 }
+
+#else
+
+static bool get_octets(hw_reader *r, void *to, size_t size)
+{
+    if ((size_t)(r->end - r->p) < size)
+        return false;
+    memcpy(to, r->p, size);
+    r->p += size;
+    return true;
+}
+
+static bool get_u8(hw_reader *r, uint8_t *v) { return get_octets(r, v, 1); }
+
+static bool get_u16(hw_reader *r, uint16_t *v)
+{
+    uint8_t octets[2];
+    if (!get_octets(r, octets, 2))
+        return false;
+    *v = get16(octets);
+    return true;
+}
+
+static bool get_u32(hw_reader *r, uint32_t *v)
+{
+    uint8_t octets[4];
+    if (!get_octets(r, octets, 4))
+        return false;
+    *v = get32(octets);
+    return true;
+}
+
+static bool get_view(hw_reader *r, const uint8_t **view, size_t size)
+{
+    if ((size_t)(r->end - r->p) < size)
+        return false;
+    *view = r->p;
+    r->p += size;
+    return true;
+}
+
+bool hw_get_header(hw_reader *r, hw_header *h)
+{
+    uint8_t version;
+    uint16_t magic;
+    if (!get_u8(r, &version) || version != 1 || !get_u16(r, &magic) || magic != 0x497E || !get_octets(r, h->sender, 6)
+        || !get_u16(r, &h->network) || !get_u16(r, &h->length) || h->length == 0 || !get_u8(r, &h->count)
+        || h->count == 0 || !get_u32(r, &h->seqno) || h->length > r->end - r->p)
+        return false;
+    r->end = r->p + h->length;
+    return true;
+}
+
+bool hw_get_block(hw_reader *r, hw_block *b)
+{
+    return get_u16(r, &b->protocol) && get_u16(r, &b->length) && get_view(r, &b->content, b->length);
+}
+
+bool hw_get_report(const hw_block *b, hw_report *report)
+{
+    hw_reader r = {b->content, b->content + b->length};
+    return get_octets(&r, &report->x, 8) && get_octets(&r, &report->y, 8) && get_octets(&r, &report->z, 8)
+        && get_octets(&r, report->gaps, 8) && get_octets(&r, report->node, 6) && get_octets(&r, report->gaps + 8, 10)
+        && get_octets(&r, &report->stamp, 8) && get_octets(&r, &report->seqno, 4)
+        && get_octets(&r, report->gaps + 18, 4) && r.p == r.end;
+}
+
+bool hw_get_container(hw_reader *r, uint8_t *type, uint8_t *count)
+{
+    return get_u8(r, type) && *type >= 1 && *type <= 6 && get_u8(r, count) && *count != 0;
+}
+
+bool hw_get_pair(hw_reader *r, hw_pair *pair) { return get_u8(r, &pair->id) && get_u8(r, &pair->seqno); }
+
+bool hw_get_id(hw_reader *r, uint8_t *id) { return get_u8(r, id); }
+
+bool hw_get_update(hw_reader *r, hw_update *u)
+{
+    return get_u8(r, &u->id) && get_u8(r, &u->seqno) && get_u8(r, &u->size) && get_view(r, &u->value, u->size);
+}
+
+bool hw_get_create(hw_reader *r, hw_create *c)
+{
+    return get_u8(r, &c->id) && get_octets(r, c->producer, 6) && get_u8(r, &c->repetitions)
+        && get_octets(r, &c->created, 8) && get_u16(r, &c->timeout) && get_u8(r, &c->descr_size)
+        && get_view(r, &c->descr, c->descr_size) && get_u8(r, &c->upd_id) && get_u8(r, &c->seqno)
+        && get_u8(r, &c->size) && get_view(r, &c->value, c->size);
+}
+
+bool hw_put_octets(hw_writer *w, const uint8_t *octets, size_t size)
+{
+    if ((size_t)(w->end - w->p) < size)
+        return false;
+    memcpy(w->p, octets, size);
+    w->p += size;
+    return true;
+}
+
+static bool put_any(hw_writer *w, const void *octets, size_t size) { return hw_put_octets(w, octets, size); }
+
+static bool put_u8(hw_writer *w, uint8_t v) { return put_any(w, &v, 1); }
+
+static bool put_u16(hw_writer *w, uint16_t v)
+{
+    uint8_t octets[2];
+    put16(octets, v);
+    return put_any(w, octets, 2);
+}
+
+static bool put_u32(hw_writer *w, uint32_t v)
+{
+    uint8_t octets[4];
+    put32(octets, v);
+    return put_any(w, octets, 4);
+}
+
+bool hw_put_header(hw_writer *w, const hw_header *h)
+{
+    return put_u8(w, 1) && put_u16(w, 0x497E) && put_any(w, h->sender, 6) && put_u16(w, h->network)
+        && put_u16(w, h->length) && put_u8(w, h->count) && put_u32(w, h->seqno);
+}
+
+bool hw_put_block(hw_writer *w, uint16_t protocol, uint8_t **begun)
+{
+    *begun = w->p;
+    return put_u16(w, protocol) && put_u16(w, 0);
+}
+
+void hw_end_block(hw_writer *w, uint8_t *begun) { put16(begun + 2, (uint16_t)(w->p - begun - 4)); }
+
+bool hw_put_report(hw_writer *w, const hw_report *report)
+{
+    return put_any(w, &report->x, 8) && put_any(w, &report->y, 8) && put_any(w, &report->z, 8)
+        && put_any(w, report->gaps, 8) && put_any(w, report->node, 6) && put_any(w, report->gaps + 8, 10)
+        && put_any(w, &report->stamp, 8) && put_any(w, &report->seqno, 4) && put_any(w, report->gaps + 18, 4);
+}
+
+bool hw_put_container(hw_writer *w, uint8_t type, uint8_t count)
+{
+    return count != 0 && put_u8(w, type) && put_u8(w, count);
+}
+
+bool hw_put_pair(hw_writer *w, const hw_pair *pair) { return put_u8(w, pair->id) && put_u8(w, pair->seqno); }
+
+bool hw_put_id(hw_writer *w, uint8_t id) { return put_u8(w, id); }
+
+bool hw_put_update(hw_writer *w, const hw_update *u)
+{
+    return put_u8(w, u->id) && put_u8(w, u->seqno) && put_u8(w, u->size) && put_any(w, u->value, u->size);
+}
+
+bool hw_put_create(hw_writer *w, const hw_create *c)
+{
+    return put_u8(w, c->id) && put_any(w, c->producer, 6) && put_u8(w, c->repetitions) && put_any(w, &c->created, 8)
+        && put_u16(w, c->timeout) && put_u8(w, c->descr_size) && put_any(w, c->descr, c->descr_size)
+        && put_u8(w, c->upd_id) && put_u8(w, c->seqno) && put_u8(w, c->size) && put_any(w, c->value, c->size);
+}
+
+#endif

@@ -304,7 +304,8 @@ class Reading:
         many, content = shape.payloads, shape.content
         self.add("/* Begin the next payload; the reader is then at its content. False: there is none, or a problem. */")
         self.add(
-            "static inline bool begin_payload(reader_t *r, const dcp_list_t *list, dcp_payload_t *payload, size_t *length_at)",
+            "static inline bool begin_payload(reader_t *r, const dcp_list_t *list, dcp_payload_t *payload,",
+            "                                 size_t *length_at)",
             "{",
         )
         if many.count is not None:
