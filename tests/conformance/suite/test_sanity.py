@@ -22,7 +22,7 @@ from dcp_selftest.mutants import all_mutants
 
 from dcp_stack.node import Node
 
-from ..rig import codec_of, known_cases
+from ..rig import codec_of, known_cases, one_case
 
 
 class Deaf(Node):
@@ -91,6 +91,14 @@ def failed(result: CaseResult) -> set[str]:
 
 @pytest.mark.parametrize("upper", [True, False])
 @pytest.mark.parametrize("profile", ["dcp-1.0", "dcp-1.2", "dcp-2.0", "cpp-1.3"])
+def test_a_loop_that_ends_at_the_length_without_the_header_is_named():
+    """An implementer who copies the pseudo-code gets the place of the misprint."""
+    found = one_case(SANITY, make=all_mutants()["M-BP-RX-07-loop-bound"].make)
+    assert found.verdict is Verdict.FAIL
+    assert [check.requirements for check in found.checks if check.verdict is Verdict.FAIL] == [("BP-RX-07",)]
+    assert "dcp-bp.md, Receive Path (index < bearerlen)" in found.reason
+
+
 def test_the_sanity_case_needs_one_question_and_one_answer(profile: str, upper: bool):
     result, contact = sanity(node(profile), profile, upper=upper)
     assert (result.verdict, result.reason) == (Verdict.PASS, "")
@@ -296,8 +304,8 @@ def test_a_violation_in_received_octets_fails_despite_missing_answers():
     def both(bench: Any) -> None:
         peer = bench.peer()
         peer.send(peer.summary(bench.unknown_id(), 1))
-        bench.check(False, "an answer", "none", "BP-RX-07")
-        bench.check(False, "a right octet", "a wrong one", "BP-HDR-01", shown=True)
+        bench.verdicts.check(False, "an answer", "none", "BP-RX-07")
+        bench.verdicts.check(False, "a right octet", "a wrong one", "BP-HDR-01", shown=True)
 
     result = runner.run(dataclasses.replace(known_cases()["TC_BP_RX_BV_01-2"], run=both))
     assert [each.verdict for each in result.checks][:2] == [Verdict.INCONCLUSIVE, Verdict.FAIL]

@@ -35,14 +35,16 @@ def _lifetime(
         after = bench.now() - begun
         for node_id in sorted(there - table):
             there.discard(node_id)
-            bench.check(
+            bench.some(
                 after >= timeout,
                 f"an entry remains for {timeout / 1e6:.0f} ms after the reception of its record",
-                f"{node_id.hex(':')} was removed after {after / 1e6:.0f} ms",
+                seen=f"{node_id.hex(':')} was removed after {after / 1e6:.0f} ms",
             )
         if there and before > latest:
             observed = f"{min(there).hex(':')} is still there after {before / 1e6:.0f} ms"
-            bench.fail(f"an entry is removed within {latest / 1e6:.0f} ms after the reception of its record", observed)
+            bench.missing(
+                f"an entry is removed within {latest / 1e6:.0f} ms after the reception of its record", observed
+            )
         if there:
             bench.waiting.wait_ns(step)
 
@@ -108,6 +110,7 @@ def short_timeout(bench: Bench) -> None:
     "TC_SRP_NT_TI_03",
     "Each further record restarts the timeout of an entry",
     requirements="SRP-RX-03 SRP-RUN-02",
+    alone="it shortens the timeout of neighbours",
     stimulus="a record every half timeout, for two timeouts; then none",
     expect="the entry remains all the time, and is removed in time afterwards",
     window=100,
@@ -123,7 +126,7 @@ def refreshed(bench: Bench) -> None:
             bench.waiting.wait_ns(length * MS // 2)
             there = neighbour(bench, peer.node_id) is not None
             if not there and bench.now() - begun < length * MS:
-                bench.fail("the entry remains while records arrive", f"removed after record {number + 1}")
+                bench.missing("the entry remains while records arrive", f"removed after record {number + 1}")
         peer.send(bench.records.report(peer.node_id, 5))
         begun = bench.now()
         _lifetime(bench, [peer], begun, length * MS)
@@ -133,6 +136,7 @@ def refreshed(bench: Bench) -> None:
     "TC_SRP_NT_TI_04",
     "An entry is removed although another neighbour keeps reporting",
     requirements="SRP-RUN-01 SRP-RUN-02",
+    alone="it shortens the timeout of neighbours",
     stimulus="one record of one neighbour; many of another, twenty per timeout",
     expect="the entry of the silent neighbour is removed in time",
     window=45,
@@ -162,13 +166,7 @@ def silent_among_others(bench: Bench) -> None:
     window=45,
     needs=Needs(
         since=SpecVersion.V1_2,
-        ut=(
-            "SRP-NeighbourTable",
-            "BP-MGMT-Activate",
-            "BP-MGMT-Deactivate",
-            "VD-MGMT-Activate",
-            "VD-MGMT-Deactivate",
-        ),
+        ut=("SRP-NeighbourTable", "BP-MGMT-Activate", "BP-MGMT-Deactivate", "VD-MGMT-Activate", "VD-MGMT-Deactivate"),
         entities=("srp", "vardis"),
     ),
 )
@@ -186,6 +184,7 @@ def while_others_rest(bench: Bench) -> None:
     "TC_SRP_NT_BV_06",
     "The neighbour table can be queried whatever its contents",
     requirements="SRP-NT-02",
+    alone="it needs an empty neighbour table",
     stimulus="SRP-NeighbourTable before and after each of three records of a neighbour, the last record sent twice",
     expect="SRP-STATUS-OK each time",
     needs=_TABLE,
@@ -210,11 +209,11 @@ def answers(bench: Bench) -> None:
 def default_timeout(bench: Bench) -> None:
     answer = bench.call("SRP-GetParameters")
     bench.services.require_asked(answer, "an answer to SRP-GetParameters")
-    bench.require(answer.ok, "a positive answer to SRP-GetParameters", str(answer))
+    bench.required(answer.ok, "a positive answer to SRP-GetParameters", seen=answer)
     value = answer.result.get("parameters", {}).get(_TIMEOUT)
-    bench.check(value is not None, f"{_TIMEOUT} in ms, in the answer", "no such parameter", "SRP-PAR-01", shown=True)
+    bench.proved(value is not None, f"{_TIMEOUT} in ms, in the answer", "no such parameter", "SRP-PAR-01")
     if value == 3000:
-        bench.check(True, f"{_TIMEOUT} is 3000 ms", "", "SRP-PAR-03")
+        bench.passed(f"{_TIMEOUT} is 3000 ms", "SRP-PAR-03")
     elif value is not None:
         bench.info(f"Is the default {_TIMEOUT} 3000 ms?", f"unknown: it is {value} ms", "SRP-PAR-03")
 
@@ -242,6 +241,6 @@ def refused_timeout(bench: Bench) -> None:
                 before = value
                 continue
             after = bench.must("SRP-GetParameters").result.get("parameters", {}).get(_TIMEOUT)
-            bench.check(after == before, f"{_TIMEOUT} {before}, as before", f"{after}", shown=True)
+            bench.answered(after, before, f"{_TIMEOUT}, as before")
     finally:
         bench.call("SRP-SetParameter", name=_TIMEOUT, value=configured)

@@ -102,7 +102,8 @@ class Identifiers:
         """
         found = self._pool.unknown(count, self._clock.now(), self.created)
         if len(found) < count:
-            self._no_variables_left(f"{count} identifiers of variables that the implementation does not know")
+            what = f"{count} identifiers of variables that the implementation does not know"
+            self._no_variables_left(what, len(self.created) + count)
         self.called_unknown.update(found)
         return found
 
@@ -164,7 +165,11 @@ class Identifiers:
 
     # -- none left -----------------------------------------------------------------------------------------------------
 
-    def _no_variables_left(self, expected: str) -> NoReturn:
+    def _no_variables_left(self, expected: str, wanted: int = 0) -> NoReturn:
+        """``wanted``: the number of variables that the case needs, if there may be more than it has."""
+        # One more is needed for signs of life.
+        if why := self._sut.lacks("variables", max(wanted, len(self.created | self.called_unknown) + 1) + 1):
+            self._verdicts.not_applicable(f"{why}, and this case needs more")
         self.used_up(expected, self._pool.left(self._clock.now(), self.created), self._pool.size)
 
     def used_up(self, expected: str, left: int, size: int) -> NoReturn:

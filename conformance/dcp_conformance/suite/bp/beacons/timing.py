@@ -16,7 +16,7 @@ from dcp_spec.constants import BP_SEQNO_MODULUS
 
 from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.lower_tester import OnThisMachine
-from dcp_conformance.model.case import Needs, case
+from dcp_conformance.model.case import LISTENS, Needs, case
 from dcp_conformance.suite.bp.services.indications import no_indication
 from dcp_conformance.test_steps.bp_clients import (
     CLIENT,
@@ -75,7 +75,21 @@ def estimate(frames: Sequence[ReceivedBeacon]) -> Estimate:
         beacons += count
         intervals.append((after.time - before.time) / count)
     mean = (frames[-1].time - frames[0].time) / beacons
-    return Estimate(mean, QUANTILE * statistics.stdev(intervals) / math.sqrt(len(intervals)), intervals)
+    return Estimate(mean, QUANTILE * math.sqrt(_variance_of_sum(intervals)) / len(intervals), intervals)
+
+
+def _variance_of_sum(intervals: Sequence[float]) -> float:
+    """Return the variance of the sum of intervals, from that of one and the covariance of neighbours.
+
+    If each beacon varies around a point of a strict grid, a long interval precedes a short one, and the sum hardly
+    varies. Only a significant covariance counts, because the others are results of chance.
+    """
+    count, variance = len(intervals), statistics.variance(intervals)
+    mean = statistics.fmean(intervals)
+    covariance = sum((one - mean) * (two - mean) for one, two in itertools.pairwise(intervals)) / (count - 1)
+    if covariance > -QUANTILE * variance / math.sqrt(count):
+        return count * variance
+    return max(variance, count * variance + 2 * (count - 1) * covariance)
 
 
 def measure(bench: Bench, period: float, *, least: int = LEAST, most: int = MOST) -> Estimate | None:
@@ -96,6 +110,11 @@ def measure(bench: Bench, period: float, *, least: int = LEAST, most: int = MOST
     return None
 
 
+def _always(found: Estimate, limit: float) -> bool:
+    """Return whether all intervals exceed a limit in ns: a busy machine makes some of them long."""
+    return min(found.intervals) > limit
+
+
 def check_mean(bench: Bench, found: Estimate | None, period: float, *requirements: str, sure: bool = True) -> None:
     """Check a mean interval: only one that is significantly outside of the tolerance is a failure.
 
@@ -111,15 +130,16 @@ def check_mean(bench: Bench, found: Estimate | None, period: float, *requirement
             f"{found}; but the implementation may have had no payload to send (an upper tester could decide this)"
         )
         bench.inconclusive(expected, observed, *requirements)
-    if low > period + tolerance and isinstance(bench.lower, OnThisMachine) and (why := bench.lower.overload()):
-        # An implementation on this machine has to wait for the processor in every period.
+    overload = bench.lower.overload() if isinstance(bench.lower, OnThisMachine) else ""
+    if low > period + tolerance and not _always(found, period + tolerance) and (why := overload):
+        # An implementation on this machine has to wait for the processor in many periods.
         bench.inconclusive(expected, f"{found}; but {why}", *requirements, overload=why)
     if low > period + tolerance or high < period - tolerance:
-        bench.check(False, expected, str(found), *requirements)
+        bench.some(False, expected, *requirements, seen=found)
     elif low < period - tolerance or high > period + tolerance:
         bench.inconclusive(expected, f"{found}: too few beacons for their variance", *requirements)
     else:
-        bench.check(True, f"{expected}; measured: {found}", "", *requirements)
+        bench.passed(f"{expected}; measured: {found}", *requirements)
 
 
 @case(
@@ -145,7 +165,7 @@ def mean_period(bench: Bench) -> None:
         observed = f"{least:.1f} ms to {most:.1f} ms, standard deviation {spread:.1%} of the mean"
         bench.info("How much do the intervals between beacons vary?", observed, "BP-TX-02")
         if bench.sut.pics.jitter:
-            bench.check(spread > 0.002, "intervals that vary, as the PICS claims", observed, "BP-TX-02")
+            bench.some(spread > 0.002, "intervals that vary, as the PICS claims", "BP-TX-02", seen=observed)
     check_mean(bench, found, period, "BP-TX-01", sure=bool(clients))
 
 
@@ -181,6 +201,7 @@ def other_period(bench: Bench, factor: float) -> None:
     "TC_BP_TX_TI_03",
     "Reports the time from the submission of a payload to its beacon",
     requirements="BP-TXP-07 BP-TX-02",
+    alone=LISTENS,
     stimulus="a client submits five payloads at different phases of the beacon period, without other traffic",
     expect="a beacon with each payload; the case reports the delays",
     window=20,
@@ -223,11 +244,10 @@ def epoch_of_next_beacon(bench: Bench) -> None:
             client.until_sent()
         frames = client.frames()
         wait_for_notifications(bench)
-        told = indications(bench, TRANSMITTED, client.prot_id)
-        bench.require(told, "indications", "none in time", "BP-PTI-01")
+        told = bench.required(indications(bench, TRANSMITTED, client.prot_id), "indications", "BP-PTI-01")
         epochs = [each.params.get("nextBeaconGenerationEpoch") for each in told]
         numbers = [each - offset for each in epochs if isinstance(each, int)]
-        bench.require(len(numbers) == len(epochs), "an epoch in each indication", f"{epochs[:3]}", shown=True)
+        bench.answered(len(numbers), len(epochs), "indications with an epoch", stop=True)
         # The next beacon, of whichever client.
         following = [bench.heard[place + 1 :][:1] for place in map(bench.heard.index, frames)]
         pairs = [(number, each[0].wall) for number, each in zip(numbers, following, strict=False) if each]
@@ -246,8 +266,11 @@ def epoch_of_next_beacon(bench: Bench) -> None:
                     "the offset of the implementation's clock",
                     f"it is known with an uncertainty of {uncertainty / MS:.1f} ms, as long as half a call; {observed}",
                 )
-        bench.check(
-            abs(middle) < limit, f"a median epoch within {limit:g} ms of the next beacon", observed, frames=frames[:8]
+        bench.some(
+            abs(middle) < limit,
+            f"a median epoch within {limit:g} ms of the next beacon",
+            seen=observed,
+            frames=frames[:8],
         )
         bench.info("How precise is nextBeaconGenerationEpoch?", observed)
 
@@ -306,7 +329,9 @@ def _check_beyond_an_octet(bench: Bench, frames: Sequence[ReceivedBeacon]) -> No
         bench.inconclusive("258 decodable beacons", f"{len(numbers)}")
     back = [after for before, after in itertools.pairwise(frames) if (after.seqno or 0) < (before.seqno or 0)]
     observed = f"a maximum of {max(numbers)} in {len(numbers)} beacons"
-    bench.check(max(numbers) > 255 and not back, "sequence numbers that increase beyond 255", observed, frames=back[:2])
+    bench.some(
+        max(numbers) > 255 and not back, "sequence numbers that increase beyond 255", seen=observed, frames=back[:2]
+    )
 
 
 @case(
