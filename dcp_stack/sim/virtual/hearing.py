@@ -25,7 +25,7 @@ from dcp_spec.status import BPStatus
 
 from dcp_codec.codec import Codec
 from dcp_codec.errors import DecodeError
-from dcp_codec.values import ExtendedSafetyData
+from dcp_codec.values import ExtendedSafetyData, VarSumm
 from dcp_stack.bp.client_port import ClientPort
 from dcp_stack.bp.entity import BeaconingProtocol
 from dcp_stack.bp.statistics import NeighbourLoss
@@ -223,6 +223,22 @@ class HearingReceiver(Receiver):
 
     quiet = True
     """Whether all records of the current payload were ignored so far."""
+
+    def _summary(self, record: VarSumm, offset: int) -> None:
+        """Process a VarSumm as :meth:`Receiver._summary` does, without the effect that reports an equal number.
+
+        Nearly all summaries have the stored number. Nodes have the fast path only while nothing listens to drops.
+        """
+        entry = self._database.lookup(record.var_id)
+        if (
+            entry is not None
+            and entry.seqno == record.seqno
+            and not entry.is_deleted
+            and entry.spec.prod_id != self._core.own_id
+        ):
+            self._core.delivery.has(record.var_id)
+        else:
+            super()._summary(record, offset)
 
     def _answer(self, cell: Cell, entry: DBEntry | None, var_id: int, offset: int) -> None:
         """Execute a cell as :meth:`Receiver._answer` does, and note whether the record has an effect."""
