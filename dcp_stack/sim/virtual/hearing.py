@@ -45,6 +45,10 @@ from dcp_stack.vardis.state_table import Action, Cell
 MOST_WAITING: Final = 64
 #: Maximum number of known payloads of a node.
 MOST_KNOWN: Final = 1024
+#: Readings that have no effect on beacons without an effect: what VarDis ignores once it ignores again.
+VARDIS_READINGS: Final = frozenset(
+    "X14 X17 X20 X21 X23 X26 X27 X28 X34 X36 X37 X38 X39 X41 X54".split()  # noqa: SIM905 - a list of identifiers
+)
 #: Number of parsed frames kept: enough for those in flight at a time.
 _PARSED: Final = 4096
 
@@ -345,12 +349,12 @@ class HearingNode(Node):
         """Determine whether the fast path may be used. Call it after services and after the start.
 
         It may not while a protocol is inactive or has lost its registration with BP, nor if the configuration has
-        readings: the node then processes each beacon completely.
+        readings that concern BP or SRP: the node then processes each beacon completely.
         """
         srp, vardis = self._srp, self._vardis
         ready = (
             self.bp.active
-            and not self.config.readings
+            and VARDIS_READINGS.issuperset(self.config.readings)
             and (srp is None or (srp.registered and self._srp_port.holds))
             and (vardis is None or (vardis.active and self._vardis_port.holds))
         )
