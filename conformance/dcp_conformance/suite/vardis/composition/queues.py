@@ -35,9 +35,16 @@ _STIMULI: dict[str, tuple[ICType, Stimulus, str]] = {
     ),
     "deletes": (_DELETE, lambda peer, var_id: peer.delete(var_id), "VD-CMP-10 VD-PD-04 VD-CMP-13"),
     "updates": (_UPDATE, lambda peer, var_id: peer.update(var_id, 9, b"w"), "VD-CMP-09 VD-PU-07"),
-    "requests": (_ASK_CREATE, lambda peer, var_id: peer.summary(var_id, 9), "VD-CMP-12 VD-PS-01"),
+    "requests": (_ASK_CREATE, lambda peer, var_id: peer.summary(var_id, 9), "VD-CMP-12 VD-PS-01 DATA-12"),
     "update-requests": (_ASK_UPDATE, lambda peer, var_id: peer.summary(var_id, 9), "VD-CMP-11 VD-PS-04"),
 }
+
+
+def _variants(*names: str) -> dict[str, Variant]:
+    found = {name: _STIMULI[name] for name in names}
+    return {name: Variant(value, requirements=f"{value[2]} VD-PAY-06 VD-PAY-02") for name, value in found.items()}
+
+
 _SETTABLE = Needs(
     ut=("UT-Reset", "VD-SetParameter"),
     when=lambda bench: bench.sut.lacks("variables", _QUEUED + 1) or None,
@@ -99,9 +106,28 @@ def _record(bench: Bench, peer: Peer, kind: ICType) -> VardisRecord:
     expect="all of them in this order, then all again (requests once); full payloads, except for the last",
     window=30,
     needs=_SETTABLE,
-    variants={name: Variant(value, requirements=f"{value[2]} VD-PAY-06 VD-PAY-02") for name, value in _STIMULI.items()},
+    variants=_variants("new-variables", "deletes", "requests"),
 )
 def order_of_queue(bench: Bench, what: tuple[ICType, Stimulus, str]) -> None:
+    _check_queue(bench, what)
+
+
+@case(
+    "TC_VD_ORD_BV_03",
+    "As TC_VD_ORD_BV_01 for records of known variables ({variant})",
+    requirements="VD-PAY-06 VD-PAY-02",
+    stimulus="see TC_VD_ORD_BV_01; records of this kind: {variant}",
+    expect="all of them in the order of the queue, then all again (requests once); full payloads, except for the last",
+    window=30,
+    needs=_SETTABLE,
+    variants=_variants("creates", "updates", "update-requests"),
+    long=True,
+)
+def order_of_answers(bench: Bench, what: tuple[ICType, Stimulus, str]) -> None:
+    _check_queue(bench, what)
+
+
+def _check_queue(bench: Bench, what: tuple[ICType, Stimulus, str]) -> None:
     kind, stimulus, _ = what
     once, new = kind in (_ASK_CREATE, _ASK_UPDATE), what is _STIMULI["new-variables"]
     peer, count = bench.peer(), 1 if once else bench.sut.rep_cnt(2)
@@ -171,15 +197,15 @@ def _holds(count: int) -> Callable[[Bench], str | None]:
 
 _MANY: dict[str, tuple[ICType, int, Stimulus, str]] = {
     "requests": (_ASK_CREATE, 200, lambda peer, var_id: peer.summary(var_id, 9), "VD-CMP-12 VD-PS-01"),
-    "deletes": (_DELETE, 104, lambda peer, var_id: peer.delete(var_id), "VD-CMP-10"),
+    "deletes": (_DELETE, 40, lambda peer, var_id: peer.delete(var_id), "VD-CMP-10"),
 }
 
 
 @case(
     "TC_VD_PAY_BV_11",
-    "A payload has as many records as fit, also more than a hundred ({variant})",
+    "A payload has as many records as fit, also 40 or 200 ({variant})",
     requirements="VD-PAY-02",
-    stimulus="one beacon queues records of this kind ({variant}) about 100 to 200 variables",
+    stimulus="one beacon queues records of this kind ({variant}) about 200 unknown or 40 known variables",
     expect="records about all of them, in payloads that are full, except for the last",
     window=30,
     variants={

@@ -131,6 +131,7 @@ def summaries_again(bench: Bench) -> None:
     expect="payloads of at most the lowered size soon afterwards; in total each record in repCnt beacons",
     window=40,
     needs=Needs(ut=("UT-Reset", "VD-SetParameter"), when=several_repetitions),
+    long=True,
 )
 def raised_again(bench: Bench) -> None:
     peer, count = bench.peer(), bench.sut.rep_cnt(8)
