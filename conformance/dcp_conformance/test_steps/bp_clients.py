@@ -136,7 +136,7 @@ def room(bench: Bench) -> int:
 
     Raise ``CouldNotAskError`` beside other cases, whose payloads take a part of it.
     """
-    bench.needs_whole_beacons()
+    bench.control.needs_whole_beacons()
     return bench.sut.bound("BPPAR_MAXIMUM_PACKET_SIZE") - header_octets(bench)
 
 
