@@ -355,7 +355,7 @@ class Driver:
                         yield [self._builder.srp(report)]
                     else:
                         blocks.append(self._builder.srp(report))
-            else:
+            elif self.executor.hears_vardis:
                 yield from self._record_blocks(each, step, blocks)
         if blocks:
             yield blocks

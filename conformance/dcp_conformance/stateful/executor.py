@@ -49,7 +49,7 @@ class Executor(Protocol):
     own_id: bytes
     timing: Timing
     alone: bool
-    """Whether nobody but this sequence uses the services of the node, or changes its parameters."""
+    """Whether only this sequence uses the services of the node, and changes its parameters."""
     looks: bool
     """Whether calls are quick, so that the state can be queried after each step."""
     hears_vardis: bool

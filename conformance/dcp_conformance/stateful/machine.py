@@ -31,8 +31,7 @@ VARIABLES: Final = st.sampled_from((0, 0, 0, 1, 1, 2, 3, 4))
 NEIGHBOURS: Final = st.sampled_from((0, 0, 1, 2))
 #: Beacon periods of a wait.
 PERIODS: Final = st.sampled_from((1.0, 0.4, 1.0, 2.5, 5.0, 8.0, 12.0, 25.0, 40.0, 130.0))
-#: What a sequence is about: the actions, more frequent ones several times. A sequence about everything reaches too
-#: little of anything.
+#: The actions of each theme, more frequent ones several times. Sequences with all actions rarely combine related ones.
 THEMES: Final[dict[str, tuple[str, ...]]] = {
     "registrations": (
         "renew",
@@ -126,7 +125,7 @@ class NodeMachine(RuleBasedStateMachine):
         self.counterexample: Counterexample | None = None
         self._version = self.executor.codec.profile.spec_version
         self.title = ""
-        """What the sequence is about."""
+        """The theme of the sequence."""
         self.theme: tuple[str, ...] = tuple(ACTIONS)
         self._vardis = any(each.startswith("RTDB-") for each in self.executor.methods)
 
@@ -340,7 +339,7 @@ class NodeMachine(RuleBasedStateMachine):
 
     @action(lambda self: self.has("SRP-UpdateSafetyData"), times=st.sampled_from((1, 2)), pause=st.booleans())
     def hand_down(self, times: int, pause: bool) -> None:
-        """Hand safety data down."""
+        """Submit safety data."""
         for _ in range(times):
             if pause:
                 self.take(Wait(0.4))
