@@ -2,7 +2,8 @@
 
 What a queue holds is a *set* of possible contents: a beacon that the tester has not received yet may already contain
 the head. Each observation removes the contents that contradict it; if none is left, the node has violated a
-requirement. ``None`` instead of a set: the contents are unknown until the queue is cleared or its client registers again.
+requirement. ``None`` instead of a set: the contents are unknown until the queue is cleared, or its client registers
+again.
 """
 
 from __future__ import annotations

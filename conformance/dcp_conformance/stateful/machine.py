@@ -58,7 +58,7 @@ THEMES: Final[dict[str, tuple[str, ...]]] = {
     ),
     "sizes": ("resize", "submit", "register", "submit", "wait", "renew", "switch_bp"),
     "reception": ("payload", "register", "payload", "records", "report", "change_network", "deregister", "wait"),
-    "neighbours": ("report", "change_neighbour_timeout", "age", "report", "age", "hand_down", "wait"),
+    "neighbours": ("report", "change_neighbour_timeout", "age", "report", "age", "submit_safety_data", "wait"),
     "services": ("create", "update", "delete", "create", "wait", "records", "switch_vardis", "outlast"),
     "dissemination": ("create", "records", "records", "delete", "wait", "outlast"),
     "timeouts": ("create", "outlast", "records", "outlast", "wait", "update", "outlast"),
@@ -338,7 +338,7 @@ class NodeMachine(RuleBasedStateMachine):
     # -- SRP -------------------------------------------------------------------------------------------------
 
     @action(lambda self: self.has("SRP-UpdateSafetyData"), times=st.sampled_from((1, 2)), pause=st.booleans())
-    def hand_down(self, times: int, pause: bool) -> None:
+    def submit_safety_data(self, times: int, pause: bool) -> None:
         """Submit safety data."""
         for _ in range(times):
             if pause:
