@@ -84,6 +84,8 @@ class BenchExecutor:
         self.methods: frozenset[str] = frozenset() if upper is None else upper.methods
         self.own_id = bench.identifiers.sut_id
         self.hears_vardis = bench.sut.pics.vardis is not False
+        claimed = bench.sut.pics.transmit_payload_confirm
+        self.confirms = bench.profile.behaviour.transmit_payload_confirm if claimed is None else claimed
         self.readings: Mapping[str, str] = bench.session.pics.readings
         call = bench.session.slow_call
         self.looks = call <= _QUICK
