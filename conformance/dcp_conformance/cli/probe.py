@@ -7,14 +7,16 @@ from typing import Any
 
 import click
 
-from dcp_codec.common.commandline import say
+from dcp_codec.common.commandline import SectionedCommand, say
 from dcp_conformance.errors import UsageError
 
-from .options import out_option, target_of, target_options
+from .options import TARGET_SECTIONS, out_option, target_of, target_options
 
 
 @click.command(
     "probe",
+    cls=SectionedCommand,
+    sections={"Probe": "seconds passive out", **TARGET_SECTIONS},
     epilog="Exit status: 0 a frame or answer was received; 2 wrong usage, or a file that cannot be written; 3 neither "
     "frame nor answer was received, or no profile explains the frames; 4 a fault of the tester.",
 )

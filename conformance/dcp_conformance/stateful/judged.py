@@ -36,7 +36,7 @@ def judge(bench: Bench, steps: Sequence[Step], *, alone: bool) -> None:
         bench.verdicts.not_applicable(f"the value of {unknown} is not known: state it in the PIXIT")
     found = execute(bench, steps, alone=alone)
     if found is None:
-        bench.check(True, expected, "")
+        bench.passed(expected)
         return
     first = found
     for _ in range(2):
@@ -49,7 +49,7 @@ def judge(bench: Bench, steps: Sequence[Step], *, alone: bool) -> None:
     found = shorter(lambda: bench, found, alone=alone)
     finding = found.finding
     shown = "\n".join(table(found.rows))
-    bench.check(False, finding.expected, f"{finding.observed}, after these steps:\n{shown}", *finding.requirements)
+    bench.missing(finding.expected, f"{finding.observed}, after these steps:\n{shown}", *finding.requirements)
 
 
 def shorter(ready: Callable[[], Bench], found: Counterexample, *, alone: bool) -> Counterexample:

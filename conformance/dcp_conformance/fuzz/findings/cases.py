@@ -68,8 +68,8 @@ def run(artefact: Artefact, bench: Bench) -> None:
     comparison = Comparison(bench, observer_of(bench)) if state else None
     effect = carry_out(bench, artefact.as_steps(), None, round(1e9 / RATE), PROBES, comparison)
     if effect is None:
-        bench.check(True, "nothing is wrong after these steps", "", *artefact.effect.requirements)
+        bench.passed("nothing is wrong after these steps", *artefact.effect.requirements)
         return
     # The artefact names the requirements of its own effect; another effect is decided by its own signature.
     known = effect.signature == artefact.effect.signature and artefact.effect.requirements
-    bench.check(False, "nothing is wrong after these steps", effect.detail, *(known or decided_by(effect)))
+    bench.some(False, "nothing is wrong after these steps", *(known or decided_by(effect)), seen=effect.detail)
