@@ -166,7 +166,12 @@ class ProposedReceiver(Receiver):
     def _delete(self, record: VarDelete, offset: int) -> None:
         if self._handled(record, offset, deleted=True):
             return
-        super()._delete(record, offset)
+        entry = self._database.lookup(record.var_id)
+        if entry is not None and not entry.is_deleted and REGAINED in entry.own:
+            self._database.mark_deleted(entry)
+            self._core.changed("deleted", entry)
+        else:
+            super()._delete(record, offset)
 
     def _update(self, record: VarUpdate, offset: int, now: int, wall: int) -> None:
         if self._handled(record, offset):
@@ -192,7 +197,7 @@ class ProposedReceiver(Receiver):
             self._compare(record, entry, offset)
         elif entry is not None:
             deletion: Any = record
-            super()._delete(deletion, offset)
+            self._delete(deletion, offset)
 
     def _compare(self, record: VarSumm, entry: DBEntry | None, offset: int) -> None:
         """Compare the sequence number of a summary with that of the stored value."""
@@ -305,8 +310,8 @@ PROPOSALS: Final[Mapping[str, Proposal]] = {
             name="take-back",
             title="A restarted producer takes its variable back",
             text="A VarCreate with the node itself as producer is processed if the variable is unknown, or if it is "
-            "later than one that was taken back in this way. Records with a newer sequence number of an own variable "
-            "are processed as those of other variables.",
+            "later than one that was taken back in this way, which also follows a VarDelete. Records with a newer "
+            "sequence number of an own variable are processed as those of other variables.",
             takes_back=True,
         ),
         Proposal(
