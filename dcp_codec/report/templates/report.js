@@ -56,6 +56,7 @@
       const rows = (many) => Math.ceil(legend.items.length / many);
       model.height -= 22 * (rows(legend.ncols) - rows(columns));
       legend.ncols = columns;
+      place.style.minHeight = model.height + "px";
     }
     // A finger scrolls the page until a tool is chosen.
     if (matchMedia("(pointer: coarse)").matches) for (const tool of model.toolbar.tools) if (tool.active && tool.type !== "HoverTool") tool.active = false;
