@@ -404,14 +404,14 @@ class Reading:
         for record in shape.all_records():
             name = stem(record.group)
             self.add(
-                f"static bool walk_{name}(reader_t *r, uint32_t count)",
+                f"static inline bool walk_{name}(reader_t *r, uint32_t count)",
                 "{",
                 f"    dcp_{name}_t record;",
                 "    uint32_t i;",
             )
             if record.group.size is not None:
                 self.add(
-                    f"    if ((r->end - r->at) / {record.group.size}u >= count) {{",
+                    f"    if (r->end - r->at >= (uint64_t)count * {record.group.size}u) {{",
                     f"        r->at += (size_t)count * {record.group.size}u;",
                     "        return true;",
                     "    }",
