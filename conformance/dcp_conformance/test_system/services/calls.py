@@ -10,6 +10,7 @@ from typing import Any, Protocol
 from dcp_conformance.errors import ConformanceError, UpperTesterError
 from dcp_conformance.lower_tester import Impairs, LowerTester
 from dcp_conformance.test_system.identifiers.allocation import Identifiers
+from dcp_conformance.test_system.judgement.matchers import Matchers
 from dcp_conformance.test_system.judgement.verdicts import Verdicts
 from dcp_conformance.test_system.reception.receiver import Receiver
 from dcp_conformance.test_system.steps import Steps
@@ -128,7 +129,7 @@ class Services:
         expected = f"{method} answers {' or '.join(statuses)}"
         self.require_asked(answer, expected, *requirements)
         matches = any(map(answer.is_status, statuses))
-        return self._verdicts.check(matches, expected, f"{answer}", *requirements, shown=True)
+        return Matchers(self._verdicts).proved(matches, expected, answer, *requirements)
 
     def require_asked(self, answer: Answer, expected: str, /, *requirements: str) -> None:
         """Stop as inconclusive unless the answer is that of the implementation."""
@@ -138,11 +139,15 @@ class Services:
     def must(self, method: str, /, **params: Any) -> Answer:
         """Call a service that the case needs but does not test; inconclusive if it does not succeed."""
         answer = self.call(method, **params)
+        self.require_success(method, answer)
+        return answer
+
+    def require_success(self, method: str, answer: Answer) -> None:
+        """Stop as inconclusive unless a service that the case needs has succeeded."""
         expected = f"{method} succeeds, which this case needs"
         self.require_asked(answer, expected)
         if not answer.ok:
             self._verdicts.inconclusive(expected, str(answer))
-        return answer
 
     @contextmanager
     def deactivated(self, entity: str) -> Iterator[None]:
