@@ -49,7 +49,8 @@ _PROGRESS_S = 2.0
 def command(study: Path, out: Path | None, seeds: int | None, jobs: int | None, verify: Path | None) -> int:
     """Run STUDY, a scenario (docs/scenarios.md) with a table [sweep]: lists of values by the keys of the scenario.
 
-    Writes runs.jsonl as it goes, and at the end table.csv, runs.csv, runs.parquet (extra 'table') and bundle.json.
+    Writes runs.jsonl as it goes, and at the end table.csv, plot.svg, runs.csv, runs.parquet (extra
+    'table') and bundle.json.
     """
     import msgspec
 
@@ -95,7 +96,7 @@ def command(study: Path, out: Path | None, seeds: int | None, jobs: int | None, 
     click.echo("\n".join(_shown(found, farthest(table))))
     if unmet := sum(not each.met for each in own):
         click.echo(f"\n{unmet} runs do not meet the expectations of the scenario")
-    click.echo(f"\n{folder}: runs.jsonl, runs.csv, table.csv, bundle.json" + _parquet(found, own, folder))
+    click.echo(f"\n{folder}: runs.jsonl, runs.csv, table.csv, plot.svg, bundle.json" + _parquet(found, own, folder))
     return 0 if complete else INCOMPLETE
 
 
@@ -156,7 +157,8 @@ def _write(study: Study, outcomes: Sequence[Outcome], table: Sequence[Summary], 
     """Write the tables and the bundle."""
     from dcp_spec.version import __version__
 
-    from dcp_stack.sim.sweep.results import rows
+    from dcp_stack.sim.sweep.plot import svg
+    from dcp_stack.sim.sweep.results import farthest, rows
 
     lines: list[dict[str, Any]] = []
     for each in table:
@@ -169,6 +171,8 @@ def _write(study: Study, outcomes: Sequence[Outcome], table: Sequence[Summary], 
         lines.append(line)
     _csv(folder / "table.csv", lines)
     _csv(folder / "runs.csv", list(rows(study, outcomes)))
+    if (plot := svg(study, farthest(table))) is not None:
+        (folder / "plot.svg").write_text(plot, encoding="utf-8")
     bundle = {
         "study": study.raw,
         "kit_version": __version__,
