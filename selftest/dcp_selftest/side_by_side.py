@@ -157,9 +157,10 @@ def compare_all(
 
     ``jobs`` is the number of processes, by default one for each processor. ``on_start`` is called with the number of
     comparisons, and ``on_result`` with each comparison when it is complete. ``periods``: beacon periods in ms at which
-    nodes on a virtual Ethernet are compared, on the newest version only, instead of nodes in virtual time.
+    nodes on a virtual Ethernet are compared instead of nodes in virtual time; then the reference node only on
+    ``profiles``.
     """
-    tasks = [("", name, period) for name in profiles or PROFILES[4:5] for period in periods]
+    tasks = [("", name, period) for name in profiles for period in periods]
     tasks += [(each.id, each.profile, period) for each in mutants for period in periods]
     if not periods:
         tasks = [("", name, 0) for name in profiles or PROFILES]

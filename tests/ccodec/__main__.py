@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import random
+import shutil
 import sys
 import tempfile
 import time
@@ -22,7 +23,7 @@ from dcp_codec.capture import open_capture
 from dcp_codec.testing.mutation import Mutator, drawn_pool
 from tests.odd_profiles import ODD_PROFILES, codec_of
 
-from .peer import SANITIZED, Comparison, Peer, build, compiler_for
+from .peer import SANITIZED, Comparison, Peer, build
 
 CAPTURES = Path(__file__).resolve().parent.parent.parent / "captures"
 SUFFIXES = (".mcap", ".pcap", ".pcapng")
@@ -56,7 +57,7 @@ def main() -> int:
     parser.add_argument("--captures", action="append", type=Path, help="folder with recordings [captures]")
     parser.add_argument("--plain", action="store_true", help="build with -O2 and without sanitizers")
     options = parser.parse_args()
-    compiler = compiler_for("clang", "gcc")
+    compiler = shutil.which("clang") or shutil.which("gcc")
     if compiler is None:
         parser.error("needs clang or gcc")
     names = options.profile or [*profile_names(), *ODD_PROFILES]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import shutil
 import struct
 import subprocess
 import zlib
@@ -51,11 +50,6 @@ def build(codec: Codec, folder: Path, compiler: str = "cc", options: Sequence[st
     command = [compiler, *options, "dcp_codec.c.o", "harness.c.o", "-o", str(program)]
     subprocess.run(command, cwd=folder, check=True)
     return program
-
-
-def compiler_for(*names: str) -> str | None:
-    """Return the first compiler that is installed."""
-    return next((name for name in names if shutil.which(name)), None)
 
 
 class Peer:

@@ -5,27 +5,20 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from dcp_conformance.impairment import impaired, parse_directions
 from dcp_conformance.model.case import SANITY, all_cases
+from dcp_conformance.model.pics import Testing
 from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference import surroundings as around
-from dcp_conformance.reference.inprocess import VirtualLowerTester
 from dcp_selftest.mutants import all_mutants
 from dcp_selftest.variants.applications import FastPilot, Pilot, Sensor
 from dcp_selftest.variants.busy import LOADS, Busy
 from dcp_selftest.variants.campaign import judge
+from dcp_selftest.variants.timing import LOSS, Lossy
 from dcp_selftest.variants.variant import Variant, setup, slow, without
 
 from ..parts import every
 
 PROFILE = "dcp-2.0"
-
-
-class Lossy(around.Tested):
-    """The node of a set-up on a link that loses every fiftieth frame."""
-
-    def lower_tester(self) -> Any:
-        return impaired(VirtualLowerTester(self), parse_directions(["loss=0.02"]), seed=1, tolerance=0)
 
 
 def _busy(made: around.Setup) -> Busy:
@@ -48,7 +41,7 @@ EXCUSES: dict[str, tuple[dict[str, Any], dict[str, str]]] = {
     ),
     "an application has a variable": ({"application": Sensor}, {"M-VD-CMP-04-first-number": "TC_VD_SUM_BV_06"}),
     "a lost frame": (
-        {"surroundings": Lossy},
+        {"surroundings": Lossy, "pixit": Testing(loss=LOSS)},
         {"M-BP-HDR-01-two": "TC_BP_HDR_BV_01", "M-VD-CMP-06-one-more": "TC_VD_CMP_BV_01"},
     ),
     "a late tester": (

@@ -85,7 +85,9 @@ def command(**options: Any) -> int:
 
     from .display import Display
 
-    target = replace(target_of(options), impair=options["impair"])
+    report = options["report_dir"]
+    output = None if report is None else report / "output.txt"
+    target = replace(target_of(options), impair=options["impair"], output=output)
     display = Display(verbose=options["verbose"], quiet=options["quiet"])
     extra = shlex.split(options["pytest_options"] or "")
     run = ConformanceRun(
@@ -105,7 +107,6 @@ def command(**options: Any) -> int:
         for case in run.selected:
             say(f"{case.id}  {case.purpose}")
         return 0
-    report = options["report_dir"]
     if report is not None:
         from dcp_conformance.reporting import make_folder
 

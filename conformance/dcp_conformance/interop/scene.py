@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from dcp_spec.constants import features
 
-from dcp_codec.analysis.holdings import DELETED, UNKNOWN, Holdings
+from dcp_codec.analysis.ledger import DELETED, UNKNOWN, Ledger
 from dcp_codec.errors import DecodeError
 from dcp_codec.impairment import Impairment, Outage
 from dcp_codec.testing.mutation import Mutator
@@ -58,7 +58,7 @@ class Scene:
         """The expected loss of the links, for the time that spreading may take."""
         self.outages = False
         """Whether links are down most of the time, as :func:`bounds.cycle_time` has it."""
-        self.held: dict[int, Holdings] = {place: Holdings() for place in self.places}
+        self.held: dict[int, Ledger] = {place: Ledger() for place in self.places}
         """The records that each place has sent about variables since it was switched on."""
         self.heard_from: dict[int, int] = {}
         """By place: the time of its last transmission."""
@@ -119,7 +119,7 @@ class Scene:
         if on and any(frame.place == place for frame in self.world.sent()):
             self.restarts.append((self.world.now, place))
         self.world.power(place, on=on)
-        self.held[place] = Holdings()
+        self.held[place] = Ledger()
         self.heard_from.pop(place, None)
 
     def call(self, place: int, method: str, **params: Any) -> Answer:
@@ -271,11 +271,9 @@ class Scene:
             beacon = place.codec.decode(frame.octets)
         except DecodeError:
             return
-        changes = self.held[frame.place].feed(self._seen + 1, frame.time, place.node_id, beacon)
-        for change in changes:
-            now = change.now.number
-            text = {DELETED: "deletes", UNKNOWN: "asks for"}.get(now, f"has number {now} of")
-            self.note(frame.place, f"{text} variable {change.var_id}", frame=self._seen + 1)
+        for entry in self.held[frame.place].feed(self._seen + 1, frame.time, place.node_id, beacon):
+            text = {DELETED: "deletes", UNKNOWN: "asks for"}.get(entry.number, f"has number {entry.number} of")
+            self.note(frame.place, f"{text} variable {entry.var_id}", frame=self._seen + 1)
 
     def damaged(self, pool: Sequence[bytes]) -> Iterator[bytes]:
         """Yield damaged copies of beacons without end: those that no strict decoder of the places' versions takes."""

@@ -62,6 +62,8 @@ LISTED = frozenset(
 )
 """The fields of an entry of BP-ListRegisteredProtocols that the specification names."""
 
+_LISTED_AS = {"protocolName": "name", "maxPayloadSize": "maxPayloadSize", "queueMode": "queueingMode"}
+
 ONCE, REPEAT = QueueingMode.ONCE, QueueingMode.REPEAT
 DROPTAIL, DROPHEAD = QueueingMode.QUEUE_DROPTAIL, QueueingMode.QUEUE_DROPHEAD
 
@@ -134,7 +136,7 @@ def room(bench: Bench) -> int:
 
     Raise ``CouldNotAskError`` beside other cases, whose payloads take a part of it.
     """
-    bench.needs_whole_beacons()
+    bench.control.needs_whole_beacons()
     return bench.sut.bound("BPPAR_MAXIMUM_PACKET_SIZE") - header_octets(bench)
 
 
@@ -243,6 +245,15 @@ class BPClient:
         """Return the fields of :meth:`entry` that the specification names: others, such as statistics, may change."""
         entry = self.entry()
         return None if entry is None else {name: value for name, value in entry.items() if name in LISTED}
+
+    def listing(self) -> dict[str, Any]:
+        """Return the fields that the list must have for this client, by their names in the list."""
+        given = self.registration
+        found = {each: given[name] for each, name in _LISTED_AS.items()}
+        if self.bench.features.allow_multiple_payloads and QueueingMode(given["queueingMode"]).is_queue:
+            # Both fields are irrelevant for the other modes.
+            found |= {each: given[each] for each in ("allowMultiplePayloads", "maxEntries")}
+        return found
 
     # -- beacons ----------------------------------------------------------------------------------------------
 

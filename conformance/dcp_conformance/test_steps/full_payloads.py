@@ -37,18 +37,14 @@ def undisturbed(bench: Bench, kind: ICType, attempt: Callable[[], list[ReceivedB
     """Repeat ``attempt`` until the beacons that it returns have records of the variables of the case only.
 
     An application on the node may update a variable of its own, whose records take room. Stops as inconclusive if they
-    do so each time. Only variables that were in beacons before count, and records that are composed before those of
-    ``kind`` or with them.
+    do so each time. Only records count that are composed before those of ``kind`` or with them.
     """
     order = bench.features.container_order
     earlier = order[: order.index(kind) + 1]
-    identifiers = bench.identifiers
-    known = {each.var_id for heard in bench.heard for each in heard.instructions()} - identifiers.created
-    known -= identifiers.called_unknown | identifiers.produced
     for _ in range(_ATTEMPTS):
         frames = attempt()
         records = [each for heard in frames for each in heard.instructions() if each.kind in earlier]
-        strange = {each.var_id for each in records} & known
+        strange = {each.var_id for each in records if bench.identifiers.is_applications(each.var_id)}
         if not strange:
             break
     else:
@@ -64,7 +60,7 @@ def filling(bench: Bench, peer: Peer, kind: ICType, octets: int, *, seqno: int =
     ``kind``: CREATE-VARIABLES or UPDATES. Uses as few records as possible, of about equal length; None if impossible.
     Raise ``CouldNotAskError`` beside other cases.
     """
-    bench.needs_whole_beacons()
+    bench.control.needs_whole_beacons()
     value, description = longest(bench)
 
     def made(var_id: int, value_length: int, length: int) -> VarCreate:

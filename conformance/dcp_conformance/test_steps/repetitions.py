@@ -1,4 +1,4 @@
-"""Checks of the records of a variable in several beacons: their number, one in each beacon, and their order."""
+"""Checks of the records of a variable in several beacons: one in each beacon, and their order."""
 
 from __future__ import annotations
 
@@ -9,11 +9,6 @@ from dcp_spec.constants import ICType
 from dcp_codec.values import RECORD_CLASSES
 from dcp_conformance.frames.received import Instruction, ReceivedBeacon
 from dcp_conformance.test_system.bench import Bench
-
-
-def check_beacons(bench: Bench, found: Sequence[ReceivedBeacon], count: int, record: str, *requirements: str) -> None:
-    """Check that ``count`` beacons have a record, such as "VarUpdate"; ``found`` are the beacons with it."""
-    bench.repeated(found, count, f"beacons with the {record}", *requirements)
 
 
 def check_one_in_each(

@@ -10,7 +10,6 @@ from __future__ import annotations
 from dcp_spec.constants import Features
 from dcp_spec.profile.definition import Profile
 
-from dcp_conformance.errors import CouldNotAskError
 from dcp_conformance.frames.builder import FrameBuilder
 from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.model.case import Case
@@ -128,14 +127,6 @@ class Bench:
         self.beacons = self.waiting.beacons
         self.instructions = self.receiver.instructions
         self.now = lower.now
-
-    def needs_whole_beacons(self) -> None:
-        """Refuse to continue beside other cases, whose payloads take room: the stimulus would not come about.
-
-        Raise ``CouldNotAskError``, after which the case is executed alone.
-        """
-        if self.session.beside:
-            raise CouldNotAskError("other cases are executed at the same time, and take room in the beacons")
 
     @property
     def profile(self) -> Profile:

@@ -17,8 +17,8 @@ typedef struct field {
     uint64_t expected;              /* 0: any value but 0 */
 } field_t;
 
-static bool fail(reader_t *r, dcp_reason_t reason, dcp_requirement_t requirement, const char *field, size_t offset,
-                 uint64_t needed, uint64_t available)
+static void report(reader_t *r, dcp_reason_t reason, dcp_requirement_t requirement, const char *field, size_t offset,
+                   uint64_t needed, uint64_t available)
 {
     r->problem->reason = reason;
     r->problem->requirement = requirement;
@@ -26,30 +26,45 @@ static bool fail(reader_t *r, dcp_reason_t reason, dcp_requirement_t requirement
     r->problem->needed = needed;
     r->problem->available = available;
     r->problem->field = field;
+}
+
+/* Always false, and every compiler can see that. */
+static inline bool fail(reader_t *r, dcp_reason_t reason, dcp_requirement_t requirement, const char *field,
+                        size_t offset, uint64_t needed, uint64_t available)
+{
+    report(r, reason, requirement, field, offset, needed, available);
     return false;
 }
 
 /* Report the first problem of a run that does not fit: a field that is cut off, or a wrong value before it. */
-static bool cut_off(reader_t *r, const field_t *fields, size_t count)
+static void report_cut_off(reader_t *r, const field_t *fields, size_t count)
 {
     size_t i, k;
     for (i = 0; i < count; i++) {
         const field_t *f = &fields[i];
+        const uint64_t expected = f->expected != 0 ? f->expected : 1u;
         uint64_t value = 0;
-        if (r->end - r->at < f->size)
-            return fail(r, DCP_TRUNCATED, f->requirement, f->name, r->at, f->size, r->end - r->at);
-        if (f->rule != DCP_OK) {
-            for (k = 0; k < f->size; k++)
-                value = value << 8 | r->octets[r->at + (f->little ? f->size - 1u - k : k)];
-            if (f->expected != 0 ? value != f->expected : value == 0)
-                return fail(r, f->rule, f->rule_requirement, f->name, r->at, f->expected != 0 ? f->expected : 1u, value);
+        if (r->end - r->at < f->size) {
+            report(r, DCP_TRUNCATED, f->requirement, f->name, r->at, f->size, r->end - r->at);
+            return;
+        }
+        for (k = 0; f->rule != DCP_OK && k < f->size; k++)
+            value = value << 8 | r->octets[r->at + (f->little ? f->size - 1u - k : k)];
+        if (f->rule != DCP_OK && (f->expected != 0 ? value != f->expected : value == 0)) {
+            report(r, f->rule, f->rule_requirement, f->name, r->at, expected, value);
+            return;
         }
         r->at += f->size;
     }
+}
+
+static inline bool cut_off(reader_t *r, const field_t *fields, size_t count)
+{
+    report_cut_off(r, fields, count);
     return false;
 }
 
-static void begin(reader_t *r, const uint8_t *octets, size_t size, dcp_problem_t *problem)
+static inline void begin(reader_t *r, const uint8_t *octets, size_t size, dcp_problem_t *problem)
 {
     r->octets = octets;
     r->at = 0;
@@ -58,7 +73,7 @@ static void begin(reader_t *r, const uint8_t *octets, size_t size, dcp_problem_t
     problem->reason = DCP_OK;
 }
 
-static void resume(reader_t *r, const dcp_list_t *list, dcp_problem_t *problem)
+static inline void resume(reader_t *r, const dcp_list_t *list, dcp_problem_t *problem)
 {
     begin(r, list->octets, list->end, problem);
     r->at = list->at <= list->end ? list->at : list->end;

@@ -4,8 +4,8 @@ static bool refuse(dcp_writer_t *w, dcp_fault_t fault)
     return false;
 }
 
-/* Copy octets; without data: zeros. */
-static void copy(uint8_t *to, const uint8_t *data, size_t size)
+/* Copy octets, which must not overlap; without data: zeros. */
+static inline void copy(uint8_t *restrict to, const uint8_t *restrict data, size_t size)
 {
     size_t i;
     if (data != NULL)

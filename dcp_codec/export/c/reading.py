@@ -43,7 +43,7 @@ class Reading:
             self._table(f"{name}_{number}", record, run)
         self.add(*comment(f"{record.group.type_name}: {cite(record.group.requirement)}"))
         places = "".join(f", size_t *{variable}" for variable in marks.values())
-        self.add(f"static bool read_{name}(reader_t *r, dcp_{name}_t *v{places})", "{")
+        self.add(f"static inline bool read_{name}(reader_t *r, dcp_{name}_t *v{places})", "{")
         if any(run.scalars for run in runs):
             self.add("    const uint8_t *p;")
         lengths = {
@@ -59,6 +59,68 @@ class Reading:
         for number, run in enumerate(runs, start=1):
             self._run(record, run, number, marks)
         self.add("    return true;", "}", "")
+
+    def quick(self, record: Record) -> None:
+        """Emit the function that reads a record of a container without a report of what is wrong."""
+        name = stem(record.group)
+        self.add(
+            f"/* Read a {record.group.type_name}; NULL: it is wrong. */",
+            f"static inline const uint8_t *get_{name}(const uint8_t *p, const uint8_t *end, dcp_{name}_t *v)",
+            "{",
+        )
+        for number, run in enumerate(record.runs(), start=1):
+            if run.text is not None and isinstance(run.text.node, Text):
+                for index, prefix in enumerate(run.text.node.prefixes, start=1):
+                    self.add(f"    {'uint64_t' if prefix.size > 4 else 'uint32_t'} n{number}_{index};")
+                if run.text.node.terminated:
+                    self.add(f"    size_t stop{number};")
+        for number, run in enumerate(record.runs(), start=1):
+            self._quick_run(run, number)
+        self.add("    return p;", "}", "")
+
+    def _quick_run(self, run: Run, number: int) -> None:
+        lengths: list[str] = []
+        if run.size:
+            self.add(f"    if ((size_t)(end - p) < {run.size}u)", "        return NULL;")
+        place = 0
+        for part in run.scalars:
+            node = part.node
+            assert isinstance(node, Scalar)
+            assert node.rule is None
+            target = access(part.path)
+            if run.text is not None and part.path[:-1] == run.text.path:
+                lengths.append(target := f"n{number}_{len(lengths) + 1}")
+            self.add(f"    {target} = {self.scalars.read(node, place)};")
+            place += node.size
+        if place:
+            self.add(f"    p += {place};")
+        if run.text is None:
+            return
+        assert isinstance(run.text.node, Text)
+        text, stop = access(run.text.path), f"stop{number}"
+        self.add(f"    {text}.data = p;")
+        if not lengths:
+            self.add(
+                f"    for ({stop} = 0; {stop} < (size_t)(end - p) && p[{stop}] != 0u; {stop}++)",
+                "        ;",
+                f"    if ({stop} == (size_t)(end - p))",
+                "        return NULL;",
+                f"    {text}.size = {stop};",
+                f"    p += {stop} + 1u;",
+            )
+            return
+        wrong = [f"{other} != {lengths[0]}" for other in lengths[1:]] + [f"(size_t)(end - p) < {lengths[0]}"]
+        self.add(f"    if ({' || '.join(wrong)})", "        return NULL;", f"    {text}.size = (size_t){lengths[0]};")
+        if run.text.node.terminated:
+            self.add(
+                f"    for ({stop} = 0; {stop} < {text}.size && p[{stop}] != 0u; {stop}++)",
+                "        ;",
+                f"    if ({text}.size == 0u || {stop} != {text}.size - 1u)",
+                "        return NULL;",
+            )
+        self.add(f"    p += {text}.size;")
+        if run.text.node.terminated:
+            self.add(f"    {text}.size -= 1u;")
 
     def _table(self, table: str, record: Record, run: Run) -> None:
         if not run.scalars:
@@ -182,6 +244,7 @@ class Reading:
         self.record(shape.container, self._container_marks())
         for record in shape.all_records():
             self.record(record)
+            self.quick(record)
         self._beacon()
         self._payloads()
         self._report()
@@ -241,7 +304,8 @@ class Reading:
         many, content = shape.payloads, shape.content
         self.add("/* Begin the next payload; the reader is then at its content. False: there is none, or a problem. */")
         self.add(
-            "static bool begin_payload(reader_t *r, const dcp_list_t *list, dcp_payload_t *payload, size_t *length_at)",
+            "static inline bool begin_payload(reader_t *r, const dcp_list_t *list, dcp_payload_t *payload,",
+            "                                 size_t *length_at)",
             "{",
         )
         if many.count is not None:
@@ -275,7 +339,7 @@ class Reading:
             total = shape.fill.total
             self.add(
                 "/* Read the unused rest of the area after a content. */",
-                "static bool read_area(reader_t *r, dcp_payload_t *payload, size_t length_at)",
+                "static inline bool read_area(reader_t *r, dcp_payload_t *payload, size_t length_at)",
                 "{",
                 f"    if (payload->length > {total}u)",
                 f"        return fail(r, {reason(shape.fill.reason)}, {needs(shape.fill.requirement)}, "
@@ -311,7 +375,7 @@ class Reading:
             return
         name = stem(shape.srp.group)
         exact, label = shape.srp_exact, ".".join(shape.srp.path)
-        self.add(f"static bool read_report(reader_t *r, dcp_{name}_t *report)", "{")
+        self.add(f"static inline bool read_report(reader_t *r, dcp_{name}_t *report)", "{")
         if exact is not None:
             self.add(
                 f"    if (r->end - r->at != {exact.size}u)",
@@ -353,9 +417,13 @@ class Reading:
                     "    }",
                 )
             self.add(
-                "    for (i = 0; i < count; i++)",
-                f"        if (!read_{name}(r, &record))",
-                "            return false;",
+                "    for (i = 0; i < count; i++) {",
+                "        const uint8_t *const p = r->octets + r->at;",
+                f"        const uint8_t *const next = get_{name}(p, r->octets + r->end, &record);",
+                "        if (next == NULL)",
+                f"            return read_{name}(r, &record); /* reports what is wrong */",
+                "        r->at += (size_t)(next - p);",
+                "    }",
                 "    return true;",
                 "}",
                 "",
@@ -363,7 +431,7 @@ class Reading:
         region, select = shape.list_region, shape.select
         marks = self._container_marks()
         self.add("/* Read a container and check all its records. */")
-        self.add("static bool read_whole_container(reader_t *r, dcp_container_t *container)", "{")
+        self.add("static inline bool read_whole_container(reader_t *r, dcp_container_t *container)", "{")
         self.add("    bool good;")
         self.add(f"    size_t {', '.join(f'{variable} = 0' for variable in marks.values())};")
         if region is not None:
@@ -439,17 +507,14 @@ class Reading:
             self.add(
                 f"bool dcp_next_{name}(dcp_list_t *records, dcp_{name}_t *record)",
                 "{",
-                "    dcp_problem_t problem;",
-                "    reader_t r;",
+                "    const uint8_t *p, *next;",
                 "    if (records->taken == records->count)",
                 "        return false;",
-                "    r.octets = records->octets;",
-                "    r.at = records->at;",
-                "    r.end = records->end;",
-                "    r.problem = &problem;",
-                f"    if (!read_{name}(&r, record))",
+                "    p = records->octets + records->at;",
+                f"    next = get_{name}(p, records->octets + records->end, record);",
+                "    if (next == NULL)",
                 "        return false;",
-                "    records->at = r.at;",
+                "    records->at += (size_t)(next - p);",
                 "    records->taken += 1u;",
                 "    return true;",
                 "}",

@@ -49,7 +49,7 @@ class Writing:
         name, runs = stem(record.group), list(record.runs())
         texts = [run.text for run in runs if run.text is not None]
         self.add(
-            f"static bool put_{name}(dcp_writer_t *w, const dcp_{name}_t *v)",
+            f"static inline bool put_{name}(dcp_writer_t *w, const dcp_{name}_t *v)",
             "{",
             "    uint8_t *p = w->octets + w->at;",
             "    size_t left = w->size - w->at;",
@@ -81,7 +81,11 @@ class Writing:
             "        return refuse(w, DCP_FAULT_NO_ROOM);",
         )
         for number, text in enumerate(texts):
-            before = f"{sum(run.size for run in runs) + terminators}u" if number == 0 else last
+            before = (
+                f"{sum(run.size for run in runs) + terminators}u"
+                if number == 0
+                else f"{access(texts[number - 1].path)}.size"
+            )
             last = f"{access(text.path)}.size"
             self.add(
                 f"    left -= {before};", f"    if (left < {last})", "        return refuse(w, DCP_FAULT_NO_ROOM);"

@@ -160,6 +160,7 @@ _NOT_FULL = r"^TC_VD_SCR_TI_15: payloads full of VarCreates, which this case nee
 #: The variable of the application is in nearly every payload, and its records take room.
 _FULL = (
     r"^TC_VD_PAY_(BV_07-updates|BV_10-update-requests)(-less)?: payloads with the records of this case only"
+    r"|^TC_VD_(ROOM_BV_03|SCR_TI_15): .*which this case needs"
     r"|^TC_BP_TX_BV_01-(one-octet|a-header): a beacon with room for exactly these payloads"
 )
 

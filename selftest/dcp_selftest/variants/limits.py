@@ -12,9 +12,11 @@ from dcp_spec.constants import BP_PROTID_SRP, BP_PROTID_VARDIS
 from dcp_spec.profile.definition import Profile
 from dcp_spec.status import BPStatus
 
+from dcp_selftest.mutants.family import around
 from dcp_stack.bp.entity import BeaconingProtocol
 from dcp_stack.bp.services import RegisterConfirm
-from dcp_stack.config import BPConfig, SRPConfig, VardisConfig
+from dcp_stack.config import BPConfig, VardisConfig
+from dcp_stack.srp.neighbour_table import NeighbourTable
 
 from .variant import Variant, derived, has_srp, setup
 
@@ -68,6 +70,11 @@ class FewPlaces(BeaconingProtocol):
         return super().register(prot_id, *rest, now=now, wall=wall)
 
 
+_FORTY: Final = around(NeighbourTable, NeighbourTable.record).part(
+    lambda self, proceed, report, sender_id, *, now, wall: (
+        "full" if report.node_id not in self and len(self) >= 40 else proceed(report, sender_id, now=now, wall=wall)
+    )
+)
 _OWN: Final = (BP_PROTID_SRP, BP_PROTID_VARDIS)
 _CLIENTS, _PLACES = 8, 5
 
@@ -111,8 +118,8 @@ VARIANTS = (
         lambda name: setup(derived(name, _example))),
     Variant("V-LIM-variables-40", "has room for 40 variables, as the PIXIT says", _ROOM,
         lambda name: setup(name, vardis=VardisConfig(max_variables=40), pixit=Testing(variables=40))),
-    Variant("V-LIM-neighbours-40", "has room for 40 neighbours, as the PIXIT says", _ROOM,
-        lambda name: setup(name, srp=SRPConfig(max_neighbours=40), pixit=Testing(neighbours=40)), where=has_srp),
+    Variant("V-LIM-neighbours-40", "has room for 40 neighbours, as the PIXIT says, and stores no further ones", _ROOM,
+        lambda name: setup(name, part=_FORTY, pixit=Testing(neighbours=40)), where=has_srp),
     Variant("V-LIM-clients-8", "has room for eight clients of BP, as the PIXIT says", _ROOM,
         lambda name: setup(name, part=FewClients, pixit=Testing(clients=8))),
     Variant("V-LIM-places-5", "has room for five payloads in the queue of a client, as the PIXIT says", _ROOM,

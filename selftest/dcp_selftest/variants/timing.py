@@ -119,7 +119,7 @@ class _LossyLink(VirtualLowerTester):
         self._chance = random.Random("loss")  # noqa: S311 - no secret
 
     def _lost(self) -> bool:
-        return self._chance.random() < _LOSS
+        return self._chance.random() < LOSS
 
     def send(self, octets: bytes, source: bytes) -> bytes:
         return self.framed(octets, source) if self._lost() else super().send(octets, source)
@@ -130,7 +130,7 @@ class _LossyLink(VirtualLowerTester):
         return arrival
 
 
-_LOSS = 0.02
+LOSS = 0.02
 
 
 def _changed(**changes: Any) -> Callable[[str], Setup]:
@@ -173,7 +173,7 @@ def _variants() -> Iterator[Variant]:
         "V-TIME-grid", what, "BP-TX-01, BP-TX-02", _changed(make=node_of(Grid), pics=Capabilities(jitter=True))
     )
     what = "and the tester have a link that loses two of a hundred frames, as the PIXIT says"
-    lossy = _changed(surroundings=Lossy, pixit=Testing(loss=_LOSS))
+    lossy = _changed(surroundings=Lossy, pixit=Testing(loss=LOSS))
     yield Variant("V-TIME-loss-2", what, "the bearer does not guarantee delivery", lossy)
     what = "checks the buffer every 400 ms and has an upper tester that takes 100 ms for each call"
     made = _changed(vardis=_check(400), upper=slow(100))

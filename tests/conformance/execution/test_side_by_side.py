@@ -23,7 +23,7 @@ from dcp_conformance.lower_tester import Arrival, LinkHealth
 from dcp_conformance.model.case import SANITY, Case, all_cases
 from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.reference.inprocess import InProcess, reference_config
-from dcp_conformance.test_system.bench import Bench
+from dcp_conformance.test_system.control import Control
 from dcp_conformance.upper_tester import Answer
 from dcp_selftest.mutants import all_mutants
 from dcp_selftest.runner import Suite, cases
@@ -98,12 +98,16 @@ def test_cases_that_do_not_pass_concurrently_are_repeated_alone() -> None:
 def test_each_case_that_depends_on_the_room_in_beacons_declares_it(monkeypatch) -> None:
     asked: set[str] = set()
 
-    def noted(bench: Bench) -> None:
-        asked.add(bench.case.id)
+    def noted(_: Control) -> None:
+        running.add("")
 
-    monkeypatch.setattr(Bench, "needs_whole_beacons", noted)
+    running: set[str] = set()
+    monkeypatch.setattr(Control, "needs_whole_beacons", noted)
     for profile in ("dcp-2.0", "dcp-1.0"):
-        list(Suite(profile).run(cases()))
+        for result in Suite(profile).run(cases()):
+            if running:
+                asked.add(result.id)
+            running.clear()
     assert len(asked) > 20
     assert [each for each in sorted(asked) if not why_alone(all_cases()[each])] == []
 

@@ -91,14 +91,6 @@ def failed(result: CaseResult) -> set[str]:
 
 @pytest.mark.parametrize("upper", [True, False])
 @pytest.mark.parametrize("profile", ["dcp-1.0", "dcp-1.2", "dcp-2.0", "cpp-1.3"])
-def test_a_loop_that_ends_at_the_length_without_the_header_is_named():
-    """An implementer who copies the pseudo-code gets the place of the misprint."""
-    found = one_case(SANITY, make=all_mutants()["M-BP-RX-07-loop-bound"].make)
-    assert found.verdict is Verdict.FAIL
-    assert [check.requirements for check in found.checks if check.verdict is Verdict.FAIL] == [("BP-RX-07",)]
-    assert "dcp-bp.md, Receive Path (index < bearerlen)" in found.reason
-
-
 def test_the_sanity_case_needs_one_question_and_one_answer(profile: str, upper: bool):
     result, contact = sanity(node(profile), profile, upper=upper)
     assert (result.verdict, result.reason) == (Verdict.PASS, "")
@@ -310,3 +302,11 @@ def test_a_violation_in_received_octets_fails_despite_missing_answers():
     result = runner.run(dataclasses.replace(known_cases()["TC_BP_RX_BV_01-2"], run=both))
     assert [each.verdict for each in result.checks][:2] == [Verdict.INCONCLUSIVE, Verdict.FAIL]
     assert "did not answer a summary of an unknown variable when the run began" in result.checks[0].observed
+
+
+def test_a_loop_that_ends_at_the_length_without_the_header_is_named():
+    """An implementer who copies the pseudo-code gets the place of the misprint."""
+    found = one_case(SANITY, make=all_mutants()["M-BP-RX-07-loop-bound"].make)
+    assert found.verdict is Verdict.FAIL
+    assert [check.requirements for check in found.checks if check.verdict is Verdict.FAIL] == [("BP-RX-07",)]
+    assert "dcp-bp.md, Receive Path (index < bearerlen)" in found.reason

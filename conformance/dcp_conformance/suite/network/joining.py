@@ -106,7 +106,7 @@ def teaches_create(bench: Bench) -> None:
     joiner.send(joiner.request_create(name))
     found = bench.check_repeated(_CREATE, name, count, mark, "VD-RC-03")
     wanted = msgspec.structs.replace(create, upd=bench.records.update(name, 2, b"new"))
-    bench.every(found, wanted, "the fields of the variable", "VD-CMP-07", given=updated)
+    bench.every(found, wanted, "the current VarCreate", "VD-CMP-07", given=updated)
 
 
 @case(

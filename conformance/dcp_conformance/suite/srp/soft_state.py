@@ -13,11 +13,11 @@ from dcp_conformance.test_steps.services import neighbour, neighbours, parameter
 from dcp_conformance.test_system.bench import MS, Bench
 from dcp_conformance.test_system.sending.peers import Peer
 
-_TIMEOUT = "SRPPAR_NEIGHBOUR_TABLE_TIMEOUT"
+TIMEOUT = "SRPPAR_NEIGHBOUR_TABLE_TIMEOUT"
 _TABLE = Needs(ut=("SRP-NeighbourTable",), entities=("srp",))
 
 
-def _lifetime(
+def lifetime(
     bench: Bench, peers: list[Peer], begun: int, timeout: int, meanwhile: Callable[[], None] = lambda: None
 ) -> None:
     """Watch entries made at ``begun`` until they are removed; all times in ns.
@@ -50,11 +50,11 @@ def _lifetime(
 
 
 @contextmanager
-def _brief_timeout(bench: Bench) -> Iterator[int]:
+def brief_timeout(bench: Bench) -> Iterator[int]:
     """Set a timeout of half a second if possible; yield the timeout in use, in ms."""
     settable = bench.session.upper is not None and "SRP-SetParameter" in bench.session.upper.methods
-    length = round(500 * bench.session.timing_scale) if settable else bench.sut.bound(_TIMEOUT)
-    with parameters_set(bench, "SRP", **({_TIMEOUT: length} if settable else {})):
+    length = round(500 * bench.session.timing_scale) if settable else bench.sut.bound(TIMEOUT)
+    with parameters_set(bench, "SRP", **({TIMEOUT: length} if settable else {})):
         yield length
 
 
@@ -84,7 +84,7 @@ def timeout(bench: Bench) -> None:
         peer.send(bench.records.report(peer.node_id, 1, t_stamp=stamp))
     for peer in peers:
         until_neighbour(bench, peer.node_id)
-    _lifetime(bench, peers, begun, bench.sut.bound(_TIMEOUT) * MS)
+    lifetime(bench, peers, begun, bench.sut.bound(TIMEOUT) * MS)
 
 
 @case(
@@ -98,12 +98,12 @@ def timeout(bench: Bench) -> None:
 )
 def short_timeout(bench: Bench) -> None:
     short = round(500 * bench.session.timing_scale)
-    with parameters_set(bench, "SRP", **{_TIMEOUT: short}):
+    with parameters_set(bench, "SRP", **{TIMEOUT: short}):
         peer = bench.peer()
         begun = bench.now()
         peer.send(bench.records.report(peer.node_id, 1))
         until_neighbour(bench, peer.node_id)
-        _lifetime(bench, [peer], begun, short * MS)
+        lifetime(bench, [peer], begun, short * MS)
 
 
 @case(
@@ -117,7 +117,7 @@ def short_timeout(bench: Bench) -> None:
     needs=_TABLE,
 )
 def refreshed(bench: Bench) -> None:
-    with _brief_timeout(bench) as length:
+    with brief_timeout(bench) as length:
         peer = bench.peer()
         begun = bench.now()
         for number in range(5):
@@ -129,7 +129,7 @@ def refreshed(bench: Bench) -> None:
                 bench.missing("the entry remains while records arrive", f"removed after record {number + 1}")
         peer.send(bench.records.report(peer.node_id, 5))
         begun = bench.now()
-        _lifetime(bench, [peer], begun, length * MS)
+        lifetime(bench, [peer], begun, length * MS)
 
 
 @case(
@@ -143,7 +143,7 @@ def refreshed(bench: Bench) -> None:
     needs=_TABLE,
 )
 def silent_among_others(bench: Bench) -> None:
-    with _brief_timeout(bench) as length:
+    with brief_timeout(bench) as length:
         silent, other = bench.peer(), bench.peer()
         numbers = itertools.count()
 
@@ -154,7 +154,7 @@ def silent_among_others(bench: Bench) -> None:
         begun = bench.now()
         silent.send(bench.records.report(silent.node_id, 1))
         until_neighbour(bench, silent.node_id)
-        _lifetime(bench, [silent], begun, length * MS, report)
+        lifetime(bench, [silent], begun, length * MS, report)
 
 
 @case(
@@ -171,13 +171,13 @@ def silent_among_others(bench: Bench) -> None:
     ),
 )
 def while_others_rest(bench: Bench) -> None:
-    with _brief_timeout(bench) as length:
+    with brief_timeout(bench) as length:
         peer = bench.peer()
         begun = bench.now()
         peer.send(bench.records.report(peer.node_id, 1))
         until_neighbour(bench, peer.node_id)
         with bench.services.deactivated("VD"), bench.services.deactivated("BP"):
-            _lifetime(bench, [peer], begun, length * MS)
+            lifetime(bench, [peer], begun, length * MS)
 
 
 @case(
@@ -210,12 +210,12 @@ def default_timeout(bench: Bench) -> None:
     answer = bench.call("SRP-GetParameters")
     bench.services.require_asked(answer, "an answer to SRP-GetParameters")
     bench.required(answer.ok, "a positive answer to SRP-GetParameters", seen=answer)
-    value = answer.result.get("parameters", {}).get(_TIMEOUT)
-    bench.proved(value is not None, f"{_TIMEOUT} in ms, in the answer", "no such parameter", "SRP-PAR-01")
+    value = answer.result.get("parameters", {}).get(TIMEOUT)
+    bench.proved(value is not None, f"{TIMEOUT} in ms, in the answer", "no such parameter", "SRP-PAR-01")
     if value == 3000:
-        bench.passed(f"{_TIMEOUT} is 3000 ms", "SRP-PAR-03")
+        bench.passed(f"{TIMEOUT} is 3000 ms", "SRP-PAR-03")
     elif value is not None:
-        bench.info(f"Is the default {_TIMEOUT} 3000 ms?", f"unknown: it is {value} ms", "SRP-PAR-03")
+        bench.info(f"Is the default {TIMEOUT} 3000 ms?", f"unknown: it is {value} ms", "SRP-PAR-03")
 
 
 @case(
@@ -227,20 +227,20 @@ def default_timeout(bench: Bench) -> None:
     needs=Needs(ut=("SRP-GetParameters", "SRP-SetParameter"), entities=("srp",)),
 )
 def refused_timeout(bench: Bench) -> None:
-    before = configured = bench.must("SRP-GetParameters").result.get("parameters", {}).get(_TIMEOUT)
+    before = configured = bench.must("SRP-GetParameters").result.get("parameters", {}).get(TIMEOUT)
     if configured is None:
-        bench.inconclusive(f"{_TIMEOUT} in the answer to SRP-GetParameters, which this case needs", "no such parameter")
+        bench.inconclusive(f"{TIMEOUT} in the answer to SRP-GetParameters, which this case needs", "no such parameter")
     try:
         for value in (-1, 0):
-            answer = bench.call("SRP-SetParameter", name=_TIMEOUT, value=value)
+            answer = bench.call("SRP-SetParameter", name=TIMEOUT, value=value)
             if not answer.asked:
-                bench.info(f"Can {_TIMEOUT} be {value} ms?", f"unknown: the upper tester could not ask: {answer}")
+                bench.info(f"Can {TIMEOUT} be {value} ms?", f"unknown: the upper tester could not ask: {answer}")
                 continue
             if answer.ok:
-                bench.info(f"Can {_TIMEOUT} be {value} ms?", "yes")
+                bench.info(f"Can {TIMEOUT} be {value} ms?", "yes")
                 before = value
                 continue
-            after = bench.must("SRP-GetParameters").result.get("parameters", {}).get(_TIMEOUT)
-            bench.answered(after, before, f"{_TIMEOUT}, as before")
+            after = bench.must("SRP-GetParameters").result.get("parameters", {}).get(TIMEOUT)
+            bench.answered(after, before, f"{TIMEOUT}, as before")
     finally:
-        bench.call("SRP-SetParameter", name=_TIMEOUT, value=configured)
+        bench.call("SRP-SetParameter", name=TIMEOUT, value=configured)

@@ -116,8 +116,8 @@ class Identifiers:
         return self._pool.left(self._clock.now(), self.created) >= count
 
     def is_applications(self, var_id: int) -> bool:
-        """Return whether the PIXIT leaves an identifier to applications on the node."""
-        return not self._pool.first <= var_id < self._pool.first + self._pool.size
+        """Return whether an identifier is that of an application on the node, by the PIXIT or as observed before."""
+        return var_id in self._pool.foreign or not self._pool.first <= var_id < self._pool.first + self._pool.size
 
     def own_var_id(self) -> int:
         """Return an identifier for one of the node's own variables that was never used before (X20).

@@ -61,6 +61,10 @@ class IdentifierPool:
         self._capacity = capacity
         self.in_use: Callable[[], Iterable[int]] = frozenset
         """The identifiers used by the other cases that are being executed at this moment."""
+        self.foreign: set[int] = set()
+        """Variables that the implementation had before the tester handed out their identifiers: of an application."""
+        self._handed: set[int] = set()
+        """The identifiers that were handed out."""
         self._next_unknown = 0
         self._next_for_peers = 0
 
@@ -97,6 +101,8 @@ class IdentifierPool:
             for use in self._uses.values():
                 use.beacons += 1
         for var_id in alive:
+            if var_id not in self._handed and var_id not in self._uses and var_id not in self._kept:
+                self.foreign.add(var_id)
             self.offered(var_id, by_peer=var_id in self._uses)
         for var_id in deleted:
             use = self._uses.setdefault(var_id, _Use(peers_only=False))
@@ -131,14 +137,18 @@ class IdentifierPool:
                 break
             var_id = self.first + self.size - 1 - self._next_unknown % self.size
             self._next_unknown += 1
-            if var_id not in without and var_id not in self._kept and self.is_unknown(var_id, now):
+            if var_id not in without and not self._reserved(var_id) and self.is_unknown(var_id, now):
                 found.append(var_id)
+        self._handed.update(found)
         return found
+
+    def _reserved(self, var_id: int) -> bool:
+        return var_id in self._kept or var_id in self.foreign
 
     def left(self, now: int, without: Collection[int] = ()) -> int:
         """Return the number of identifiers that the database cannot hold, without the kept ones."""
         # Only used identifiers are checked one by one: there are hundreds of others, and this is called often.
-        taken = {*self._kept, *without, *self.in_use()}
+        taken = {*self._kept, *self.foreign, *without, *self.in_use()}
         taken.update([each for each in tuple(self._uses) if each not in taken and not self.is_unknown(each, now)])
         every = self._all()
         left = self.size - sum(each in every for each in taken)
@@ -176,12 +186,13 @@ class IdentifierPool:
         for settled in (True, False):
             for step in range(shared):
                 var_id = self.first + (self._next_for_peers + step) % shared
-                if var_id in without or var_id in self._kept:
+                if var_id in without or self._reserved(var_id):
                     continue
                 if full and self.is_unknown(var_id, now):
                     continue
                 if self._can_be_created(var_id, now, creation_time, settled=settled):
                     self._next_for_peers += step + 1
+                    self._handed.add(var_id)
                     return var_id
         return None
 

@@ -96,7 +96,7 @@ def lengths(since: SpecVersion = SpecVersion.V1_2) -> Needs:
     stimulus="a beacon with the summary of an unknown variable and version octet {variant}; then a valid beacon",
     expect=NOTHING_KNOWN,
     needs=Needs(header=("version",)),
-    variants={"00": 0, "02": 2, "ff": 0xFF},
+    variants={f"{each:02x}": each for each in (0, 2, 0xFF, 0x11, 0x21, 0x41, 0x81)},
 )
 def wrong_version(bench: Bench, version: int) -> None:
     check_dropped(bench, lambda peer, it: peer.send(it, lies={"bp.version": version}), "a beacon with another version")

@@ -44,6 +44,8 @@ LEAST = 25
 MOST = 300
 #: A gap in the sequence numbers counts as missed beacons up to this number of beacons per typical interval elapsed.
 _MOST_MISSED = 2
+#: A beacon period in ms from which a third of it is no shorter than usual periods.
+_DIVISIBLE = 90
 
 
 class Estimate(NamedTuple):
@@ -237,6 +239,30 @@ def delay_of_payloads(bench: Bench) -> None:
     needs=Needs(entities=(), ut=(*CLIENT, "BP-ListRegisteredProtocols"), when=no_indication),
 )
 def epoch_of_next_beacon(bench: Bench) -> None:
+    _check_epochs(bench, bench.sut.parameter(PERIOD))
+
+
+@case(
+    "TC_BP_PTI_TI_02",
+    "nextBeaconGenerationEpoch follows a changed beacon period",
+    requirements="BP-PTI-02 BP-PAR-02",
+    stimulus="BPPAR_BEACON_PERIOD is divided by three (multiplied by three if it is less than 90 ms); then as before",
+    expect="a median difference between epoch and next beacon of less than half of the new period",
+    window=40,
+    needs=Needs(
+        entities=(),
+        ut=(*CLIENT, "BP-ListRegisteredProtocols", "BP-SetParameter"),
+        when=no_indication,
+    ),
+)
+def epoch_after_change(bench: Bench) -> None:
+    period = bench.sut.parameter(PERIOD)
+    period = period // 3 if period >= _DIVISIBLE else 3 * period
+    with parameters_set(bench, "BP", **{PERIOD: period}):
+        _check_epochs(bench, period)
+
+
+def _check_epochs(bench: Bench, period_ms: int) -> None:
     with BPClient(bench, REPEAT) as client:
         offset, uncertainty = clock_offset(bench, client)
         client.transmit(client.payload())
@@ -256,7 +282,7 @@ def epoch_of_next_beacon(bench: Bench) -> None:
                 "an indication for each of ten beacons", f"{len(told)} indications for {len(frames)} beacons"
             )
         errors = [(epoch - wall) / MS for epoch, wall in pairs]
-        middle, limit = statistics.median(errors), bench.sut.parameter(PERIOD) / 2
+        middle, limit = statistics.median(errors), period_ms / 2
         observed = f"{middle:.1f} ms off (median of {len(errors)}), {min(errors):.1f} ms to {max(errors):.1f} ms"
         if abs(middle) >= limit:
             if abs(change := clock_offset(bench, client)[0] - offset) >= limit * MS + 2 * uncertainty:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
+
 from dcp_spec.constants import QueueingMode, SpecVersion
 
 from dcp_conformance.model.case import Needs, Variant, case
 from dcp_conformance.test_steps.beacon_gaps import between_beacons
 from dcp_conformance.test_steps.bp_clients import (
+    CLEAR,
     CLIENT,
     DEREGISTER,
     DROPHEAD,
@@ -15,12 +18,15 @@ from dcp_conformance.test_steps.bp_clients import (
     QUERY,
     REGISTER,
     BPClient,
+    needed,
     queue_mode,
 )
 from dcp_conformance.test_system.bench import Bench
 
-V1_1 = SpecVersion.V1_1
+V1_1, V1_2 = SpecVersion.V1_1, SpecVersion.V1_2
 _MANY = 64
+_BEYOND_OCTET = 300
+_SWITCHES = ("BP-MGMT-Activate", "BP-MGMT-Deactivate")
 _BEYOND = 2
 """Number of payloads submitted in excess of the length of the queue."""
 
@@ -67,6 +73,56 @@ def many_entries(bench: Bench, mode: QueueingMode) -> None:
         bench.none(wrong, "none of the payloads that a full queue drops", dropping)
         missing = [payloads.index(each) for each in kept if each not in sent]
         bench.complete(missing, f"all {most} payloads that the queue keeps", dropping)
+
+
+@case(
+    "TC_BP_QM_BV_16",
+    "A queue of 300 entries keeps 300 payloads ({variant})",
+    requirements="BP-QM-03",
+    stimulus=(
+        "while BP is inactive, a client with mode {variant} and maxEntries 300 submits 302 payloads; BP-MGMT-Activate, "
+        "and BP-ClearBuffer after three periods"
+    ),
+    expect="300 buffered payloads; the payloads sent are the first of those that the queue keeps, in order",
+    window=12,
+    variants={
+        name: Variant(
+            mode,
+            requirements=f"BP-QM-03 {own}",
+            needs=Needs(
+                V1_2,
+                entities=(),
+                ut=(*CLIENT, CLEAR, QUERY, *_SWITCHES),
+                when=lambda bench: bench.sut.lacks("queue_entries", _BEYOND_OCTET) or None,
+            ),
+        )
+        for name, mode, own in (("droptail", DROPTAIL, "BP-QM-01"), ("drophead", DROPHEAD, "BP-QM-02"))
+    },
+)
+def beyond_an_octet(bench: Bench, mode: QueueingMode) -> None:
+    dropping = "BP-QM-01" if mode is DROPTAIL else "BP-QM-02"
+    client = BPClient(bench, mode, size=8, entries=_BEYOND_OCTET)
+    answer = client.register()
+    if not answer.ok:
+        bench.info(f"Can maxEntries be {_BEYOND_OCTET}?", f"no: {answer}")
+        return
+    with ExitStack() as stack:
+        stack.callback(bench.call, DEREGISTER, protId=client.prot_id)
+        with bench.services.deactivated("BP"):
+            bench.wait(0.2)
+            start = bench.mark()
+            payloads = [client.payload(8) for _ in range(_BEYOND_OCTET + _BEYOND)]
+            for payload in payloads:
+                client.transmit(payload, must=False)
+            bench.answered(client.number(), _BEYOND_OCTET, "buffered payloads", dropping)
+        bench.wait(3)
+        bench.must(CLEAR, protId=client.prot_id)
+        sent = client.sent(start)
+        needed(bench, sent, "beacons with the payloads")
+        kept = payloads[:_BEYOND_OCTET] if mode is DROPTAIL else payloads[_BEYOND:]
+        places = [payloads.index(each) for each in sent]
+        first = [payloads.index(each) for each in kept[: len(sent)]]
+        bench.in_order(places, first, "the first payloads that the queue keeps, in order", "BP-QM-03", dropping)
 
 
 @case(

@@ -168,18 +168,9 @@ def own_fields(bench: Bench) -> None:
                 second = registered(bench)
     for client in clients:
         was, is_now = first.get(client.prot_id), second.get(client.prot_id)
-        named = {name: (was or {}).get(name) for name in ("timeStampRegistration", *_fields(bench, client))}
+        named = {name: (was or {}).get(name) for name in ("timeStampRegistration", *client.listing())}
         same = all((is_now or {}).get(name) == value for name, value in named.items())
         bench.proved(same, f"{named}, as before", f"{is_now}", "BP-LST-01 BP-LST-03")
-
-
-def _fields(bench: Bench, client: BPClient) -> dict[str, Any]:
-    """Return the fields that the list must have for a client, by their names in the list."""
-    names = {"protocolName": "name", "maxPayloadSize": "maxPayloadSize", "queueMode": "queueingMode"}
-    if bench.features.allow_multiple_payloads and QueueingMode(client.registration["queueingMode"]).is_queue:
-        # Both fields are irrelevant for the other modes.
-        names |= {"allowMultiplePayloads": "allowMultiplePayloads", "maxEntries": "maxEntries"}
-    return {listed: client.registration[given] for listed, given in names.items()}
 
 
 def _check_fields(bench: Bench, clients: list[BPClient], entries: dict[int, dict[str, Any]]) -> None:
@@ -187,7 +178,7 @@ def _check_fields(bench: Bench, clients: list[BPClient], entries: dict[int, dict
     for client in clients:
         entry = entries.get(client.prot_id) or {}
         stamps.append(entry.get("timeStampRegistration"))
-        for name, right in _fields(bench, client).items():
+        for name, right in client.listing().items():
             bench.answered(entry.get(name), right, name, "BP-LST-01 BP-LST-03")
     # The clock may be set in between, so only the difference of the times is checked.
     good = None not in stamps and len(set(stamps)) == len(clients)

@@ -33,7 +33,7 @@ def stock(
 
     With ``mixed``, every third one is short.
     """
-    bench.needs_whole_beacons()
+    bench.control.needs_whole_beacons()
     value, description = longest(bench)
     creates: list[VarCreate] = []
     octets = 0
@@ -311,15 +311,16 @@ def _room_for_256(bench: Bench) -> str | None:
     needed = 2 * bench.builder.container_header_size + (IC_MAX_RECORDS + 1) * bench.profile.types.var_id.width
     if bench.sut.parameter(PAYLOAD_SIZE) < needed:
         return f"a payload has no room for {IC_MAX_RECORDS + 1} records of any kind"
-    if bench.session.identifier_pool.size <= IC_MAX_RECORDS:
-        return f"the tester may only use {bench.session.identifier_pool.size} identifiers (pixit.var_ids)"
+    if len(_names(bench)) <= IC_MAX_RECORDS:
+        return f"applications leave only {len(_names(bench))} identifiers to the tester (see pixit.var_ids)"
     return bench.sut.lacks("variables", IC_MAX_RECORDS + 1) or None
 
 
 def _names(bench: Bench) -> set[int]:
     """Return one more variable identifier than a container can hold, of those that the tester may use."""
-    first = bench.session.identifier_pool.first
-    return set(range(first, first + IC_MAX_RECORDS + 1))
+    pool = bench.session.identifier_pool
+    usable = (each for each in range(pool.first, pool.first + pool.size) if not bench.identifiers.is_applications(each))
+    return set(itertools.islice(usable, IC_MAX_RECORDS + 1))
 
 
 @case(

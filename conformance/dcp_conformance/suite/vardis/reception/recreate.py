@@ -8,7 +8,7 @@ from dcp_spec.constants import ICType, SpecVersion
 
 from dcp_conformance.frames.received import Instruction
 from dcp_conformance.model.case import Needs, case
-from dcp_conformance.test_steps.repetitions import check_beacons, check_one_in_each
+from dcp_conformance.test_steps.repetitions import check_one_in_each
 from dcp_conformance.test_steps.services import (
     EXISTS,
     OK,
@@ -163,7 +163,7 @@ def ends_deletion(bench: Bench) -> None:
         "VD-CRE-11",
         frames=deletions,
     )
-    check_beacons(bench, made, count, "new VarCreate", "VD-CRE-11")
+    bench.repeated(made, count, "beacons with the new VarCreate", "VD-CRE-11")
 
 
 @case(
@@ -193,7 +193,7 @@ def ends_repetitions(bench: Bench) -> None:
     bench.excuses.relies_on("creationTime")
     before = first.spec.creation_time
     made = bench.until_quiet(lambda heard: _recreated(heard.about(_CREATE, var_id), before), since=mark)
-    check_beacons(bench, made, count, "new VarCreate")
+    bench.repeated(made, count, "beacons with the new VarCreate")
     check_one_in_each(bench, made, _CREATE, var_id)
     late = [heard for heard in bench.receiver.frames_with(_UPDATE, var_id, mark) if made and heard.time >= made[0].time]
     bench.none(late, "no VarUpdate with or after the new VarCreate")

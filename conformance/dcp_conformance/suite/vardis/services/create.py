@@ -8,7 +8,7 @@ from typing import Any
 from dcp_spec.constants import ICType, SpecVersion
 
 from dcp_conformance.model.case import Needs, case
-from dcp_conformance.test_steps.repetitions import check_beacons, check_one_in_each
+from dcp_conformance.test_steps.repetitions import check_one_in_each
 from dcp_conformance.test_steps.services import (
     DESCRIPTION_TOO_LONG,
     EXISTS,
@@ -121,7 +121,7 @@ def repetitions(bench: Bench, name: str) -> None:
     count = count_of(bench, name)
     var_id = produced(bench, rep_cnt=count)
     frames = bench.until_quiet(lambda heard: heard.instructions(_V, var_id))
-    check_beacons(bench, frames, count, "VarCreate")
+    bench.repeated(frames, count, "beacons with the VarCreate")
     check_one_in_each(bench, frames, _V, var_id)
 
 

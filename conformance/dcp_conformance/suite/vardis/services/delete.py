@@ -5,7 +5,7 @@ from __future__ import annotations
 from dcp_spec.constants import ICType, SpecVersion
 
 from dcp_conformance.model.case import Needs, case
-from dcp_conformance.test_steps.repetitions import check_beacons, check_one_in_each
+from dcp_conformance.test_steps.repetitions import check_one_in_each
 from dcp_conformance.test_steps.services import (
     NOT_PRODUCER,
     OK,
@@ -53,7 +53,7 @@ def _check_deletion(bench: Bench, var_id: int, count: int) -> None:
     bench.expect_status(OK, "RTDB-Delete", varId=var_id)
     done = bench.mark()
     frames = bench.until_quiet(lambda heard: heard.instructions(_D, var_id), since=mark)
-    check_beacons(bench, frames, count, "VarDelete")
+    bench.repeated(frames, count, "beacons with the VarDelete")
     check_one_in_each(bench, frames, _D, var_id)
     # A beacon prepared before the request may still be sent.
     for kind in _OTHERS:
@@ -222,6 +222,6 @@ def twice(bench: Bench) -> None:
     bench.must("RTDB-Delete", varId=var_id)
     expect_any(bench, statuses_after_deletion(bench), "RTDB-Delete", varId=var_id)
     frames = bench.until_quiet(lambda heard: heard.instructions(_D, var_id), since=mark)
-    check_beacons(bench, frames, count, "VarDelete")
+    bench.repeated(frames, count, "beacons with the VarDelete")
     status = UNKNOWN if bench.features.removed_after_deletion else deleted_status(bench)
     bench.expect_status(status, "RTDB-Delete", varId=var_id)

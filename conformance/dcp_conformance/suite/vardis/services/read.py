@@ -176,7 +176,8 @@ def database(bench: Bench) -> None:
     needs=Needs(ut=("RTDB-Create", "RTDB-DescribeDatabase")),
 )
 def extra_fields(bench: Bench) -> None:
-    found = listed(bench).get(produced(bench), {})
+    var_id = produced(bench)
+    found = listed(bench).get(var_id, {})
     spec = {"varId", "prodId", "repCnt", "descr", "descrHex", "creationTime", "timeout"}
     extra, claimed = sorted(set(found) - spec), bench.sut.pics.describe_extra_fields
     bench.info(

@@ -10,7 +10,7 @@ from dcp_conformance.errors import StopCase
 from dcp_conformance.frames.received import ReceivedBeacon
 from dcp_conformance.model.case import Needs, case
 from dcp_conformance.test_steps.beacon_gaps import in_a_gap, pace, pausable
-from dcp_conformance.test_steps.repetitions import check_beacons, check_one_in_each
+from dcp_conformance.test_steps.repetitions import check_one_in_each
 from dcp_conformance.test_steps.services import (
     NOT_EXPRESSIBLE,
     NOT_PRODUCER,
@@ -123,7 +123,7 @@ def repetitions(bench: Bench, name: str) -> None:
     mark = bench.mark()
     bench.must("RTDB-Update", varId=var_id, value=bench.records.value(b"newer").hex())
     frames = bench.until_quiet(lambda heard: heard.instructions(_U, var_id), since=mark)
-    check_beacons(bench, frames, count, "VarUpdate", "VD-UPD-08")
+    bench.repeated(frames, count, "beacons with the VarUpdate", "VD-UPD-08")
     check_one_in_each(bench, frames, _U, var_id, "VD-UPD-09")
 
 
