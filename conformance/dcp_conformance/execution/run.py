@@ -299,13 +299,13 @@ class ConformanceRun:
 
     def take(self, case: Case, result: CaseResult) -> str:
         """Add a result of this process or of a worker; return why it is unexpected (empty if it is expected)."""
-        if case.id == SANITY and any(each.id == SANITY for each in self.results):
-            # The repetition of the sanity case only checks that the implementation is alive: count it if it fails.
-            counted = result.verdict in (Verdict.FAIL, Verdict.ERROR)
+        if case.id == SANITY and (earlier := {each.verdict for each in self.results if each.id == SANITY}):
+            # The repetition of the sanity case only checks that the implementation is alive: count a new failure.
+            counted = result.verdict in (Verdict.FAIL, Verdict.ERROR) and result.verdict not in earlier
             result = msgspec.structs.replace(result, counted=counted)
         surprise = self._surprises[_Key(result.id, result.attempt)] = self.expected.judge(case, result)
         self.results.append(result)
-        if self._on_result is not None:
+        if self._on_result is not None and (result.counted or result.verdict is Verdict.PASS):
             self._on_result(case, result, surprise)
         return surprise
 
