@@ -27,6 +27,7 @@ from dcp_conformance.model.results import CaseResult, Check, Diagnosis, RunResul
 from dcp_conformance.model.verdict import Verdict
 from dcp_conformance.passive import cases as invariants
 from dcp_conformance.passive import joined
+from dcp_conformance.upper_tester import Checked
 
 from .expected import ExpectedResults
 from .runner import Runner
@@ -122,7 +123,7 @@ class ConformanceRun:
         """Whether a signal ended the run."""
         self.on_start = on_start
         self.on_wait: Callable[[str], None] = lambda _: None
-        """Called with a message while the run waits for the implementation to start."""
+        """Called with a message for the user: what the run waits for, and each fault of the adapter."""
         self._on_result = on_result
         self.on_revised: Callable[[CaseResult], None] | None = None
         self._runner: Runner | None = None
@@ -252,9 +253,13 @@ class ConformanceRun:
             self._runner = runner
             if not self.with_sanity:
                 runner.rerun += f" -x {SANITY}"
+            if isinstance(runner.session.upper, Checked):
+                runner.session.upper.faults.report = self.on_wait
             runner.prepare()
             if self.options.foreign and self.options.start:
                 runner.life.await_start(self.cases[SANITY], self.on_wait)
+            if self.options.foreign and isinstance(runner.session.upper, Checked):
+                runner.examine()
         except ConformanceError as error:
             self.trouble = str(error)
             self.usage = isinstance(error, UsageError)

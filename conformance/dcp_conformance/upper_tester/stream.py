@@ -10,21 +10,25 @@ import secrets
 import time
 from collections import deque
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Final
 
 import msgspec
+from dcp_spec.constants import BP_PROTID_SRP, BP_PROTID_VARDIS
 
 from dcp_codec.common.printable import printable
-from dcp_conformance.errors import NoAnswerError, UpperTesterError
+from dcp_conformance.errors import ContractError, CouldNotAskError, NoAnswerError, UpperTesterError
 
 from .base import METHOD_NOT_FOUND, Answer, Notification
 from .channels import Channel
+from .faults import Faults, Violation, shown
 from .jsonrpc import answer_of, notification_of, request_line
 
 #: Notifications that wait to be taken; beyond that the oldest are dropped.
 MOST_NOTIFICATIONS = 10_000
 #: A notification of the tester's own, in the place of dropped ones: ``{"number": how many}``.
 DROPPED = "TESTER-NotificationsDropped"
+_DEREGISTER: Final = "BP-DeregisterProtocol"
+_OWN: Final = (BP_PROTID_SRP, BP_PROTID_VARDIS)
 #: Seconds that taking notifications may last.
 _POLL = 0.5
 #: Members that the result of UT-Hello must have beside its status.
@@ -45,14 +49,21 @@ class StreamUpperTester:
         *,
         several: bool = True,
         connecting: float | None = None,
+        faults: Faults | None = None,
     ) -> None:
         """``connect`` opens a channel, trying for so many s; ``several``: there can be more than one at a time.
 
-        ``connecting``: s to try the first time, by default the patience.
+        ``connecting``: s to try the first time, by default the patience. ``faults``: those of the adapter, which all of
+        its connections share.
 
         Raises ``UpperTesterError`` and ``UsageError``.
         """
+        # Imported here, because no other module of an upper tester needs the types of all messages.
+        from .contract import Contract
+
         self.name = name
+        self.faults = Faults() if faults is None else faults
+        self._contract = Contract(self.faults)
         self.about: dict[str, Any] = {}
         self.methods: frozenset[str] = frozenset()
         self._connect = connect
@@ -74,6 +85,8 @@ class StreamUpperTester:
             raise UpperTesterError(f"{self.name}: it has been closed")
         if self._channel is None:
             self.reconnect()
+        if self.faults.forgets_protocols and method == _DEREGISTER and params.get("protId") in _OWN:
+            raise CouldNotAskError(f"{self.name}: {self.faults.forgets_protocols}")
         return self._call(method, params)
 
     def poll(self) -> list[Notification]:
@@ -98,7 +111,9 @@ class StreamUpperTester:
 
     def another(self) -> StreamUpperTester | None:
         """A second connection; None for standard streams."""
-        return StreamUpperTester(self.name, self._connect, self._patience) if self._several else None
+        return (
+            StreamUpperTester(self.name, self._connect, self._patience, faults=self.faults) if self._several else None
+        )
 
     def close(self) -> None:
         """End the connection."""
@@ -176,6 +191,8 @@ class StreamUpperTester:
                 )
             if message.get("id") != self._last_id or "method" in message:
                 self._stray(message)
+                if self._notifications and "method" in message:
+                    self._contract.early(method, params, self._notifications[-1])
                 continue
             try:
                 answer = answer_of(message)
@@ -183,8 +200,10 @@ class StreamUpperTester:
                     # Methods of the contract itself, which an adapter answers.
                     raise UpperTesterError(f"answers with the status {answer.status!r}; UT-STATUS-OK is the only one")
             except UpperTesterError as error:
-                raise UpperTesterError(f"{self.name}: {method}: {error}") from None
-            return answer
+                # Not a lost connection: the next answer may be right.
+                self.faults.add(Violation(method, str(error), "Values"))
+                raise ContractError(f"{self.name}: {method}: {error}") from None
+            return self._contract.answer(method, params, message, answer)
 
     def _message(self, channel: Channel, deadline: float) -> dict[str, Any] | None:
         """The next message; None at the deadline. Raises ``UpperTesterError`` for what is none."""
@@ -199,12 +218,12 @@ class StreamUpperTester:
         try:
             message = msgspec.json.decode(line)
         except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-            shown = printable(line[:200].decode(errors="replace"))
+            text = printable(line[:200].decode(errors="replace"))
             raise UpperTesterError(
-                f"{self.name}: sends a line that is not JSON ({error}): {shown}; only messages may stand on its output"
+                f"{self.name}: sends a line that is not JSON ({error}): {text}; only messages may stand on its output"
             ) from None
         if not isinstance(message, dict):
-            raise UpperTesterError(f"{self.name}: sends JSON that is not a message: {_shown(message)}")
+            raise UpperTesterError(f"{self.name}: sends JSON that is not a message: {shown(message)}")
         return message
 
     def _stray(self, message: dict[str, Any]) -> None:
@@ -218,23 +237,21 @@ class StreamUpperTester:
                 self._given_up.discard(number)
                 return
             raise UpperTesterError(
-                f"{self.name}: answers with the id {_shown(number)}, which no request that waits has: {_shown(message)}"
+                f"{self.name}: answers with the id {shown(number)}, which no request that waits has: {shown(message)}"
             )
         if message.get("id") is not None:
             raise UpperTesterError(
-                f"{self.name}: sends a request instead of answering one: {_shown(message)}; is it an echo, as of a "
+                f"{self.name}: sends a request instead of answering one: {shown(message)}; is it an echo, as of a "
                 "terminal (ssh -t)?"
             )
+        now = time.monotonic_ns()
         try:
-            notification = notification_of(message, time.monotonic_ns())
+            notification = notification_of(message, now)
         except UpperTesterError as error:
             raise UpperTesterError(f"{self.name}: {error}") from None
+        checked = self._contract.notification(notification.method, notification.params, message)
+        notification = msgspec.structs.replace(checked, time=now)
         if len(self._notifications) >= MOST_NOTIFICATIONS:
             self._notifications.popleft()
             self._dropped += 1
         self._notifications.append(notification)
-
-
-def _shown(value: Any) -> str:
-    text = msgspec.json.encode(value).decode()
-    return text if len(text) <= 200 else f"{text[:200]}..."

@@ -170,9 +170,7 @@ def test_one_case_with_another_observation_does_not_show_a_fault() -> None:
 
 
 def test_the_observation_decides_between_faults_with_the_same_cases() -> None:
-    known = Dictionary(
-        (seen(fault("X", *"abc"), dict.fromkeys("abc", OTHER)), fault("Y", *"abc"))
-    )
+    known = Dictionary((seen(fault("X", *"abc"), dict.fromkeys("abc", OTHER)), fault("Y", *"abc")))
     (found,) = explain(results("abc"), known).faults
     assert (found.fault, found.alike, found.alternatives) == ("Y", 3, ())
     assert found.certain
