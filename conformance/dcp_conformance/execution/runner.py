@@ -475,6 +475,26 @@ class Runner:
         self.remember(trial, result, self.session.lower.now())
         return result
 
+    def tried_alone(self, case: Case) -> CaseResult | None:
+        """Execute a case alone in which the implementation may have ended while others were executed beside it.
+
+        Return its result if it passes, or if the implementation ends again, which confirms the first end; otherwise
+        None. An implementation that has ended is restarted.
+        """
+        if self.dead:
+            return None
+        trial = self._trial(case)
+        if trial.loss is None:
+            good = trial.verdict is Verdict.PASS and not trial.bench.restoration.restore_failure
+            return self._result(trial, 1, trial.checks) if good and not trial.disturbed else None
+        self._recent.clear()
+        died = trial.loss.died
+        if died:
+            self._count_death(trial)
+        result = self._result(trial, 1, blamed(trial), killed=True)
+        self._revive(case, trial)
+        return msgspec.structs.replace(result, death=trial.loss.group) if died else None
+
     def remember(self, trial: Trial, result: CaseResult, ended: int) -> None:
         """Remember a case that passed side by side and ended at ``ended`` (ns): it may cause a later death."""
         self._recent.append(_Done(trial, result, ended))
@@ -493,7 +513,7 @@ class Runner:
         named = ", ".join(during[:_NAMED]) + (f" and {len(during) - _NAMED} more" if len(during) > _NAMED else "")
         many = "1 case was" if len(during) == 1 else f"{len(during)} cases were"
         text = f"while {many} executed side by side ({named}), the implementation {loss.summary}"
-        self.remarks.append(f"{text}. Each of these cases is executed alone")
+        self.remarks.append(f"{text}. These cases were executed again")
         if not self._restartable:
             self.dead = f"{text}. There is no command to restart it (--restart)"
             return self.dead
