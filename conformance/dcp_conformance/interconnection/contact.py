@@ -48,6 +48,9 @@ OWNERS: Final[Mapping[Stimulus, frozenset[str]]] = {
 ON_THE_AIR: Final[frozenset[Stimulus]] = frozenset({"summary", "create", "request", "transmit", "state", "variable"})
 """Kinds of stimulus that are answered with beacons."""
 
+BEGINNING: Final = ("when the run began", "from the start of the run on")
+"""Ends of excuses by what was found at the start of a run."""
+
 _QUESTIONS: Final[frozenset[Stimulus]] = frozenset({"summary", "create", "request"})
 _VARDIS: Final = _QUESTIONS | {"variable", "other"}
 _SERVICES: Final[Mapping[str, Stimulus]] = {

@@ -11,6 +11,7 @@ from dcp_conformance.execution.case_results import result_of
 from dcp_conformance.execution.runner import SLOW_DEATH, Runner
 from dcp_conformance.execution.survival.attribution import Trial
 from dcp_conformance.frames.received import ReceivedBeacon
+from dcp_conformance.interconnection.findings import stands
 from dcp_conformance.lower_tester import Arrival
 from dcp_conformance.model.applicability import why_not
 from dcp_conformance.model.case import Case, Kind
@@ -408,6 +409,11 @@ class SideBySide:
         ):
             self._doubts = 0
             self.reasons.pop(case.id, None)
+            result = result_of(trial, trial.checks, session.lower.now(), self._runner.rerun, side_by_side=True)
+            self._passed.append(_Pass(trial, result, session.lower.now()))
+            return
+        if trial.verdict is Verdict.INCONCLUSIVE and not trial.upper_tester_error and stands(trial.checks):
+            # No repetition can decide it.
             result = result_of(trial, trial.checks, session.lower.now(), self._runner.rerun, side_by_side=True)
             self._passed.append(_Pass(trial, result, session.lower.now()))
             return
