@@ -115,6 +115,11 @@ class Contact:
         kinds: tuple[Question, ...] = ("summary", "create", "request")
         return next((kind for kind in kinds if kind in self.answered), "summary")
 
+    def mute(self, entities: Collection[str]) -> bool:
+        """Return whether one of these entities has answered nothing."""
+        silent = {"vardis": self.unanswered >= _QUESTIONS, "srp": "report" in self.unanswered}
+        return any(silent.get(each, False) for each in entities)
+
     def answers(self) -> str:
         """Describe which kinds of stimulus are answered and which are not."""
         yes, no = _listed(self.answered), _listed(self.unanswered)

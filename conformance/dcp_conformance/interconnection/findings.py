@@ -71,12 +71,15 @@ class Findings(Known):
             yield f"{text}: consequences of that in other cases are inconclusive"
 
 
-def stands(checks: Iterable[Check]) -> bool:
+def stands(session: Session, case: Case, checks: Iterable[Check]) -> bool:
     """Return whether another execution of an inconclusive case cannot decide it.
 
     That is so if what was missing was missing at the start of the run, or is a service that is never answered.
     """
     undecided = [check.observed for check in checks if check.verdict is Verdict.INCONCLUSIVE]
+    contact = Findings.of(session).contact
+    if contact is not None and contact.mute(case.needs.entities):
+        return True
     return bool(undecided) and all(any(each in text for each in (*BEGINNING, NEVER)) for text in undecided)
 
 

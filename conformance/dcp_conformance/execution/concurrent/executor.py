@@ -412,7 +412,8 @@ class SideBySide:
             result = result_of(trial, trial.checks, session.lower.now(), self._runner.rerun, side_by_side=True)
             self._passed.append(_Pass(trial, result, session.lower.now()))
             return
-        if trial.verdict is Verdict.INCONCLUSIVE and not trial.upper_tester_error and stands(trial.checks):
+        final = trial.verdict is Verdict.INCONCLUSIVE and not trial.upper_tester_error and not trial.disturbed
+        if final and stands(session, case, trial.checks):
             # No repetition can decide it.
             result = result_of(trial, trial.checks, session.lower.now(), self._runner.rerun, side_by_side=True)
             self._passed.append(_Pass(trial, result, session.lower.now()))
